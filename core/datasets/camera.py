@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A pinhole camera: Blender's axes outside, OpenCV's inside the kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+GL_TO_CV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """An undistorted camera.
+
+    Attributes:
+        width, height: picture size in pixels.
+        fx, fy: focal lengths in pixels.
+        cx, cy: principal point in pixels; the centre of pixel (row i, column j) is at (j + 0.5, i + 0.5).
+        to_world: (4, 4) float64, rigid, camera to world; the camera looks along its -Z, +Y up, +X right.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    to_world: np.ndarray
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) position in the world."""
+        return self.to_world[:3, 3]
+
+    @property
+    def forward(self) -> np.ndarray:
+        """(3,) unit viewing direction in the world."""
+        return -self.to_world[:3, 2]
+
+    @property
+    def world_to_cv(self) -> np.ndarray:
+        """(4, 4) world to camera in OpenCV's axes: +X right, +Y down, +Z into the scene."""
+        return GL_TO_CV @ np.linalg.inv(self.to_world)
+
+    def rays(self) -> np.ndarray:
+        """(H, W, 3) float32 world directions through the pixel centres; origin + depth * ray is the point at planar depth."""
+        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        x, y = np.meshgrid(x, y)
+        local = np.stack([x, -y, -np.ones_like(x)], -1)
+        return (local @ self.to_world[:3, :3].T).astype(np.float32)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World points (N, 3) to pixel coordinates (N, 2), pixel centres at .5, and planar depth (N,); only depth > 0 is in front."""
+        p = points @ self.world_to_cv[:3, :3].T + self.world_to_cv[:3, 3]
+        depth = p[:, 2]
+        z = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        return np.stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy], -1), depth
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera for a picture of another size."""
+        sx, sy = width / self.width, height / self.height
+        return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How CPU kernels are compiled: numba, without the GIL, cached on disk per version of the sources."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+
+def cache_root() -> Path:
+    """The user's cache folder for compiled kernels ($IRGSPP_CACHE wins)."""
+    if "IRGSPP_CACHE" in os.environ:
+        return Path(os.environ["IRGSPP_CACHE"])
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "irgspp"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "irgspp"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "irgspp"
+
+
+def cache_folder() -> Path:
+    """A writable folder named by the kernels' sources: numba's own cache misses edits of imported helpers."""
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    name = f"kernels-{digest.hexdigest()[:12]}"
+    for root in (cache_root(), Path(tempfile.gettempdir()) / f"irgspp-{os.getuid() if hasattr(os, 'getuid') else 'user'}"):
+        try:
+            (root / name).mkdir(parents=True, exist_ok=True, mode=0o700)
+            (root / name / ".writable").touch()
+            return root / name
+        except OSError:
+            continue
+    raise OSError("no writable folder for compiled kernels; set IRGSPP_CACHE to one")
+
+
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
+
+import numba  # noqa: E402  (reads NUMBA_CACHE_DIR on import)
+
+# Sums may be contracted and reordered; NaN and infinity keep their meaning, so that faults stay visible.
+FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+
+
+def kernel(function):
+    """Compile `function(begin, end, ...)` or a helper of one. Helpers shared between modules must live in this folder."""
+    return numba.njit(function, nogil=True, cache=True, fastmath=FASTMATH, error_model="numpy")

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The layers that one view of a reconstruction consists of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..datasets.camera import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class ViewBuffers:
+    """What a camera sees of the reconstruction; float32, divided by accumulated alpha, 0 where alpha is 0.
+
+    Attributes:
+        camera: the camera, pictures are (H, W).
+        alpha: (H, W) opacity in 0..1.
+        depth: (H, W) planar depth, world units.
+        normal: (H, W, 3) unit world normal, turned to the camera.
+        radiance: (H, W, 3) linear Rec.709.
+        albedo: (H, W, 3) linear 0..1 (F0 where metallic).
+        roughness, metallic: (H, W) in 0..1.
+    """
+
+    camera: Camera
+    alpha: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
+    radiance: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""OpenEXR pictures as named float channels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from ..errors import InputError
+
+
+def read_exr(path: Path) -> dict[str, np.ndarray]:
+    """Channels of a single-part EXR by name, each (H, W) float32. Raises InputError where it can't be read."""
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return {name: np.asarray(c.pixels, np.float32) for name, c in file.channels().items()}
+    except Exception as error:  # the library raises plain RuntimeError and TypeError for broken files
+        raise InputError(path, f"not a readable EXR picture ({error})") from error
+
+
+def read_exr_rgb(path: Path) -> np.ndarray:
+    """(H, W, 3) float32 colour of an EXR; a grey one (Y, or a single channel) is repeated."""
+    channels = read_exr(path)
+    if {"R", "G", "B"} <= channels.keys():
+        return np.stack([channels["R"], channels["G"], channels["B"]], -1)
+    if len(channels) == 1 or "Y" in channels:
+        return np.repeat(channels.get("Y", next(iter(channels.values())))[..., None], 3, -1)
+    raise InputError(path, f"has channels {', '.join(channels)} but not R, G, B")
+
+
+def write_exr(path: Path, channels: dict[str, np.ndarray]) -> None:
+    """Write (H, W) arrays as 32-bit float channels, ZIP-compressed, through a temporary file so that none is left half-written."""
+    pixels = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    partial = path.with_name(path.name + ".part.exr")
+    with OpenEXR.File(header, pixels) as file:
+        file.write(str(partial))
+    partial.replace(path)
+
+
+def rgb_channels(picture: np.ndarray) -> dict[str, np.ndarray]:
+    """(H, W, 3) or (H, W, 4) as channels R, G, B (, A)."""
+    return {name: picture[..., i] for i, name in enumerate("RGBA"[: picture.shape[-1]])}

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surface that comes out: triangles with materials, and its textures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh in the world, vertices split along UV seams.
+
+    Attributes:
+        vertices: (V, 3) float32.
+        normals: (V, 3) float32 unit, equal on both sides of a seam.
+        uvs: (V, 2) float32 in 0..1, v = 0 at the bottom of the picture (Blender, glTF flips it).
+        faces: (F, 3) int32, counter-clockwise seen from outside.
+        albedo: (V, 3) float32 linear 0..1; roughness, metallic: (V,) float32 in 0..1.
+        textures: "albedo" (T, T, 3) uint8 sRGB, "roughness" and "metallic" (T, T) uint8, "normal" (T, T, 3) uint8
+            tangent-space (OpenGL, +Y up); row 0 is the top of the picture. Empty where nothing was baked.
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    uvs: np.ndarray
+    faces: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    textures: dict[str, np.ndarray] = field(default_factory=dict)
