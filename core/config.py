@@ -1,56 +1,88 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every setting of the main job, in one place, and the presets."""
+"""Every setting of the main job and the presets; `Annotated[..., Range]` and `Literal` say what is allowed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal, NamedTuple
+
+from .errors import InputError
+
+
+class Range(NamedTuple):
+    """Smallest and largest allowed value of a setting, both included."""
+
+    low: float
+    high: float = float("inf")
 
 
 @dataclass(frozen=True)
 class DataSettings:
     """How photographs are read."""
 
-    resolution: int = 800  # longest side in pixels; larger pictures are reduced
+    resolution: Annotated[int, Range(16, 16384)] = 800  # longest side in pixels; larger pictures are reduced
     masks: bool = True  # use alpha channels and mask files
-    holdout: int = 8  # every n-th view is a test view where the dataset names no test split
+    holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
     centre: tuple[float, float, float] | None = None  # object bound in the dataset's own frame; None = estimated
-    radius: float | None = None
+    radius: Annotated[float | None, Range(1e-6)] = None
 
 
 @dataclass(frozen=True)
 class ReflectiveSettings:
     """First stage."""
 
-    iterations: int = 1200
-    gaussians: int = 40_000
+    iterations: Annotated[int, Range(1, 10_000_000)] = 1200
+    gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000
 
 
 @dataclass(frozen=True)
 class SurfaceSettings:
     """From rendered depth to a mesh with textures."""
 
-    voxels: int = 192  # along the longest side of the object
-    smoothing: int = 10  # smoothing passes before decimation
-    triangles: int = 40_000  # budget after decimation
-    texture: int = 1024  # texels along a side
+    voxels: Annotated[int, Range(16, 2048)] = 192  # along the longest side of the object
+    smoothing: Annotated[int, Range(0, 1000)] = 10  # smoothing passes before decimation
+    triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # budget after decimation
+    texture: Annotated[int, Range(16, 16384)] = 1024  # texels along a side
 
 
 @dataclass(frozen=True)
 class ExportSettings:
     """What the Blender material reads."""
 
-    material: str = "textures"  # "textures" | "attributes"
+    material: Literal["textures", "attributes"] = "textures"
 
 
 @dataclass(frozen=True)
 class Settings:
     """All settings of one job; `preset` names the starting point."""
 
-    preset: str = "balanced"
-    seed: int = 0
-    device: str = "auto"  # "auto" | "cpu" | "cuda"
-    materials: str = "auto"  # "auto" | "low-gloss" | "glossy"
+    preset: Literal["draft", "balanced", "paper"] = "balanced"
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    materials: Literal["auto", "low-gloss", "glossy"] = "auto"
     data: DataSettings = field(default_factory=DataSettings)
     reflective: ReflectiveSettings = field(default_factory=ReflectiveSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     export: ExportSettings = field(default_factory=ExportSettings)
+
+
+PRESETS: dict[str, Settings] = {
+    "draft": Settings(  # a look
+        preset="draft",
+        reflective=replace(ReflectiveSettings(), iterations=400, gaussians=15_000),
+        surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
+    ),
+    "balanced": Settings(),
+    "paper": Settings(  # the published schedule, for a GPU
+        preset="paper",
+        reflective=replace(ReflectiveSettings(), iterations=50_000, gaussians=100_000),
+        surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
+    ),
+}
+
+
+def preset(name: str) -> Settings:
+    """The settings of a preset. Raises InputError for an unknown name."""
+    if name not in PRESETS:
+        raise InputError(f"preset {name}", "there is none of that name", f"use {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Set up the tool in .venv, run the demo or the tests: `python3 scripts/run.py setup|demo|test [arguments passed on]`.
+
+Only the standard library is used, and nothing newer than Python 3.6 up to the version check, so that an old Python gets a clear line.
+"""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+LOCK = ROOT / "requirements.lock"
+STAMP = VENV / "irgspp-setup.sha256"  # digest of what is installed; written last
+UNFINISHED = VENV / "irgspp-setup-unfinished"  # there while an installation runs
+PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+REQUIRED = (3, 11)
+COMMANDS = ("setup", "demo", "test")
+
+
+def fail(reason: str) -> None:
+    """End with exit status 2 and one line."""
+    print("run.py: " + reason, file=sys.stderr)
+    raise SystemExit(2)
+
+
+def say(text: str) -> None:
+    print("run.py: " + text, file=sys.stderr, flush=True)
+
+
+def check_python() -> None:
+    if sys.version_info[:2] != REQUIRED:
+        version = ".".join(map(str, sys.version_info[:2]))
+        fail(f"needs Python 3.11 (Blender 4.5's bpy has no wheel for another), this is {version}; start it with python3.11")
+
+
+def digest() -> str:
+    """Identifies what has to be installed: the pins and the package's own description."""
+    return hashlib.sha256(LOCK.read_bytes() + (ROOT / "pyproject.toml").read_bytes() + str(ROOT).encode()).hexdigest()
+
+
+def environment() -> dict:
+    """Variables for the child: threads of torch sleep between kernels instead of spinning on the cores that numba's kernels use."""
+    return {"OMP_WAIT_POLICY": "PASSIVE", "PIP_DISABLE_PIP_VERSION_CHECK": "1", **os.environ}
+
+
+def call(*command: object) -> int:
+    """Run a command with our terminal and return its exit status."""
+    process = subprocess.Popen([str(part) for part in command], cwd=str(ROOT), env=environment())
+    while True:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            continue  # the terminal sent Ctrl-C to the child as well, which ends in its own way
+
+
+def works(python: Path) -> bool:
+    """True where a virtual environment's Python starts, has pip, and is of the right version."""
+    probe = f"import pip, sys; sys.exit(sys.version_info[:2] != {REQUIRED})"
+    try:
+        return subprocess.run([str(python), "-c", probe], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode == 0
+    except OSError:
+        return False
+
+
+def make_venv() -> None:
+    """Make .venv, or make it anew where an earlier set-up was interrupted or its Python no longer starts."""
+    if VENV.exists() and not UNFINISHED.exists() and works(PYTHON):
+        return
+    say("making it again: .venv is unfinished or broken" if VENV.exists() else "making .venv")
+    if call(sys.executable, "-m", "venv", "--clear", VENV) != 0:
+        fail("could not make .venv (on Debian and Ubuntu: install the package python3.11-venv)")
+
+
+def setup() -> None:
+    """Install the locked versions and this package into .venv; nothing to do where that was done before."""
+    wanted = digest()
+    if STAMP.exists() and not UNFINISHED.exists() and STAMP.read_text().strip() == wanted and PYTHON.exists():
+        return
+    make_venv()
+    UNFINISHED.touch()
+    say("installing the versions of requirements.lock (about 1 GB, once)")
+    pip = (PYTHON, "-m", "pip", "install")
+    if call(*pip, "-r", LOCK) != 0:
+        fail("pip could not install requirements.lock, its own lines above say why; run the command again to repeat")
+    if call(*pip, "--no-deps", "--no-build-isolation", "--editable", ROOT) != 0:
+        fail("pip could not install the package itself, its own lines above say why")
+    STAMP.write_text(wanted + "\n")
+    UNFINISHED.unlink()
+    say("set-up done: " + str(VENV))
+
+
+def main(arguments: list) -> int:
+    """Do what the first word says; the exit status is that of the tool or of the tests."""
+    if not arguments or arguments[0] not in COMMANDS:
+        fail("usage: python3 scripts/run.py setup|demo|test [arguments passed on]")
+    check_python()
+    command, rest = arguments[0], arguments[1:]
+    setup()
+    if command == "test":
+        return call(PYTHON, "-m", "pytest", *rest)
+    if command == "demo":
+        return call(PYTHON, "-P", "-m", "irgspp", "demo", *([] if "-o" in rest else ["-o", "demo"]), *rest)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
