@@ -30,9 +30,9 @@ def read_exr_rgb(path: Path) -> np.ndarray:
     raise InputError(path, f"has channels {', '.join(channels)} but not R, G, B")
 
 
-def write_exr(path: Path, channels: dict[str, np.ndarray]) -> None:
-    """Write (H, W) arrays as 32-bit float channels, ZIP-compressed, through a temporary file so that none is left half-written."""
-    pixels = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
+def write_exr(path: Path, channels: dict[str, np.ndarray], half: bool = False) -> None:
+    """Write (H, W) arrays as float channels, 32 or 16 bits, ZIP-compressed, through a temporary file so that none is left half-written."""
+    pixels = {name: np.ascontiguousarray(c, np.float16 if half else np.float32) for name, c in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     partial = path.with_name(path.name + ".part.exr")
     with OpenEXR.File(header, pixels) as file:

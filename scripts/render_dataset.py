@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Render a dataset with exact ground truth from a .blend, or from the built-in demonstration scene."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.scene.exr import read_exr_rgb, rgb_channels, write_exr
+from irgspp.core.shading.colour import encode_srgb
+from irgspp.core.shading.lights import LIGHTS
+from irgspp.irgspp_addon import ground_truth
+from irgspp.irgspp_addon.demo_scene import build_demo_scene
+from irgspp.irgspp_addon.world import bake_world, world_from_map
+from PIL import Image
+
+ANGLE_X = 0.6911112070083618  # horizontal field of view of the NeRF-synthetic cameras
+LENS_RADII = 4 / 1.3  # camera distance in object radii
+SEED = 7
+
+
+def arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", nargs="?", type=Path, help=".blend file; without it the built-in scene")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write, must not exist or be empty")
+    parser.add_argument("--resolution", type=int, default=200)
+    parser.add_argument("--train", type=int, default=64, help="training views")
+    parser.add_argument("--test", type=int, default=16, help="test views, with ground truth")
+    parser.add_argument("--samples", type=int, default=64, help="Cycles samples per pixel, then denoised")
+    parser.add_argument("--light", help="lat-long EXR or one of " + ", ".join(LIGHTS) + "; default: the World of the .blend, or sky")
+    parser.add_argument("--relight", nargs="*", help="more lights for the test views; default: studio sunset")
+    parser.add_argument("--light-height", type=int, default=128, help="rows of built-in and baked light maps")
+    parser.add_argument("--points", type=int, default=10_000, help="surface samples for mesh scores")
+    return parser.parse_args(argv)
+
+
+def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolution: int) -> list[Camera]:
+    """Cameras on an even spiral over the sphere from 30 degrees below the horizon to the top, all looking at the centre."""
+    focal = 0.5 * resolution / np.tan(0.5 * ANGLE_X)
+    cameras = []
+    for i in range(count):
+        z = 1.0 - 1.5 * (i + 0.5) / count
+        azimuth = (i + phase) * np.pi * (3 - np.sqrt(5))
+        away = np.array([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z])
+        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        to_world = np.eye(4)
+        to_world[:3, :3] = np.stack([right, np.cross(away, right), away], -1)
+        to_world[:3, 3] = centre + away * radius * LENS_RADII
+        cameras.append(Camera(resolution, resolution, focal, focal, resolution / 2, resolution / 2, to_world))
+    return cameras
+
+
+def load_scene(path: Path | None) -> bpy.types.Scene:
+    """Open the .blend, or build our own scene."""
+    if path is None:
+        build_demo_scene()
+    elif not path.is_file():
+        raise InputError(path, "no such file")
+    else:
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
+        except RuntimeError as error:
+            raise InputError(path, f"Blender can't open it ({error})") from error
+    return bpy.context.scene
+
+
+def write_lights(scene: bpy.types.Scene, args: argparse.Namespace) -> list[str]:
+    """Put the light maps into envs/ and name them, the training light first."""
+    folder = args.output / "envs"
+    folder.mkdir(parents=True)
+    relights = ["studio", "sunset"] if args.relight is None else args.relight
+    names = []
+    if args.light is None and args.scene is not None and scene.world is not None:
+        bake_world(scene, folder / "world.exr", args.light_height)
+        names.append("world")
+    for light in ([args.light or "sky"] if not names else []) + relights:
+        name = light if light in LIGHTS else Path(light).stem
+        pixels = LIGHTS[light](args.light_height, 2 * args.light_height) if light in LIGHTS else read_exr_rgb(Path(light))
+        write_exr(folder / f"{name}.exr", rgb_channels(np.clip(pixels, 0, 65504)), half=True)
+        names.append(name)
+    return names
+
+
+def save_png(path: Path, rgba: np.ndarray) -> None:
+    """Linear premultiplied (H, W, 4) as 8-bit sRGB with straight alpha."""
+    alpha = np.clip(rgba[..., 3:], 0, 1)
+    straight = np.where(alpha > 0, rgba[..., :3] / np.maximum(alpha, 1e-6), 0)
+    encoded = np.concatenate([encode_srgb(np.clip(straight, 0, 1)), alpha], -1)
+    Image.fromarray(np.round(255 * encoded).astype(np.uint8), "RGBA").save(path, optimize=True)
+
+
+def write_transforms(path: Path, cameras: list[Camera], pattern: str) -> None:
+    frames = [{"file_path": pattern.format(i), "transform_matrix": camera.to_world.tolist()} for i, camera in enumerate(cameras)]
+    path.write_text(json.dumps({"camera_angle_x": ANGLE_X, "frames": frames}, indent=1))
+
+
+def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path) -> None:
+    folder.mkdir()
+    for i, camera in enumerate(cameras):
+        tell(f"training view {i + 1} of {len(cameras)}")
+        ground_truth.place_camera(scene, camera)
+        scene.cycles.seed = i
+        save_png(folder / f"r_{i:03d}.png", ground_truth.render_picture(scene)["rgba"])
+
+
+def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path) -> None:
+    """Every test view under every light, and its layers (which no light changes) once."""
+    for n, (name, world) in enumerate(worlds.items()):
+        scene.world = world
+        for i, camera in enumerate(cameras):
+            tell(f"test view {i + 1} of {len(cameras)} under {name}")
+            view = folder / f"r_{i:03d}"
+            view.mkdir(parents=True, exist_ok=True)
+            ground_truth.place_camera(scene, camera)
+            scene.cycles.seed = 1000 * (n + 1) + i
+            layers = ground_truth.render_picture(scene)
+            save_png(view / ("rgba.png" if n == 0 else f"rgba_{name}.png"), layers["rgba"])
+            if n == 0:
+                layers |= ground_truth.render_geometry(scene, camera)
+                write_layers(view, layers)
+
+
+def write_layers(view: Path, layers: dict[str, np.ndarray]) -> None:
+    write_exr(view / "albedo.exr", rgb_channels(layers["albedo"]), half=True)
+    write_exr(view / "normal.exr", rgb_channels(layers["normal"]), half=True)
+    write_exr(view / "depth.exr", {"Z": np.round(layers["depth"] * 16384) / 16384})
+    write_exr(view / "material.exr", {"R": layers["material"][..., 0], "G": layers["material"][..., 1]}, half=True)
+
+
+def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray, scene: bpy.types.Scene) -> None:
+    meta = {
+        "name": args.scene.stem if args.scene else "demo",
+        "blender": bpy.app.version_string,
+        "seed": SEED,
+        "resolution": [args.resolution, args.resolution],
+        "camera_angle_x": ANGLE_X,
+        "train_views": args.train,
+        "test_views": args.test,
+        "samples": args.samples,
+        "world_axes": "Blender: right-handed, +Z up",
+        "train_light": lights[0],
+        "relights": lights[1:],
+        "lights": {name: {"file": f"envs/{name}.exr"} for name in lights},
+        "materials": {thing.name: "textured" for thing in scene.objects if thing.type == "MESH"},
+        "has_material_maps": True,
+        "bbox_min": corners.min(0).tolist(),
+        "bbox_max": corners.max(0).tolist(),
+    }
+    (args.output / "meta.json").write_text(json.dumps(meta, indent=1))
+
+
+def tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def render_dataset(args: argparse.Namespace) -> None:
+    """The whole job: scene, lights, cameras, pictures, points."""
+    if args.output.exists() and any(args.output.iterdir()):
+        raise InputError(args.output, "is not empty", "name a new folder")
+    scene = load_scene(args.scene)
+    ground_truth.prepare(scene, args.samples, SEED)
+    lights = write_lights(scene, args)
+    worlds = {name: world_from_map(args.output / "envs" / f"{name}.exr", name) for name in lights}
+    corners = ground_truth.world_triangles(scene).reshape(-1, 3)
+    centre = np.zeros(3) if args.scene is None else (corners.min(0) + corners.max(0)) / 2
+    radius = 1.3 if args.scene is None else float(np.linalg.norm(corners - centre, axis=-1).max())
+    train = orbit(args.train, 0.0, centre, radius, args.resolution)
+    test = orbit(args.test, 0.37, centre, radius, args.resolution)
+    write_meta(args, lights, corners, scene)
+    write_transforms(args.output / "transforms_train.json", train, "./train/r_{:03d}")
+    write_transforms(args.output / "transforms_test.json", test, "./test/r_{:03d}/rgba")
+    points, normals = ground_truth.visible_points(scene, train, args.points, SEED)
+    np.savez_compressed(args.output / "surface_points.npz", points=points.astype(np.float32), normals=normals.astype(np.float16))
+    scene.world = worlds[lights[0]]
+    render_train(scene, train, args.output / "train")
+    render_test(scene, test, worlds, args.output / "test")
+
+
+def main(argv: list[str] | None = None) -> int:
+    try:
+        render_dataset(arguments(argv))
+    except IrgsppError as error:
+        tell(str(error))
+        return error.exit_status
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
