@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""2D Gaussians to screen-space splats and back, 8 Gaussians to a vector.
+
+A disk with centre c, tangents t_u, t_v, scales s_u, s_v (camera space, z forward) is hit by the ray of a pixel at offset
+(dx, dy) from its projected centre at
+
+    u = (A.d) / w,   v = (B.d) / w,   depth = c_z / w,   w = 1 + C.d
+
+an exact plane intersection (2DGS, eq. 8) in which nothing cancels at the centre. A splat's record holds these numbers.
+
+Parameters are structure-of-arrays, flattened: position (3 N), quaternion (4 N, w x y z, any length), log scale (2 N),
+opacity logit (N), sh (K 3 N).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .harmonics import basis, basis_gradient
+from .jit import kernel
+from .simd import bits, exp, load, maximum, select, splat, sqrt, store
+
+RECORD = 12  # floats of a splat: mx my A0 A1 B0 B1 C0 C1 c_z opacity cut-off(rho) unused
+GEOMETRY = 10  # of them have a gradient
+ALPHA_MIN = 1 / 255
+LOW_PASS = 2.0  # rho of the screen-space filter per squared pixel (2DGS: 1 / 0.707^2)
+NEAR = 0.01  # nearest depth, as a share of the camera's distance to the scene's centre
+COSINE_MIN = 1e-3  # disks seen more edge-on than this keep this foreshortening; the low-pass filter draws them
+
+
+@kernel
+def _rotation(q, n, i):
+    """Columns of the rotation and the quaternion's length."""
+    w, x, y, z = load(q, i), load(q, n + i), load(q, 2 * n + i), load(q, 3 * n + i)
+    length = sqrt(maximum(w * w + x * x + y * y + z * z, splat(1e-20)))
+    inv = 1.0 / length
+    w, x, y, z = w * inv, x * inv, y * inv, z * inv
+    r0 = (1.0 - (y * y + z * z) * 2.0, (x * y + w * z) * 2.0, (x * z - w * y) * 2.0)
+    r1 = ((x * y - w * z) * 2.0, 1.0 - (x * x + z * z) * 2.0, (y * z + w * x) * 2.0)
+    r2 = ((x * z + w * y) * 2.0, (y * z - w * x) * 2.0, 1.0 - (x * x + y * y) * 2.0)
+    return r0, r1, r2, (w, x, y, z), inv
+
+
+@kernel
+def _rotate(m, v):
+    """m (row-major 3x3 scalars) times v."""
+    return (
+        v[0] * m[0] + v[1] * m[1] + v[2] * m[2],
+        v[0] * m[3] + v[1] * m[4] + v[2] * m[5],
+        v[0] * m[6] + v[1] * m[7] + v[2] * m[8],
+    )
+
+
+@kernel
+def _rotate_back(m, v):
+    """Transpose of m times v."""
+    return (
+        v[0] * m[0] + v[1] * m[3] + v[2] * m[6],
+        v[0] * m[1] + v[1] * m[4] + v[2] * m[7],
+        v[0] * m[2] + v[1] * m[5] + v[2] * m[8],
+    )
+
+
+@kernel
+def _cross(a, b):
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@kernel
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def _add(a, b):
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@kernel
+def _scale(a, s):
+    return (a[0] * s, a[1] * s, a[2] * s)
+
+
+@kernel
+def _sigmoid(x):
+    return 1.0 / (1.0 + exp(x * -1.0))
+
+
+@kernel
+def _frame(position, quaternion, n, i, cam):
+    """Camera-space centre and axes; foreshortening n.c is kept away from 0, `free` where it was not touched."""
+    world = (load(position, i), load(position, n + i), load(position, 2 * n + i))
+    offset = (world[0] - cam[13], world[1] - cam[14], world[2] - cam[15])
+    c = _rotate(cam, offset)
+    r0, r1, r2, q, inv = _rotation(quaternion, n, i)
+    tu, tv, normal = _rotate(cam, r0), _rotate(cam, r1), _rotate(cam, r2)
+    nc = _dot(normal, c)
+    side = select(nc > 0.0, splat(1.0), splat(-1.0))
+    floor = sqrt(maximum(_dot(c, c), splat(cam[18] * cam[18]))) * COSINE_MIN
+    free = nc * side > floor
+    return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), side, free, q, inv
+
+
+@kernel
+def _direction(offset):
+    """Unit viewing direction, camera to Gaussian, and 1 / distance."""
+    inv = 1.0 / sqrt(maximum(_dot(offset, offset), splat(1e-20)))
+    return _scale(offset, inv), inv
+
+
+@kernel
+def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extra, coefficients, cam, n, record, feature, box, depth):
+    """Fill splat records (N, RECORD), features (N, F: colour, normal, extra), pixel boxes (N, 4: x0 y0 x1 y1, empty where culled), depth (N).
+
+    cam: row-major world-to-camera rotation (9), fx fy cx cy (4), camera centre (3), width, height, near depth.
+    `begin` and `end` count blocks of 8; the last block overlaps its neighbour where N is no multiple of 8.
+    """
+    scratch = np.empty(24 * 8, np.float32)
+    values = np.empty(16 * 8, np.float32)
+    fx, fy, px, py = cam[9], cam[10], cam[11], cam[12]
+    extras = feature.shape[1] - 6
+    for block in range(begin, end):
+        i = min(block * 8, n - 8)
+        offset, c, r2, tu, tv, normal, nc, side, _, _, _ = _frame(position, quaternion, n, i, cam)
+        su, sv = exp(load(log_scale, i)), exp(load(log_scale, n + i))
+        z = select(c[2] > cam[18], c[2], splat(1.0))
+        k, iz = z / nc, 1.0 / z
+        e, f = _cross(tv, c), _cross(c, tu)
+        ku, kv = k / su, k / sv
+        store(scratch, 0, c[0] * iz * fx + px)
+        store(scratch, 8, c[1] * iz * fy + py)
+        store(scratch, 16, e[0] * ku / fx)
+        store(scratch, 24, e[1] * ku / fy)
+        store(scratch, 32, f[0] * kv / fx)
+        store(scratch, 40, f[1] * kv / fy)
+        store(scratch, 48, normal[0] * k / fx)
+        store(scratch, 56, normal[1] * k / fy)
+        store(scratch, 64, c[2])
+        store(scratch, 72, _sigmoid(load(opacity, i)))
+        # Moments of the disk for its bounding box.
+        store(scratch, 96, tu[0] * tu[0] * su * su + tv[0] * tv[0] * sv * sv)
+        store(scratch, 104, tu[1] * tu[1] * su * su + tv[1] * tv[1] * sv * sv)
+        store(scratch, 112, tu[2] * tu[2] * su * su + tv[2] * tv[2] * sv * sv)
+        store(scratch, 120, tu[0] * tu[2] * su * su + tv[0] * tv[2] * sv * sv)
+        store(scratch, 128, tu[1] * tu[2] * su * su + tv[1] * tv[2] * sv * sv)
+        store(scratch, 136, c[0])
+        store(scratch, 144, c[1])
+        direction, _ = _direction(offset)
+        basis(direction[0], direction[1], direction[2], coefficients, values)
+        for channel in range(3):
+            colour = splat(0.5)
+            for j in range(coefficients):
+                colour = colour + load(values, j * 8) * load(sh, (j * 3 + channel) * n + i)
+            store(scratch, 152 + channel * 8, maximum(colour, splat(0.0)))
+            for lane in range(8):
+                feature[i + lane, channel] = scratch[152 + channel * 8 + lane]
+            store(scratch, 152 + channel * 8, r2[channel] * side * -1.0)
+            for lane in range(8):
+                feature[i + lane, 3 + channel] = scratch[152 + channel * 8 + lane]
+        for lane in range(8):
+            for channel in range(extras):
+                feature[i + lane, 6 + channel] = extra[channel * n + i + lane]
+            _finish(i + lane, lane, scratch, cam, record, box, depth)
+
+
+@kernel
+def _finish(g, lane, scratch, cam, record, box, depth):
+    """One Gaussian's record, cut-off and pixel box from the block's scratch."""
+    for j in range(GEOMETRY):
+        record[g, j] = scratch[j * 8 + lane]
+    z, alpha = record[g, 8], record[g, 9]
+    depth[g] = z
+    box[g, 0], box[g, 1], box[g, 2], box[g, 3] = 1, 1, 0, 0
+    record[g, 10] = 0.0
+    if not (z > cam[18]) or not (alpha > ALPHA_MIN):
+        return
+    cut = np.float32(2.0 * math.log(alpha / ALPHA_MIN))
+    record[g, 10] = cut
+    # Extent of the ellipse rho = cut under perspective: a quadratic in x/z with these coefficients.
+    d = cut * scratch[112 + lane] - z * z
+    if d > -cam[18] * cam[18]:
+        return
+    pad = math.sqrt(cut / LOW_PASS)
+    for axis in range(2):
+        c, focal, shift = scratch[136 + axis * 8 + lane], cam[9 + axis], cam[11 + axis]
+        middle = (cut * scratch[120 + axis * 8 + lane] - c * z) / d
+        spread = math.sqrt(max(0.0, middle * middle - (cut * scratch[96 + axis * 8 + lane] - c * c) / d))
+        low = min((middle - spread) * focal + shift, record[g, axis] - pad)
+        high = max((middle + spread) * focal + shift, record[g, axis] + pad)
+        limit = cam[16 + axis]
+        first, last = max(0.0, math.ceil(low - 0.5)), min(limit - 1.0, math.floor(high - 0.5))
+        if not (first <= last):
+            box[g, 0], box[g, 2] = 1, 0
+            return
+        box[g, axis], box[g, 2 + axis] = int(first), int(last)
+
+
+@kernel
+def _gather(slots, first, column, scratch):
+    """Sum one gradient column of 8 Gaussians over the threads' slots, in slot order."""
+    for lane in range(8):
+        value = np.float32(0.0)
+        for slot in range(slots.shape[0]):
+            value += slots[slot, first + lane, column]
+        scratch[lane] = value
+    return load(scratch, 0)
+
+
+@kernel
+def _quaternion_gradient(q, inv, g0, g1, g2):
+    """From gradients of the rotation's columns to the raw quaternion."""
+    w, x, y, z = q
+    gw = (z * (g0[1] - g1[0]) + y * (g2[0] - g0[2]) + x * (g1[2] - g2[1])) * 2.0
+    gx = (y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g1[2] - g2[1]) - x * (g1[1] + g2[2]) * 2.0) * 2.0
+    gy = (x * (g0[1] + g1[0]) + z * (g1[2] + g2[1]) + w * (g2[0] - g0[2]) - y * (g0[0] + g2[2]) * 2.0) * 2.0
+    gz = (x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) + w * (g0[1] - g1[0]) - z * (g0[0] + g1[1]) * 2.0) * 2.0
+    radial = gw * w + gx * x + gy * y + gz * z
+    return (gw - w * radial) * inv, (gx - x * radial) * inv, (gy - y * radial) * inv, (gz - z * radial) * inv
+
+
+@kernel
+def project_backward_range(
+    begin, end, position, quaternion, log_scale, opacity, sh, coefficients, cam, n, slots,
+    g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen,
+):  # fmt: skip
+    """Adjoint of `project_range`: `slots` (threads, N, GEOMETRY + F) to gradients laid out like the parameters, and |d loss / d centre| in pixels (N)."""
+    scratch = np.empty(8, np.float32)
+    values = np.empty(16 * 8, np.float32)
+    slopes = np.empty(3 * 16 * 8, np.float32)
+    fx, fy = cam[9], cam[10]
+    extras = slots.shape[2] - GEOMETRY - 6
+    zero = splat(0.0)
+    for block in range(begin, end):
+        i = min(block * 8, n - 8)
+        offset, c, _, tu, tv, normal, nc, side, free, q, qinv = _frame(position, quaternion, n, i, cam)
+        isu, isv = exp(load(log_scale, i) * -1.0), exp(load(log_scale, n + i) * -1.0)
+        front = c[2] > cam[18]
+        z = select(front, c[2], splat(1.0))
+        k, iz = z / nc, 1.0 / z
+        e, f = _cross(tv, c), _cross(c, tu)
+        gmx, gmy = _gather(slots, i, 0, scratch), _gather(slots, i, 1, scratch)
+        ga0, ga1 = _gather(slots, i, 2, scratch) * isu / fx, _gather(slots, i, 3, scratch) * isu / fy
+        gb0, gb1 = _gather(slots, i, 4, scratch) * isv / fx, _gather(slots, i, 5, scratch) * isv / fy
+        gc0, gc1 = _gather(slots, i, 6, scratch) / fx, _gather(slots, i, 7, scratch) / fy
+        au, bv = ga0 * e[0] + ga1 * e[1], gb0 * f[0] + gb1 * f[1]
+        gk = au + bv + gc0 * normal[0] + gc1 * normal[1]
+        ge, gf = (ga0 * k, ga1 * k, zero), (gb0 * k, gb1 * k, zero)
+        gnc = select(free, gk * k * -1.0 / nc, zero)
+        gn = _add((gc0 * k, gc1 * k, zero), _scale(c, gnc))
+        g_tv, g_tu = _cross(c, ge), _cross(gf, c)
+        g_c = _add(_add(_cross(ge, tv), _cross(tu, gf)), _scale(normal, gnc))
+        gz = gk / nc + _gather(slots, i, 8, scratch) - (gmx * fx * c[0] + gmy * fy * c[1]) * iz * iz
+        g_c = _add(g_c, (gmx * fx * iz, gmy * fy * iz, gz))
+        g_world = _rotate_back(cam, g_c)
+        store(g_log_scale, i, au * k * -1.0)
+        store(g_log_scale, n + i, bv * k * -1.0)
+        store(screen, i, sqrt(gmx * gmx + gmy * gmy))
+        o = _sigmoid(load(opacity, i))
+        store(g_opacity, i, _gather(slots, i, 9, scratch) * o * (1.0 - o))
+        flip = side * -1.0
+        g_normal = (_gather(slots, i, 13, scratch), _gather(slots, i, 14, scratch), _gather(slots, i, 15, scratch))
+        g2 = _add(_rotate_back(cam, gn), _scale(g_normal, flip))
+        gq = _quaternion_gradient(q, qinv, _rotate_back(cam, g_tu), _rotate_back(cam, g_tv), g2)
+        for j in range(4):
+            store(g_quaternion, j * n + i, gq[j])
+        direction, inv_distance = _direction(offset)
+        basis(direction[0], direction[1], direction[2], coefficients, values)
+        basis_gradient(direction[0], direction[1], direction[2], coefficients, slopes)
+        gdx, gdy, gdz = zero, zero, zero
+        for channel in range(3):
+            colour = splat(0.5)
+            for j in range(coefficients):
+                colour = colour + load(values, j * 8) * load(sh, (j * 3 + channel) * n + i)
+            g = select(colour > 0.0, _gather(slots, i, GEOMETRY + channel, scratch), zero)
+            for j in range(coefficients):
+                at = (j * 3 + channel) * n + i
+                store(g_sh, at, load(values, j * 8) * g)
+                weight = load(sh, at) * g
+                gdx = gdx + load(slopes, j * 8) * weight
+                gdy = gdy + load(slopes, 128 + j * 8) * weight
+                gdz = gdz + load(slopes, 256 + j * 8) * weight
+        radial = gdx * direction[0] + gdy * direction[1] + gdz * direction[2]
+        gd = ((gdx - direction[0] * radial), (gdy - direction[1] * radial), (gdz - direction[2] * radial))
+        g_world = _add(g_world, _scale(gd, inv_distance))
+        for j in range(3):
+            store(g_position, j * n + i, select(front, g_world[j], zero))
+        for channel in range(extras):
+            store(g_extra, channel * n + i, _gather(slots, i, GEOMETRY + 6 + channel, scratch))
+
+
+@kernel
+def visible(box):
+    """How many boxes are not empty."""
+    count = 0
+    for g in range(box.shape[0]):
+        count += box[g, 0] <= box[g, 2]
+    return count
+
+
+__all__ = ["ALPHA_MIN", "GEOMETRY", "LOW_PASS", "RECORD", "bits", "project_backward_range", "project_range", "visible"]

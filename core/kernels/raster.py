@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tile rasteriser of 2D Gaussians: front-to-back compositing, a tile row of 8 pixels to a vector.
+
+Channels of a picture: the splats' features, then depth, then opacity. The adjoint runs front to back as well: with
+q_i = g . c_i and the running sum S_i = sum_{j<=i} w_j q_j,
+
+    dL/dalpha_i = T_i q_i - (S_total - S_i) / (1 - alpha_i),
+
+where S_total = g . C is known from the picture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .binning import TILE
+from .jit import kernel
+from .projection import GEOMETRY, LOW_PASS
+from .simd import bits, exp, load, minimum, ramp, select, splat, store, total
+
+ALPHA_MAX = 0.99
+TRANSMITTANCE_MIN = 1e-3  # a pixel is finished below this
+_PIXELS = TILE * TILE
+_W_MIN = 1e-4  # the ray meets the disk's plane this far towards the horizon, or behind
+
+
+@kernel
+def _evaluate(record, g, dx, dy, ax, bx, wx, low):
+    """Where a row's rays meet the disk: rho, 1/w, u, v and whether the low-pass filter won."""
+    w = wx + record[g, 7] * dy
+    ahead = w > _W_MIN
+    iw = 1.0 / select(ahead, w, splat(1.0))
+    u = (ax + record[g, 3] * dy) * iw
+    v = (bx + record[g, 5] * dy) * iw
+    rho = select(ahead, u * u + v * v, splat(1e9))
+    flat = low + LOW_PASS * dy * dy
+    return minimum(rho, flat), iw, u, v, rho > flat
+
+
+@kernel
+def _exhausted(transmittance):
+    for row in range(TILE):
+        if bits(load(transmittance, row * 8) > TRANSMITTANCE_MIN) != 0:
+            return False
+    return True
+
+
+@kernel
+def rasterize_range(begin, end, start, entries, record, feature, box, columns, picture, stride, plane):
+    """Composite tiles begin..end into `picture`: channel planes of `plane` floats with rows of `stride` floats, flattened."""
+    features = feature.shape[1]
+    channels = features + 2
+    acc = np.empty(channels * _PIXELS, np.float32)
+    transmittance = np.empty(_PIXELS, np.float32)
+    for tile in range(begin, end):
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        acc[:] = 0.0
+        transmittance[:] = 1.0
+        x = ramp() + (x0 + 0.5)
+        for entry in range(start[tile], start[tile + 1]):
+            if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
+                break
+            g = entries[entry]
+            dx = x - record[g, 0]
+            ax, bx, wx = dx * record[g, 2], dx * record[g, 4], dx * record[g, 6] + 1.0
+            low, cut, opacity, z = dx * dx * LOW_PASS, record[g, 10], record[g, 9], record[g, 8]
+            for row in range(max(box[g, 1] - y0, 0), min(box[g, 3] - y0, TILE - 1) + 1):
+                dy = np.float32(y0 + row + 0.5) - record[g, 1]
+                rho, iw, _, _, filtered = _evaluate(record, g, dx, dy, ax, bx, wx, low)
+                before = load(transmittance, row * 8)
+                mask = (rho <= cut) & (before > TRANSMITTANCE_MIN)
+                if bits(mask) == 0:
+                    continue
+                alpha = select(mask, minimum(exp(rho * -0.5) * opacity, splat(ALPHA_MAX)), splat(0.0))
+                weight = alpha * before
+                store(transmittance, row * 8, before - weight)
+                for channel in range(features):
+                    at = channel * _PIXELS + row * 8
+                    store(acc, at, load(acc, at) + weight * feature[g, channel])
+                at = features * _PIXELS + row * 8
+                store(acc, at, load(acc, at) + weight * select(filtered, splat(z), iw * z))
+        for row in range(TILE):
+            at = (y0 + row) * stride + x0
+            for channel in range(channels - 1):
+                store(picture, channel * plane + at, load(acc, channel * _PIXELS + row * 8))
+            store(picture, (channels - 1) * plane + at, 1.0 - load(transmittance, row * 8))
+
+
+@kernel
+def _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, s_total):
+    """Copy a tile's upstream gradients together; s_total = g . C per pixel."""
+    for row in range(TILE):
+        at = (y0 + row) * stride + x0
+        s = splat(0.0)
+        for channel in range(channels):
+            g = load(gradient, channel * plane + at)
+            store(g_tile, channel * _PIXELS + row * 8, g)
+            s = s + g * load(picture, channel * plane + at)
+        store(s_total, row * 8, s)
+
+
+@kernel
+def rasterize_backward_range(
+    slot, begin, end, start, entries, record, feature, box, columns, picture, gradient, stride, plane, slots
+):  # fmt: skip
+    """Adjoint of `rasterize_range`: adds gradients of records (first GEOMETRY columns) and features to slots[slot] (N, GEOMETRY + F)."""
+    features = feature.shape[1]
+    channels = features + 2
+    g_tile = np.empty(channels * _PIXELS, np.float32)
+    s_total, s_run, transmittance = np.empty(_PIXELS, np.float32), np.empty(_PIXELS, np.float32), np.empty(_PIXELS, np.float32)
+    g_feature = np.empty(features * 8, np.float32)
+    out = slots[slot]
+    zero = splat(0.0)
+    for tile in range(begin, end):
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, s_total)
+        s_run[:] = 0.0
+        transmittance[:] = 1.0
+        x = ramp() + (x0 + 0.5)
+        for entry in range(start[tile], start[tile + 1]):
+            if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
+                break
+            g = entries[entry]
+            dx = x - record[g, 0]
+            ax, bx, wx = dx * record[g, 2], dx * record[g, 4], dx * record[g, 6] + 1.0
+            low, cut, opacity, z = dx * dx * LOW_PASS, record[g, 10], record[g, 9], record[g, 8]
+            g_feature[:] = 0.0
+            gmx, gmy, ga0, ga1, gb0, gb1, gc0, gc1, gz, go = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+            touched = False
+            for row in range(max(box[g, 1] - y0, 0), min(box[g, 3] - y0, TILE - 1) + 1):
+                dy = np.float32(y0 + row + 0.5) - record[g, 1]
+                rho, iw, u, v, filtered = _evaluate(record, g, dx, dy, ax, bx, wx, low)
+                before = load(transmittance, row * 8)
+                mask = (rho <= cut) & (before > TRANSMITTANCE_MIN)
+                if bits(mask) == 0:
+                    continue
+                touched = True
+                bell = exp(rho * -0.5)
+                raw = bell * opacity
+                alpha = select(mask, minimum(raw, splat(ALPHA_MAX)), zero)
+                weight = alpha * before
+                store(transmittance, row * 8, before - weight)
+                depth = select(filtered, splat(z), iw * z)
+                gd = load(g_tile, features * _PIXELS + row * 8)
+                q = load(g_tile, (features + 1) * _PIXELS + row * 8) + gd * depth
+                for channel in range(features):
+                    gc = load(g_tile, channel * _PIXELS + row * 8)
+                    q = q + gc * feature[g, channel]
+                    store(g_feature, channel * 8, load(g_feature, channel * 8) + weight * gc)
+                run = load(s_run, row * 8) + weight * q
+                store(s_run, row * 8, run)
+                g_alpha = before * q - (load(s_total, row * 8) - run) / (1.0 - alpha)
+                g_alpha = select(mask & (raw < ALPHA_MAX), g_alpha, zero)
+                go = go + g_alpha * bell
+                g_rho = g_alpha * alpha * -0.5
+                gt = weight * gd
+                g_flat = select(filtered, g_rho * (2.0 * LOW_PASS), zero)
+                g_uv = select(filtered, zero, g_rho * iw * 2.0)
+                gu, gv = g_uv * u, g_uv * v
+                gw = (select(filtered, zero, gt * iw * iw * z) + gu * u + gv * v) * -1.0
+                gz = gz + select(filtered, gt, gt * iw)
+                gmx = gmx - (gu * record[g, 2] + gv * record[g, 4] + gw * record[g, 6] + g_flat * dx)
+                gmy = gmy - (gu * record[g, 3] + gv * record[g, 5] + gw * record[g, 7] + g_flat * dy)
+                ga0, gb0, gc0 = ga0 + gu * dx, gb0 + gv * dx, gc0 + gw * dx
+                ga1, gb1, gc1 = ga1 + gu * dy, gb1 + gv * dy, gc1 + gw * dy
+            if touched:
+                sums = (gmx, gmy, ga0, ga1, gb0, gb1, gc0, gc1, gz, go)
+                for j in range(GEOMETRY):
+                    out[g, j] += total(sums[j])
+                for channel in range(features):
+                    out[g, GEOMETRY + channel] += total(load(g_feature, channel * 8))

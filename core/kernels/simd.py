@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An 8-wide float vector for numba kernels: numba's own vectoriser leaves gather-and-mask loops scalar.
+
+`f32x8` is a numba type whose data model is LLVM's `<8 x float>`, `b8` its comparison mask. Scalars broadcast in every operator.
+"""
+
+from __future__ import annotations
+
+import operator
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.typing import signature
+from numba.core.typing.templates import ConcreteTemplate
+from numba.extending import intrinsic, lower_builtin, models, register_model
+
+from numba.core.typing.templates import infer_global  # isort: skip
+
+from .jit import kernel
+
+WIDTH = 8
+_FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
+_INTS = ir.VectorType(ir.IntType(32), WIDTH)
+_BITS = ir.VectorType(ir.IntType(1), WIDTH)
+
+
+class _Vector(types.Type):
+    """A numba type that is one LLVM vector."""
+
+
+f32x8, b8 = _Vector("f32x8"), _Vector("b8")
+
+
+@register_model(_Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager, numba_type):
+        super().__init__(manager, numba_type, _FLOATS if numba_type.name == "f32x8" else _BITS)
+
+
+def _broadcast(builder, scalar):
+    first = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(first, first, ir.Constant(_INTS, [0] * WIDTH))
+
+
+def _operator(symbol, result, emit, operands=(f32x8, types.float32)):
+    """Give `symbol` a meaning on vectors; a scalar on either side is broadcast."""
+    vector, scalar = operands
+    pairs = [(vector, vector)] + ([(vector, scalar), (scalar, vector)] if scalar is not None else [])
+    infer_global(symbol)(type(f"{symbol.__name__}_f32x8", (ConcreteTemplate,), {"cases": [signature(result, *p) for p in pairs]}))
+    for pair in pairs:
+
+        def lower(context, builder, sig, args):
+            wide = [_broadcast(builder, a) if t == scalar else a for a, t in zip(args, sig.args, strict=True)]
+            return emit(builder, *wide)
+
+        lower_builtin(symbol, *pair)(lower)
+
+
+for _symbol, _name in [(operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")]:
+    _operator(_symbol, f32x8, lambda b, x, y, name=_name: getattr(b, name)(x, y))
+for _symbol, _name in [(operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">=")]:
+    _operator(_symbol, b8, lambda b, x, y, name=_name: b.fcmp_ordered(name, x, y))
+_operator(operator.and_, b8, lambda b, x, y: b.and_(x, y), (b8, None))
+_operator(operator.or_, b8, lambda b, x, y: b.or_(x, y), (b8, None))
+
+
+def _pointer(context, builder, array_type, array, index):
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), _FLOATS.as_pointer())
+
+
+@intrinsic
+def load(typing, array, index):
+    """8 neighbours of a contiguous 1-D float32 array from `index` on."""
+
+    def emit(context, builder, sig, args):
+        value = builder.load(_pointer(context, builder, sig.args[0], *args))
+        value.align = 4
+        return value
+
+    return f32x8(array, types.intp), emit
+
+
+@intrinsic
+def store(typing, array, index, value):
+    """Write 8 neighbours of a contiguous 1-D float32 array."""
+
+    def emit(context, builder, sig, args):
+        instruction = builder.store(args[2], _pointer(context, builder, sig.args[0], *args[:2]))
+        instruction.align = 4
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, f32x8), emit
+
+
+@intrinsic
+def splat(typing, value):
+    """A vector of 8 equal values."""
+    return f32x8(types.float32), lambda context, builder, sig, args: _broadcast(builder, args[0])
+
+
+@intrinsic
+def ramp(typing):
+    """0, 1, ... 7."""
+    return f32x8(), lambda context, builder, sig, args: ir.Constant(_FLOATS, [float(i) for i in range(WIDTH)])
+
+
+@intrinsic
+def select(typing, mask, yes, no):
+    """`yes` where the mask is set, else `no`, lane by lane."""
+    return f32x8(b8, f32x8, f32x8), lambda context, builder, sig, args: builder.select(*args)
+
+
+@intrinsic
+def bits(typing, mask):
+    """The mask as an integer, lane 0 in bit 0; 0 where no lane is set."""
+
+    def emit(context, builder, sig, args):
+        return builder.zext(builder.bitcast(args[0], ir.IntType(8)), ir.IntType(32))
+
+    return types.uint32(b8), emit
+
+
+def _llvm(builder, name, result, arguments):
+    """Declare an LLVM intrinsic by hand: llvmlite's own helper refuses vector types."""
+    function = builder.module.globals.get(name) or ir.Function(builder.module, ir.FunctionType(result, [a.type for a in arguments]), name)
+    return builder.call(function, arguments)
+
+
+def _unary(name):
+    @intrinsic
+    def function(typing, value):
+        return f32x8(f32x8), lambda context, builder, sig, args: _llvm(builder, f"llvm.{name}.v8f32", _FLOATS, [args[0]])
+
+    return function
+
+
+def _binary(name):
+    @intrinsic
+    def function(typing, left, right):
+        return f32x8(f32x8, f32x8), lambda context, builder, sig, args: _llvm(builder, f"llvm.{name}.v8f32", _FLOATS, list(args))
+
+    return function
+
+
+sqrt, floor, minimum, maximum = _unary("sqrt"), _unary("floor"), _binary("minnum"), _binary("maxnum")
+
+
+@intrinsic
+def total(typing, value):
+    """Sum of the 8 lanes."""
+
+    def emit(context, builder, sig, args):
+        v = args[0]
+        for half in (4, 2, 1):
+            shuffle = ir.Constant(_INTS, [(i + half) % WIDTH for i in range(WIDTH)])
+            v = builder.fadd(v, builder.shuffle_vector(v, v, shuffle))
+        return builder.extract_element(v, ir.Constant(ir.IntType(32), 0))
+
+    return types.float32(f32x8), emit
+
+
+@intrinsic
+def _power_of_two(typing, exponent):
+    """2^n for whole n in -126..127, by writing the exponent bits."""
+
+    def emit(context, builder, sig, args):
+        whole = builder.fptosi(args[0], _INTS)
+        biased = builder.add(whole, ir.Constant(_INTS, [127] * WIDTH))
+        return builder.bitcast(builder.shl(biased, ir.Constant(_INTS, [23] * WIDTH)), _FLOATS)
+
+    return f32x8(f32x8), emit
+
+
+@kernel
+def exp(x):
+    """e^x with a relative error under 3e-7; the argument is clamped to -87..88."""
+    x = minimum(maximum(x, splat(-87.0)), splat(88.0))
+    n = floor(x * 1.44269504 + 0.5)
+    r = x - n * 0.693359375 + n * 2.12194440e-4
+    p = r * 1.9875691500e-4 + 1.3981999507e-3
+    p = p * r + 8.3334519073e-3
+    p = p * r + 4.1665795894e-2
+    p = p * r + 1.6666665459e-1
+    p = p * r + 5.0000001201e-1
+    return (p * (r * r) + r + 1.0) * _power_of_two(n)
