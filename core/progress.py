@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any, Protocol
 
 
@@ -11,10 +12,15 @@ class Progress(Protocol):
 
     `phase` opens a phase of a known number of steps; `step` reports the number of steps done, with figures such as `loss` and
     `psnr`; `message` is one line for a person. `cancelled` turns True when the user wants the work to stop: the worker
-    saves what it has and raises `errors.Cancelled`.
+    saves what it has and raises `errors.Cancelled`. `finish_early` turns True when the user is content with what is there:
+    an iterative phase stops and the work goes on with the next one.
     """
 
-    cancelled: bool
+    @property
+    def cancelled(self) -> bool: ...
+
+    @property
+    def finish_early(self) -> bool: ...
 
     def phase(self, name: str, steps: int) -> None: ...
 
@@ -27,6 +33,7 @@ class Silent:
     """Progress that nobody watches."""
 
     cancelled = False
+    finish_early = False
 
     def phase(self, name: str, steps: int) -> None:
         """Ignored."""
@@ -44,3 +51,18 @@ class Checkpoint(Protocol):
     def save(self, name: str, state: dict[str, Any]) -> None: ...
 
     def load(self, name: str) -> dict[str, Any] | None: ...
+
+
+class TimeLeft:
+    """Estimates the seconds left in a phase from its recent speed (the first steps of a phase are often the slow ones)."""
+
+    def __init__(self, steps: int) -> None:
+        self.steps, self._began, self._marks = steps, time.monotonic(), [(time.monotonic(), 0)]
+
+    def after(self, done: int) -> float | None:
+        """Seconds left after `done` steps, or None while nothing is known."""
+        now = time.monotonic()
+        if now - self._marks[-1][0] >= 0.5 and done > self._marks[-1][1]:
+            self._marks = [*self._marks[-20:], (now, done)]
+        (then, before) = self._marks[0]
+        return (self.steps - done) * (now - then) / (done - before) if done > before else None

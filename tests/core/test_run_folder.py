@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The run folder: who may use it, what stands in it after every way a job can end, checkpoints that survive."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core import run_folder
+from irgspp.core.config import Settings, preset
+from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.journal import Journal
+from irgspp.core.lock import FileLock
+from irgspp.core.memory import peak_memory, reset_peak_memory
+from irgspp.core.progress import Silent
+from irgspp.core.run_folder import RunFolder, read_run, write_atomic
+
+
+@pytest.fixture
+def run(tmp_path):
+    folder = RunFolder.open(tmp_path / "run", Settings(), "photos")
+    yield folder
+    folder.close()
+
+
+def reopen(folder, settings=None, dataset="photos", **how):
+    folder.close()
+    return RunFolder.open(folder.path, settings or Settings(), dataset, **how)
+
+
+def events(folder):
+    return [json.loads(line) for line in (folder.path / "events.jsonl").read_text().splitlines()]
+
+
+def test_new_run_says_what_it_is(run):
+    state = read_run(run.path)
+    assert state["status"] == "running"
+    assert state["settings"]["data"]["resolution"] == Settings().data.resolution
+    assert state["seed"] == 0
+    assert state["versions"]["numpy"] == np.__version__
+
+
+def test_another_run_is_not_touched(run):
+    before = (run.path / "run.json").read_bytes()
+    with pytest.raises(InputError, match=r"--resume.*--overwrite"):
+        reopen(run)
+    assert (run.path / "run.json").read_bytes() == before
+
+
+def test_foreign_folder_is_refused_even_with_overwrite(tmp_path):
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(InputError, match="not a run folder"):
+        RunFolder.open(tmp_path, Settings(), "photos", overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
+
+
+def test_overwrite_removes_the_run_and_nothing_else(run):
+    (run.path / "mesh.ply").write_text("old")
+    (run.path / "notes.txt").write_text("mine")
+    run.save("reflective", {"step": 1})
+    again = reopen(run, overwrite=True)
+    assert not (run.path / "mesh.ply").exists()
+    assert again.load("reflective") is None
+    assert (run.path / "notes.txt").read_text() == "mine"
+    again.close()
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_file_in_the_way(tmp_path, inside):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        RunFolder.open(tmp_path / "file" / "run" if inside else tmp_path / "file", Settings(), "photos")
+
+
+def test_not_writable(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_folder.os, "access", lambda *_: False)
+    with pytest.raises(InputError, match="not writable"):
+        RunFolder.open(tmp_path / "run", Settings(), "photos")
+    assert not (tmp_path / "run").exists()
+
+
+def test_disk_that_refuses_is_told_as_input_error(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(run_folder.Path, "mkdir", refuse)
+    with pytest.raises(InputError, match="Permission denied"):
+        RunFolder.open(tmp_path / "run", Settings(), "photos")
+
+
+def test_run_in_use_by_another_process_is_refused(run):
+    run.close()
+    code = "from irgspp.core.lock import FileLock; held = FileLock('.lock'); print('held', flush=True); input()"
+    command = [sys.executable, "-P", "-c", code]
+    holder = subprocess.Popen(command, cwd=run.path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(InputError, match="in use"):
+        RunFolder.open(run.path, Settings(), "photos", resume=True)
+    holder.kill()  # as after kill -9: the lock is free at once
+    holder.communicate()
+    FileLock(run.path / ".lock").release()
+
+
+def test_resume_keeps_what_was_done(run):
+    with run.timed("reflective"):
+        pass
+    run.skip("scene.blend", "no bpy")
+    again = reopen(run, resume=True)
+    assert again.finished("reflective")
+    assert not again.finished("surface")
+    assert again.state["skipped"] == [{"what": "scene.blend", "why": "no bpy"}]
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "dataset", "words"), [(preset("draft"), "photos", "reflective.iterations"), (Settings(), "other", "dataset")]
+)
+def test_resume_with_other_settings_is_refused(run, settings, dataset, words):
+    with pytest.raises(InputError, match=words):
+        reopen(run, settings, dataset, resume=True)
+    reopen(run, resume=True).close()  # the refusal has let go of the folder
+
+
+def test_broken_run_json(run):
+    (run.path / "run.json").write_text("{")
+    with pytest.raises(InputError, match=r"run\.json: is broken"):
+        reopen(run, resume=True)
+
+
+def test_ways_to_end(run):
+    with run.job():
+        pass
+    assert read_run(run.path)["status"] == "done"
+    with pytest.raises(Cancelled), run.job():
+        raise Cancelled("stop")
+    assert read_run(run.path)["status"] == "cancelled"
+    with pytest.raises(ZeroDivisionError), run.job():
+        _ = 1 / 0
+    state = read_run(run.path)
+    assert (state["status"], state["error"]) == ("failed", "ZeroDivisionError: division by zero")
+    assert "Traceback" in (run.path / "log.txt").read_text()
+
+
+def test_phase_that_fails_is_timed_but_not_finished(run):
+    with pytest.raises(RuntimeError), run.timed("surface"):
+        raise RuntimeError
+    assert not run.finished("surface")
+    with run.timed("surface"):
+        pass
+    phase = read_run(run.path)["phases"]["surface"]
+    assert phase["finished"]
+    assert phase["peak_memory"] > 1 << 20
+
+
+def test_checkpoint_round_trip(run):
+    generator = torch.Generator().manual_seed(3)
+    nested = {"x": torch.arange(3.0), "y": np.eye(2)}
+    state = {"step": 4, "name": "a", "nested": nested, "pair": (1.5, [True, None]), "rng": generator.get_state()}
+    run.save("reflective", state)
+    back = run.load("reflective")
+    assert (back["step"], back["name"], back["pair"]) == (4, "a", (1.5, [True, None]))
+    assert torch.equal(back["nested"]["x"], state["nested"]["x"])
+    assert torch.equal(back["nested"]["y"], torch.eye(2, dtype=torch.float64))
+    generator.set_state(back["rng"])
+    assert torch.equal(torch.rand(3, generator=generator), torch.rand(3, generator=torch.Generator().manual_seed(3)))
+    assert [p.name for p in (run.path / "checkpoint").iterdir()] == ["reflective.pt"]
+
+
+def test_damaged_checkpoint_is_told(run):
+    assert run.load("reflective") is None
+    run.save("reflective", {"x": torch.zeros(1000)})
+    path = run.path / "checkpoint" / "reflective.pt"
+    for data in (path.read_bytes()[:700], b"", b"not a checkpoint"):
+        path.write_bytes(data)
+        with pytest.raises(InputError, match=r"reflective\.pt"):
+            run.load("reflective")
+
+
+def test_interrupted_save_leaves_the_old_checkpoint(run, monkeypatch):
+    run.save("reflective", {"step": 1})
+    monkeypatch.setattr(run_folder.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(OSError, match="No space"):
+        run.save("reflective", {"step": 2})
+    assert run.load("reflective") == {"step": 1}
+    with pytest.raises(OSError, match="No space"):
+        write_atomic(run.path / "run.json", b"half")
+    assert read_run(run.path)["status"] == "running"
+
+
+def test_journal_writes_events_and_hears_the_files(run):
+    journal = Journal(run, Silent())
+    journal.phase("reflective", 2)
+    assert not journal.cancelled
+    (run.path / "finish").touch()
+    assert journal.finish_early
+    journal.step(2, loss=0.5, psnr=float("inf"))
+    journal.message("hello")
+    journal.phase("surface", 1)
+    assert not journal.finish_early
+    (run.path / "cancel").touch()
+    assert journal.cancelled
+    first, last, message, second = events(run)
+    assert (first["phase"], first["step"], first["of"]) == ("reflective", 0, 2)
+    assert (last["step"], last["loss"], last["psnr"]) == (2, 0.5, None)
+    assert message["message"] == "hello"
+    assert second["phase"] == "surface"
+    assert "hello" in (run.path / "log.txt").read_text()
+    again = reopen(run, resume=True)
+    assert not Journal(again, Silent()).cancelled
+    again.close()
+
+
+def test_peak_memory_sees_an_allocation_and_forgets_it():
+    if not reset_peak_memory():
+        pytest.skip("the peak can't be reset on this system")
+    before = peak_memory()
+    block = np.ones(50_000_000)
+    peak = peak_memory()
+    assert peak >= before + block.nbytes * 0.9
+    del block
+    reset_peak_memory()
+    assert peak_memory() < peak
