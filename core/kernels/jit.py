@@ -7,7 +7,9 @@ import hashlib
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 
 def cache_root() -> Path:
@@ -45,6 +47,6 @@ import numba  # noqa: E402  (reads NUMBA_CACHE_DIR on import)
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def kernel(function):
+def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function(begin, end, ...)` or a helper of one. Helpers shared between modules must live in this folder."""
     return numba.njit(function, nogil=True, cache=True, fastmath=FASTMATH, error_model="numpy")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The layers that one view of a reconstruction consists of."""
+"""What a reconstruction hands on: the layers of one view, and its Gaussians as surface samples."""
 
 from __future__ import annotations
 
@@ -29,6 +29,26 @@ class ViewBuffers:
     depth: np.ndarray
     normal: np.ndarray
     radiance: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """The Gaussians as points of a surface, for what no view sees; float32.
+
+    Attributes:
+        position: (N, 3) world.
+        normal: (N, 3) unit world; the side is not defined.
+        opacity: (N,) in 0..1.
+        albedo: (N, 3) linear 0..1.
+        roughness, metallic: (N,) in 0..1.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    opacity: np.ndarray
     albedo: np.ndarray
     roughness: np.ndarray
     metallic: np.ndarray

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The mesh as a glTF binary: +Y up, PBR material, ORM packed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from PIL import Image
+from trimesh.exchange.gltf import export_glb
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+from .mesh import Mesh
+from .textures import occlusion_roughness_metallic
+
+
+def save_glb(mesh: Mesh, path: Path) -> None:
+    """Write the mesh, whole or not at all, with its textures where there are any, else with the albedo at its vertices."""
+    body = trimesh.Trimesh(_y_up(mesh.vertices), mesh.faces, vertex_normals=_y_up(mesh.normals), process=False, validate=False)
+    if mesh.textures:
+        body.visual = TextureVisuals(uv=mesh.uvs.astype(np.float64), material=_textured(mesh.textures))
+    else:
+        _colour_vertices(body, mesh)
+    scene = trimesh.Scene()
+    scene.add_geometry(body, node_name="object", geom_name="object")
+    data = export_glb(scene, include_normals=True)
+    partial = path.with_name(path.name + ".part")
+    partial.write_bytes(data)
+    os.replace(partial, path)
+
+
+def _y_up(vectors: np.ndarray) -> np.ndarray:
+    """World vectors (V, 3) in glTF's axes: x, z, -y."""
+    return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], -1)
+
+
+def _textured(textures: dict[str, np.ndarray]) -> PBRMaterial:
+    packed = Image.fromarray(occlusion_roughness_metallic(textures))
+    return PBRMaterial(
+        name="material",
+        baseColorTexture=Image.fromarray(textures["albedo"]),
+        metallicRoughnessTexture=packed,
+        normalTexture=Image.fromarray(textures["normal"]),
+        metallicFactor=1.0,
+        roughnessFactor=1.0,
+    )
+
+
+def _colour_vertices(body: trimesh.Trimesh, mesh: Mesh) -> None:
+    """Vertex colours are linear in glTF; roughness and metallic can only be one value each: their mean."""
+    body.visual = TextureVisuals(
+        uv=mesh.uvs.astype(np.float64),
+        material=PBRMaterial(name="material", metallicFactor=float(mesh.metallic.mean()), roughnessFactor=float(mesh.roughness.mean())),
+    )
+    rgba = np.concatenate([mesh.albedo, np.ones((len(mesh.albedo), 1), np.float32)], -1)
+    body.visual.vertex_attributes["color"] = np.round(255 * np.clip(rgba, 0, 1)).astype(np.uint8)

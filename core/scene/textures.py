@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The mesh's textures as PNG files, and packed the way glTF wants them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ..errors import InputError
+
+CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3}
+
+
+def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:
+    """Write each texture of `Mesh.textures` as folder/<name>.png, each whole or not at all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, texture in textures.items():
+        partial = folder / f"{name}.png.part"
+        Image.fromarray(texture).save(partial, format="PNG")
+        os.replace(partial, folder / f"{name}.png")
+
+
+def load_textures(folder: Path) -> dict[str, np.ndarray]:
+    """The textures that are in the folder, as in `Mesh.textures`. Raises InputError for one that can't be read."""
+    return {name: _load(folder / f"{name}.png", n) for name, n in CHANNELS.items() if (folder / f"{name}.png").exists()}
+
+
+def _load(path: Path, channels: int) -> np.ndarray:
+    try:
+        with Image.open(path) as picture:
+            return np.asarray(picture.convert("RGB" if channels == 3 else "L"))
+    except (OSError, ValueError, SyntaxError) as error:
+        raise InputError(path, f"not a readable picture ({error})") from error
+
+
+def occlusion_roughness_metallic(textures: dict[str, np.ndarray]) -> np.ndarray:
+    """(T, T, 3) uint8: R occlusion (none), G roughness, B metallic."""
+    roughness, metallic = textures["roughness"], textures["metallic"]
+    return np.stack([np.full_like(roughness, 255), roughness, metallic], -1)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Textures: which texel shows which point of the mesh, and the normal texture's tangent frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from ..kernels.jit import kernel
+from ..shading.colour import encode_srgb
+from .meshing import unit
+
+
+@dataclass(frozen=True, eq=False)
+class Texels:
+    """The texels inside triangles: row and column (P,), face (P,), barycentric coordinates (P, 3) float64; `size` texels a side."""
+
+    size: int
+    row: np.ndarray
+    column: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+
+    def interpolate(self, values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """Vertex values (V, C) at the texels: (P, C)."""
+        return (values[faces[self.face]] * self.barycentric[..., None]).sum(1)
+
+    def picture(self, values: np.ndarray) -> np.ndarray:
+        """Texel values (P, ...) as a picture (size, size, ...); texels outside every triangle take the nearest value."""
+        known = np.zeros((self.size, self.size), bool)
+        known[self.row, self.column] = True
+        picture = np.zeros((self.size, self.size, *values.shape[1:]), values.dtype)
+        picture[self.row, self.column] = values
+        nearest = np.asarray(ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True))
+        return picture[nearest[0], nearest[1]]
+
+
+def rasterise(uvs: np.ndarray, faces: np.ndarray, size: int) -> Texels:
+    """The texels whose centre lies in a triangle; v = 0 is the picture's bottom row."""
+    corners = uvs.astype(np.float64) * size
+    corners[:, 1] = size - corners[:, 1]
+    owner = np.full((size, size), -1, np.int32)
+    cover(0, len(faces), corners, faces, owner)
+    row, column = np.nonzero(owner >= 0)
+    face = owner[row, column]
+    return Texels(size, row, column, face, _barycentric(corners[faces[face]], np.stack([column + 0.5, row + 0.5], -1)))
+
+
+def _barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
+    a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
+    area = _cross(b - a, c - a)
+    area = np.where(np.abs(area) < 1e-20, 1e-20, area)
+    second, third = _cross(point - a, c - a) / area, _cross(b - a, point - a) / area
+    return np.stack([1 - second - third, second, third], -1)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+@kernel
+def cover(begin, end, corners, faces, owner):
+    """Write each triangle's index into the texels whose centres it covers."""
+    height, width = owner.shape
+    for f in range(begin, end):
+        ax, ay = corners[faces[f, 0], 0], corners[faces[f, 0], 1]
+        bx, by = corners[faces[f, 1], 0], corners[faces[f, 1], 1]
+        cx, cy = corners[faces[f, 2], 0], corners[faces[f, 2], 1]
+        side = 1.0 if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) > 0 else -1.0
+        top, bottom = max(int(min(ay, by, cy)), 0), min(int(max(ay, by, cy)) + 1, height)
+        left, right = max(int(min(ax, bx, cx)), 0), min(int(max(ax, bx, cx)) + 1, width)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                x, y = column + 0.5, row + 0.5
+                ab = side * ((bx - ax) * (y - ay) - (by - ay) * (x - ax))
+                bc = side * ((cx - bx) * (y - by) - (cy - by) * (x - bx))
+                ca = side * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx))
+                if ab >= 0 and bc >= 0 and ca >= 0:
+                    owner[row, column] = f
+
+
+def tangents(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 4) tangents as renderers rebuild them (MikkTSpace): unit direction of +u across the normal, and the side of +v (w = 1 or -1)."""
+    corner, uv = vertices[faces].astype(np.float64), uvs[faces].astype(np.float64)
+    e1, e2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    area = _cross(d1, d2)[:, None]
+    direction = unit((e1 * d2[:, 1:] - e2 * d1[:, 1:]) * np.sign(area))
+    total, side = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
+    for k in range(3):
+        normal = normals[faces[:, k]].astype(np.float64)
+        edges = corner[:, (k + 1) % 3] - corner[:, k], corner[:, (k + 2) % 3] - corner[:, k]
+        a, b = (unit(_across(edge, normal)) for edge in edges)
+        angle = np.arccos(np.clip((a * b).sum(-1), -1, 1))
+        along = unit(_across(direction, normal)) * angle[:, None]
+        for axis in range(3):
+            total[:, axis] += np.bincount(faces[:, k], along[:, axis], len(total))
+        side += np.bincount(faces[:, k], angle * np.sign(area[:, 0]), len(side))
+    tangent = unit(_across(total, normals))
+    return np.concatenate([tangent, np.where(side < 0, -1.0, 1.0)[:, None]], -1)
+
+
+def _across(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The part of the vectors at right angles to the normals."""
+    return vectors - (vectors * normals).sum(-1, keepdims=True) * normals
+
+
+def tangent_space(direction: np.ndarray, normal: np.ndarray, tangent: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """World directions (P, 3) in the frame of tangent, bitangent = side * normal x tangent, and normal."""
+    bitangent = side[:, None] * np.cross(normal, tangent)
+    return np.stack([(direction * axis).sum(-1) for axis in (tangent, bitangent, normal)], -1)
+
+
+def to_byte(values: np.ndarray) -> np.ndarray:
+    """0..1 to uint8, rounded."""
+    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
+
+
+def colour_byte(linear: np.ndarray) -> np.ndarray:
+    """Linear 0..1 to sRGB-encoded uint8."""
+    return to_byte(encode_srgb(np.clip(linear, 0, 1)))

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From rendered views to a textured mesh: fuse, mesh, unwrap, bake."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..config import SurfaceSettings
+from ..datasets.dataset import Bound
+from ..errors import Cancelled, IrgsppError
+from ..progress import Progress
+from ..scene.buffers import SurfaceSamples, ViewBuffers
+from ..scene.mesh import Mesh
+from . import meshing
+from .attributes import fuse_attributes
+from .bake import colour_byte, rasterise, tangent_space, tangents, to_byte
+from .fusion import fuse
+from .grid import make_grid
+from .meshing import Triangles
+from .unwrap import unwrap
+
+
+def extract_surface(
+    views: Sequence[ViewBuffers], samples: SurfaceSamples, bound: Bound, settings: SurfaceSettings, progress: Progress
+) -> Mesh:
+    """The object's surface as a mesh with materials at the vertices and in textures.
+
+    Args:
+        views: what the training cameras see of the reconstruction.
+        samples: its Gaussians, asked where no view sees the surface.
+        bound: the object; what lies outside is left out.
+
+    Raises:
+        IrgsppError: no surface was found. Cancelled: the user stopped the work.
+    """
+    progress.phase("fuse", len(views))
+    grid = make_grid(views, samples, bound, settings.voxels)
+    surface = _surface(*fuse(views, grid, progress), grid.origin, grid.voxel, settings)
+    normals = meshing.vertex_normals(surface, settings.normal_averages)
+    progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
+    _stop_if_asked(progress)
+    progress.phase("unwrap", 1)
+    source, faces, uvs = unwrap(surface, settings.texture)
+    progress.step(1)
+    _stop_if_asked(progress)
+    progress.phase("bake", 2 * len(views))
+    fused = fuse_attributes(surface.vertices, normals, views, samples, grid.voxel, progress.step)
+    mesh = Mesh(
+        vertices=surface.vertices[source].astype(np.float32),
+        normals=normals[source].astype(np.float32),
+        uvs=uvs,
+        faces=faces,
+        albedo=fused.albedo[source],
+        roughness=fused.roughness[source],
+        metallic=fused.metallic[source],
+    )
+    mesh.textures.update(_textures(mesh, views, samples, grid.voxel, settings, progress))
+    return mesh
+
+
+def _surface(distance: np.ndarray, known: np.ndarray, origin: np.ndarray, voxel: float, settings: SurfaceSettings) -> Triangles:
+    mesh = meshing.isosurface(distance, known, origin, voxel)
+    mesh = meshing.main_components(meshing.cleaned(mesh), settings.fragment)
+    if not len(mesh.faces):
+        raise IrgsppError("no surface: what the views' depths agree on is too small to be an object")
+    mesh = meshing.decimated(meshing.smoothed(mesh, settings.smoothing), settings.triangles)
+    return meshing.cleaned(mesh)
+
+
+def _textures(
+    mesh: Mesh, views: Sequence[ViewBuffers], samples: SurfaceSamples, voxel: float, settings: SurfaceSettings, progress: Progress
+) -> dict[str, np.ndarray]:
+    texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
+    frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
+    points = texels.interpolate(mesh.vertices, mesh.faces)
+    normal = meshing.unit(texels.interpolate(mesh.normals, mesh.faces))
+    fused = fuse_attributes(points, normal, views, samples, voxel, lambda done: progress.step(len(views) + done))
+    side = frames[mesh.faces[texels.face, 0], 3]
+    tangent = texels.interpolate(frames[:, :3], mesh.faces)
+    tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
+    detail = np.where(fused.weight[:, None] > 0, fused.normal, normal)
+    local = meshing.unit(normal + settings.detail * (detail - normal))
+    local = tangent_space(local, normal, tangent, side)
+    return {
+        "albedo": texels.picture(colour_byte(fused.albedo)),
+        "roughness": texels.picture(to_byte(fused.roughness)),
+        "metallic": texels.picture(to_byte(fused.metallic)),
+        "normal": texels.picture(to_byte(0.5 + 0.5 * local)),
+    }
+
+
+def _stop_if_asked(progress: Progress) -> None:
+    if progress.cancelled:
+        raise Cancelled("stopped while the surface was being made")

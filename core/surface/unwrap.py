@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Texture coordinates by xatlas."""
+
+from __future__ import annotations
+
+import numpy as np
+import xatlas
+
+from .meshing import Triangles
+
+PADDING = 4  # texels between charts
+
+
+def unwrap(mesh: Triangles, texture: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Charts packed into one square of `texture` texels a side.
+
+    Returns:
+        source: (V,) int64, which vertex of `mesh` each vertex comes from: vertices on a seam come several times.
+        faces: (F, 3) int32 in the order of `mesh.faces`.
+        uvs: (V, 2) float32 in 0..1; no chart is mirrored, so that painted letters stay readable.
+    """
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
+    charts = xatlas.ChartOptions()
+    charts.fix_winding = True
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding, pack.bilinear = texture, PADDING, True
+    pack.rotate_charts = False  # xatlas rotates by swapping u and v, which mirrors the chart
+    atlas.generate(charts, pack)
+    source, faces, uvs = atlas[0]
+    # One scale for both axes keeps texels square where the atlas came out oblong.
+    uvs = uvs * np.array([atlas.width, atlas.height], np.float32) / max(atlas.width, atlas.height)
+    return source.astype(np.int64), faces.astype(np.int32), np.clip(uvs, 0, 1).astype(np.float32)
