@@ -20,7 +20,7 @@ import numpy as np
 
 from .harmonics import basis, basis_gradient
 from .jit import kernel
-from .simd import bits, exp, load, maximum, select, splat, sqrt, store
+from .simd import exp, load, maximum, select, splat, sqrt, store
 
 RECORD = 12  # floats of a splat: mx my A0 A1 B0 B1 C0 C1 c_z opacity cut-off(rho) unused
 GEOMETRY = 10  # of them have a gradient
@@ -112,8 +112,9 @@ def _direction(offset):
 
 @kernel
 def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extra, coefficients, cam, n, record, feature, box, depth):
-    """Fill splat records (N, RECORD), features (N, F: colour, normal, extra), pixel boxes (N, 4: x0 y0 x1 y1, empty where culled), depth (N).
+    """Fill splat records (N, RECORD), features (N, F: colour, normal, extra), pixel boxes (N, 4), depth (N).
 
+    box: x0 y0 x1 y1, inclusive; x0 > x1 where culled.
     cam: row-major world-to-camera rotation (9), fx fy cx cy (4), camera centre (3), width, height, near depth.
     `begin` and `end` count blocks of 8; the last block overlaps its neighbour where N is no multiple of 8.
     """
@@ -225,7 +226,10 @@ def project_backward_range(
     begin, end, position, quaternion, log_scale, opacity, sh, coefficients, cam, n, slots,
     g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen,
 ):  # fmt: skip
-    """Adjoint of `project_range`: `slots` (threads, N, GEOMETRY + F) to gradients laid out like the parameters, and |d loss / d centre| in pixels (N)."""
+    """Adjoint of `project_range`: `slots` (threads, N, GEOMETRY + F) to gradients laid out like the parameters.
+
+    screen: (N), |d loss / d projected centre| per pixel.
+    """
     scratch = np.empty(8, np.float32)
     values = np.empty(16 * 8, np.float32)
     slopes = np.empty(3 * 16 * 8, np.float32)
@@ -289,14 +293,3 @@ def project_backward_range(
         for channel in range(extras):
             store(g_extra, channel * n + i, _gather(slots, i, GEOMETRY + 6 + channel, scratch))
 
-
-@kernel
-def visible(box):
-    """How many boxes are not empty."""
-    count = 0
-    for g in range(box.shape[0]):
-        count += box[g, 0] <= box[g, 2]
-    return count
-
-
-__all__ = ["ALPHA_MIN", "GEOMETRY", "LOW_PASS", "RECORD", "bits", "project_backward_range", "project_range", "visible"]

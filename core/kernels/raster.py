@@ -39,7 +39,7 @@ def _evaluate(record, g, dx, dy, ax, bx, wx, low):
 
 @kernel
 def _exhausted(transmittance):
-    for row in range(TILE):
+    for row in range(TILE):  # noqa: SIM110  (numba has no all())
         if bits(load(transmittance, row * 8) > TRANSMITTANCE_MIN) != 0:
             return False
     return True
