@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lat-long light maps: the one place that knows which texel a direction sees.
+
+Row 0 is +Z; u = 0.5 - atan2(y, x) / 2 pi, v = acos(z) / pi, texel centres at +0.5: Blender's equirectangular World.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+
+def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """(..., 3) unit directions to u, v (...) in 0..1."""
+    x, y, z = direction.unbind(-1)
+    # Exactly at a pole atan2 has no slope; a nudge keeps the gradient finite and moves the texel by nothing.
+    x = torch.where((x.abs() < 1e-6) & (y.abs() < 1e-6), torch.full_like(x, 1e-6), x)
+    return 0.5 - torch.atan2(y, x) / (2 * math.pi), torch.acos(z.clamp(-1 + 1e-6, 1 - 1e-6)) / math.pi
+
+
+def texel_directions(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    """(H, W, 3) unit directions of the texel centres."""
+    theta = (torch.arange(height, dtype=dtype) + 0.5) * (math.pi / height)
+    phi = math.pi - (torch.arange(width, dtype=dtype) + 0.5) * (2 * math.pi / width)
+    s, c = theta.sin()[:, None].expand(height, width), theta.cos()[:, None].expand(height, width)
+    return torch.stack([s * phi.cos(), s * phi.sin(), c], -1)
+
+
+def solid_angles(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    """(H,) exact solid angle of a texel in each row; they sum to 4 pi over the map."""
+    edges = torch.cos(torch.arange(height + 1, dtype=dtype) * (math.pi / height))
+    return (edges[:-1] - edges[1:]) * (2 * math.pi / width)
+
+
+def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | None = None) -> torch.Tensor:
+    """Interpolated values of a light map, or of a stack of them, in directions.
+
+    Args:
+        maps: (H, W, C), or (L, H, W, C) with `level`.
+        direction: (P, 3) unit.
+        level: (P,) fractional index into the stack, 0..L-1.
+
+    Returns:
+        (P, C); bilinear, wrapped in u, trilinear with `level`. Differentiable in all arguments.
+    """
+    stack = maps if maps.ndim == 4 else maps[None]
+    levels, _, width, _ = stack.shape
+    planes = torch.cat([stack[:, :, -1:], stack, stack[:, :, :1]], 2).permute(3, 0, 1, 2)[None]
+    u, v = direction_to_uv(direction)
+    u = (u * width + 1) / (width + 2)  # one texel of wrap on either side
+    w = torch.full_like(u, 0.5) if level is None else (level + 0.5) / levels
+    grid = torch.stack([u, v, w], -1) * 2 - 1
+    values = torch.nn.functional.grid_sample(planes, grid[None, None, None], mode="bilinear", padding_mode="border", align_corners=False)
+    return values[0, :, 0, 0].T
+
+
+def rotate(maps: torch.Tensor, degrees: float) -> torch.Tensor:
+    """(H, W, C) turned about +Z: what was seen along +X is then seen at `degrees` towards +Y."""
+    height, width, _ = maps.shape
+    direction = texel_directions(height, width).reshape(-1, 3)
+    angle = math.radians(-degrees)
+    c, s = math.cos(angle), math.sin(angle)
+    turned = torch.stack([c * direction[:, 0] - s * direction[:, 1], s * direction[:, 0] + c * direction[:, 1], direction[:, 2]], -1)
+    return lookup(maps, turned).reshape(maps.shape)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Split-sum shading: light prefiltered per roughness times the tabulated BRDF integral (Karis 2013).
+
+A lat-long map is invariant under rotation about its axis, so filtering is, per pair of rows, a circular convolution in
+azimuth: a product in the Fourier domain. That makes it exact, differentiable and quick at any resolution.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import torch
+
+from .brdf import base_reflectance, ggx_alpha, ggx_distribution, sample_visible_normal, schlick, smith_visibility
+from .lightmap import lookup, solid_angles, texel_directions
+
+LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness of the specular stack; 0 is the map itself
+TABLE = 64
+
+
+@cache
+def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
+    """Fourier transform in azimuth of a normalised filter, (W/2 + 1, H out, H in); roughness None is the cosine filter."""
+    out = texel_directions(height, width, torch.float64)[:, 0]  # one column represents its row
+    cosine = torch.einsum("oc,iwc->oiw", out, texel_directions(height, width, torch.float64)).clamp(-1, 1)
+    weight = solid_angles(height, width, torch.float64)[None, :, None] * cosine.clamp_min(0)
+    if roughness is not None:  # N = V = R, so n.h = cos(half the angle)
+        weight = weight * ggx_distribution(((1 + cosine) / 2).sqrt(), ggx_alpha(torch.tensor(roughness, dtype=torch.float64)))
+    weight = weight / weight.sum((1, 2), keepdim=True)
+    # Column 0 of `out` is the origin of the shift; the filter is even in it, so its transform is real.
+    return torch.fft.rfft(weight, dim=2).real.permute(2, 0, 1).float().contiguous()
+
+
+def _filter(light: torch.Tensor, operator: torch.Tensor) -> torch.Tensor:
+    spectrum = torch.fft.rfft(light, dim=1).permute(1, 0, 2)  # (F, H, C)
+    filtered = torch.view_as_complex((operator @ torch.view_as_real(spectrum).flatten(2)).unflatten(2, (-1, 2)).contiguous())
+    return torch.fft.irfft(filtered.permute(1, 0, 2), n=light.shape[1], dim=1)
+
+
+def diffuse_light(light: torch.Tensor) -> torch.Tensor:
+    """(H, W, C) radiance to (H, W, C) irradiance / pi: a constant map stays what it is."""
+    return _filter(light, _operator(*light.shape[:2], None))
+
+
+def specular_light(light: torch.Tensor) -> torch.Tensor:
+    """(H, W, C) radiance to the stack (L, H, W, C) filtered for LEVELS."""
+    rough = [_filter(light, _operator(*light.shape[:2], r)) for r in LEVELS[1:]]
+    return torch.stack([light, *rough])
+
+
+def stack_level(roughness: torch.Tensor) -> torch.Tensor:
+    """(P,) roughness in 0..1 to the fractional level of the specular stack."""
+    knots = torch.tensor(LEVELS, dtype=roughness.dtype, device=roughness.device)
+    i = torch.bucketize(roughness.detach(), knots[1:-1])
+    return i + (roughness - knots[i]) / (knots[i + 1] - knots[i])
+
+
+@cache
+def brdf_table() -> torch.Tensor:
+    """(TABLE roughness, TABLE n.v, 2): scale and bias of F0 in the specular albedo; cells at (index + 0.5) / TABLE."""
+    grid = (torch.arange(TABLE, dtype=torch.float64) + 0.5) / TABLE
+    n_v = grid[None, :, None].expand(TABLE, TABLE, 1024)
+    alpha = ggx_alpha(grid)[:, None, None].expand_as(n_v)
+    i = torch.arange(1024, dtype=torch.float64)
+    u = torch.stack([(i + 0.5) / 1024, (i * 0.6180339887498949) % 1], -1).expand(*n_v.shape, 2)
+    view = torch.stack([(1 - n_v**2).sqrt(), torch.zeros_like(n_v), n_v], -1)
+    half = sample_visible_normal(view, alpha, u)
+    v_h = (view * half).sum(-1).clamp_min(1e-9)
+    n_l = 2 * v_h * half[..., 2] - n_v
+    # f cos / p = F G2 / G1, with G1 of the visible-normal density
+    g1 = 2 * n_v / (n_v + (alpha**2 + (1 - alpha**2) * n_v**2).sqrt())
+    ratio = torch.where(n_l > 0, smith_visibility(n_l.clamp_min(1e-9), n_v, alpha) * 4 * n_l * n_v / g1, 0.0)
+    fresnel = schlick(v_h, torch.zeros(1, dtype=torch.float64))
+    return torch.stack([(ratio * (1 - fresnel)).mean(-1), (ratio * fresnel).mean(-1)], -1).float()
+
+
+def specular_albedo(n_v: torch.Tensor, roughness: torch.Tensor, f0: torch.Tensor) -> torch.Tensor:
+    """Directional albedo F0 x scale + bias of the specular lobe; n_v, roughness (P,), f0 (P, 3) -> (P, 3)."""
+    table = brdf_table().to(f0.device).permute(2, 0, 1)[None]
+    grid = torch.stack([n_v, roughness], -1) * 2 - 1
+    pair = torch.nn.functional.grid_sample(table, grid[None, None], mode="bilinear", padding_mode="border", align_corners=False)
+    scale, bias = pair[0, :, 0]
+    return f0 * scale[:, None] + bias[:, None]
+
+
+def reflect(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+    """Mirror direction of unit `view` (towards the eye) at unit `normal`, (P, 3)."""
+    return 2 * (view * normal).sum(-1, keepdim=True) * normal - view
+
+
+def specular_radiance(
+    view: torch.Tensor, normal: torch.Tensor, albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, stack: torch.Tensor
+) -> torch.Tensor:
+    """Split-sum specular part: view, normal (P, 3) unit, albedo (P, 3), roughness, metallic (P,), stack from `specular_light` -> (P, 3)."""
+    n_v = (view * normal).sum(-1).clamp(1e-3, 1)
+    light = lookup(stack, reflect(view, normal), stack_level(roughness))
+    return light * specular_albedo(n_v, roughness, base_reflectance(albedo, metallic[:, None]))
+
+
+def shade(
+    view: torch.Tensor,
+    normal: torch.Tensor,
+    albedo: torch.Tensor,
+    roughness: torch.Tensor,
+    metallic: torch.Tensor,
+    diffuse: torch.Tensor,
+    stack: torch.Tensor,
+) -> torch.Tensor:
+    """Radiance under a distant light without visibility, (P, 3): (1 - m) a E(n) + specular; `diffuse` from `diffuse_light`."""
+    body = (1 - metallic[:, None]) * albedo * lookup(diffuse, normal)
+    return body + specular_radiance(view, normal, albedo, roughness, metallic, stack)
+
+
