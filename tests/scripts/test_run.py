@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The set-up script: installs once, again when the lock changes, anew after an interruption; passes exit statuses on."""
+
+import ast
+import importlib.util
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "scripts" / "run.py"
+
+
+@pytest.fixture
+def script(tmp_path, monkeypatch):
+    """The script with a root of its own and recorded instead of started commands; making the environment makes its Python."""
+    spec = importlib.util.spec_from_file_location("run_script", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    venv = tmp_path / ".venv"
+    paths = {"ROOT": tmp_path, "VENV": venv, "LOCK": tmp_path / "requirements.lock", "PYTHON": venv / "python"}
+    paths |= {"STAMP": venv / module.STAMP.name, "UNFINISHED": venv / module.UNFINISHED.name}
+    for name, value in paths.items():
+        monkeypatch.setattr(module, name, value)
+    for name in ("requirements.lock", "pyproject.toml"):
+        (tmp_path / name).write_text("numpy==1.26.4\n")
+    calls = []
+
+    def call(*command):
+        calls.append(" ".join(map(str, command)))
+        if "venv" in command:
+            venv.mkdir(exist_ok=True)
+            (venv / "python").touch()
+            for left in (module.STAMP, module.UNFINISHED):
+                left.unlink(missing_ok=True)
+        return module.statuses.get(next((word for word in ("venv", "pip", "pytest", "demo") if word in command), ""), 0)
+
+    monkeypatch.setattr(module, "call", call)
+    monkeypatch.setattr(module, "works", lambda python: python.exists())
+    module.calls, module.statuses = calls, {}
+    return module
+
+
+def kinds(calls):
+    return [next(word for word in ("-m venv", "--editable", "-r ", "pytest", "demo") if word in c) for c in calls]
+
+
+def test_first_set_up_then_nothing(script):
+    assert script.main(["setup"]) == 0
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable"]
+    script.calls.clear()
+    assert script.main(["setup"]) == 0
+    assert script.calls == []
+
+
+def test_changed_lock_installs_into_the_same_environment(script):
+    script.main(["setup"])
+    script.calls.clear()
+    script.LOCK.write_text("numpy==2.0.0\n")
+    script.main(["setup"])
+    assert kinds(script.calls) == ["-r ", "--editable"]
+
+
+def test_interrupted_set_up_is_made_anew(script):
+    script.statuses["pip"] = 1
+    with pytest.raises(SystemExit) as end:
+        script.main(["test"])
+    assert end.value.code == 2
+    assert "-m pytest" not in " ".join(script.calls)
+    script.calls.clear()
+    script.statuses.clear()
+    script.main(["setup"])
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable"]
+
+
+def test_broken_environment_is_made_anew(script):
+    script.main(["setup"])
+    script.PYTHON.unlink()
+    script.calls.clear()
+    script.main(["setup"])
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable"]
+
+
+def test_arguments_and_exit_status_are_passed_on(script):
+    script.statuses["pytest"] = 5
+    assert script.main(["test", "-k", "run"]) == 5
+    assert script.calls[-1].endswith("-m pytest -k run")
+    assert script.main(["demo", "--resume"]) == 0
+    assert script.calls[-1].endswith("irgspp demo -o demo --resume")
+    script.main(["demo", "-o", "there"])
+    assert script.calls[-1].endswith("irgspp demo -o there")
+
+
+def test_wrong_python_gets_one_line(script, monkeypatch, capsys):
+    monkeypatch.setattr(script.sys, "version_info", (3, 13, 1, "final", 0))
+    with pytest.raises(SystemExit) as end:
+        script.main(["setup"])
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "3.11" in error
+    assert "3.13" in error
+    assert script.calls == []
+
+
+@pytest.mark.parametrize("arguments", [[], ["install"]])
+def test_usage(arguments):
+    process = subprocess.run([sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True)
+    assert process.returncode == 2
+    assert "setup|demo|test" in process.stderr
+
+
+def test_old_pythons_can_parse_it():
+    ast.parse(SCRIPT.read_text("utf-8"), feature_version=(3, 6))
+
+
+def test_only_the_standard_library():
+    imports = [n for n in ast.walk(ast.parse(SCRIPT.read_text("utf-8"))) if isinstance(n, ast.Import | ast.ImportFrom)]
+    names = {n.module if isinstance(n, ast.ImportFrom) else n.names[0].name for n in imports}
+    assert names <= sys.stdlib_module_names
+
+
+def test_lock_pins_everything_the_package_needs():
+    lines = [line for line in (ROOT / "requirements.lock").read_text("utf-8").splitlines() if line and not line.startswith("#")]
+    pins = {}
+    for line in lines:
+        name, version = re.match(r"([\w.-]+)==([\w.]+)", line).groups()
+        pins[name.lower().replace("_", "-")] = (version, "#" in line)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    for requirement in [*project["dependencies"], *project["optional-dependencies"]["test"]]:
+        name = re.match(r"[\w.-]+", requirement)[0].lower()
+        assert name in pins
+        assert pins[name][1], f"{name} has no line that says what it is for"
