@@ -292,4 +292,3 @@ def project_backward_range(
             store(g_position, j * n + i, select(front, g_world[j], zero))
         for channel in range(extras):
             store(g_extra, channel * n + i, _gather(slots, i, GEOMETRY + 6 + channel, scratch))
-

@@ -57,8 +57,8 @@ def stack_level(roughness: torch.Tensor) -> torch.Tensor:
 
 @cache
 def brdf_table() -> torch.Tensor:
-    """(TABLE roughness, TABLE n.v, 2): scale and bias of F0 in the specular albedo; cells at (index + 0.5) / TABLE."""
-    grid = (torch.arange(TABLE, dtype=torch.float64) + 0.5) / TABLE
+    """(TABLE roughness, TABLE n.v, 2): scale and bias of F0 in the specular albedo; from 0 to 1 inclusive."""
+    grid = torch.linspace(0, 1, TABLE, dtype=torch.float64).clamp_min(1e-3)
     n_v = grid[None, :, None].expand(TABLE, TABLE, 1024)
     alpha = ggx_alpha(grid)[:, None, None].expand_as(n_v)
     i = torch.arange(1024, dtype=torch.float64)
@@ -78,7 +78,7 @@ def specular_albedo(n_v: torch.Tensor, roughness: torch.Tensor, f0: torch.Tensor
     """Directional albedo F0 x scale + bias of the specular lobe; n_v, roughness (P,), f0 (P, 3) -> (P, 3)."""
     table = brdf_table().to(f0.device).permute(2, 0, 1)[None]
     grid = torch.stack([n_v, roughness], -1) * 2 - 1
-    pair = torch.nn.functional.grid_sample(table, grid[None, None], mode="bilinear", padding_mode="border", align_corners=False)
+    pair = torch.nn.functional.grid_sample(table, grid[None, None], mode="bilinear", padding_mode="border", align_corners=True)
     scale, bias = pair[0, :, 0]
     return f0 * scale[:, None] + bias[:, None]
 
@@ -109,5 +109,3 @@ def shade(
     """Radiance under a distant light without visibility, (P, 3): (1 - m) a E(n) + specular; `diffuse` from `diffuse_light`."""
     body = (1 - metallic[:, None]) * albedo * lookup(diffuse, normal)
     return body + specular_radiance(view, normal, albedo, roughness, metallic, stack)
-
-
