@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What leaves a run folder: asset, Blender scene, Gaussians or light."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from .errors import Cancelled, InputError, IrgsppError
+from .progress import Progress, Silent
+
+COPIES = {".glb": "asset.glb", ".ply": "gaussians.ply", ".exr": "environment.exr"}
+
+
+def export(run: Path, target: Path, material: str = "textures", progress: Progress | None = None) -> None:
+    """Write `target` from a finished run, by its suffix: .glb asset, .blend scene, .ply Gaussians, .exr light.
+
+    Raises InputError for another suffix or where the run lacks the part.
+    """
+    suffix = target.suffix.lower()
+    if suffix not in {".blend", *COPIES}:
+        raise InputError(target, f"can't export to {suffix or 'a name without suffix'}", "use .glb, .blend, .ply or .exr")
+    if not run.is_dir():
+        raise InputError(run, "is not a run folder")
+    if not target.resolve().parent.is_dir():
+        raise InputError(target.parent, "no such folder")
+    if suffix == ".blend":
+        write_blend(run, target, material, progress or Silent())
+    else:
+        _copy(run / COPIES[suffix], target)
+
+
+def write_blend(run: Path, target: Path, material: str, progress: Progress) -> None:
+    """Write the run as a .blend in a process of its own, since Blender as a module can't share one with the engine.
+
+    `material` says what the material reads: "textures" or "attributes". Raises InputError, Cancelled, or IrgsppError where
+    Blender's module is not installed or fails.
+    """
+    if not (run / "mesh.ply").is_file():
+        raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
+    if importlib.util.find_spec("bpy") is None:
+        raise IrgsppError("Blender's Python module is not installed, so that no .blend can be written; install the package bpy")
+    root = (__package__ or "").removesuffix(".core")
+    command = [sys.executable, "-m", f"{root}.irgspp_addon.write_blend", str(run), str(target), "--material", material]
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
+        status = _wait(child, progress)
+        errors.seek(0)
+        said = [line.strip() for line in errors if line.strip() and "not freed memory" not in line.lower()]
+    if status == InputError.exit_status:
+        raise InputError(target, f"not written: {said[-1] if said else 'bad input'}")
+    if status or not target.is_file():
+        raise IrgsppError(f"{target}: Blender ended with status {status}: {said[-1] if said else 'no message'}")
+
+
+def _wait(child: subprocess.Popen, progress: Progress) -> int:
+    while True:
+        try:
+            return child.wait(timeout=0.2)
+        except subprocess.TimeoutExpired:
+            if progress.cancelled:
+                child.terminate()
+                child.wait()
+                raise Cancelled("stopped while writing the .blend") from None
+
+
+def _copy(source: Path, target: Path) -> None:
+    if not source.is_file():
+        raise InputError(source, "is missing", "finish the reconstruction first")
+    partial = target.with_name(target.name + ".part")
+    shutil.copyfile(source, partial)
+    os.replace(partial, target)

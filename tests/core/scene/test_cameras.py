@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cameras of a run survive their file."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.dataset import Bound, Dataset, View
+from irgspp.core.errors import InputError
+from irgspp.core.scene.cameras import load_cameras, save_cameras
+
+
+def make_dataset(*pictures: Path) -> Dataset:
+    random = np.random.default_rng(0)
+    views = []
+    for i, path in enumerate(pictures):
+        to_world = np.eye(4)
+        to_world[:3, 3] = random.normal(size=3)
+        to_world[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        camera = Camera(31, 17, *random.uniform(10, 40, 4), to_world)
+        views.append(View(f"v{i}", camera, path, np.zeros((17, 31, 3), np.float32), None))
+    return Dataset(Path("data"), "transforms", views[:-1], views[-1:], Bound((0.0, 0.0, 0.0), 1.0), np.eye(4))
+
+
+def test_round_trip_is_exact(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    dataset = make_dataset(tmp_path / "photographs" / "a b.png", run / "own.png", tmp_path / "ü.jpg")
+    save_cameras(run / "cameras.json", dataset)
+    placed = load_cameras(run / "cameras.json")
+    assert [p.split for p in placed] == ["train", "train", "test"]
+    for record, view in zip(placed, dataset.train + dataset.test, strict=True):
+        assert record.name == view.name and record.picture == view.path
+        assert np.array_equal(record.camera.to_world, view.camera.to_world)
+        assert vars(record.camera) | {"to_world": 0} == vars(view.camera) | {"to_world": 0}
+    assert [p.name for p in run.iterdir()] == ["cameras.json"]
+
+
+def test_pictures_in_the_run_move_with_it(tmp_path):
+    (tmp_path / "run").mkdir()
+    save_cameras(tmp_path / "run" / "cameras.json", make_dataset(tmp_path / "run" / "own.png"))
+    (tmp_path / "run").rename(tmp_path / "moved")
+    assert load_cameras(tmp_path / "moved" / "cameras.json")[0].picture == tmp_path / "moved" / "own.png"
+
+
+@pytest.mark.parametrize("content", ["", "{}x", "[{}]", "[1]", "3", json.dumps([{"name": "a", "split": "b", "to_world": [[1]]}])])
+def test_broken_file_is_bad_input(tmp_path, content):
+    (tmp_path / "cameras.json").write_text(content)
+    with pytest.raises(InputError, match=r"cameras\.json"):
+        load_cameras(tmp_path / "cameras.json")
+
+
+def test_missing_file_is_bad_input(tmp_path):
+    with pytest.raises(InputError, match=r"cameras\.json"):
+        load_cameras(tmp_path / "cameras.json")

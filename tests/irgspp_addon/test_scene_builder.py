@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run becomes an ordinary object whose materials Cycles sees with the right values."""
+
+import importlib.util
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from irgspp.core.errors import InputError
+from irgspp.core.scene.cameras import load_cameras
+from irgspp.core.scene.ply import load_mesh_ply
+from irgspp.irgspp_addon import ground_truth
+from irgspp.irgspp_addon.ply import read_ply
+from irgspp.irgspp_addon.scene_builder import import_run, show_as_photographed
+
+spec = importlib.util.spec_from_file_location("sphere_run", Path(__file__).with_name("conftest.py"))
+assert spec and spec.loader
+sphere_run = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(sphere_run)
+
+
+@pytest.fixture(autouse=True)
+def empty_file():
+    bpy.ops.wm.read_homefile(use_empty=True)
+
+
+def test_ply_reader_agrees_with_the_engine(run_folder):
+    elements, mesh = read_ply(run_folder / "mesh.ply"), load_mesh_ply(run_folder / "mesh.ply")
+    assert np.array_equal(elements["face"]["vertex_indices"], mesh.faces)
+    assert np.array_equal(elements["vertex"]["albedo_g"], mesh.albedo[:, 1])
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:-5], lambda b: b[:40], lambda b: b.replace(b"little", b"big"), lambda b: b""])
+def test_broken_ply_is_bad_input(run_folder, tmp_path, damage):
+    (tmp_path / "mesh.ply").write_bytes(damage((run_folder / "mesh.ply").read_bytes()))
+    with pytest.raises(InputError, match=r"mesh\.ply"):
+        read_ply(tmp_path / "mesh.ply")
+
+
+def test_mesh_is_welded_and_keeps_uvs_normals_and_attributes(run_folder):
+    mesh = import_run(run_folder).mesh.data
+    source = load_mesh_ply(run_folder / "mesh.ply")
+    assert not mesh.validate()
+    assert len(mesh.polygons) == len(source.faces)
+    assert len(mesh.vertices) == len(np.unique(source.vertices, axis=0)) < len(source.vertices)
+    corners = source.faces.reshape(-1)
+    uv, normal = np.empty(2 * len(corners), np.float32), np.empty(3 * len(corners), np.float32)
+    mesh.uv_layers.active.data.foreach_get("uv", uv)
+    mesh.corner_normals.foreach_get("vector", normal)
+    assert np.array_equal(uv.reshape(-1, 2), source.uvs[corners])
+    assert np.allclose(normal.reshape(-1, 3), source.normals[corners], atol=1e-3)
+    place = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", place)
+    expected = sphere_run.materials(place.reshape(-1, 3))
+    for name, key, size, values in [("albedo", "color", 4, expected[0]), ("roughness", "value", 1, expected[1])]:
+        stored = np.empty(size * len(mesh.vertices), np.float32)
+        mesh.attributes[name].data.foreach_get(key, stored)
+        assert np.allclose(stored.reshape(len(values), -1)[:, :3].reshape(values.shape), values, atol=1e-6)
+
+
+@pytest.mark.parametrize("source", ["textures", "attributes"])
+def test_cycles_reads_the_materials_values(run_folder, source):
+    imported = import_run(run_folder, source)
+    scene = bpy.context.scene
+    show_as_photographed(scene, imported)
+    ground_truth.prepare(scene, samples=16, seed=0)
+    camera = load_cameras(run_folder / "cameras.json")[0].camera
+    layers = ground_truth.render_picture(scene) | ground_truth.render_geometry(scene, camera)
+    inside = (layers["depth"] > 0) & (layers["rgba"][..., 3] > 0.99)
+    point = camera.centre + layers["depth"][..., None] * camera.rays()
+    point /= np.maximum(np.linalg.norm(point, axis=-1, keepdims=True), 1e-9)  # facets lie below the sphere
+    albedo, roughness, metallic = sphere_run.materials(point)
+    away = inside & (np.abs(point[..., 2]) > 0.2)  # from the edge between metal and dielectric
+    assert inside.sum() > 400
+    assert np.abs(layers["albedo"] - albedo)[inside].mean() < 0.01
+    assert np.abs(layers["material"][..., 0] - roughness)[inside].mean() < 0.01
+    assert np.abs(layers["material"][..., 1] - metallic)[away].max() < 0.02
+    assert ((layers["normal"] * point).sum(-1)[inside] > 0.999).all()
+
+
+def test_colour_spaces_and_principled(run_folder):
+    imported = import_run(run_folder, "textures")
+    nodes = imported.mesh.active_material.node_tree.nodes
+    spaces = {n.label: n.image.colorspace_settings.name for n in nodes if n.bl_idname == "ShaderNodeTexImage"}
+    assert spaces == {"albedo": "sRGB", "roughness": "Non-Color", "metallic": "Non-Color", "normal": "Non-Color"}
+    principled = next(n for n in nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    assert all(principled.inputs[name].is_linked for name in ("Base Color", "Roughness", "Metallic", "Normal"))
+    assert principled.inputs["IOR"].default_value == 1.5
+    assert imported.world is not bpy.context.scene.world  # importing alone leaves the scene's light as it is
+
+
+def test_run_without_textures(run_folder, tmp_path):
+    for name in ("mesh.ply", "environment.exr", "cameras.json"):
+        (tmp_path / name).write_bytes((run_folder / name).read_bytes())
+    with pytest.raises(InputError, match=r"albedo\.png"):
+        import_run(tmp_path, "textures")
+    assert not bpy.data.objects  # nothing half-made stays behind
+    assert import_run(tmp_path, "attributes").mesh.active_material.name.endswith("attributes")
+
+
+def test_folder_that_is_no_run(tmp_path):
+    with pytest.raises(InputError, match=r"cameras\.json"):
+        import_run(tmp_path)
