@@ -58,6 +58,7 @@ class Dataset:
         to_world: (4, 4) float64 similarity from the dataset's own frame to ours (+Z up).
         points: sparse points, or None.
         warnings: lines worth telling the user.
+        lenses: the real cameras as the dataset states them, one line each (the views' cameras are undistorted).
     """
 
     path: Path
@@ -68,6 +69,7 @@ class Dataset:
     to_world: np.ndarray
     points: PointCloud | None = None
     warnings: list[str] = field(default_factory=list)
+    lenses: list[str] = field(default_factory=list)
 
     @property
     def has_alpha(self) -> bool:

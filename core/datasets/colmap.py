@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""COLMAP sparse models with their pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from .bound import bound_of_cameras, bound_of_points, focus_of
+from .camera import GL_TO_CV, Camera
+from .capture import Capture, Frame, Lens, find_mask, find_picture
+from .colmap_model import CameraRecord, ImageRecord, PointRecords, model_files, read_cameras, read_images, read_points
+from .dataset import PointCloud
+from .upright import rotation_to_z, up_of
+
+MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse")
+DOWNSCALES = (1, 2, 4, 8)
+FAR = 100.0  # points beyond this many camera distances say nothing about the scene
+
+
+def find_model(folder: Path) -> Path | None:
+    """The folder of the sparse model that `folder` is or holds, or None."""
+    return next((folder / name for name in MODEL_FOLDERS if model_files(folder / name)), None)
+
+
+def read_colmap(model: Path, resolution: int) -> Capture:
+    """Read a sparse model; of `images`, `images_2`, ... the smallest pictures are taken that reach `resolution` pixels.
+
+    Our world is the model's, turned so that the cameras' up is +Z and moved so that the object is at the origin; the scale is kept.
+    Both depend on cameras and points alone, so that every command that reads the dataset finds the same world.
+    Raises InputError where files are missing or damaged.
+    """
+    files = model_files(model)
+    if files is None:
+        raise InputError(model, "has no cameras and images, .bin or .txt")
+    cameras, images, warnings = read_cameras(files["cameras"]), read_images(files["images"]), []
+    if not images:
+        raise InputError(files["images"], "lists no pictures")
+    for image in images:
+        if image.camera not in cameras:
+            raise InputError(files["images"], f"picture {image.name!r} names camera {image.camera}, which {files['cameras'].name} has not")
+    lenses = {number: _lens(record) for number, record in cameras.items()}
+    if min(min(lens.fx, lens.fy) for lens in lenses.values()) <= 0:
+        raise InputError(files["cameras"], "has a focal length that is not positive")
+    root = _picture_folder(model, images, max(max(lens.size) for lens in lenses.values()), resolution)
+    frames = [_frame(image, lenses[image.camera], root) for image in images]
+    if "points3D" not in files:
+        warnings.append(f"{model}: no points3D file, the object has to be found without points")
+        points = None
+    else:
+        points = read_points(files["points3D"])
+    return _settle(model, frames, points, warnings)
+
+
+def _lens(record: CameraRecord) -> Lens:
+    p = record.parameters
+    two_focals = record.model in ("PINHOLE", "OPENCV", "OPENCV_FISHEYE")
+    fx, fy, cx, cy, *k = p if two_focals else (p[0], *p)
+    fisheye = record.model == "OPENCV_FISHEYE"
+    # SIMPLE_RADIAL k1, RADIAL k1 k2, OPENCV k1 k2 p1 p2: all beginnings of OpenCV's order.
+    distortion = tuple(k) if fisheye or not k else (*k, 0.0, 0.0, 0.0, 0.0)[:5]
+    return Lens(record.model, record.width, record.height, fx, fy, cx, cy, distortion, fisheye)
+
+
+def _picture_folder(model: Path, images: list[ImageRecord], longest: int, resolution: int) -> Path:
+    """The folder that picture names are relative to, beside the model or further up."""
+    roots = [parent for parent in (model, *model.parents[:3]) if any((parent / _scaled(n)).is_dir() for n in DOWNSCALES)]
+    if not roots:
+        raise InputError(model, "has no folder of pictures near it", "looked for images, images_2, images_4, images_8 beside and above it")
+    present = [n for n in DOWNSCALES if (roots[0] / _scaled(n)).is_dir()]
+    filled = [n for n in present if any(find_picture(roots[0] / _scaled(n) / image.name) for image in images)]
+    if not filled:
+        raise InputError(roots[0] / _scaled(present[0]), f"has none of the pictures that the model names (such as {images[0].name})")
+    sufficient = [n for n in filled if longest / n >= resolution]
+    return roots[0] / _scaled(sufficient[-1] if sufficient else filled[0])
+
+
+def _scaled(factor: int) -> str:
+    return "images" if factor == 1 else f"images_{factor}"
+
+
+def _frame(image: ImageRecord, lens: Lens, root: Path) -> Frame:
+    picture = find_picture(root / image.name)
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = _rotation(image.quaternion), image.translation
+    to_world = np.linalg.inv(world_to_camera) @ GL_TO_CV
+    return Frame(image.name, picture, find_mask(picture, root) if picture else None, lens, to_world)
+
+
+def _rotation(quaternion: Sequence[float]) -> np.ndarray:
+    """(3, 3) from (w, x, y, z) of any length."""
+    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+
+
+def _settle(model: Path, frames: list[Frame], records: PointRecords | None, warnings: list[str]) -> Capture:
+    """Turn and move everything into our world."""
+    cameras = [rough_camera(f) for f in frames]
+    position = np.empty((0, 3))
+    if records is not None:
+        kept = _not_far(model, cameras, records, warnings)
+        position = records.position[kept]
+    bound = bound_of_points(cameras, position) or bound_of_cameras(cameras)
+    to_world = np.eye(4)
+    to_world[:3, :3] = rotation_to_z(up_of(cameras))
+    to_world[:3, 3] = -to_world[:3, :3] @ np.array(bound.centre)
+    moved = [replace(f, to_world=to_world @ f.to_world) for f in frames]
+    points = None
+    if records is not None and len(position):
+        placed = position @ to_world[:3, :3].T + to_world[:3, 3]
+        points = PointCloud(placed.astype(np.float32), records.colour[kept].astype(np.float32) / 255)
+    return Capture(model, "colmap", moved, None, to_world, points, warnings)
+
+
+def _not_far(model: Path, cameras: list[Camera], records: PointRecords, warnings: list[str]) -> np.ndarray:
+    """(P,) which points lie at a distance that means anything."""
+    focus = focus_of(cameras)
+    extent = max(focus.distance, *(float(np.linalg.norm(c.centre - focus.point)) for c in cameras))
+    kept = np.linalg.norm(records.position - focus.point, axis=-1) < FAR * extent
+    lost = int((~kept).sum())
+    if lost * 2 > len(kept):
+        raise InputError(model, f"{lost} of {len(kept)} points lie at infinity (over {FAR:g} times as far as any camera)")
+    if lost:
+        warnings.append(f"{model}: {lost} of {len(kept)} points are very far away and left out")
+    return kept
+
+
+def rough_camera(frame: Frame) -> Camera:
+    """The frame's camera without its lens distortion: good enough to say what it looks at."""
+    lens = frame.lens
+    return Camera(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, frame.to_world)

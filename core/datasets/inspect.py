@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What was understood of a dataset, for people."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from .dataset import Dataset, View
+
+SHOWN = 5  # lines of one kind before the rest is only counted
+
+
+def describe(dataset: Dataset) -> str:
+    """A compact table: format, views, sizes, cameras, points, masks, object bound, warnings."""
+    rows = [
+        ("dataset", str(dataset.path)),
+        ("format", dataset.format),
+        ("views", f"{len(dataset.train)} training, {len(dataset.test)} test"),
+        ("pictures", _sizes([*dataset.train, *dataset.test])),
+        *(("camera" if i == 0 else "", line) for i, line in enumerate(_shortened(dataset.lenses))),
+        ("used as", _pinholes(dataset.train)),
+        ("distance", _distances(dataset)),
+        ("masks", _masks(dataset.train)),
+        ("points", f"{len(dataset.points.position)}" if dataset.points is not None else "none"),
+        ("object", f"centre ({_numbers(dataset.bound.centre)}), radius {dataset.bound.radius:.4g}"),
+        ("own frame", _frame(dataset)),
+        *(("warning", line) for line in _shortened(dataset.warnings)),
+    ]
+    return "\n".join(f"{name:<10}{text}" for name, text in rows)
+
+
+def _sizes(views: list[View]) -> str:
+    counts = Counter((v.camera.width, v.camera.height) for v in views)
+    sizes = [f"{w}x{h}" + (f" ({n})" if len(counts) > 1 else "") for (w, h), n in counts.most_common(SHOWN)]
+    kinds = Counter(v.path.suffix.lower().lstrip(".") for v in views)
+    return ", ".join(sizes) + f", {', '.join(sorted(kinds))}"
+
+
+def _pinholes(views: list[View]) -> str:
+    focal = np.array([v.camera.fx for v in views])
+    angle = np.degrees(2 * np.arctan(np.array([v.camera.width for v in views]) / (2 * focal)))
+    return f"pinhole, focal {_range(focal, '.1f')} px, horizontal field of view {_range(angle, '.1f')} degrees"
+
+
+def _distances(dataset: Dataset) -> str:
+    distance = [np.linalg.norm(v.camera.centre - dataset.bound.centre) for v in dataset.train]
+    return f"{_range(np.array(distance), '.3g')} from the object's centre"
+
+
+def _masks(views: list[View]) -> str:
+    masked = [v.alpha for v in views if v.alpha is not None]
+    if not masked:
+        return "none"
+    share = 100 * np.mean([float(a.mean()) for a in masked])
+    return f"{len(masked)} of {len(views)} training views, object on {share:.0f} % of the pixels"
+
+
+def _frame(dataset: Dataset) -> str:
+    if np.array_equal(dataset.to_world, np.eye(4)):
+        return "same as the tool's"
+    up = dataset.to_world[2, :3] / np.linalg.norm(dataset.to_world[2, :3])
+    origin = np.linalg.inv(dataset.to_world)[:3, 3]
+    return f"up was ({_numbers(up)}), origin moved to ({_numbers(origin)}); in it the object is at ({_numbers(_own_centre(dataset))})"
+
+
+def _own_centre(dataset: Dataset) -> np.ndarray:
+    return (np.linalg.inv(dataset.to_world) @ [*dataset.bound.centre, 1])[:3]
+
+
+def _numbers(values: object) -> str:
+    return ", ".join(f"{v:.4g}" for v in np.asarray(values, np.float64) + 0.0)
+
+
+def _range(values: np.ndarray, style: str) -> str:
+    low, high = format(values.min(), style), format(values.max(), style)
+    return low if low == high else f"{low} to {high}"
+
+
+def _shortened(lines: list[str]) -> list[str]:
+    return lines if len(lines) <= SHOWN else [*lines[: SHOWN - 1], f"and {len(lines) - SHOWN + 1} more"]

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a path to a dataset: what kind it is, its cameras, its pixels, its object."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ..config import DataSettings
+from ..errors import Cancelled, InputError
+from ..progress import Progress, Silent
+from .bound import bound_of_cameras, bound_of_masks, bound_of_points, focus_of
+from .camera import Camera
+from .capture import MINIMUM_VIEWS, Capture, Frame, Lens, view_names
+from .colmap import find_model, read_colmap
+from .colmap_model import model_files
+from .dataset import Bound, Dataset, PointCloud, View
+from .picture import Picture, on_black, picture_size, read_mask, read_picture, reduce_mask, reduce_picture
+from .transforms import read_transforms
+from .undistort import pinhole, undistort
+
+LOOKED_FOR = "looked for transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt"
+OPAQUE = 1 - 1.5 / 255
+
+In = TypeVar("In")
+Out = TypeVar("Out")
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """A frame with its view name and the lens fitted to the size that the picture is used at."""
+
+    frame: Frame
+    name: str
+    lens: Lens
+    camera: Camera
+
+
+def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: Progress = Silent()) -> Dataset:  # noqa: B008 (both are immutable)
+    """Read a transforms.json or COLMAP dataset: a folder, a transforms file, or the folder of a sparse model.
+
+    Pictures are undistorted and reduced to `settings.resolution`. Of a folder that has several descriptions the one with its own
+    test split is read (transforms_train.json), then a COLMAP model with points, then transforms.json; the path of one of them chooses it.
+    Raises InputError on bad input; single broken pictures are left out with a warning.
+    """
+    capture = _read_capture(path, settings)
+    warnings = list(capture.warnings)
+    _check_on_disk(capture, warnings)
+    train, test = (_present(frames) for frames in capture.split(settings.holdout))
+    if len(train) < MINIMUM_VIEWS:
+        raise InputError(capture.source, f"has {len(train)} views to learn from, at least {MINIMUM_VIEWS} are needed")
+    shots, tests = _shots(train, settings, warnings), _shots(test, settings, warnings)
+    pictures = _decode([*shots, *tests], settings, progress)
+    views = _usable(shots, pictures[: len(shots)], warnings)
+    checks = _usable(tests, pictures[len(shots) :], warnings) if tests else []
+    if len(views) < MINIMUM_VIEWS:
+        raise InputError(capture.source, f"has {len(views)} usable views to learn from, at least {MINIMUM_VIEWS} are needed")
+    views, checks = _settle_alpha(views, checks, warnings)
+    bound = _bound(capture, views, settings, warnings)
+    lenses = sorted({str(s.frame.lens) for s in shots})
+    return Dataset(path, capture.format, views, checks, bound, capture.to_world, capture.points, warnings, lenses)
+
+
+def load_cameras(path: Path, split: str | None = None, settings: DataSettings = DataSettings()) -> list[tuple[str, Camera]]:  # noqa: B008
+    """View names and cameras as `load_dataset` gives them, without decoding a pixel.
+
+    `split` is "train", "test", or None: the dataset's own test split where it names one, else every view. Pictures need not be on disk
+    where none of the split is; their cameras then have the stated size, or that of the other split's pictures.
+    """
+    if split not in (None, "train", "test"):
+        raise InputError(f"{path}:{split}", "no such split", "use train or test")
+    capture = _read_capture(path, settings)
+    train, test = capture.split(settings.holdout)
+    every = capture.test if capture.test is not None else capture.train
+    frames = {"train": train, "test": test, None: every}[split]
+    if not frames:
+        raise InputError(capture.source, f"has no {split or 'test'} views")
+    return [(s.name, s.camera) for s in _shots(_present(frames) or frames, settings, [])]
+
+
+def _read_capture(path: Path, settings: DataSettings) -> Capture:
+    path = Path(path)
+    if not path.exists():
+        raise InputError(path, "no such file or folder")
+    if path.is_file():
+        if path.suffix.lower() != ".json":
+            raise InputError(path, "not a dataset", "give a folder, a transforms.json or the folder of a COLMAP model")
+        return read_transforms(path, _test_file(path))
+    model, single = find_model(path), path / "transforms.json"
+    for train in (path / "transforms_train.json", single):
+        complete = model is not None and "points3D" in (model_files(model) or {})
+        if train.is_file() and not (train == single and complete):
+            return read_transforms(train, _test_file(train))
+    if model is not None:
+        return read_colmap(model, settings.resolution)
+    raise InputError(path, "no dataset here", LOOKED_FOR)
+
+
+def _test_file(train: Path) -> Path | None:
+    """The file of the test views that goes with one of training views."""
+    if train.name != "transforms_train.json":
+        return None
+    files = (train.with_name(f"transforms_{split}.json") for split in ("test", "val"))
+    return next((f for f in files if f.is_file()), None)
+
+
+def _present(frames: list[Frame]) -> list[Frame]:
+    return [f for f in frames if f.picture is not None]
+
+
+def _check_on_disk(capture: Capture, warnings: list[str]) -> None:
+    """Tell of pictures that are listed but not there; without any to learn from there is no dataset."""
+    for kind, frames in (("training", capture.train), ("test", capture.test or [])):
+        missing = [f for f in frames if f.picture is None]
+        if missing and len(missing) == len(frames) and kind == "training":
+            raise InputError(capture.source, f"none of its {len(frames)} pictures exists", f"looked for {missing[0].listed} and so on")
+        if missing:
+            first = f"{len(missing)} of {len(frames)} {kind} pictures are missing (first: {missing[0].listed})"
+            warnings.append(f"{capture.source.name}: {first}; left out")
+
+
+def _shots(frames: list[Frame], settings: DataSettings, warnings: list[str]) -> list[_Shot]:
+    """Names and final cameras; the headers of the pictures are read, and checked against the cameras."""
+    sizes = _in_threads(_measured, frames)
+    fitted = _fit(frames, sizes, warnings)
+    shots = []
+    for frame, name, lens in zip(frames, view_names([f.listed for f in frames]), fitted, strict=True):
+        lens = _reduced(lens, settings.resolution)
+        try:
+            p = pinhole(lens)
+        except InputError as error:
+            raise InputError(frame.picture or frame.listed, f"{error.where} {error.what}", error.fix) from error
+        shots.append(_Shot(frame, name, lens, Camera(p.width, p.height, p.fx, p.fy, p.cx, p.cy, frame.to_world)))
+    return shots
+
+
+def _measured(frame: Frame) -> tuple[int, int]:
+    """Size of the frame's picture; the camera's where the picture is missing or broken, which is told when it is decoded."""
+    try:
+        return picture_size(frame.picture) if frame.picture else frame.lens.size
+    except InputError:
+        return frame.lens.size
+
+
+def _fit(frames: list[Frame], sizes: list[tuple[int, int]], warnings: list[str]) -> list[Lens]:
+    """Each frame's lens at its picture's size. A size other than the camera's is right only where all pictures of that camera are
+    the same uniform reduction; anything else means that picture and camera don't belong together."""
+    by_lens: dict[Lens, set[tuple[int, int]]] = {}
+    for frame, size in zip(frames, sizes, strict=True):
+        by_lens.setdefault(frame.lens, set()).add(size)
+    for frame, size in zip(frames, sizes, strict=True):
+        if size != frame.lens.size and (len(by_lens[frame.lens]) > 1 or not _is_reduction(frame.lens.size, size)):
+            camera = f"{frame.lens.width}x{frame.lens.height}"
+            raise InputError(frame.picture or frame.listed, f"is {size[0]}x{size[1]} but its camera is {camera}")
+    for lens, found in by_lens.items():
+        size = next(iter(found))
+        if size != lens.size:
+            line = f"pictures are {size[0]}x{size[1]}, their camera {lens.width}x{lens.height}: intrinsics are scaled"
+            warnings.extend([line] if line not in warnings else [])
+    return [f.lens.resized(*s) if s != f.lens.size else f.lens for f, s in zip(frames, sizes, strict=True)]
+
+
+def _is_reduction(full: tuple[int, int], small: tuple[int, int]) -> bool:
+    """True where `small` is `full` divided by one number, each side rounded in whatever way."""
+    return small[0] <= full[0] and small[1] <= full[1] and abs(small[0] * full[1] - small[1] * full[0]) <= max(full)
+
+
+def _reduced(lens: Lens, resolution: int) -> Lens:
+    scale = resolution / max(lens.size)
+    return lens if scale >= 1 else lens.resized(max(1, round(lens.width * scale)), max(1, round(lens.height * scale)))
+
+
+def _decode(shots: list[_Shot], settings: DataSettings, progress: Progress) -> list[View | InputError]:
+    """Views in order; the error in place of one that can't be used."""
+    progress.phase("read pictures", len(shots))
+    views = []
+    with ThreadPoolExecutor(_threads()) as pool:
+        for view in pool.map(lambda shot: _view(shot, settings.masks), shots):
+            views.append(view)
+            progress.step(len(views))
+            if progress.cancelled:
+                pool.shutdown(cancel_futures=True)
+                raise Cancelled("stopped while reading pictures")
+    return views
+
+
+def _view(shot: _Shot, masks: bool) -> View | InputError:
+    frame, size = shot.frame, shot.lens.size
+    try:
+        assert frame.picture is not None
+        picture = read_picture(frame.picture)
+        if not masks:
+            picture = on_black(picture)
+        elif frame.mask is not None:
+            picture = Picture(picture.colour, _mask(frame.mask, picture.size))
+        if picture.alpha is not None and picture.alpha.max() < 0.5:
+            raise InputError(frame.mask or frame.picture, "is transparent everywhere")
+        picture = undistort(reduce_picture(picture, *size), shot.lens)
+    except InputError as error:
+        return error
+    return View(shot.name, shot.camera, frame.picture, picture.colour, picture.alpha)
+
+
+def _mask(path: Path, size: tuple[int, int]) -> np.ndarray:
+    mask = read_mask(path)
+    full = mask.shape[1], mask.shape[0]
+    if full != size and not _is_reduction(full, size):
+        raise InputError(path, f"is {full[0]}x{full[1]} but its picture is {size[0]}x{size[1]}")
+    return reduce_mask(mask, *size)
+
+
+def _usable(shots: list[_Shot], pictures: list[View | InputError], warnings: list[str]) -> list[View]:
+    """The views without the broken ones; one broken picture is an accident, many are a broken dataset."""
+    errors = [p for p in pictures if isinstance(p, InputError)]
+    views = [p for p in pictures if isinstance(p, View)]
+    if errors and len(errors) * 2 >= len(pictures):
+        first = errors[0]
+        raise InputError(first.where, first.what, f"{len(errors)} of {len(shots)} pictures can't be used")
+    warnings.extend(f"{e}; left out" for e in errors)
+    return views
+
+
+def _settle_alpha(train: list[View], test: list[View], warnings: list[str]) -> tuple[list[View], list[View]]:
+    """Alpha that is opaque everywhere tells nothing and is dropped; views without any among views with some are told."""
+    if all(v.alpha is None or v.alpha.min() > OPAQUE for v in train):
+        return [replace(v, alpha=None) for v in train], [replace(v, alpha=None) for v in test]
+    bare = [v.name for v in train if v.alpha is None]
+    if bare:
+        warnings.append(f"{len(bare)} of {len(train)} views have no mask (first: {bare[0]})")
+    return train, test
+
+
+def _bound(capture: Capture, views: list[View], settings: DataSettings, warnings: list[str]) -> Bound:
+    """The given bound, or what masks, points and cameras tell, whichever says most."""
+    bound = _estimated_bound(views, capture.points, warnings)
+    centre, radius = bound.centre, bound.radius
+    if settings.centre is not None:
+        x, y, z = capture.to_world[:3, :3] @ np.array(settings.centre, np.float64) + capture.to_world[:3, 3]
+        centre = float(x), float(y), float(z)
+    if settings.radius is not None:
+        radius = settings.radius * float(np.cbrt(np.linalg.det(capture.to_world[:3, :3])))
+    if not np.isfinite((*centre, radius)).all() or radius <= 0:
+        raise InputError("data.centre, data.radius", "the object bound is not finite or empty", "give a centre and a positive radius")
+    return Bound(centre, radius)
+
+
+def _estimated_bound(views: list[View], points: PointCloud | None, warnings: list[str]) -> Bound:
+    cameras = [v.camera for v in views]
+    rough = bound_of_points(cameras, points.position.astype(np.float64)) if points is not None else None
+    start = rough or bound_of_cameras(cameras)
+    masked = [(v.camera, v.alpha) for v in views if v.alpha is not None]
+    if len(masked) >= MINIMUM_VIEWS:
+        hull = bound_of_masks([c for c, _ in masked], [a for _, a in masked], start)
+        if hull is not None:
+            return hull
+        warnings.append("no region lies inside all masks: masks and cameras don't fit together; the bound is guessed without them")
+    if rough is None and not focus_of(cameras).reliable:
+        warnings.append("the cameras don't look at one point: the object bound is a guess; give data.centre and data.radius")
+    return start
+
+
+def _threads() -> int:
+    return min(8, os.cpu_count() or 1)
+
+
+def _in_threads(work: Callable[[In], Out], items: Iterable[In]) -> list[Out]:
+    with ThreadPoolExecutor(_threads()) as pool:
+        return list(pool.map(work, items))

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decoding of photographs and masks, and their reduction to a smaller size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+from ..colour import decode_srgb, encode_srgb
+from ..errors import InputError
+from ..scene.exr import read_exr
+
+MAX_PIXELS = 400_000_000  # beyond any camera; a header that claims more is damaged or hostile
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+EXR_SIGNATURE = b"\x76\x2f\x31\x01"
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Decoded pixels: colour (H, W, 3) float32 sRGB-encoded and straight; alpha (H, W) float32 in 0..1, or None."""
+
+    colour: np.ndarray
+    alpha: np.ndarray | None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.colour.shape[1], self.colour.shape[0]
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the header alone. Raises InputError where it is no PNG, JPEG or EXR, or claims to be enormous."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(4)
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})") from error
+    width, height = _exr_size(path) if head == EXR_SIGNATURE else _raster_size(path)
+    if width * height > MAX_PIXELS:
+        raise InputError(path, f"claims {width}x{height} pixels, more than the {MAX_PIXELS // 10**6} million allowed")
+    return width, height
+
+
+def _exr_size(path: Path) -> tuple[int, int]:
+    try:
+        low, high = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
+        return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+    except Exception as error:  # the library raises plain RuntimeError and TypeError for broken files
+        raise InputError(path, f"not a readable EXR picture ({error})") from error
+
+
+def _raster_size(path: Path) -> tuple[int, int]:
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            return image.size
+    except Exception as error:  # Pillow raises OSError, SyntaxError, ValueError, struct.error, ... for broken files
+        raise InputError(path, f"not a readable PNG, JPEG or EXR picture ({_reason(error)})") from error
+
+
+def read_picture(path: Path) -> Picture:
+    """Decode a PNG (8 or 16 bit), JPEG or EXR (linear, premultiplied). Raises InputError where it is unreadable, truncated or not finite.
+
+    The EXIF orientation is never applied: cameras are solved for the pixels as stored.
+    """
+    picture_size(path)
+    data = path.read_bytes()
+    if data[:4] == EXR_SIGNATURE:
+        return _read_exr(path)
+    pixels = _decode(path, data)
+    pixels = pixels.astype(np.float32) / np.iinfo(pixels.dtype).max
+    colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, -1)
+    return Picture(np.ascontiguousarray(colour), np.ascontiguousarray(pixels[..., -1]) if pixels.shape[2] in (2, 4) else None)
+
+
+def read_mask(path: Path) -> np.ndarray:
+    """(H, W) float32 in 0..1, 1 on the object: a grey or colour picture's brightness, or the alpha of one that has any."""
+    picture = read_picture(path)
+    grey = picture.colour.max(-1)
+    has_shape = picture.alpha is not None and picture.alpha.min() < 1
+    return picture.alpha if has_shape and picture.alpha is not None else np.clip(grey, 0, 1)
+
+
+def _decode(path: Path, data: bytes) -> np.ndarray:
+    """(H, W, 1..4) uint8 or uint16. Pillow judges every file, since OpenCV hands out half a picture where a file is truncated."""
+    try:
+        with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
+            image.load()
+            deep = data[:8] == PNG_SIGNATURE and data[24] == 16
+            pixels = _decode_deep(data) if deep else np.asarray(_eight_bit(image))
+    except Exception as error:  # see _raster_size
+        raise InputError(path, f"unreadable or truncated picture ({_reason(error)})") from error
+    return pixels.reshape(*pixels.shape[:2], -1)
+
+
+def _eight_bit(image: Image.Image) -> Image.Image:
+    if image.mode in ("L", "LA", "RGB", "RGBA") and "transparency" not in image.info:
+        return image
+    return image.convert("RGBA" if "transparency" in image.info or image.mode in ("PA", "RGBa", "La") else "RGB")
+
+
+def _decode_deep(data: bytes) -> np.ndarray:
+    """16-bit PNG through OpenCV, since Pillow keeps only 8 bits of its colours."""
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise ValueError("not decodable")
+    order = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
+    return cv2.cvtColor(pixels, order[pixels.shape[2]]) if pixels.ndim == 3 else pixels
+
+
+def _read_exr(path: Path) -> Picture:
+    channels = read_exr(path)
+    grey = channels.get("Y", next(iter(channels.values()))) if len(channels) == 1 or "Y" in channels else None
+    missing = [c for c in "RGB" if c not in channels]
+    if grey is None and missing:
+        raise InputError(path, f"has channels {', '.join(channels)} but not {', '.join(missing)}")
+    linear = np.stack([channels[c] if grey is None else grey for c in "RGB"], -1)
+    alpha = channels.get("A")
+    if not np.isfinite(linear).all() or (alpha is not None and not np.isfinite(alpha).all()):
+        raise InputError(path, "has pixels that are not finite")
+    if alpha is not None:
+        alpha = np.clip(alpha, 0, 1)
+        linear = _straight(linear, alpha)
+    return Picture(encode_srgb(linear).astype(np.float32), alpha)
+
+
+def reduce_picture(picture: Picture, width: int, height: int) -> Picture:
+    """Another size by area averaging in linear light, colour weighted by alpha; the same picture where it has that size."""
+    if picture.size == (width, height):
+        return picture
+    linear, alpha = decode_srgb(picture.colour), picture.alpha
+    if alpha is None:
+        return Picture(encode_srgb(_area(linear, width, height)).astype(np.float32), None)
+    small = _area(alpha, width, height)
+    linear = _straight(_area(linear * alpha[..., None], width, height), small)
+    return Picture(encode_srgb(linear).astype(np.float32), small)
+
+
+def reduce_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(H, W) mask at another size by area averaging."""
+    return mask if mask.shape == (height, width) else _area(mask, width, height)
+
+
+def on_black(picture: Picture) -> Picture:
+    """The picture without its alpha, composited over black in linear light."""
+    if picture.alpha is None:
+        return picture
+    return Picture(encode_srgb(decode_srgb(picture.colour) * picture.alpha[..., None]).astype(np.float32), None)
+
+
+def _area(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
+    return cv2.resize(pixels.astype(np.float32, copy=False), (width, height), interpolation=cv2.INTER_AREA)
+
+
+def _straight(premultiplied: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    return np.where(alpha[..., None] > 1e-6, premultiplied / np.maximum(alpha, 1e-6)[..., None], 0)
+
+
+def _reason(error: Exception) -> str:
+    return str(error).split("\n")[0].split(": <_io")[0].split(" <_io")[0][:120] or type(error).__name__

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures through a real lens, resampled as a pinhole camera sees them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from ..errors import InputError
+from .capture import Lens
+from .picture import Picture
+
+GRID = 33  # samples along a side when looking for blank borders
+LARGEST_ZOOM = 8.0
+
+
+@lru_cache(maxsize=256)
+def pinhole(lens: Lens) -> Lens:
+    """The pinhole lens of the undistorted picture: same size and principal point, focal lengths raised as little as it takes
+    for every pixel to have a source, so that no blank corner is ever taken for background.
+
+    Raises InputError where the coefficients make no sense for pictures of this size.
+    """
+    plain = replace(lens, distortion=(), fisheye=False)
+    if not lens.distorted:
+        return plain
+    if _covered(lens, 1.0):
+        return plain
+    low, high = 1.0, 1.05
+    while not _covered(lens, high):
+        low, high = high, high * 1.05
+        if high > LARGEST_ZOOM:
+            raise InputError("distortion", f"can't be undone ({lens})", "check the coefficients")
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (low, middle) if _covered(lens, middle) else (middle, high)
+    return replace(plain, fx=lens.fx * high, fy=lens.fy * high)
+
+
+def undistort(picture: Picture, lens: Lens) -> Picture:
+    """The picture as `pinhole(lens)` sees it; lens and picture have the same size. Bicubic, colour weighted by alpha."""
+    if not lens.distorted:
+        return picture
+    maps = _maps(lens)
+    brightest = max(1.0, float(picture.colour.max()))  # bicubic overshoots
+    if picture.alpha is None:
+        return Picture(np.clip(_resample(picture.colour, maps), 0, brightest), None)
+    alpha = undistort_mask(picture.alpha, lens)
+    premultiplied = _resample(picture.colour * picture.alpha[..., None], maps)
+    straight = np.where(alpha[..., None] > 1e-6, premultiplied / np.maximum(alpha, 1e-6)[..., None], 0)
+    return Picture(np.clip(straight, 0, brightest), alpha)
+
+
+def undistort_mask(mask: np.ndarray, lens: Lens) -> np.ndarray:
+    """(H, W) float32 in 0..1 mask as `pinhole(lens)` sees it; bilinear, since a cubic would ring at the outline."""
+    if not lens.distorted:
+        return mask
+    return np.clip(cv2.remap(mask, *_maps(lens), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), 0, 1)
+
+
+def _resample(pixels: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    return cv2.remap(pixels, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+@lru_cache(maxsize=8)
+def _maps(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    return _source_positions(lens, pinhole(lens))
+
+
+def _covered(lens: Lens, zoom: float) -> bool:
+    """True where every output pixel at this zoom has a source inside the picture, and the mapping does not fold over."""
+    plain = replace(lens, fx=lens.fx * zoom, fy=lens.fy * zoom, distortion=(), fisheye=False)
+    # A coarse picture whose outermost pixel centres are those of the real one.
+    x = _stretch(lens.width, plain.fx, plain.cx)
+    y = _stretch(lens.height, plain.fy, plain.cy)
+    coarse = replace(plain, width=GRID, height=GRID, fx=x[0], cx=x[1], fy=y[0], cy=y[1])
+    u, v = _source_positions(lens, coarse)
+    inside = (u.min() >= -0.5) and (v.min() >= -0.5) and (u.max() <= lens.width - 0.5) and (v.max() <= lens.height - 0.5)
+    return bool(inside and (np.diff(u, axis=1) > 0).all() and (np.diff(v, axis=0) > 0).all())
+
+
+def _stretch(pixels: int, focal: float, centre: float) -> tuple[float, float]:
+    scale = (GRID - 1) / max(pixels - 1, 1)
+    return focal * scale, (centre - 0.5) * scale + 0.5
+
+
+def _source_positions(lens: Lens, output: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Where each pixel of `output` (a pinhole) lies in the picture of `lens`, in OpenCV's coordinates (pixel centres at integers)."""
+    build = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
+    coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
+    return build(_matrix(lens), coefficients, np.eye(3), _matrix(output), output.size, cv2.CV_32FC1)
+
+
+def _matrix(lens: Lens) -> np.ndarray:
+    return np.array([[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]], np.float64)
