@@ -10,7 +10,8 @@ from .datasets.dataset import Dataset, View
 
 def describe(data: Dataset) -> str:
     """Format, views, cameras, masks, points, bound and warnings, a line each."""
-    x, y, z = data.bound.centre
+    digits = 3 - int(np.floor(np.log10(data.bound.radius)))
+    x, y, z = (round(c, digits) + 0.0 for c in data.bound.centre)  # + 0.0: no minus before a zero
     lines = [
         f"dataset   {data.path}",
         f"format    {data.format}",
@@ -18,7 +19,7 @@ def describe(data: Dataset) -> str:
         f"pictures  {_pictures([*data.train, *data.test])}",
         f"masks     {_masks(data.train)}",
         f"points    {'none' if data.points is None else f'{len(data.points.position):,}'}",
-        f"object    within {data.bound.radius:.4g} of ({x:.4g}, {y:.4g}, {z:.4g}), +Z up",
+        f"object    within {data.bound.radius:.4g} of ({x:g}, {y:g}, {z:g}), +Z up",
     ]
     return "\n".join(lines + [f"warning: {line}" for line in data.warnings])
 

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: `irgspp demo|inspect|reconstruct|render|evaluate|export|devices`."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from .config import PRESETS, Settings, preset
+from .errors import Cancelled, InputError, IrgsppError
+from .overrides import from_dict, with_overrides
+from .run_folder import read_run
+from .terminal import Terminal
+
+# Heavy imports (torch, numba) stand inside the commands: `irgspp --help` answers at once.
+
+LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit status: 0 done, 1 failed, 2 bad usage or bad input, 130 cancelled."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # torch's idle threads would spin on the cores that the kernels use
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        args = parser().parse_args(words)
+    except SystemExit as end:
+        return int(end.code or 0)
+    with Terminal().signals() as terminal:
+        return _run(args, words, terminal)
+
+
+def _run(args: argparse.Namespace, words: list[str], terminal: Terminal) -> int:
+    try:
+        return args.command(args, terminal)
+    except Cancelled as error:
+        _complain(terminal, f"cancelled: {error}")
+        if args.resumable:
+            _complain(terminal, f"go on with: {resume_line(words)}")
+        return error.exit_status
+    except IrgsppError as error:
+        _complain(terminal, str(error))
+        return error.exit_status
+    except Exception as error:  # a fault of ours or of the machine: one line here, the rest where it can be read later
+        _complain(terminal, f"failed: {type(error).__name__}: {' '.join(str(error).split())} (more in {_keep_traceback(args)})")
+        return 1
+
+
+def _complain(terminal: Terminal, line: str) -> None:
+    terminal.end_line()
+    print(f"irgspp: {line}", file=sys.stderr, flush=True)
+
+
+def _keep_traceback(args: argparse.Namespace) -> Path:
+    """Append the traceback to the run's log.txt, or to a new temporary file where the command has no run folder."""
+    run = getattr(args, "run", None)
+    if run is not None and (run / "log.txt").exists():
+        log = run / "log.txt"
+    else:
+        handle, name = tempfile.mkstemp(prefix="irgspp-", suffix=".log")
+        os.close(handle)
+        log = Path(name)
+    with log.open("a", encoding="utf-8") as file:
+        traceback.print_exc(file=file)
+    return log
+
+
+def resume_line(words: Sequence[str]) -> str:
+    """The command line that goes on with a stopped `reconstruct` or `demo`."""
+    kept = [word for word in words if word not in ("--resume", "--overwrite")]
+    join = subprocess.list2cmdline if sys.platform == "win32" else shlex.join
+    return join(["irgspp", *kept, "--resume"])
+
+
+# --- the commands
+
+
+def demo(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Reconstruct the embedded dataset; an earlier demonstration in the folder is replaced."""
+    from .pipeline import DEMO_DATA, DEMO_OVERRIDES, reconstruct
+
+    replace = not args.resume and (args.run / "run.json").exists() and read_run(args.run).get("dataset") == str(DEMO_DATA)
+    settings = with_overrides(preset("draft"), [*DEMO_OVERRIDES, *args.set])
+    run = reconstruct(DEMO_DATA, args.run, settings, resume=args.resume, overwrite=replace, progress=terminal)
+    terminal.end_line()
+    print(run / "contact_sheet.png")
+    return 0
+
+
+def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Print what was understood of a dataset."""
+    from .datasets.load import load_dataset
+    from .inspection import describe
+
+    print(describe(load_dataset(args.dataset, with_overrides(Settings(), args.set).data)))
+    return 0
+
+
+def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Photographs to a run folder."""
+    from .pipeline import reconstruct
+
+    settings = settings_of(args)
+    run = reconstruct(args.dataset, args.run, settings, resume=args.resume, overwrite=args.overwrite, progress=terminal)
+    terminal.end_line()
+    print(run)
+    return 0
+
+
+def settings_of(args: argparse.Namespace) -> Settings:
+    """The settings that the options say; those of the run itself for a bare `--resume`."""
+    chosen = {name: getattr(args, name) for name in ("materials", "device", "seed") if getattr(args, name) is not None}
+    if args.resume and not chosen and not args.set and args.preset is None and (args.run / "run.json").exists():
+        return from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), args.set)
+
+
+def render(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Views of a run as picture files."""
+    from .rendering import load_light, named_cameras, render_views
+    from .scene.reconstruction import Reconstruction
+
+    if args.environment is None and (args.name or args.rotation or args.strength != 1.0):
+        raise InputError("--name, --rotation, --strength", "belong to --environment")
+    light = load_light(args.environment, args.name, args.rotation, args.strength) if args.environment else None
+    settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    reconstruction = Reconstruction.load(args.run)
+    cameras = named_cameras(args.views, settings.data, reconstruction.to_world)
+    render_views(reconstruction, cameras, args.out, terminal, layers=args.layers, light=light)
+    terminal.end_line()
+    print(args.out)
+    return 0
+
+
+def export(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Copy or write what a run made, by the file's suffix."""
+    from .export import export
+
+    settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    export(args.run, args.out, args.material or settings.export.material, terminal)
+    print(args.out)
+    return 0
+
+
+def devices(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Print what can be used to compute on."""
+    from .devices import describe
+    from .devices import devices as found
+
+    print(json.dumps(found(), indent=2) if args.json else describe(found()))
+    return 0
+
+
+# --- their options
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options of every command."""
+    top = argparse.ArgumentParser("irgspp", description="Inverse rendering for Blender: photographs in, a relightable object out.")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+
+    one = _command(commands, "demo", demo, "reconstruct a small embedded dataset", resumable=True)
+    one.add_argument("-o", dest="run", metavar="DIR", type=Path, default=Path("demo"), help="run folder (default: demo)")
+    _resume_options(one)
+
+    one = _command(commands, "inspect", inspect, "print what is understood of a dataset")
+    one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of posed photographs")
+    _set_option(one)
+
+    one = _command(commands, "reconstruct", reconstruct, "photographs to mesh, materials, light and a Blender file", resumable=True)
+    one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of posed photographs")
+    one.add_argument("-o", dest="run", metavar="RUN", type=Path, required=True, help="run folder")
+    one.add_argument("--preset", choices=list(PRESETS), help="default: balanced")
+    one.add_argument("--materials", choices=("auto", "low-gloss", "glossy"), help="what the object is made of")
+    one.add_argument("--device", choices=("auto", "cpu", "cuda"))
+    one.add_argument("--seed", type=int, metavar="N", help="of every random choice (default: 0)")
+    _resume_options(one)
+    one.add_argument("--overwrite", action="store_true", help="replace the run in the folder")
+
+    one = _command(commands, "render", render, "views of a run as pictures and layers")
+    _run_argument(one)
+    one.add_argument("--views", metavar="DATASET[:split]", required=True, help="whose cameras; split: test (default), train or all")
+    one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the pictures")
+    one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")
+    one.add_argument("--environment", metavar="FILE", type=Path, help="lat-long EXR to light the object by (default: the recovered light)")
+    one.add_argument("--name", help="the light's name in file names (default: that of its file)")
+    one.add_argument("--rotation", type=float, default=0.0, metavar="DEG", help="turn the light about +Z, counter-clockwise from above")
+    one.add_argument("--strength", type=float, default=1.0, metavar="X", help="multiply the light")
+
+    one = _command(commands, "export", export, "the asset, Blender scene, Gaussians or light of a run as one file")
+    _run_argument(one)
+    one.add_argument("-o", dest="out", metavar="FILE", type=Path, required=True, help="ends with .glb, .blend, .ply or .exr")
+    one.add_argument("--material", choices=("textures", "attributes"), help="what the material in a .blend reads")
+
+    one = _command(commands, "devices", devices, "print what can be used to compute on")
+    one.add_argument("--json", action="store_true")
+    return top
+
+
+def _layers(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if unknown := [name for name in names if name not in LAYERS]:
+        raise argparse.ArgumentTypeError(f"unknown layer {', '.join(unknown)} (there are {', '.join(LAYERS)})")
+    return names
+
+
+def _command(commands, name: str, function, text: str, resumable: bool = False) -> argparse.ArgumentParser:
+    one = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    one.set_defaults(command=function, resumable=resumable)
+    return one
+
+
+def _run_argument(one: argparse.ArgumentParser) -> None:
+    one.add_argument("run", metavar="RUN", type=Path, help="run folder")
+
+
+def _set_option(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change one setting; run.json lists all (repeatable)")
+
+
+def _resume_options(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--resume", action="store_true", help="go on with the run in the folder")
+    _set_option(one)
