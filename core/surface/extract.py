@@ -17,7 +17,7 @@ from . import meshing
 from .attributes import fuse_attributes
 from .bake import colour_byte, rasterise, tangent_space, tangents, to_byte
 from .fusion import fuse
-from .grid import make_grid
+from .grid import Grid, make_grid
 from .meshing import Triangles
 from .unwrap import unwrap
 
@@ -37,7 +37,7 @@ def extract_surface(
     """
     progress.phase("fuse", len(views))
     grid = make_grid(views, samples, bound, settings.voxels)
-    surface = _surface(*fuse(views, grid, progress), grid.origin, grid.voxel, settings)
+    surface = _surface(fuse(views, grid, progress), grid, settings)
     normals = meshing.vertex_normals(surface, settings.normal_averages)
     progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
     _stop_if_asked(progress)
@@ -60,8 +60,8 @@ def extract_surface(
     return mesh
 
 
-def _surface(distance: np.ndarray, known: np.ndarray, origin: np.ndarray, voxel: float, settings: SurfaceSettings) -> Triangles:
-    mesh = meshing.isosurface(distance, known, origin, voxel)
+def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Triangles:
+    mesh = meshing.isosurface(distance, grid)
     mesh = meshing.main_components(meshing.cleaned(mesh), settings.fragment)
     if not len(mesh.faces):
         raise IrgsppError("no surface: what the views' depths agree on is too small to be an object")

@@ -15,28 +15,35 @@ from .grid import BLOCK, Grid
 
 TRUNCATION = 4.0  # voxels
 GRAZING = 0.1  # cosine below which a depth says nothing about the distance
+CARVED = 0.1  # weight of being seen through, where no depth is near; one depth seen frontally weighs 1
+SMOOTHNESS = 0.5  # weight of the neighbours' mean against the depths
+RELAXATIONS = 10  # passes; what has no depth is bridged over about as many voxels
 
 
-def fuse(views: Sequence[ViewBuffers], grid: Grid, progress: Progress) -> tuple[np.ndarray, np.ndarray]:
-    """Fuse the views' depth.
+def fuse(views: Sequence[ViewBuffers], grid: Grid, progress: Progress) -> np.ndarray:
+    """Fuse the views' depth into (B, BLOCK^3) float32 distances of the active blocks, in units of the truncation, -1 inside .. 1 outside.
 
-    Returns:
-        distance: `grid.shape` float32 in units of the truncation, -1 (inside) .. 1 (outside). Space that no depth tells about is
-            outside where a view looks through it, else inside: holes close along the visual hull and no surface floats in the unseen.
-        known: `grid.shape` bool, voxels of the active blocks; beyond them there is no evidence of a surface.
+    Space that no depth tells about continues what is around it; seen through it is rather outside, else inside: small holes close.
     """
-    voxels = (len(grid.active), BLOCK**3)
-    total, weight, free = np.zeros(voxels, np.float32), np.zeros(voxels, np.float32), np.zeros(voxels, np.bool_)
+    shape = (len(grid.active), BLOCK**3)
+    total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
+    ranges = even_ranges(len(grid.active), 4 * thread_count())
+    truncation = TRUNCATION * grid.voxel
     for done, view in enumerate(views):
-        matrix, layers = projection(view), depth_layers(view)
-        ranges = even_ranges(len(grid.active), 4 * thread_count())
-        run_ranges(
-            integrate, ranges, grid.active, grid.origin, grid.voxel, TRUNCATION * grid.voxel, matrix, *layers, total, weight, free
-        )
+        layers = projection(view), *depth_layers(view)
+        run_ranges(integrate, ranges, grid.active, grid.origin, grid.voxel, truncation, *layers, total, weight, free)
         progress.step(done + 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        distance = np.where(weight > 1e-6, total / weight, np.where(free, np.float32(1), np.float32(-1)))
-    return grid.dense(distance, 1.0), grid.dense(np.ones(voxels, bool), False)
+    carved = free & (weight < CARVED)
+    total[carved] += CARVED
+    weight[carved] += CARVED
+    blank = np.where(free, np.float32(1), np.float32(-1))
+    distance = np.where(weight > 0, total / np.maximum(weight, 1e-12), blank)
+    table = grid.table()
+    for _ in range(RELAXATIONS):
+        relaxed = np.empty_like(distance)
+        run_ranges(relax, ranges, grid.active, table, SMOOTHNESS, total, weight, distance, relaxed)
+        distance = relaxed
+    return distance
 
 
 def projection(view: ViewBuffers) -> np.ndarray:
@@ -89,12 +96,33 @@ def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, slop
                     surface = (1 - t) * ((1 - s) * a00 + s * a01) + t * ((1 - s) * a10 + s * a11)
             behind = far - surface
             distance = -behind * slope[row, column]
-            if behind < -truncation:
+            if behind < -truncation or distance > 0.5 * truncation:
                 free[b, i] = True
-                distance = max(distance, truncation) if weight[row, column] == 0 else distance
             if weight[row, column] == 0 or distance < -truncation or behind > 3 * truncation:
                 continue
             # Fades out behind the surface: the far side of a thin part belongs to other views.
             w = weight[row, column] * min(1.0, 1.0 + distance / truncation)
             total[b, i] += w * min(1.0, distance / truncation)
             sum_weight[b, i] += w
+
+
+@kernel
+def relax(begin, end, active, table, smoothness, total, weight, distance, relaxed):
+    """One Jacobi pass over the blocks begin..end: each distance between what the depths say and the mean of its six neighbours."""
+    for b in range(begin, end):
+        for i in range(BLOCK * BLOCK * BLOCK):
+            mean, count = 0.0, 0
+            for axis in range(3):
+                stride = 1 if axis == 2 else BLOCK if axis == 1 else BLOCK * BLOCK
+                place = i // stride % BLOCK
+                for step in (-1, 1):
+                    block, j = b, i + step * stride
+                    if not 0 <= place + step < BLOCK:
+                        x, y, z = active[b, 0] + 1, active[b, 1] + 1, active[b, 2] + 1
+                        block = table[x + step * (axis == 0), y + step * (axis == 1), z + step * (axis == 2)]
+                        j = i - step * stride * (BLOCK - 1)
+                    if block >= 0:
+                        mean += distance[block, j]
+                        count += 1
+            mean = mean / count if count > 0 else distance[b, i]
+            relaxed[b, i] = (total[b, i] + smoothness * mean) / (weight[b, i] + smoothness)

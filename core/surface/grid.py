@@ -39,6 +39,12 @@ class Grid:
         x, y, z = self.blocks
         return x * BLOCK, y * BLOCK, z * BLOCK
 
+    def table(self) -> np.ndarray:
+        """Which active block stands where, -1 for none, with a border of none all around: (X + 2, Y + 2, Z + 2) int32."""
+        table = np.full([n + 2 for n in self.blocks], -1, np.int32)
+        table[tuple((self.active + 1).T)] = np.arange(len(self.active))
+        return table
+
     def dense(self, values: np.ndarray, fill: float) -> np.ndarray:
         """Values of the active blocks (B, BLOCK^3) as a volume of `shape`, `fill` elsewhere."""
         x, y, z = self.blocks

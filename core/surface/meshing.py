@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
 from ..errors import IrgsppError
+from .grid import Grid
 
 TAUBIN = (0.5, -0.53)  # a shrinking and a growing step: noise goes, volume stays (Taubin 1995)
 
@@ -24,33 +25,34 @@ class Triangles:
     faces: np.ndarray
 
 
-def isosurface(distance: np.ndarray, known: np.ndarray, origin: np.ndarray, voxel: float) -> Triangles:
-    """Marching cubes over the cubes whose eight corners are known. Raises IrgsppError where there is no surface."""
+def isosurface(distance: np.ndarray, grid: Grid) -> Triangles:
+    """Marching cubes over the active blocks' distances. Raises IrgsppError where there is no surface."""
+    known = grid.dense(np.ones(distance.shape, bool), False)
     cubes = known[1:, 1:, 1:].copy()
     for x, y, z in np.ndindex(2, 2, 2):
         cubes &= known[x : known.shape[0] - 1 + x, y : known.shape[1] - 1 + y, z : known.shape[2] - 1 + z]
-    mask = np.zeros(known.shape, bool)
-    mask[1:, 1:, 1:] = cubes  # scikit-image asks the mask at a cube's far corner
+    known[:] = False
+    known[1:, 1:, 1:] = cubes  # scikit-image asks the mask at a cube's far corner
     # A vertex exactly on a voxel would make triangles of no area.
-    field = np.where(np.abs(distance) < 1e-4, np.float32(1e-4), distance)
+    distance = np.where(np.abs(distance) < 1e-4, np.float32(1e-4), distance)
     try:
-        vertices, faces, _, _ = marching_cubes(field, 0.0, mask=mask)
+        vertices, faces, _, _ = marching_cubes(grid.dense(distance, 1.0), 0.0, mask=known)
     except (ValueError, RuntimeError) as error:
         raise IrgsppError("no surface: the views' depths agree on none; is the object inside the bound?") from error
-    return Triangles(origin + voxel * vertices.astype(np.float64), faces.astype(np.int64))
+    return Triangles(grid.origin + grid.voxel * vertices.astype(np.float64), faces.astype(np.int64))
 
 
 def cleaned(mesh: Triangles) -> Triangles:
-    """Without degenerate and repeated faces, faces that make an edge non-manifold, and vertices that no face uses."""
-    faces = mesh.faces
-    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    faces = faces[distinct]
-    _, first = np.unique(np.sort(faces, -1), axis=0, return_index=True)
-    faces = faces[np.sort(first)]
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), -1)
-    _, index, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    crowded = (count[index.reshape(-1)] > 2).reshape(-1, 3).any(-1)
-    return compacted(Triangles(mesh.vertices, faces[~crowded]))
+    """Without degenerate and repeated faces, fins (two faces back to back, which decimation leaves), and vertices that no face uses."""
+    f = mesh.faces
+    f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
+    smallest_first = np.take_along_axis(f, (f.argmin(-1)[:, None] + np.arange(3)) % 3, -1)
+    side = np.where(smallest_first[:, 1] < smallest_first[:, 2], 1, -1)
+    _, group = np.unique(np.sort(f, -1), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    keep = np.sign(np.bincount(group, side))[group] == side
+    _, index = np.unique(smallest_first[keep], axis=0, return_index=True)
+    return compacted(Triangles(mesh.vertices, f[keep][np.sort(index)]))
 
 
 def compacted(mesh: Triangles) -> Triangles:
