@@ -100,7 +100,9 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
     from .datasets.load import load_dataset
     from .inspection import describe
 
-    print(describe(load_dataset(args.dataset, with_overrides(Settings(), args.set).data)))
+    data = load_dataset(args.dataset, with_overrides(Settings(), args.set).data, terminal)
+    terminal.end_line()
+    print(describe(data))
     return 0
 
 
@@ -125,18 +127,29 @@ def settings_of(args: argparse.Namespace) -> Settings:
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
     """Views of a run as picture files."""
-    from .rendering import load_light, named_cameras, render_views
+    from .datasets.load import load_cameras
+    from .rendering import load_light, render_views, split_of
     from .scene.reconstruction import Reconstruction
 
     if args.environment is None and (args.name or args.rotation or args.strength != 1.0):
         raise InputError("--name, --rotation, --strength", "belong to --environment")
     light = load_light(args.environment, args.name, args.rotation, args.strength) if args.environment else None
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    reconstruction = Reconstruction.load(args.run)
-    cameras = named_cameras(args.views, settings.data, reconstruction.to_world)
-    render_views(reconstruction, cameras, args.out, terminal, layers=args.layers, light=light)
+    cameras = load_cameras(*split_of(args.views), settings.data)
+    render_views(Reconstruction.load(args.run), cameras, args.out, terminal, layers=args.layers, light=light)
     terminal.end_line()
     print(args.out)
+    return 0
+
+
+def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Compare a run with a dataset's test views: a table here, a page and JSON in the report folder."""
+    from .evaluation.report import evaluate, table
+
+    settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    report = evaluate(args.run, args.dataset, args.out, settings.data, terminal)
+    terminal.end_line()
+    print(table(report))
     return 0
 
 
@@ -187,13 +200,19 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(commands, "render", render, "views of a run as pictures and layers")
     _run_argument(one)
-    one.add_argument("--views", metavar="DATASET[:split]", required=True, help="whose cameras; split: test (default), train or all")
+    views = "whose cameras; split train or test, without one the test views (all, where there are none)"
+    one.add_argument("--views", metavar="DATASET[:split]", required=True, help=views)
     one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the pictures")
     one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")
     one.add_argument("--environment", metavar="FILE", type=Path, help="lat-long EXR to light the object by (default: the recovered light)")
     one.add_argument("--name", help="the light's name in file names (default: that of its file)")
     one.add_argument("--rotation", type=float, default=0.0, metavar="DEG", help="turn the light about +Z, counter-clockwise from above")
     one.add_argument("--strength", type=float, default=1.0, metavar="X", help="multiply the light")
+
+    one = _command(commands, "evaluate", evaluate, "compare a run with a dataset: every figure its truth allows")
+    _run_argument(one)
+    one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of posed photographs")
+    one.add_argument("-o", dest="out", metavar="REPORT", type=Path, help="folder for report.html and report.json (default: RUN/evaluation)")
 
     one = _command(commands, "export", export, "the asset, Blender scene, Gaussians or light of a run as one file")
     _run_argument(one)

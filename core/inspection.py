@@ -17,6 +17,7 @@ def describe(data: Dataset) -> str:
         f"format    {data.format}",
         f"views     {len(data.train)} to learn from, {len(data.test)} to test with",
         f"pictures  {_pictures([*data.train, *data.test])}",
+        *(f"lens      {lens}" for lens in data.lenses[:8]),
         f"masks     {_masks(data.train)}",
         f"points    {'none' if data.points is None else f'{len(data.points.position):,}'}",
         f"object    within {data.bound.radius:.4g} of ({x:g}, {y:g}, {z:g}), +Z up",

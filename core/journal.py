@@ -20,6 +20,7 @@ class Journal:
     def __init__(self, run: RunFolder, watcher: Progress) -> None:
         self._run, self._watcher = run, watcher
         self._name, self._left, self._written = "", TimeLeft(0), 0.0
+        self.figures: dict[str, float] = {}  # the last ones that were reported
 
     @property
     def cancelled(self) -> bool:
@@ -42,6 +43,7 @@ class Journal:
     def step(self, done: int, **figures: float) -> None:
         """So many steps of the phase are done."""
         eta, now = self._left.after(done), time.monotonic()
+        self.figures |= {key: float(value) for key, value in figures.items()}
         if now - self._written >= EVENT_SECONDS or done >= self._left.steps:
             values = {key: float(value) for key, value in figures.items()}
             self._run.event(phase=self._name, step=done, of=self._left.steps, **values, eta=None if eta is None else round(eta, 1))

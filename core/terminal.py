@@ -34,7 +34,7 @@ class Terminal:
     def phase(self, name: str, steps: int) -> None:
         """A phase begins."""
         self.end_line()
-        self._name, self._left, self._shown, self._done = name, TimeLeft(steps), 0.0, 0
+        self._name, self._left, self._shown, self._done = name, TimeLeft(steps), time.monotonic(), 0
         if self._live or steps <= 0:
             self._show(progress_line(name, 0, steps, None, {}))
 
