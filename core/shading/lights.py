@@ -6,22 +6,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import torch
 
 from .colour import luminance
+from .lightmap import solid_angles, texel_directions
 
 
 def map_directions(height: int, width: int) -> np.ndarray:
-    """(H, W, 3) float64 unit world directions of the texel centres of a lat-long map (row 0 = +Z, middle column = +X)."""
-    theta = (np.arange(height) + 0.5)[:, None] * np.pi / height
-    phi = np.pi - (np.arange(width) + 0.5) * 2 * np.pi / width
-    x, y, z = np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
-    return np.stack([x, y, z], -1)
-
-
-def solid_angles(height: int, width: int) -> np.ndarray:
-    """(H, 1) float64 exact solid angle of a texel in each row, in steradians; all texels together make 4 pi."""
-    edges = np.cos(np.arange(height + 1) * np.pi / height)
-    return ((edges[:-1] - edges[1:]) * 2 * np.pi / width)[:, None]
+    """(H, W, 3) float64 unit world directions of the texel centres of a lat-long map."""
+    return texel_directions(height, width, torch.float64).numpy()
 
 
 def sky_light(height: int, width: int) -> np.ndarray:
@@ -86,7 +79,7 @@ def _exposed(light: np.ndarray) -> np.ndarray:
     """Scaled so that a white diffuse surface turned to the brightest side has luminance 1.2: pictures neither clip nor drown."""
     height, width = light.shape[:2]
     d = map_directions(height, width).reshape(-1, 3)
-    power = luminance(light * solid_angles(height, width)[..., None]).reshape(-1)
+    power = luminance(light * solid_angles(height, width, torch.float64).numpy()[:, None, None]).reshape(-1)
     sides = map_directions(9, 18).reshape(-1, 3)
     brightest = (np.clip(sides @ d.T, 0, None) @ power).max() / np.pi
     return (light * (1.2 / brightest)).astype(np.float32)

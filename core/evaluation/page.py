@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report as one HTML file: figures, and what was rendered beside what is true."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ..datasets.dataset import View
+from . import metrics, pictures
+from .figures import Prediction
+from .truth import Truth
+
+SHOWN = 12  # views with pictures; figures are of all
+SIDE = 320  # pixels of a picture's longest side at most
+STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1500px; padding: 0 1rem; background: #18191c; color: #e2e2de }
+h1 { font-size: 1.5rem } h2 { font-size: 1.1rem; margin: 2.2rem 0 .5rem } p { color: #a9a9a4 }
+table { border-collapse: collapse } td, th { padding: .15rem .9rem .15rem 0; text-align: left; font-weight: normal }
+td { font-variant-numeric: tabular-nums; text-align: right }
+.row { display: flex; flex-wrap: wrap; gap: 8px; margin-bottom: 10px } figure { margin: 0; width: 210px }
+figure img { width: 100%; display: block; border-radius: 3px } figcaption { font-size: .8rem; color: #a9a9a4; padding-top: 2px }
+"""
+
+
+def page(report: dict[str, Any], views: Sequence[View], predictions: Sequence[Prediction], truths: Sequence[Truth]) -> str:
+    """The whole page, pictures inside."""
+    scale = np.array(report["albedo_scale"] or (1.0, 1.0, 1.0))
+    shown = np.unique(np.linspace(0, len(views) - 1, min(SHOWN, len(views))).round().astype(int))
+    sections = [_section(views[i].name, report["views"][views[i].name], predictions[i], truths[i], scale) for i in shown]
+    rows = [f"<tr><th>{escape(name)}</th><td>{value:.4f}</td></tr>" for name, value in report["figures"].items()]
+    if report["albedo_scale"]:
+        rows.append(f"<tr><th>albedo_scale</th><td>{' '.join(f'{s:.3f}' for s in scale)}</td></tr>")
+    about = f"{escape(str(report['run']))} against the {len(views)} {escape(report['split'])} views of {escape(str(report['dataset']))}."
+    return (
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Evaluation</title><style>{STYLE}</style>"
+        f"<h1>Evaluation</h1><p>{about} PSNR in dB, angles in degrees, lengths in scene units; means over the views. "
+        "Albedo is shown after the scale per channel that the figures use. Heat: dark is exact.</p>"
+        f"<table>{''.join(rows)}</table>{''.join(sections)}</html>\n"
+    )
+
+
+def _section(name: str, figures: dict[str, float], prediction: Prediction, truth: Truth, scale: np.ndarray) -> str:
+    rows = [_picture_row(prediction, truth), *_layer_rows(prediction, truth, scale), _relit_row(prediction, truth)]
+    best = ", ".join(f"{key} {figures[key]:.2f}" for key in ("nvs_psnr", "radiance_psnr", "normal_mae", "albedo_psnr") if key in figures)
+    return f"<h2>{escape(name)}</h2><p>{best}</p>" + "".join(f"<div class='row'>{''.join(row)}</div>" for row in rows)
+
+
+def _picture_row(prediction: Prediction, truth: Truth) -> list[str]:
+    shaded, radiance = metrics.on_black(prediction.shaded), metrics.on_black(prediction.radiance)
+    return [
+        _figure("photograph", _opaque(truth.picture)),
+        _figure("rendered by its light", _opaque(shaded)),
+        _figure("error, to 0.2", pictures.heat(np.abs(shaded - truth.picture).max(-1), 0.2)),
+        _figure("radiance", _opaque(radiance)),
+        _figure("error, to 0.2", pictures.heat(np.abs(radiance - truth.picture).max(-1), 0.2)),
+    ]
+
+
+def _layer_rows(prediction: Prediction, truth: Truth, scale: np.ndarray) -> list[list[str]]:
+    """Each layer, beside the true one and its error where that is known."""
+    alpha, inside = prediction.buffers.alpha, truth.object
+    albedo, normal = prediction.layer("albedo") * scale, prediction.layer("normal")
+    rows = [[_figure("albedo", pictures.colour(albedo, alpha))], [_figure("normal", pictures.normal(normal, alpha))]]
+    if truth.albedo is not None:
+        error = np.where(inside, np.abs(albedo - truth.albedo).max(-1), 0)
+        rows[0] += [_figure("true albedo", pictures.colour(truth.albedo, truth.alpha)), _figure("error, to 0.2", pictures.heat(error, 0.2))]
+    if truth.normal is not None:
+        error = np.where(inside, metrics.normal_angles(normal, truth.normal), 0)
+        rows[1] += [_figure("true normal", pictures.normal(truth.normal, truth.alpha)), _figure("error, to 20°", pictures.heat(error, 20))]
+    for name in ("roughness", "metallic"):
+        row, true = [_figure(name, pictures.grey(prediction.layer(name), alpha))], getattr(truth, name)
+        if true is not None:
+            error = np.where(inside, np.abs(prediction.layer(name) - true), 0)
+            row += [_figure(f"true {name}", pictures.grey(true, truth.alpha)), _figure("error, to 0.5", pictures.heat(error, 0.5))]
+        rows.append(row)
+    return [rows[0] + rows[1], rows[2] + rows[3]]
+
+
+def _relit_row(prediction: Prediction, truth: Truth) -> list[str]:
+    row = []
+    for name in (light for light in truth.relit if light in prediction.relit):
+        relit = metrics.on_black(prediction.relit[name])
+        error = np.abs(relit - truth.relit[name]).max(-1)
+        row += [_figure(f"true, {name}", _opaque(truth.relit[name])), _figure(f"relit by {name}", _opaque(relit))]
+        row.append(_figure("error, to 0.2", pictures.heat(error, 0.2)))
+    return row
+
+
+def _opaque(rgb: np.ndarray) -> np.ndarray:
+    return pictures.with_alpha(rgb, np.ones(rgb.shape[:2]))
+
+
+def _figure(caption: str, picture: np.ndarray) -> str:
+    """An <img> with its bytes inside."""
+    image = Image.fromarray(pictures.over(picture, 0.35))
+    image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+    data = io.BytesIO()
+    image.save(data, "JPEG", quality=92, subsampling=0)
+    source = base64.b64encode(data.getvalue()).decode()
+    return f"<figure><img alt='{escape(caption)}' src='data:image/jpeg;base64,{source}'><figcaption>{escape(caption)}</figcaption></figure>"

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One picture that shows a whole reconstruction: what went in, what came out, and the object under other lights."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ..datasets.dataset import Dataset, View
+from ..scene.reconstruction import Reconstruction
+from ..shading.lights import studio_light, sunset_light
+from ..stages.render import render_view, shade_view
+from . import pictures
+
+COLUMNS = ("photograph", "reconstruction", "albedo", "roughness", "metallic", "normal", "studio light", "sunset light")
+LIGHT_SIZE = (64, 128)
+TILE, GAP, HEADER = 224, 6, 40
+PAPER, INK = (24, 25, 28), (226, 226, 222)
+
+
+def contact_sheet(dataset: Dataset, reconstruction: Reconstruction, path: Path, rows: int = 4) -> None:
+    """Write a PNG with up to `rows` views, test views where there are any, one below the other; see COLUMNS for what stands beside."""
+    lights = [studio_light(*LIGHT_SIZE), sunset_light(*LIGHT_SIZE)]
+    views = spread(dataset.test or dataset.train, rows)
+    sheet = compose([view_row(view, reconstruction, lights) for view in views], COLUMNS)
+    partial = path.with_name(path.name + ".part")
+    sheet.save(partial, "PNG", optimize=True)
+    os.replace(partial, path)
+
+
+def spread(views: Sequence[View], count: int) -> list[View]:
+    """At most `count` of the views, evenly over the sequence."""
+    picked = np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))
+    return [views[i] for i in picked]
+
+
+def view_row(view: View, reconstruction: Reconstruction, lights: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The pictures of one row, each (H, W, 4) as in `pictures`."""
+    camera = view.camera.resized(*fitted(view.camera.width, view.camera.height, TILE))  # a tile shows no more pixels
+    buffers = render_view(reconstruction, camera)
+    photograph = pictures.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
+    return [
+        photograph,
+        pictures.shaded(shade_view(reconstruction, camera, None)),
+        pictures.colour(buffers.albedo, buffers.alpha),
+        pictures.grey(buffers.roughness, buffers.alpha),
+        pictures.grey(buffers.metallic, buffers.alpha),
+        pictures.normal(buffers.normal, buffers.alpha),
+        *(pictures.shaded(shade_view(reconstruction, camera, light)) for light in lights),
+    ]
+
+
+def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Image.Image:
+    """Rows of pictures as one image, each in a tile on a faint checkerboard, the columns named above."""
+    heights = [max(fitted(p.shape[1], p.shape[0], TILE)[1] for p in row) for row in rows]
+    width = GAP + len(columns) * (TILE + GAP)
+    sheet = Image.new("RGB", (width, HEADER + sum(height + GAP for height in heights)), PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=17)
+    for i, name in enumerate(columns):
+        draw.text((GAP + i * (TILE + GAP) + TILE / 2, HEADER / 2), name, INK, font, anchor="mm")
+    top = HEADER
+    for row, height in zip(rows, heights, strict=True):
+        for i, picture in enumerate(row):
+            sheet.paste(_tile(picture, height), (GAP + i * (TILE + GAP), top))
+        top += height + GAP
+    return sheet
+
+
+def fitted(width: int, height: int, side: int) -> tuple[int, int]:
+    """The size with the same shape whose width is at most `side` and whose height at most 1.5 times that."""
+    scale = min(side / width, 1.5 * side / height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _tile(picture: np.ndarray, height: int) -> Image.Image:
+    """(TILE, height) pixels with the picture in the middle."""
+    size = fitted(picture.shape[1], picture.shape[0], TILE)
+    premultiplied = np.concatenate([picture[..., :3] * picture[..., 3:], picture[..., 3:]], -1)
+    channels = [Image.fromarray(np.ascontiguousarray(premultiplied[..., i], np.float32)) for i in range(4)]
+    scaled = np.clip(np.stack([np.asarray(c.resize(size, Image.Resampling.BICUBIC)) for c in channels], -1), 0, 1)
+    canvas = np.zeros((height, TILE, 4))
+    top, left = (height - size[1]) // 2, (TILE - size[0]) // 2
+    canvas[top : top + size[1], left : left + size[0]] = scaled
+    rows, columns = np.indices((height, TILE)) // 14
+    backdrop = np.where((rows + columns) % 2, 0.40, 0.44)[..., None]
+    return Image.fromarray(np.round(255 * np.clip(canvas[..., :3] + backdrop * (1 - canvas[..., 3:]), 0, 1)).astype(np.uint8))
