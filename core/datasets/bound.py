@@ -13,6 +13,7 @@ from .camera import Camera
 from .dataset import Bound
 
 MARGIN = 1.08
+FRAME_MARGIN = 1.25  # an object reaches no further than this beyond the sphere that fills the pictures
 HULL_CELLS = 40  # along a side of the carving grid
 HULL_ROUNDS = 3  # each fits the grid to what the last one left
 HULL_VIEWS = 32
@@ -63,7 +64,8 @@ def bound_of_points(cameras: Sequence[Camera], points: np.ndarray) -> Bound | No
     seen = np.zeros(len(points))
     for camera in cameras:
         seen += _in_picture(camera, *camera.project(points))
-    near = points[(seen >= 0.5 * len(cameras)) & (np.linalg.norm(points - focus.point, axis=-1) < 0.8 * focus.distance)]
+    framed = min(FRAME_MARGIN * bound_of_cameras(cameras).radius, 0.8 * focus.distance)
+    near = points[(seen >= 0.5 * len(cameras)) & (np.linalg.norm(points - focus.point, axis=-1) < framed)]
     if not focus.reliable or len(near) < 20:
         return None
     centre = np.median(near, 0)

@@ -9,9 +9,11 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from ..errors import InputError
 from .dataset import PointCloud
 
 MINIMUM_VIEWS = 3
+FARTHEST = 1e9  # coordinates beyond are damage, and squares of them would drown everything else
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,17 @@ class Lens:
         """The same lens for a picture of another size; distortion is relative and stays."""
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
+
+    def checked(self, where: object) -> Lens:
+        """The lens itself. Raises InputError where its numbers can't belong to a camera."""
+        longest = max(self.size)
+        if not (min(self.fx, self.fy) > 1e-3 * longest and max(self.fx, self.fy) < 1e5 * longest):
+            raise InputError(where, f"has an impossible focal length ({self.fx:g}, {self.fy:g} for {self.width}x{self.height} pixels)")
+        if not max(abs(self.cx), abs(self.cy)) < 10 * longest:
+            raise InputError(where, f"has an impossible principal point ({self.cx:g}, {self.cy:g})")
+        if not all(abs(k) < 1e4 for k in self.distortion):
+            raise InputError(where, f"has impossible distortion coefficients {self.distortion}")
+        return self
 
     def __str__(self) -> str:
         names = ("k1", "k2", "k3", "k4") if self.fisheye else ("k1", "k2", "p1", "p2", "k3")

@@ -43,9 +43,7 @@ def read_colmap(model: Path, resolution: int) -> Capture:
     for image in images:
         if image.camera not in cameras:
             raise InputError(files["images"], f"picture {image.name!r} names camera {image.camera}, which {files['cameras'].name} has not")
-    lenses = {number: _lens(record) for number, record in cameras.items()}
-    if min(min(lens.fx, lens.fy) for lens in lenses.values()) <= 0:
-        raise InputError(files["cameras"], "has a focal length that is not positive")
+    lenses = {number: _lens(record).checked(f"{files['cameras']}, camera {number}") for number, record in cameras.items()}
     root = _picture_folder(model, images, max(max(lens.size) for lens in lenses.values()), resolution)
     frames = [_frame(image, lenses[image.camera], root) for image in images]
     if "points3D" not in files:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from .capture import FARTHEST
 
 PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8}
 MODEL_IDS = dict(enumerate(PARAMETERS))
@@ -71,8 +72,9 @@ def read_images(file: Path) -> list[ImageRecord]:
     """Registered pictures in the order of their names. Raises InputError where the file is damaged."""
     images = list(_binary_images(file) if file.suffix == ".bin" else _text_images(file))
     for image in images:
-        if not np.isfinite((*image.quaternion, *image.translation)).all() or not 1e-6 < np.linalg.norm(image.quaternion) < 1e6:
-            raise InputError(file, f"picture {image.name!r} has a pose that is not finite or not a rotation")
+        # Negated comparisons: they are true for NaN.
+        if not (max(map(abs, image.translation)) < FARTHEST and 1e-6 < np.linalg.norm(image.quaternion) < 1e6):
+            raise InputError(file, f"picture {image.name[:80]!r} has a pose that is not finite or not a rotation")
     return sorted(images, key=lambda image: image.name)
 
 

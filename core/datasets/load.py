@@ -27,6 +27,7 @@ from .undistort import pinhole, undistort
 
 LOOKED_FOR = "looked for transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt"
 OPAQUE = 1 - 1.5 / 255
+SMALLEST_SIDE = 8
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -42,13 +43,14 @@ class _Shot:
     camera: Camera
 
 
-def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: Progress = Silent()) -> Dataset:  # noqa: B008 (both are immutable)
+def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: Progress = Silent()) -> Dataset:  # noqa: B008 (immutable)
     """Read a transforms.json or COLMAP dataset: a folder, a transforms file, or the folder of a sparse model.
 
     Pictures are undistorted and reduced to `settings.resolution`. Of a folder that has several descriptions the one with its own
     test split is read (transforms_train.json), then a COLMAP model with points, then transforms.json; the path of one of them chooses it.
     Raises InputError on bad input; single broken pictures are left out with a warning.
     """
+    _check(settings)
     capture = _read_capture(path, settings)
     warnings = list(capture.warnings)
     _check_on_disk(capture, warnings)
@@ -57,31 +59,39 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
         raise InputError(capture.source, f"has {len(train)} views to learn from, at least {MINIMUM_VIEWS} are needed")
     shots, tests = _shots(train, settings, warnings), _shots(test, settings, warnings)
     pictures = _decode([*shots, *tests], settings, progress)
-    views = _usable(shots, pictures[: len(shots)], warnings)
-    checks = _usable(tests, pictures[len(shots) :], warnings) if tests else []
-    if len(views) < MINIMUM_VIEWS:
-        raise InputError(capture.source, f"has {len(views)} usable views to learn from, at least {MINIMUM_VIEWS} are needed")
+    views, checks = _usable(pictures[: len(shots)], MINIMUM_VIEWS, warnings), _usable(pictures[len(shots) :], 0, warnings)
     views, checks = _settle_alpha(views, checks, warnings)
     bound = _bound(capture, views, settings, warnings)
     lenses = sorted({str(s.frame.lens) for s in shots})
     return Dataset(path, capture.format, views, checks, bound, capture.to_world, capture.points, warnings, lenses)
 
 
-def load_cameras(path: Path, split: str | None = None, settings: DataSettings = DataSettings()) -> list[tuple[str, Camera]]:  # noqa: B008
-    """View names and cameras as `load_dataset` gives them, without decoding a pixel.
+def load_cameras(
+    path: Path,
+    split: str | None = None,
+    settings: DataSettings = DataSettings(),  # noqa: B008 (immutable)
+) -> tuple[list[tuple[str, Camera]], np.ndarray]:
+    """(view names and cameras, (4, 4) `to_world`) as `load_dataset` gives them, without decoding a pixel.
 
-    `split` is "train", "test", or None: the dataset's own test split where it names one, else every view. Pictures need not be on disk
-    where none of the split is; their cameras then have the stated size, or that of the other split's pictures.
+    `split` is "train", "test", "all", or None: the dataset's own test split where it names one, else every view. Pictures need not be
+    on disk where none of the split is; their cameras then have the stated size, or that of the other split's pictures.
+    Raises InputError on bad input and for a split without views.
     """
-    if split not in (None, "train", "test"):
-        raise InputError(f"{path}:{split}", "no such split", "use train or test")
+    if split not in (None, "train", "test", "all"):
+        raise InputError(f"{path}:{split}", "no such split", "use train, test or all")
+    _check(settings)
     capture = _read_capture(path, settings)
     train, test = capture.split(settings.holdout)
-    every = capture.test if capture.test is not None else capture.train
-    frames = {"train": train, "test": test, None: every}[split]
+    default = capture.train if capture.test is None else test
+    frames = {"train": train, "test": test, "all": [*train, *test], None: default}[split]
     if not frames:
         raise InputError(capture.source, f"has no {split or 'test'} views")
-    return [(s.name, s.camera) for s in _shots(_present(frames) or frames, settings, [])]
+    return [(s.name, s.camera) for s in _shots(_present(frames) or frames, settings, [])], capture.to_world
+
+
+def _check(settings: DataSettings) -> None:
+    if settings.resolution < SMALLEST_SIDE:
+        raise InputError("data.resolution", f"is {settings.resolution}", f"give {SMALLEST_SIDE} pixels or more")
 
 
 def _read_capture(path: Path, settings: DataSettings) -> Capture:
@@ -195,33 +205,34 @@ def _view(shot: _Shot, masks: bool) -> View | InputError:
     try:
         assert frame.picture is not None
         picture = read_picture(frame.picture)
-        if not masks:
-            picture = on_black(picture)
-        elif frame.mask is not None:
-            picture = Picture(picture.colour, _mask(frame.mask, picture.size))
+        if frame.mask is not None and masks:  # a mask file takes the place of an alpha channel
+            mask = _mask(frame.mask, picture.size, size)
+            picture = Picture(reduce_picture(Picture(picture.colour, None), *size).colour, mask)
+        else:
+            picture = reduce_picture(picture, *size)
         if picture.alpha is not None and picture.alpha.max() < 0.5:
-            raise InputError(frame.mask or frame.picture, "is transparent everywhere")
-        picture = undistort(reduce_picture(picture, *size), shot.lens)
+            raise InputError(frame.mask if frame.mask and masks else frame.picture, "is transparent everywhere")
+        picture = undistort(picture if masks else on_black(picture), shot.lens)
     except InputError as error:
         return error
     return View(shot.name, shot.camera, frame.picture, picture.colour, picture.alpha)
 
 
-def _mask(path: Path, size: tuple[int, int]) -> np.ndarray:
+def _mask(path: Path, picture: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
+    """(H, W) the mask at the size its picture is used at; a full-size mask may go with a reduced picture."""
     mask = read_mask(path)
     full = mask.shape[1], mask.shape[0]
-    if full != size and not _is_reduction(full, size):
-        raise InputError(path, f"is {full[0]}x{full[1]} but its picture is {size[0]}x{size[1]}")
+    if full != picture and not _is_reduction(full, picture):
+        raise InputError(path, f"is {full[0]}x{full[1]} but its picture is {picture[0]}x{picture[1]}")
     return reduce_mask(mask, *size)
 
 
-def _usable(shots: list[_Shot], pictures: list[View | InputError], warnings: list[str]) -> list[View]:
-    """The views without the broken ones; one broken picture is an accident, many are a broken dataset."""
+def _usable(pictures: list[View | InputError], needed: int, warnings: list[str]) -> list[View]:
+    """The views without the broken ones: one broken picture is an accident, but where views are `needed`, many are a broken dataset."""
     errors = [p for p in pictures if isinstance(p, InputError)]
     views = [p for p in pictures if isinstance(p, View)]
-    if errors and len(errors) * 2 >= len(pictures):
-        first = errors[0]
-        raise InputError(first.where, first.what, f"{len(errors)} of {len(shots)} pictures can't be used")
+    if errors and needed and (len(errors) * 2 >= len(pictures) or len(views) < needed):
+        raise InputError(errors[0].where, errors[0].what, f"{len(errors)} of {len(pictures)} pictures can't be used")
     warnings.extend(f"{e}; left out" for e in errors)
     return views
 

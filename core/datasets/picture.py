@@ -16,14 +16,20 @@ from ..colour import decode_srgb, encode_srgb
 from ..errors import InputError
 from ..scene.exr import read_exr
 
-MAX_PIXELS = 400_000_000  # beyond any camera; a header that claims more is damaged or hostile
+MAX_PIXELS = 178_000_000  # beyond any camera (Pillow's own limit): a header that claims more is damaged or hostile
+BAND = 256  # rows that are linear floats at a time: a 50-megapixel photograph would take gigabytes as a whole
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 EXR_SIGNATURE = b"\x76\x2f\x31\x01"
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Decoded pixels: colour (H, W, 3) float32 sRGB-encoded and straight; alpha (H, W) float32 in 0..1, or None."""
+    """Decoded pixels, sRGB-encoded and straight.
+
+    Attributes:
+        colour: (H, W, 3) float32 0..1, above where the file is HDR; or uint8, uint16 as read, until `reduce_picture`.
+        alpha: (H, W) of the same kind, or None.
+    """
 
     colour: np.ndarray
     alpha: np.ndarray | None
@@ -64,26 +70,25 @@ def _raster_size(path: Path) -> tuple[int, int]:
 
 
 def read_picture(path: Path) -> Picture:
-    """Decode a PNG (8 or 16 bit), JPEG or EXR (linear, premultiplied). Raises InputError where it is unreadable, truncated or not finite.
+    """Decode a PNG (8 or 16 bit), JPEG or EXR (linear, premultiplied), integers as they are stored.
 
     The EXIF orientation is never applied: cameras are solved for the pixels as stored.
+    Raises InputError where the file is unreadable, truncated or has pixels that are not finite.
     """
     picture_size(path)
     data = path.read_bytes()
     if data[:4] == EXR_SIGNATURE:
         return _read_exr(path)
     pixels = _decode(path, data)
-    pixels = pixels.astype(np.float32) / np.iinfo(pixels.dtype).max
     colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, -1)
-    return Picture(np.ascontiguousarray(colour), np.ascontiguousarray(pixels[..., -1]) if pixels.shape[2] in (2, 4) else None)
+    return Picture(colour, pixels[..., -1] if pixels.shape[2] in (2, 4) else None)
 
 
 def read_mask(path: Path) -> np.ndarray:
     """(H, W) float32 in 0..1, 1 on the object: a grey or colour picture's brightness, or the alpha of one that has any."""
     picture = read_picture(path)
-    grey = picture.colour.max(-1)
-    has_shape = picture.alpha is not None and picture.alpha.min() < 1
-    return picture.alpha if has_shape and picture.alpha is not None else np.clip(grey, 0, 1)
+    alpha = None if picture.alpha is None else unit(picture.alpha)
+    return alpha if alpha is not None and alpha.min() < 1 else np.clip(unit(picture.colour.max(-1)), 0, 1)
 
 
 def _decode(path: Path, data: bytes) -> np.ndarray:
@@ -126,35 +131,50 @@ def _read_exr(path: Path) -> Picture:
     if alpha is not None:
         alpha = np.clip(alpha, 0, 1)
         linear = _straight(linear, alpha)
-    return Picture(encode_srgb(linear).astype(np.float32), alpha)
+    return Picture(encode_srgb(linear), alpha)
+
+
+def unit(pixels: np.ndarray) -> np.ndarray:
+    """Integers as float32 in 0..1; floats as they are."""
+    return pixels.astype(np.float32) / np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else pixels
 
 
 def reduce_picture(picture: Picture, width: int, height: int) -> Picture:
-    """Another size by area averaging in linear light, colour weighted by alpha; the same picture where it has that size."""
+    """Float pixels at another size by area averaging in linear light, colour weighted by alpha; unchanged where it has that size."""
     if picture.size == (width, height):
-        return picture
-    linear, alpha = decode_srgb(picture.colour), picture.alpha
-    if alpha is None:
-        return Picture(encode_srgb(_area(linear, width, height)).astype(np.float32), None)
-    small = _area(alpha, width, height)
-    linear = _straight(_area(linear * alpha[..., None], width, height), small)
-    return Picture(encode_srgb(linear).astype(np.float32), small)
+        return Picture(unit(picture.colour), None if picture.alpha is None else unit(picture.alpha))
+    # Area averaging is separable: rows are narrowed band by band, then the narrow picture is made lower.
+    starts = range(0, picture.size[1], BAND)
+    narrow = np.concatenate([_narrow_band(picture, slice(i, i + BAND), width) for i in starts])
+    small = _area(narrow, width, height)
+    if picture.alpha is None:
+        return Picture(encode_srgb(small), None)
+    return Picture(encode_srgb(_straight(small[..., :3], small[..., 3])), np.ascontiguousarray(small[..., 3]))
+
+
+def _narrow_band(picture: Picture, rows: slice, width: int) -> np.ndarray:
+    """(rows, width, 3 or 4) linear, premultiplied where there is alpha."""
+    linear = decode_srgb(unit(picture.colour[rows]))
+    if picture.alpha is not None:
+        alpha = unit(picture.alpha[rows])[..., None]
+        linear = np.concatenate([linear * alpha, alpha], -1)
+    return _area(linear, width, len(linear))
 
 
 def reduce_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    """(H, W) mask at another size by area averaging."""
+    """(H, W) float32 mask at another size by area averaging."""
     return mask if mask.shape == (height, width) else _area(mask, width, height)
 
 
 def on_black(picture: Picture) -> Picture:
-    """The picture without its alpha, composited over black in linear light."""
+    """The float picture without its alpha, composited over black in linear light."""
     if picture.alpha is None:
         return picture
-    return Picture(encode_srgb(decode_srgb(picture.colour) * picture.alpha[..., None]).astype(np.float32), None)
+    return Picture(encode_srgb(decode_srgb(picture.colour) * picture.alpha[..., None]), None)
 
 
 def _area(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
-    return cv2.resize(pixels.astype(np.float32, copy=False), (width, height), interpolation=cv2.INTER_AREA)
+    return cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _straight(premultiplied: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from plyfile import PlyData
 
 from ..errors import InputError
-from .capture import Capture, Frame, Lens, find_mask, find_picture
+from .capture import FARTHEST, Capture, Frame, Lens, find_mask, find_picture
 from .dataset import PointCloud
 from .picture import picture_size
 
@@ -126,10 +126,10 @@ def _pose(where: str, entry: dict[str, Any]) -> np.ndarray:
         matrix = np.vstack([matrix, [0, 0, 0, 1]])
     if matrix.shape != (4, 4):
         raise InputError(where, f"transform_matrix has shape {matrix.shape}, not 4x4")
-    return rigid(where, matrix)
+    return _rigid(where, matrix)
 
 
-def rigid(where: object, matrix: np.ndarray) -> np.ndarray:
+def _rigid(where: object, matrix: np.ndarray) -> np.ndarray:
     """The (4, 4) matrix with its rotation made exact. Raises InputError where it is not finite or not a rotation and a translation."""
     if not np.isfinite(matrix).all():
         raise InputError(where, "transform_matrix is not finite (NaN or infinity)")
@@ -138,6 +138,8 @@ def rigid(where: object, matrix: np.ndarray) -> np.ndarray:
         raise InputError(where, "transform_matrix is not rigid (scaled, sheared or mirrored)", "only rotation and translation are allowed")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise InputError(where, "transform_matrix has a last row other than 0 0 0 1")
+    if np.abs(matrix[:3, 3]).max() > FARTHEST:
+        raise InputError(where, "transform_matrix puts the camera at infinity")
     u, _, vt = np.linalg.svd(turn)
     exact = np.eye(4)
     exact[:3, :3], exact[:3, 3] = u @ vt, matrix[:3, 3]
@@ -155,12 +157,10 @@ def _lens(where: str, values: dict[str, Any], size: Size | None) -> Lens:
         fy = _number(where, values, "fl_y") if _given(values, "fl_y") else fx
     else:
         raise InputError(where, "has neither \"fl_x\" nor \"camera_angle_x\"")
-    if fx <= 0 or fy <= 0:
-        raise InputError(where, f"has a focal length that is not positive ({fx:g}, {fy:g})")
     cx = _number(where, values, "cx") if _given(values, "cx") else width / 2
     cy = _number(where, values, "cy") if _given(values, "cy") else height / 2
     model, distortion, fisheye = _distortion(where, values)
-    return Lens(model, width, height, fx, fy, cx, cy, distortion, fisheye)
+    return Lens(model, width, height, fx, fy, cx, cy, distortion, fisheye).checked(where)
 
 
 def _distortion(where: str, values: dict[str, Any]) -> tuple[str, tuple[float, ...], bool]:
@@ -240,4 +240,6 @@ def _points(file: Path, content: dict[str, Any]) -> PointCloud | None:
         colour = np.stack([vertex[c] for c in ("red", "green", "blue")], -1) if "red" in names else np.full(position.shape, 128, np.uint8)
     except Exception as error:  # plyfile raises many kinds for broken files
         raise InputError(path, f"not a readable PLY of points ({error})") from error
-    return PointCloud(position, (colour.astype(np.float32) / (255 if colour.dtype == np.uint8 else 1)))
+    if not (np.abs(position) < FARTHEST).all():
+        raise InputError(path, "has points at infinity")
+    return PointCloud(position, colour.astype(np.float32) / (255 if colour.dtype == np.uint8 else 1))
