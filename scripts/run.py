@@ -47,13 +47,25 @@ def environment() -> dict:
 
 
 def call(*command: object) -> int:
-    """Run a command with our terminal and return its exit status."""
+    """Run a command with our terminal and return its exit status, 130 after Ctrl-C."""
     process = subprocess.Popen([str(part) for part in command], cwd=str(ROOT), env=environment())
+    interrupted = False
     while True:
         try:
-            return process.wait()
+            status = process.wait()
+            return 130 if interrupted and status else status
         except KeyboardInterrupt:
-            continue  # the terminal sent Ctrl-C to the child as well, which ends in its own way
+            interrupted = True  # the terminal sent Ctrl-C to the child as well, which ends in its own way
+
+
+def install(*what: object, reason: str) -> None:
+    """Install by the environment's pip, or end with the reason why not."""
+    status = call(PYTHON, "-m", "pip", "install", *what)
+    if status == 130:
+        say("stopped; the next start sets up anew")
+        raise SystemExit(130)
+    if status:
+        fail(reason)
 
 
 def works(python: Path) -> bool:
@@ -82,11 +94,9 @@ def setup() -> None:
     make_venv()
     UNFINISHED.touch()
     say("installing the versions of requirements.lock (about 1 GB, once)")
-    pip = (PYTHON, "-m", "pip", "install")
-    if call(*pip, "-r", LOCK) != 0:
-        fail("pip could not install requirements.lock, its own lines above say why; run the command again to repeat")
-    if call(*pip, "--no-deps", "--no-build-isolation", "--editable", ROOT) != 0:
-        fail("pip could not install the package itself, its own lines above say why")
+    install("-r", LOCK, reason="pip could not install requirements.lock, its own lines above say why; the next start tries again")
+    package = ("--no-deps", "--no-build-isolation", "--editable", ROOT)
+    install(*package, reason="pip could not install the package itself, its own lines above say why")
     STAMP.write_text(wanted + "\n")
     UNFINISHED.unlink()
     say("set-up done: " + str(VENV))

@@ -65,11 +65,12 @@ def test_changed_lock_installs_into_the_same_environment(script):
     assert kinds(script.calls) == ["-r ", "--editable"]
 
 
-def test_interrupted_set_up_is_made_anew(script):
-    script.statuses["pip"] = 1
+@pytest.mark.parametrize(("status", "code"), [(1, 2), (130, 130)])
+def test_interrupted_set_up_is_made_anew(script, status, code):
+    script.statuses["pip"] = status
     with pytest.raises(SystemExit) as end:
         script.main(["test"])
-    assert end.value.code == 2
+    assert end.value.code == code
     assert "-m pytest" not in " ".join(script.calls)
     script.calls.clear()
     script.statuses.clear()
