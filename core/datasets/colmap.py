@@ -17,7 +17,7 @@ from .colmap_model import CameraRecord, ImageRecord, PointRecords, model_files, 
 from .dataset import PointCloud
 from .upright import rotation_to_z, up_of
 
-MODEL_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse")
+MODEL_FOLDERS = ("", "sparse/0", "sparse", "0", "colmap/sparse/0", "colmap/sparse")
 DOWNSCALES = (1, 2, 4, 8)
 FAR = 100.0  # points beyond this many camera distances say nothing about the scene
 
@@ -66,7 +66,7 @@ def _lens(record: CameraRecord) -> Lens:
 
 def _picture_folder(model: Path, images: list[ImageRecord], longest: int, resolution: int) -> Path:
     """The folder that picture names are relative to, beside the model or further up."""
-    roots = [parent for parent in (model, *model.parents[:3]) if any((parent / _scaled(n)).is_dir() for n in DOWNSCALES)]
+    roots = [parent for parent in (model, *model.absolute().parents[:3]) if any((parent / _scaled(n)).is_dir() for n in DOWNSCALES)]
     if not roots:
         raise InputError(model, "has no folder of pictures near it", "looked for images, images_2, images_4, images_8 beside and above it")
     present = [n for n in DOWNSCALES if (roots[0] / _scaled(n)).is_dir()]

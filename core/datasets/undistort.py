@@ -48,17 +48,11 @@ def undistort(picture: Picture, lens: Lens) -> Picture:
     brightest = max(1.0, float(picture.colour.max()))  # bicubic overshoots
     if picture.alpha is None:
         return Picture(np.clip(_resample(picture.colour, maps), 0, brightest), None)
-    alpha = undistort_mask(picture.alpha, lens)
-    premultiplied = _resample(picture.colour * picture.alpha[..., None], maps)
-    straight = np.where(alpha[..., None] > 1e-6, premultiplied / np.maximum(alpha, 1e-6)[..., None], 0)
-    return Picture(np.clip(straight, 0, brightest), alpha)
-
-
-def undistort_mask(mask: np.ndarray, lens: Lens) -> np.ndarray:
-    """(H, W) float32 in 0..1 mask as `pinhole(lens)` sees it; bilinear, since a cubic would ring at the outline."""
-    if not lens.distorted:
-        return mask
-    return np.clip(cv2.remap(mask, *_maps(lens), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), 0, 1)
+    pixels = _resample(np.dstack([picture.colour * picture.alpha[..., None], picture.alpha]), maps)
+    alpha = pixels[..., 3]
+    # Both overshoot alike, so the quotient stays the colour.
+    straight = np.where(alpha[..., None] > 1e-3, pixels[..., :3] / np.maximum(alpha, 1e-3)[..., None], 0)
+    return Picture(np.clip(straight, 0, brightest), np.clip(alpha, 0, 1))
 
 
 def _resample(pixels: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
