@@ -127,16 +127,16 @@ def settings_of(args: argparse.Namespace) -> Settings:
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
     """Views of a run as picture files."""
-    from .datasets.load import load_cameras
-    from .rendering import load_light, render_views, split_of
+    from .rendering import cameras_of, load_light, render_views
     from .scene.reconstruction import Reconstruction
 
     if args.environment is None and (args.name or args.rotation or args.strength != 1.0):
         raise InputError("--name, --rotation, --strength", "belong to --environment")
     light = load_light(args.environment, args.name, args.rotation, args.strength) if args.environment else None
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    cameras = load_cameras(*split_of(args.views), settings.data)
-    render_views(Reconstruction.load(args.run), cameras, args.out, terminal, layers=args.layers, light=light)
+    reconstruction = Reconstruction.load(args.run)
+    cameras = cameras_of(args.views, settings.data, reconstruction.to_world)
+    render_views(reconstruction, cameras, args.out, terminal, layers=args.layers, light=light)
     terminal.end_line()
     print(args.out)
     return 0
@@ -200,7 +200,7 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(commands, "render", render, "views of a run as pictures and layers")
     _run_argument(one)
-    views = "whose cameras; split train or test, without one the test views (all, where there are none)"
+    views = "whose cameras; split train, test or all; without one the test views, or all where there are none of their own"
     one.add_argument("--views", metavar="DATASET[:split]", required=True, help=views)
     one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the pictures")
     one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The main job: photographs -> Gaussians and light -> mesh with materials -> files, one phase after the other."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from . import overrides
+from .config import Settings
+from .datasets.dataset import Dataset, View
+from .datasets.load import load_dataset
+from .devices import check_device
+from .errors import Cancelled, IrgsppError
+from .evaluation.metrics import on_black, psnr
+from .evaluation.sheet import contact_sheet
+from .export import write_blend
+from .journal import Journal
+from .memory import peak_memory, reset_peak_memory
+from .progress import Progress, Silent
+from .rendered_views import RenderedViews
+from .run_folder import RunFolder, check_claim
+from .scene.cameras import save_cameras
+from .scene.glb import save_glb
+from .scene.ply import save_mesh_ply
+from .scene.reconstruction import Reconstruction
+from .scene.textures import save_textures
+from .stages.reflective import train
+from .stages.render import render_view
+from .surface.extract import extract_surface
+
+DEMO_DATA = Path(__file__).parent / "demo_data"
+DEMO_OVERRIDES = ("reflective.gaussians=10000", "surface.voxels=96", "surface.triangles=10000")  # what 64x64 pictures can carry
+
+
+def reconstruct(
+    dataset: Path, run: Path, settings: Settings, *, resume: bool = False, overwrite: bool = False, progress: Progress | None = None
+) -> Path:
+    """Reconstruct a dataset into a run folder and return the folder.
+
+    `resume` goes on with the run that is there: finished phases are not done again, the others start from their last checkpoint,
+    and the result is that of a run never stopped. `overwrite` replaces it.
+
+    Raises InputError for bad input, before anything is written; Cancelled where `progress.cancelled` turned True; IrgsppError for
+    what else can't be done. run.json says the same afterwards.
+    """
+    watcher = progress or Silent()
+    overrides.check(settings)
+    check_device(settings.device)
+    check_claim(run, resume, overwrite)
+    began = time.monotonic()
+    reset_peak_memory()
+    data = load_dataset(dataset, settings.data, watcher)
+    folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
+    try:
+        with folder.job():
+            folder.record("read", time.monotonic() - began, peak_memory(), finished=True)
+            Job(data, folder, settings, Journal(folder, watcher)).run()
+    finally:
+        folder.close()
+    return run
+
+
+@dataclass
+class Job:
+    """The phases of one reconstruction. Each reads what the ones before left in the folder, so that each can be the first after a stop."""
+
+    data: Dataset
+    folder: RunFolder
+    settings: Settings
+    progress: Journal
+
+    def run(self) -> None:
+        """All phases that are not done yet, in order."""
+        for warning in self.data.warnings:
+            self.progress.message(f"warning: {warning}")
+        self._phase("reflective", self.fit)
+        self._phase("surface", self.mesh)
+        self._phase("scene", self.scene)
+        self._phase("contact sheet", self.sheet)
+
+    def fit(self) -> None:
+        """First stage: Gaussians, materials and light from the photographs."""
+        fitted = train(self.data, self.settings, self.progress, self.folder)
+        fitted.save(self.folder.path)
+        self.folder.state["training"].update(self.progress.figures)
+
+    def mesh(self) -> None:
+        """Gaussians to a mesh with textures."""
+        views = RenderedViews(self.reconstruction, [view.camera for view in self.data.train])
+        samples = self.reconstruction.surface_samples()
+        mesh = extract_surface(views, samples, self.reconstruction.bound, self.settings.surface, self.progress)
+        save_mesh_ply(mesh, self.folder.path / "mesh.ply")
+        save_textures(mesh.textures, self.folder.path / "textures")
+        save_glb(mesh, self.folder.path / "asset.glb")
+
+    def scene(self) -> None:
+        """The Blender file: object, light, cameras with their photographs."""
+        save_cameras(self.folder.path / "cameras.json", self.data)
+        if importlib.util.find_spec("bpy") is None:
+            self.folder.skip("scene.blend", "Blender's Python module (bpy) is not installed")
+            return
+        self.progress.phase("scene", 0)
+        write_blend(self.folder.path, self.folder.path / "scene.blend", self.settings.export.material, self.progress)
+
+    def sheet(self) -> None:
+        """One picture that shows what came out, and how well the test views are met."""
+        if self.data.test:
+            self.folder.state["training"]["test_radiance_psnr"] = round(radiance_psnr(self.reconstruction, self.data.test), 3)
+        contact_sheet(self.data, self.reconstruction, self.folder.path / "contact_sheet.png")
+
+    @cached_property
+    def reconstruction(self) -> Reconstruction:
+        """What the first stage left on disk: read back even right after it, so that a resumed run goes on from the very same numbers."""
+        return Reconstruction.load(self.folder.path)
+
+    def _phase(self, name: str, work: Callable[[], None]) -> None:
+        if self.folder.finished(name):
+            self.progress.message(f"{name}: done before")
+            return
+        if self.progress.cancelled:
+            raise Cancelled(f"stopped before the phase {name}")
+        try:
+            with self.folder.timed(name):
+                work()
+        except IrgsppError as error:
+            if self.progress.cancelled and not isinstance(error, Cancelled):  # Ctrl-C also ends child processes
+                raise Cancelled(f"stopped in the phase {name}") from error
+            raise
+
+
+def radiance_psnr(reconstruction: Reconstruction, views: Sequence[View]) -> float:
+    """Mean PSNR in dB of the Gaussians' own radiance against photographs, both encoded, on black by their own alpha."""
+    values = []
+    for view in views:
+        buffers = render_view(reconstruction, view.camera)
+        rgba = np.concatenate([buffers.radiance * buffers.alpha[..., None], buffers.alpha[..., None]], -1)
+        alpha = 1.0 if view.alpha is None else view.alpha[..., None]
+        values.append(psnr(on_black(rgba), np.clip(view.colour, 0, 1) * alpha))
+    return float(np.mean(values))

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Views of a run as picture files: the recovered light or a new one, and the layers."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from .colour import encode_srgb
+from .config import DataSettings
+from .datasets.camera import Camera
+from .datasets.load import load_cameras
+from .errors import Cancelled, InputError
+from .evaluation.report import moved
+from .progress import Progress
+from .run_folder import write_atomic
+from .scene.buffers import ViewBuffers
+from .scene.exr import read_exr_rgb, rgb_channels, write_exr
+from .scene.reconstruction import Reconstruction
+from .stages.render import render_view, shade_view
+
+LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
+NOTHING = 0.5 / 255  # below this alpha a pixel shows nothing, and its layers are noise divided by almost zero
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """A light to show the object under: its name in file names and an (H, W, 3) float32 linear lat-long map."""
+
+    name: str
+    picture: np.ndarray
+
+
+def load_light(path: Path, name: str | None = None, rotation: float = 0.0, strength: float = 1.0) -> Light:
+    """Read a lat-long EXR, turned by `rotation` degrees about +Z (counter-clockwise from above), times `strength` (>= 0).
+
+    Raises InputError where it can't be read or is no light (negative, not finite).
+    """
+    picture = read_exr_rgb(path)
+    if not np.isfinite(picture).all():
+        raise InputError(path, "holds values that are not finite")
+    if strength < 0:
+        raise InputError("--strength", f"{strength} is negative")
+    return Light(name or path.stem, (rotated(np.clip(picture, 0, None), rotation) * strength).astype(np.float32))
+
+
+def rotated(picture: np.ndarray, degrees: float) -> np.ndarray:
+    """A lat-long map (H, W, C) turned counter-clockwise about +Z; between columns it is interpolated."""
+    shift = degrees / 360 * picture.shape[1]  # u falls with the azimuth: what was at column j + shift comes to j
+    whole = int(np.floor(shift))
+    share = shift - whole
+    return (1 - share) * np.roll(picture, -whole, 1) + share * np.roll(picture, -whole - 1, 1)
+
+
+def render_views(
+    reconstruction: Reconstruction,
+    cameras: Sequence[tuple[str, Camera]],
+    out: Path,
+    progress: Progress,
+    *,
+    layers: Sequence[str] = LAYERS,
+    light: Light | None = None,
+) -> None:
+    """Write `out/<view>/` for every named camera: `rgba` under `light` (None: the recovered one) and the other layers.
+
+    Files: rgba.exr (`rgba_<light>.exr`) linear premultiplied RGBA and the same as 8-bit straight-alpha .png; radiance.exr like it,
+    the Gaussians' own radiance; albedo.exr linear RGB; normal.exr unit world XYZ as RGB; depth.exr Z, planar; material.exr R roughness,
+    G metallic. Raises InputError for an unknown layer or where a folder can't be made, Cancelled between two views.
+    """
+    if unknown := set(layers) - set(LAYERS):
+        raise InputError(f"layer {', '.join(sorted(unknown))}", "there is none of that name", f"use {', '.join(LAYERS)}")
+    progress.phase("render", len(cameras))
+    for i, (name, camera) in enumerate(cameras):
+        folder = out / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(folder, f"can't be made ({error.strerror})") from error
+        if "rgba" in layers:
+            rgba = shade_view(reconstruction, camera, None if light is None else light.picture)
+            write_rgba(folder / (f"rgba_{light.name}" if light else "rgba"), rgba)
+        if set(layers) - {"rgba"}:
+            write_layers(folder, render_view(reconstruction, camera), layers)
+        progress.step(i + 1)
+        if progress.cancelled:
+            raise Cancelled(f"stopped after {i + 1} of {len(cameras)} views")
+
+
+def write_rgba(stem: Path, rgba: np.ndarray) -> None:
+    """(H, W, 4) linear premultiplied as `stem`.exr and, sRGB-encoded with straight alpha, as `stem`.png."""
+    write_exr(stem.with_name(stem.name + ".exr"), rgb_channels(rgba))
+    alpha = np.clip(rgba[..., 3:], 0, 1)
+    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 1e-6)
+    encoded = np.concatenate([np.clip(encode_srgb(straight), 0, 1), alpha], -1)
+    data = io.BytesIO()
+    Image.fromarray(np.round(encoded * 255).astype(np.uint8)).save(data, "PNG")
+    write_atomic(stem.with_name(stem.name + ".png"), data.getvalue())
+
+
+def write_layers(folder: Path, buffers: ViewBuffers, layers: Sequence[str]) -> None:
+    """Write those of albedo, normal, depth, material and radiance that are named in `layers`."""
+    there = buffers.alpha > NOTHING
+    colour = np.where(there[..., None], buffers.albedo, 0)
+    channels = {
+        "albedo": rgb_channels(colour),
+        "normal": rgb_channels(np.where(there[..., None], buffers.normal, 0)),
+        "depth": {"Z": np.where(there, buffers.depth, 0)},
+        "material": {"R": np.where(there, buffers.roughness, 0), "G": np.where(there, buffers.metallic, 0)},
+        "radiance": rgb_channels(np.concatenate([buffers.radiance * buffers.alpha[..., None], buffers.alpha[..., None]], -1)),
+    }
+    for name, data in channels.items():
+        if name in layers:
+            write_exr(folder / f"{name}.exr", data)
+
+
+def cameras_of(text: str, settings: DataSettings, run_to_world: np.ndarray) -> list[tuple[str, Camera]]:
+    """View names and cameras of `DATASET[:split]` in the world of a run, whose (4, 4) similarity from the dataset's frame is given.
+
+    Raises InputError where the cameras can't be read or the split has none.
+    """
+    path, split = split_of(text)
+    cameras, to_world = load_cameras(path, split, settings)
+    move = run_to_world @ np.linalg.inv(to_world)  # read on its own, a dataset may be placed otherwise
+    return [(name, moved(camera, move)) for name, camera in cameras]
+
+
+def split_of(text: str) -> tuple[Path, str | None]:
+    """`DATASET[:split]` in its parts; a drive letter's colon is no split. Raises InputError for a split that is none."""
+    path, colon, split = text.rpartition(":")
+    if not colon or Path(text).exists() or "/" in split or "\\" in split:
+        return Path(text), None
+    if split not in ("train", "test", "all"):
+        raise InputError(text, "no such split", "use DATASET:train, DATASET:test or DATASET:all")
+    return Path(path), split
