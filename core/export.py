@@ -14,6 +14,7 @@ from pathlib import Path
 from .errors import Cancelled, InputError, IrgsppError
 from .progress import Progress, Silent
 
+LAUNCHER = Path(__file__).resolve().parent.parent / "irgspp_addon" / "launch.py"
 COPIES = {".glb": "asset.glb", ".ply": "gaussians.ply", ".exr": "environment.exr"}
 
 
@@ -45,8 +46,7 @@ def write_blend(run: Path, target: Path, material: str, progress: Progress) -> N
         raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
     if importlib.util.find_spec("bpy") is None:
         raise IrgsppError("Blender's Python module is not installed, so that no .blend can be written; install the package bpy")
-    root = (__package__ or "").removesuffix(".core")
-    command = [sys.executable, "-m", f"{root}.irgspp_addon.write_blend", str(run), str(target), "--material", material]
+    command = [sys.executable, str(LAUNCHER), "irgspp_addon.write_blend", str(run), str(target), "--material", material]
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
         child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
         status = _wait(child, progress)

@@ -40,7 +40,9 @@ def spread(views: Sequence[View], count: int) -> list[View]:
 
 def view_row(view: View, reconstruction: Reconstruction, lights: Sequence[np.ndarray]) -> list[np.ndarray]:
     """The pictures of one row, each (H, W, 4) as in `pictures`."""
-    camera = view.camera.resized(*fitted(view.camera.width, view.camera.height, TILE))  # a tile shows no more pixels
+    camera, (width, height) = view.camera, fitted(view.camera.width, view.camera.height, TILE)
+    if width < camera.width:  # a tile shows no more pixels; but never more than were learnt from
+        camera = camera.resized(width, height)
     buffers = render_view(reconstruction, camera)
     photograph = pictures.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
     return [

@@ -80,6 +80,7 @@ def test_without_blender(run_folder, tmp_path, monkeypatch):
 
 
 def test_failing_process_is_an_error(run_folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(exporting, "__package__", "no_such_package.core")
-    with pytest.raises(IrgsppError, match=r"status 1.*no_such_package"):
+    (tmp_path / "launch.py").write_text("raise SystemExit('out of luck')")
+    monkeypatch.setattr(exporting, "LAUNCHER", tmp_path / "launch.py")
+    with pytest.raises(IrgsppError, match=r"status 1: out of luck"):
         write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())

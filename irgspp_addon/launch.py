@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Run a module of this very folder as part of the package `irgspp`, whatever Python runs and whatever the folder is called.
+
+python launch.py __main__ ARGUMENTS                  the command line
+python launch.py irgspp_addon.write_blend ARGUMENTS  one of its modules
+"""
+
+import importlib.util
+import runpy
+import sys
+from pathlib import Path
+
+
+def mount(folder: Path) -> None:
+    """Make `import irgspp` mean the package in `folder`."""
+    spec = importlib.util.spec_from_file_location("irgspp", folder / "__init__.py", submodule_search_locations=[str(folder)])
+    assert spec is not None and spec.loader is not None
+    package = importlib.util.module_from_spec(spec)
+    sys.modules["irgspp"] = package
+    spec.loader.exec_module(package)
+
+
+if __name__ == "__main__":
+    here = Path(__file__).resolve().parent
+    if sys.path and Path(sys.path[0]).resolve() == here:
+        del sys.path[0]  # our modules must not be found under their bare names
+    mount(here.parent)
+    module = f"irgspp.{sys.argv.pop(1)}"
+    runpy.run_module(module, run_name="__main__", alter_sys=True)

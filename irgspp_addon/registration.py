@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything that Blender is told of, in order, and taken back in reverse."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..operators.import_run import IRGSPP_OT_import_run, draw_import
+from .engine import run_engine
+from .preferences import IRGSPP_Preferences
+
+CLASSES = (IRGSPP_Preferences, IRGSPP_OT_import_run)
+
+_commands: list[Any] = []  # handles that Blender wants back
+
+
+def register() -> None:
+    """Classes, menu entries and `blender --command irgspp`."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.TOPBAR_MT_file_import.append(draw_import)
+    _commands.append(bpy.utils.register_cli_command("irgspp", run_engine))
+
+
+def unregister() -> None:
+    """Leave nothing behind."""
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())
+    bpy.types.TOPBAR_MT_file_import.remove(draw_import)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
