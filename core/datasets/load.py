@@ -57,6 +57,9 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     train, test = (_present(frames) for frames in capture.split(settings.holdout))
     if len(train) < MINIMUM_VIEWS:
         raise InputError(capture.source, f"has {len(train)} views to learn from, at least {MINIMUM_VIEWS} are needed")
+    centres = np.stack([f.to_world[:3, 3] for f in train])
+    if np.ptp(centres, axis=0).max() <= 1e-6 * np.abs(centres).max():
+        raise InputError(capture.source, "has all cameras at one place", "depth needs pictures from different places")
     shots, tests = _shots(train, settings, warnings), _shots(test, settings, warnings)
     pictures = _decode([*shots, *tests], settings, progress)
     views, checks = _usable(pictures[: len(shots)], MINIMUM_VIEWS, warnings), _usable(pictures[len(shots) :], 0, warnings)
@@ -177,8 +180,9 @@ def _fit(frames: list[Frame], sizes: list[tuple[int, int]], warnings: list[str])
 
 
 def _is_reduction(full: tuple[int, int], small: tuple[int, int]) -> bool:
-    """True where `small` is `full` divided by one number, each side rounded in whatever way."""
-    return small[0] <= full[0] and small[1] <= full[1] and abs(small[0] * full[1] - small[1] * full[0]) <= max(full)
+    """True where `small` is `full` divided by one number, each side rounded in whatever way; a few pixels less is a crop."""
+    smaller = 1.1 * small[0] <= full[0] and 1.1 * small[1] <= full[1]
+    return smaller and abs(small[0] * full[1] - small[1] * full[0]) <= max(full)
 
 
 def _reduced(lens: Lens, resolution: int) -> Lens:

@@ -67,7 +67,7 @@ def _pictures(file: Path, content: dict[str, Any]) -> list[Path | None]:
         bases = [file.parent / e["file_path"].replace("\\", "/") for e in content["frames"]]
         return [find_picture(b) or find_picture(b.with_name(b.name + "_rgb.exr")) for b in bases]
     except (OSError, ValueError) as error:  # names too long or otherwise impossible for the file system
-        raise InputError(file, f"names an impossible file ({error})") from error
+        raise InputError(file, f"names an impossible file ({getattr(error, 'strerror', None) or error})") from error
 
 
 def _known_size(file: Path, content: dict[str, Any], pictures: list[Path | None]) -> Size | None:

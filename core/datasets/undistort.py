@@ -14,7 +14,7 @@ from .capture import Lens
 from .picture import Picture
 
 GRID = 33  # samples along a side when looking for blank borders
-LARGEST_ZOOM = 8.0
+LARGEST_ZOOM = 3.0  # beyond, next to nothing of the picture would be left
 
 
 @lru_cache(maxsize=256)

@@ -130,7 +130,8 @@ def write_text(folder, model, parameters, names, poses, points, colours) -> None
     for i, (name, (q, t)) in enumerate(zip(names, poses, strict=True)):
         lines += [f"{i + 1} {' '.join(repr(float(v)) for v in (*q, *t))} 1 {name}", "1.5 2.5 1 3.5 4.5 -1" if i % 2 else ""]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
-    rows = [f"{i} {x!r} {y!r} {z!r} {r} {g} {b} 0.5 1 0 2 1" for i, ((x, y, z), (r, g, b)) in enumerate(zip(points.tolist(), colours, strict=True))]
+    pairs = enumerate(zip(points.tolist(), colours, strict=True))
+    rows = [f"{i} {x!r} {y!r} {z!r} {r} {g} {b} 0.5 1 0 2 1" for i, ((x, y, z), (r, g, b)) in pairs]
     (folder / "points3D.txt").write_text("# points\n" + "\n".join(rows) + "\n")
 
 

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The estimated object bound against a ball of known place and size; view names; the description of a dataset."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from irgspp.core.config import DataSettings
+from irgspp.core.datasets.bound import focus_of
+from irgspp.core.datasets.capture import view_names
+from irgspp.core.datasets.inspect import describe
+from irgspp.core.datasets.load import load_cameras, load_dataset
+from irgspp.core.datasets.upright import rotation_to_z
+
+
+def test_masks_enclose_the_ball_tightly(capture):
+    capture.transforms()
+    bound = load_dataset(capture.folder).bound
+    slack = bound.radius - np.linalg.norm(np.array(bound.centre) - capture.centre)
+    assert slack > capture.radius and bound.radius < 1.35 * capture.radius
+
+
+def test_one_bad_mask_does_not_break_the_bound(capture):
+    rng = np.random.default_rng(0)
+    more = [*capture.poses, *capture.poses, *capture.poses]
+    capture.pictures = [p.copy() for _ in range(3) for p in capture.pictures]
+    capture.poses = [p + np.pad(rng.normal(0, 1e-6, (3, 1)), ((0, 1), (3, 0))) for p in more]
+    capture.pictures[4][..., 3] = 0
+    capture.pictures[4][:6, :6, 3] = 255
+    capture.transforms()
+    bound = load_dataset(capture.folder, DataSettings(holdout=0)).bound
+    assert np.linalg.norm(np.array(bound.centre) - capture.centre) < 0.15 and 1 < bound.radius / capture.radius < 1.35
+
+
+def test_masks_that_exclude_each_other_are_told(capture):
+    for i, picture in enumerate(capture.pictures):
+        picture[..., 3] = 0
+        picture[:8, (0 if i % 2 else 52) : (8 if i % 2 else 60), 3] = 255
+    capture.transforms()
+    assert any("masks" in w for w in load_dataset(capture.folder).warnings)
+
+
+def test_cameras_alone_tell_the_place(capture):
+    capture.transforms(alpha=False)
+    data = load_dataset(capture.folder)
+    np.testing.assert_allclose(data.bound.centre, capture.centre, atol=0.02)
+    assert 0.5 < data.bound.radius < 1.2
+
+
+def test_points_tell_the_size_in_spite_of_a_wall(capture):
+    rng = np.random.default_rng(3)
+    wall = capture.centre + np.stack([rng.uniform(-6, 6, 400), np.full(400, 4.0), rng.uniform(-3, 3, 400)], -1)
+    capture.colmap(True, points=np.concatenate([capture.surface(), wall]))
+    data = load_dataset(capture.folder)
+    own = np.linalg.inv(data.to_world) @ [*data.bound.centre, 1]
+    assert np.linalg.norm(own[:3] - capture.centre) < 0.1 and 0.95 < data.bound.radius / capture.radius < 1.35
+
+
+def test_a_given_bound_is_in_the_datasets_own_frame(capture):
+    capture.colmap(True)
+    data = load_dataset(capture.folder, DataSettings(centre=tuple(capture.centre + 0.1), radius=0.7))
+    own = np.linalg.inv(data.to_world) @ [*data.bound.centre, 1]
+    np.testing.assert_allclose(own[:3], capture.centre + 0.1, atol=1e-9)
+    assert data.bound.radius == pytest.approx(0.7)
+
+
+def test_cameras_that_look_outwards_are_told(capture):
+    for pose in capture.poses:
+        pose[:3, [0, 2]] *= -1
+    capture.transforms(alpha=False)
+    data = load_dataset(capture.folder)
+    assert any("look at one point" in w for w in data.warnings)
+
+
+def test_focus_survives_a_stray_camera(capture):
+    capture.poses[0][:3, 3] += capture.poses[0][:3, 0] * 2
+    capture.transforms()
+    cameras = [c for _, c in load_cameras(capture.folder, "all")[0]]
+    focus = focus_of(cameras)
+    assert focus.reliable and np.linalg.norm(focus.point - capture.centre) < 0.1
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1))
+def test_the_rotation_takes_up_to_z(direction):
+    up = np.array(direction) / np.linalg.norm(direction)
+    turn = rotation_to_z(up)
+    np.testing.assert_allclose(turn @ up, [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+    assert np.linalg.det(turn) > 0
+
+
+def test_names():
+    assert view_names(["./test/r_0/rgba", "train/r_001.png", "a\\b.JPG"]) == ["r_0", "r_001", "b"]
+    assert view_names(["x/a/1.png", "x/b/1.png", "y/2.png"]) == ["a_1", "b_1", "2"]
+    assert view_names(["1.png", "1.jpg", "1.png"]) == ["1", "1_2", "1_3"]
+    assert view_names(["frame.0001", "rgba.png"]) == ["frame.0001", "rgba"]
+
+
+@given(st.lists(st.text(alphabet="ab/._12", min_size=1, max_size=8), max_size=12))
+def test_names_are_unique_and_safe(listed):
+    names = view_names(listed)
+    assert len(set(names)) == len(names) == len(listed)
+    assert all("/" not in n and n not in ("", ".", "..") for n in names)
+
+
+def test_description(capture):
+    capture.colmap(True, "OPENCV", (70.0, 70.0, 30.0, 24.0, 0.1, 0, 0, 0))
+    (capture.folder / "images/007.png").unlink()
+    text = describe(load_dataset(capture.folder))
+    for words in ("colmap", "7 training, 2 test", "OPENCV 60x48", "k1 0.1", "300", "007.png", "none"):
+        assert words in text

@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bad input ends with one InputError that names the file and the reason; nothing else ever comes out."""
+
+import contextlib
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from irgspp.core.config import DataSettings
+from irgspp.core.datasets.colmap_model import read_cameras, read_images, read_points
+from irgspp.core.datasets.load import load_cameras, load_dataset
+from irgspp.core.datasets.picture import picture_size, read_mask, read_picture
+from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.progress import Silent
+from PIL import Image
+
+NAN = float("nan")
+
+
+def fails(path, *words, **given_settings):
+    with pytest.raises(InputError) as caught:
+        load_dataset(path, DataSettings(**given_settings))
+    text = str(caught.value)
+    assert "\n" not in text and all(w in text for w in words), text
+
+
+def test_no_folder_and_nothing_in_it(tmp_path):
+    fails(tmp_path / "none", str(tmp_path / "none"), "no such")
+    fails(tmp_path, str(tmp_path), "transforms.json", "sparse/0")
+    (tmp_path / "a.txt").write_text("x")
+    fails(tmp_path / "a.txt", "not a dataset")
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda c: c.pop("frames"), ["frames"]),
+    (lambda c: c.update(frames=[]), ["no frames"]),
+    (lambda c: c.update(frames=[1, 2, 3]), ["frame 0"]),
+    (lambda c: c.update(frames=c["frames"][:2]), ["2 views", "3"]),
+    (lambda c: c["frames"][1].pop("file_path"), ["frame 1", "file_path"]),
+    (lambda c: c["frames"][1].pop("transform_matrix"), ["frame 1", "transform_matrix"]),
+    (lambda c: c["frames"][1].update(transform_matrix=[[1, 2], [3]]), ["frame 1", "matrix"]),
+    (lambda c: c["frames"][1].update(transform_matrix="x"), ["frame 1", "matrix"]),
+    (lambda c: c["frames"][1].update(transform_matrix=np.eye(2).tolist()), ["frame 1", "(2, 2)"]),
+    (lambda c: c["frames"][1]["transform_matrix"][2].__setitem__(3, NAN), ["frame 1", "not finite"]),
+    (lambda c: c["frames"][1]["transform_matrix"][2].__setitem__(3, 1e30), ["frame 1", "infinity"]),
+    (lambda c: c["frames"][1].update(transform_matrix=(2 * np.eye(4)).tolist()), ["frame 1", "not rigid"]),
+    (lambda c: c["frames"][1].update(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), ["frame 1", "not rigid"]),
+    (lambda c: c["frames"][1]["transform_matrix"][3].__setitem__(0, 0.5), ["frame 1", "last row"]),
+    (lambda c: c.pop("fl_x"), ["fl_x", "camera_angle_x"]),
+    (lambda c: c.update(fl_x=NAN), ["fl_x", "finite"]),
+    (lambda c: c.update(fl_x="wide"), ["fl_x", "number"]),
+    (lambda c: c.update(fl_x=-5), ["focal"]),
+    (lambda c: c.update(cx=1e12), ["principal point"]),
+    (lambda c: c.update(w=0), ["w", "size"]),
+    (lambda c: c.update(w=61), ["001.png", "60x48", "61x48"]),
+    (lambda c: c.update(camera_model="EQUIRECTANGULAR"), ["EQUIRECTANGULAR", "OPENCV"]),
+    (lambda c: c.update(camera_model=7), ["unknown camera model"]),
+    (lambda c: c.update(camera_model="OPENCV", k4=0.1), ["k4"]),
+    (lambda c: c.update(k1=-30.0), ["distortion"]),
+    (lambda c: (c.pop("fl_x"), c.update(camera_angle_x=4.0)), ["camera_angle_x", "pi"]),
+    (lambda c: c["frames"][2].update(mask_path="gone.png"), ["gone.png", "mask"]),
+    (lambda c: c.update(ply_file_path="gone.ply"), ["gone.ply"]),
+    (lambda c: [f.update(file_path="x" + f["file_path"]) for f in c["frames"]], ["none of its 10 pictures"]),
+    (lambda c: [f.update(file_path="a\0b") for f in c["frames"]], ["file_path"]),
+    (lambda c: [f.update(file_path="a" * 5000) for f in c["frames"]], ["impossible file"]),
+])
+def test_transforms_content(capture, change, words):
+    path = capture.transforms()
+    capture.edit(path, change)
+    fails(capture.folder, str(path.parent), *words)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", "null", '{"frames": 3}', "\udcff", "[" * 100_000])
+def test_transforms_that_are_no_json(tmp_path, text):
+    (tmp_path / "transforms.json").write_bytes(text.encode("utf-8", "surrogateescape"))
+    fails(tmp_path, "transforms.json")
+
+
+def spoil(path, how):
+    data = path.read_bytes()
+    path.write_bytes({"empty": b"", "text": b"hello", "half": data[: len(data) // 2], "tail": data[:-30], "head": data[:20]}[how])
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+@pytest.mark.parametrize("how", ["empty", "text", "half", "head"])
+def test_one_broken_picture_is_left_out_and_all_broken_is_an_error(capture, how, suffix):
+    names = [f"images/{i}.{suffix}" for i in range(10)]
+    capture.transforms(names=names, alpha=False)
+    spoil(capture.folder / names[3], how)
+    data = load_dataset(capture.folder)
+    assert len(data.train) == 7 and len(data.warnings) == 1 and f"3.{suffix}" in data.warnings[0]
+    for name in names[:3] + names[4:8]:
+        spoil(capture.folder / name, how)
+    fails(capture.folder, f"1.{suffix}", "can't be used")
+
+
+def test_a_broken_test_picture_is_left_out(capture):
+    capture.transforms()
+    spoil(capture.folder / "images/000.png", "half")
+    assert [v.name for v in load_dataset(capture.folder).test] == ["008"]
+
+
+def test_three_views_and_one_broken_is_an_error(capture):
+    path = capture.transforms()
+    capture.edit(path, lambda c: c.update(frames=c["frames"][:3]))
+    assert len(load_dataset(path).train) == 3
+    spoil(capture.folder / "images/001.png", "half")
+    fails(path, "001.png", "truncated")
+
+
+def test_one_picture_of_another_size(capture):
+    capture.transforms()
+    Image.fromarray(capture.pictures[0]).resize((30, 24)).save(capture.folder / "images/004.png")
+    fails(capture.folder, "004.png", "30x24", "60x48")
+
+
+def test_transparent_pictures(capture):
+    path = capture.folder / "images/001.png"
+    capture.transforms()
+    Image.fromarray(capture.pictures[0] * 0).save(path)
+    data = load_dataset(capture.folder)
+    assert "001.png" in data.warnings[0] and "transparent" in data.warnings[0]
+    for i in range(10):
+        Image.fromarray(capture.pictures[0] * 0).save(capture.folder / f"images/{i:03d}.png")
+    fails(capture.folder, "001.png", "transparent everywhere")
+
+
+def test_mask_of_another_size(capture):
+    capture.transforms(alpha=False)
+    (capture.folder / "masks").mkdir()
+    for i in range(10):
+        Image.new("L", (50, 50), 255).save(capture.folder / f"masks/{i:03d}.png")
+    fails(capture.folder, "masks", "50x50", "60x48")
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
+    path = tmp_path / "bomb.png"
+    header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 10_000)) + chunk(b"IEND", b""))
+    for read in (picture_size, read_picture, read_mask):
+        with pytest.raises(InputError, match=r"bomb\.png"):
+            read(path)
+
+
+@pytest.mark.parametrize("values", [dict(resolution=0), dict(radius=-1.0), dict(radius=NAN), dict(centre=(NAN, 0.0, 0.0))])
+def test_settings_that_make_no_sense(capture, values):
+    capture.transforms()
+    fails(capture.folder, "data.", **values)
+
+
+def test_cancelling_stops_the_reading(capture):
+    capture.transforms()
+    progress = Silent()
+    progress.cancelled = True
+    with pytest.raises(Cancelled):
+        load_dataset(capture.folder, progress=progress)
+
+
+@pytest.mark.parametrize(("file", "old", "new", "words"), [
+    ("cameras.txt", "PINHOLE", "FOV", ["FOV", "SIMPLE_RADIAL"]),
+    ("cameras.txt", "PINHOLE", "OPENCV", ["takes 8 parameters"]),
+    ("cameras.txt", "70.0", "nan", ["not finite"]),
+    ("cameras.txt", "70.0", "-70.0", ["focal"]),
+    ("cameras.txt", "60 48", "60 x", ["line 2"]),
+    ("cameras.txt", "60 48", "60 50", ["001.png", "60x48", "60x50"]),
+    ("images.txt", " 1 003.png", " 9 003.png", ["003.png", "camera 9"]),
+    ("images.txt", " 1 003.png", "", ["line"]),
+    ("points3D.txt", " 0.5 1 0 2 1\n", "\n", ["line 2"]),
+])
+def test_colmap_text(capture, file, old, new, words):
+    path = capture.colmap(binary=False) / file
+    path.write_text(path.read_text().replace(old, new, 1))
+    fails(capture.folder, "001.png" if "001.png" in words else file, *words)
+
+
+@pytest.mark.parametrize("value", ["inf", "nan"])
+def test_points_at_infinity(capture, value):
+    path = capture.colmap(binary=False) / "points3D.txt"
+    rows = path.read_text().split("\n")
+    rows[5] = f"4 {value} 0 0 1 2 3 0.5 1 0"
+    path.write_text("\n".join(rows))
+    fails(capture.folder, "points3D.txt", "1 of 300", "infinity")
+
+
+def test_all_points_far_away(capture):
+    capture.colmap(binary=True, points=1e8 * (1 + capture.surface()))
+    fails(capture.folder, "sparse", "infinity")
+
+
+def test_unknown_binary_camera_model(capture):
+    path = capture.colmap(binary=True) / "cameras.bin"
+    data = bytearray(path.read_bytes())
+    data[12:16] = struct.pack("<i", 77)
+    path.write_bytes(data)
+    fails(capture.folder, "cameras.bin", "unknown camera model", "77")
+
+
+@pytest.mark.parametrize(("file", "record"), [("cameras.bin", "camera"), ("images.bin", "picture"), ("points3D.bin", "point")])
+def test_truncated_binaries(capture, file, record):
+    path = capture.colmap(binary=True) / file
+    whole = path.read_bytes()
+    for size in (0, 5, 8, 20, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        fails(capture.folder, file, "truncated")
+    path.write_bytes(struct.pack("<Q", 2**63) + whole[8:])
+    fails(capture.folder, file, "truncated", record)
+
+
+def test_colmap_without_pictures(capture):
+    model = capture.colmap(binary=True)
+    (capture.folder / "images").rename(capture.folder / "other")
+    fails(model, "images_2")
+    (capture.folder / "images").mkdir()
+    fails(model, "images", "000.png")
+
+
+def test_cameras_at_one_place(capture):
+    capture.poses = [capture.poses[0]] * 10
+    capture.transforms(alpha=False)
+    fails(capture.folder, "one place")
+
+
+fuzz = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def damage(data: bytes, cut: float, edits) -> bytes:
+    spoiled = bytearray(data[: int(cut * len(data))])
+    for place, value in edits:
+        if spoiled:
+            spoiled[int(place * (len(spoiled) - 1))] = value
+    return bytes(spoiled)
+
+
+places = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=6)
+cuts = st.one_of(st.just(1.0), st.floats(0, 1))
+
+
+@fuzz
+@given(cuts, places, st.sampled_from(["cameras.bin", "images.bin", "points3D.bin", "cameras.txt", "images.txt", "points3D.txt"]))
+def test_damaged_models(tmp_path_factory, cut, edits, file):
+    folder = tmp_path_factory.mktemp("model")
+    path = folder / file
+    path.write_bytes(damage(SAMPLES[file], cut, edits))
+    reader = {"c": read_cameras, "i": read_images, "p": read_points}[file[0]]
+    with contextlib.suppress(InputError):
+        reader(path)
+
+
+@fuzz
+@given(cuts, places, st.sampled_from(["picture.png", "picture.jpg", "deep.png", "picture.exr"]))
+def test_damaged_pictures(tmp_path_factory, cut, edits, file):
+    path = tmp_path_factory.mktemp("picture") / file
+    path.write_bytes(damage(SAMPLES[file], cut, edits))
+    with contextlib.suppress(InputError):
+        picture = read_picture(path)
+        assert picture.colour.shape[2] == 3 and np.isfinite(picture.colour).all()
+
+
+@fuzz
+@given(cuts, places, st.binary(max_size=30))
+def test_damaged_transforms(capture, cut, edits, noise):
+    path = capture.folder / "transforms.json"
+    if not path.exists():
+        capture.transforms()
+        SAMPLES["transforms.json"] = path.read_bytes()
+    path.write_bytes(damage(SAMPLES["transforms.json"], cut, edits) + (noise if cut < 0.5 else b""))
+    with contextlib.suppress(InputError):
+        load_cameras(capture.folder, "all")
+
+
+SAMPLES: dict[str, bytes] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def samples(tmp_path_factory):
+    """Whole files to damage."""
+    import cv2
+    import OpenEXR
+
+    folder = tmp_path_factory.mktemp("samples")
+    rng = np.random.default_rng(0)
+    camera = struct.pack("<QIiQQ4d", 1, 1, 1, 60, 48, 70, 70, 30, 24)
+    pose = struct.pack("<I7dI", 1, 1, 0, 0, 0, 0, 0, 4, 1) + b"a.png\0" + struct.pack("<QddQ", 1, 1.5, 2.5, 3)
+    point = struct.pack("<Q3d3BdQII", 1, 0.1, 0.2, 0.3, 1, 2, 3, 0.5, 1, 1, 0)
+    SAMPLES.update({
+        "cameras.bin": camera, "images.bin": struct.pack("<Q", 3) + 3 * pose, "points3D.bin": struct.pack("<Q", 3) + 3 * point,
+        "cameras.txt": b"# c\n1 PINHOLE 60 48 70 70 30 24\n", "images.txt": 3 * b"1 1 0 0 0 0 0 4 1 a.png\n1.5 2.5 3\n",
+        "points3D.txt": 3 * b"1 0.1 0.2 0.3 1 2 3 0.5 1 0\n",
+    })
+    pixels = rng.integers(0, 256, (24, 30, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(folder / "picture.png")
+    Image.fromarray(pixels).save(folder / "picture.jpg")
+    cv2.imwrite(str(folder / "deep.png"), pixels.astype(np.uint16) * 257)
+    channels = {n: np.ascontiguousarray(pixels[..., i], np.float32) for i, n in enumerate("RGB")}
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(str(folder / "picture.exr"))
+    SAMPLES.update({p.name: p.read_bytes() for p in folder.iterdir()})
