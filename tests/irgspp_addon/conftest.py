@@ -8,6 +8,7 @@ os.environ.setdefault("BLENDER_USER_RESOURCES", tempfile.mkdtemp(prefix="irgspp-
 
 from pathlib import Path
 
+import bpy  # noqa: F401 (first of all: it makes Blender's other modules importable)
 import numpy as np
 import pytest
 from irgspp.core.datasets.camera import Camera

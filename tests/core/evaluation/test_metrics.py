@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Metrics against values known in advance."""
+
+import numpy as np
+import pytest
+from irgspp.core.colour import encode_srgb
+from irgspp.core.evaluation import metrics
+from irgspp.core.scene.mesh import Mesh
+from irgspp.core.shading.lights import sky_light
+
+RANDOM = np.random.default_rng(0)
+
+
+def test_psnr_of_a_constant_error():
+    a = np.full((4, 5, 3), 0.3)
+    assert metrics.psnr(a, a + 0.1) == pytest.approx(20)
+    mask = np.zeros((4, 5), bool)
+    mask[1, 2] = True
+    b = a.copy()
+    b[1, 2] += 0.01
+    assert metrics.psnr(a, b, mask) == pytest.approx(40)
+    assert metrics.psnr(a, a) == 100
+
+
+def test_pictures_are_compared_encoded_on_black_and_clipped():
+    rgba = np.array([[[0.05, 0.1, 0.15, 0.5], [3.0, 0.0, 0.2, 1.0], [0.0, 0.0, 0.0, 0.0], [np.nan, np.inf, -1.0, 1.0]]])
+    expected = np.zeros((1, 4, 3))
+    expected[0, 0] = 0.5 * encode_srgb(np.array([0.1, 0.2, 0.3]))
+    expected[0, 1] = [1, 0, encode_srgb(np.array(0.2))]
+    expected[0, 3] = [0, 1, 0]
+    assert np.allclose(metrics.on_black(rgba), expected)
+
+
+def test_ssim_falls_with_noise():
+    a = RANDOM.random((32, 32, 3))
+    values = [metrics.ssim(a, np.clip(a + s * RANDOM.normal(size=a.shape), 0, 1)) for s in (0, 0.05, 0.3)]
+    assert values[0] == pytest.approx(1) and values[0] > values[1] > values[2]
+
+
+def test_angles_between_normals():
+    axis = RANDOM.normal(size=(6, 7, 3))
+    n = np.cross(axis, RANDOM.normal(size=(6, 7, 3)))
+    n, axis = n / np.linalg.norm(n, axis=-1, keepdims=True), axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    for degrees in (0.0, 0.01, 30.0, 179.0):
+        t = np.radians(degrees)
+        turned = n * np.cos(t) + np.cross(axis, n) * np.sin(t)
+        assert np.allclose(metrics.normal_angles(turned, n), degrees, atol=1e-5)
+    assert (metrics.normal_angles(np.zeros_like(n), n) == 90).all()
+
+
+def test_albedo_scale_is_found_in_spite_of_outliers():
+    truth = [RANDOM.uniform(0.1, 0.9, (8, 9, 3)) for _ in range(2)]
+    factor = np.array([0.5, 2.0, 1.25])
+    predicted = [t / factor for t in truth]
+    predicted[0][:3] = 0  # missed: infinite ratios
+    masks = [np.ones((8, 9), bool), np.ones((8, 9), bool)]
+    assert np.allclose(metrics.albedo_scale(predicted, truth, masks), factor)
+
+
+def test_environment_is_compared_up_to_a_scale_per_channel():
+    truth = RANDOM.uniform(0, 1, (8, 16, 3))
+    assert metrics.environment_psnr(truth * np.array([2.0, 0.1, 7.0]), truth) == pytest.approx(100)
+    assert metrics.environment_psnr(np.roll(truth, 5, 1), truth) < 15
+    assert metrics.environment_psnr(sky_light(64, 128), sky_light(16, 32)) > 27  # its own resolution doesn't matter
+
+
+def globe(radius: float, rows: int = 60) -> Mesh:
+    """A sphere of triangles, without the poles' caps closed: close enough for distances."""
+    v, u = np.meshgrid(np.linspace(1e-3, np.pi - 1e-3, rows), np.linspace(0, 2 * np.pi, 2 * rows), indexing="ij")
+    n = np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], -1).reshape(-1, 3)
+    a = (np.arange(rows - 1)[:, None] * 2 * rows + np.arange(2 * rows - 1)).reshape(-1)
+    b, c, d = a + 1, a + 2 * rows + 1, a + 2 * rows
+    faces = np.concatenate([np.stack([a, d, c], -1), np.stack([a, c, b], -1)]).astype(np.int32)
+    grey = np.full(len(n), 0.5, np.float32)
+    return Mesh(
+        (radius * n).astype(np.float32),
+        n.astype(np.float32),
+        n[:, :2].astype(np.float32),
+        faces,
+        np.repeat(grey[:, None], 3, 1),
+        grey,
+        grey,
+    )
+
+
+def test_mesh_distances_are_those_of_concentric_spheres():
+    points = RANDOM.normal(size=(3000, 3))
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    figures = metrics.mesh_distances(globe(1.03), points, points, samples=50_000)
+    for name in ("mesh_completeness", "mesh_accuracy", "mesh_chamfer"):
+        assert figures[name] == pytest.approx(0.03, abs=0.002)
+    assert figures["mesh_stray"] < 0.005 and figures["mesh_triangles"] == len(globe(1.03).faces)
+    half = points[points[:, 2] > 0]
+    assert metrics.mesh_distances(globe(1.03), half, half, samples=50_000)["mesh_stray"] == pytest.approx(0.47, abs=0.04)
+    assert metrics.mesh_distances(globe(2.0), points, points, samples=1000)["mesh_stray"] == 1

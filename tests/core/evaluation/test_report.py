@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report and the contact sheet, with a renderer that knows the truth in place of the real one."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.evaluation import report, sheet
+from irgspp.core.progress import Silent
+from PIL import Image
+
+
+class Known:
+    """Stands for a reconstruction in the dataset's own world."""
+
+    to_world = np.eye(4)
+
+    def __init__(self, light):
+        self.light = light
+
+    def environment_map(self):
+        return self.light
+
+
+@pytest.fixture
+def known(demo, monkeypatch):
+    """The renderer answers with the truth of the view whose camera is asked for, under the light that is given."""
+    _, dataset, scene, _, predictions = demo
+
+    def at(camera):
+        (match,) = [p for v, p in zip(dataset.test, predictions, strict=True) if np.allclose(v.camera.to_world, camera.to_world)]
+        return match
+
+    def shade(reconstruction, camera, light):
+        names = [name for name, truth in scene.lights.items() if light is not None and np.array_equal(light, truth)]
+        return at(camera).relit[names[0]] if names else at(camera).shaded
+
+    for module in (report, sheet):
+        monkeypatch.setattr(module, "render_view", lambda reconstruction, camera: at(camera).buffers)
+        monkeypatch.setattr(module, "shade_view", shade)
+    known = Known(scene.lights["sky"])
+    monkeypatch.setattr(report.Reconstruction, "load", lambda run: known)
+    return known
+
+
+def test_report_of_a_perfect_run(demo, known, tmp_path):
+    found = report.evaluate(tmp_path / "run", demo[0], tmp_path / "out")
+    figures = found["figures"]
+    assert figures["nvs_psnr"] > 90 and figures["relight_psnr"] > 50 and figures["normal_mae"] < 0.1
+    assert figures["albedo_psnr"] == figures["environment_psnr"] == 100
+    assert np.allclose(found["albedo_scale"], 1) and len(found["views"]) == 6 and found["split"] == "test"
+    assert json.loads((tmp_path / "out" / "report.json").read_text()) == found
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
+    lines = report.table(found).splitlines()
+    assert any(re.fullmatch(r"normal_mae +0\.0\d+", line) for line in lines) and lines[-1].split() == ["test", "views", "6"]
+
+
+def test_page_is_self_contained(demo, known, tmp_path):
+    report.evaluate(tmp_path, demo[0])
+    html = (tmp_path / "evaluation" / "report.html").read_text()
+    sources = re.findall(r"(?:src|href)='([^']{5})", html)
+    assert len(sources) > 6 * 12 and set(sources) == {"data:"}
+    for name in (*demo[2].lights, "true normal", "photograph", "r_005"):
+        assert name == "sky" or name in html
+
+
+def test_page_escapes_names(demo, known, tmp_path):
+    found = report.evaluate(tmp_path, demo[0])
+    _, dataset, _, truths, predictions = demo
+    assert "<script>" not in report.page(found | {"run": "<script>"}, dataset.test, predictions, truths)
+
+
+def test_cancelling_leaves_no_report(demo, known, tmp_path):
+    class Stop(Silent):
+        def step(self, done, **figures):
+            self.cancelled = done >= 2
+
+    with pytest.raises(Cancelled):
+        report.evaluate(tmp_path, demo[0], progress=Stop())
+    assert not list(tmp_path.iterdir())
+
+
+def test_report_that_can_not_be_written(demo, known, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="file"):
+        report.evaluate(tmp_path, demo[0], tmp_path / "file")
+
+
+def test_cameras_move_with_a_similarity(demo):
+    camera = demo[1].test[0].camera
+    similarity = np.diag([2.0, 2.0, 2.0, 1.0])
+    similarity[:3, 3] = [1, 2, 3]
+    moved = report.moved(camera, similarity)
+    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    before, depth = camera.project(points)
+    after, further = moved.project(points @ similarity[:3, :3].T + similarity[:3, 3])
+    assert np.allclose(before, after) and np.allclose(2 * depth, further)
+
+
+def test_contact_sheet_shows_each_view_under_each_heading(demo, known, tmp_path):
+    sheet.contact_sheet(demo[1], known, tmp_path / "sheet.png", rows=3)
+    with Image.open(tmp_path / "sheet.png") as picture:
+        pixels = np.asarray(picture.convert("RGB"), float) / 255
+    pitch = sheet.TILE + sheet.GAP
+    assert pixels.shape == (sheet.HEADER + 3 * pitch, sheet.GAP + len(sheet.COLUMNS) * pitch, 3)
+    tiles = [[pixels[sheet.HEADER + r * pitch :, sheet.GAP + c * pitch :][: sheet.TILE, : sheet.TILE] for c in range(8)] for r in range(3)]
+    for row in tiles:
+        assert np.abs(row[0] - row[1]).mean() < 0.01  # photograph and a perfect reconstruction of it
+        assert np.abs(row[0] - row[2]).mean() > 0.02
+        assert np.array_equal(row[3][..., 0], row[3][..., 2])  # roughness is grey
+    assert np.abs(tiles[0][0] - tiles[1][0]).mean() > 0.02
+    assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
+
+
+@pytest.mark.parametrize(("width", "height"), [(64, 64), (1600, 900), (900, 1600), (300, 3000), (5, 3)])
+def test_tiles_keep_the_shape_of_the_picture(width, height):
+    w, h = sheet.fitted(width, height, sheet.TILE)
+    assert w <= sheet.TILE and h <= 1.5 * sheet.TILE + 0.5
+    assert w == sheet.TILE or h == round(1.5 * sheet.TILE)
+    assert w / h == pytest.approx(width / height, rel=0.04)
+
+
+def test_views_are_spread_over_the_dataset(demo):
+    train = demo[1].train
+    assert sheet.spread(train, 3) == [train[0], train[20], train[-1]]
+    assert sheet.spread(train[:2], 4) == train[:2]
