@@ -13,7 +13,7 @@ from .camera import Camera
 from .dataset import Bound
 
 MARGIN = 1.08
-FRAME_MARGIN = 1.25  # an object reaches no further than this beyond the sphere that fills the pictures
+FRAME_MARGIN = 1.5  # an object reaches no further than this beyond the sphere that fills the pictures
 HULL_CELLS = 40  # along a side of the carving grid
 HULL_ROUNDS = 3  # each fits the grid to what the last one left
 HULL_VIEWS = 32

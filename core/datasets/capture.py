@@ -139,7 +139,7 @@ def view_names(listed: list[str]) -> list[str]:
 def _name_parts(listed: str) -> list[str]:
     path = PurePosixPath(listed.replace("\\", "/"))
     stem = path.stem if path.suffix.lower() in PICTURE_SUFFIXES else path.name
-    parts = [p for p in (*path.parent.parts, stem) if p not in ("", ".", "..", "/")]
+    parts = [p for p in (*path.parent.parts, stem) if p.strip("/") not in ("", ".", "..")]
     return (parts[:-1] if len(parts) > 1 and parts[-1] == "rgba" else parts) or ["view"]
 
 

@@ -23,7 +23,7 @@ from .colmap_model import model_files
 from .dataset import Bound, Dataset, PointCloud, View
 from .picture import Picture, on_black, picture_size, read_mask, read_picture, reduce_mask, reduce_picture
 from .transforms import read_transforms
-from .undistort import pinhole, undistort
+from .undistort import pinhole, undistort, undistort_mask
 
 LOOKED_FOR = "looked for transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt"
 OPAQUE = 1 - 1.5 / 255
@@ -209,14 +209,15 @@ def _view(shot: _Shot, masks: bool) -> View | InputError:
     try:
         assert frame.picture is not None
         picture = read_picture(frame.picture)
-        if frame.mask is not None and masks:  # a mask file takes the place of an alpha channel
-            mask = _mask(frame.mask, picture.size, size)
-            picture = Picture(reduce_picture(Picture(picture.colour, None), *size).colour, mask)
+        if frame.mask is not None and masks:  # a mask file takes the place of an alpha channel, and leaves the colour around the object
+            mask = undistort_mask(_mask(frame.mask, picture.size, size), shot.lens)
+            opaque = reduce_picture(Picture(picture.colour, None), *size)
+            picture = Picture(undistort(opaque, shot.lens).colour, mask)
         else:
             picture = reduce_picture(picture, *size)
+            picture = undistort(picture if masks else on_black(picture), shot.lens)
         if picture.alpha is not None and picture.alpha.max() < 0.5:
             raise InputError(frame.mask if frame.mask and masks else frame.picture, "is transparent everywhere")
-        picture = undistort(picture if masks else on_black(picture), shot.lens)
     except InputError as error:
         return error
     return View(shot.name, shot.camera, frame.picture, picture.colour, picture.alpha)

@@ -55,6 +55,11 @@ def undistort(picture: Picture, lens: Lens) -> Picture:
     return Picture(np.clip(straight, 0, brightest), np.clip(alpha, 0, 1))
 
 
+def undistort_mask(mask: np.ndarray, lens: Lens) -> np.ndarray:
+    """(H, W) float32 mask as `pinhole(lens)` sees it."""
+    return np.clip(_resample(mask, _maps(lens)), 0, 1) if lens.distorted else mask
+
+
 def _resample(pixels: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return cv2.remap(pixels, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
