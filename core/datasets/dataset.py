@@ -21,6 +21,7 @@ class View:
         path: the picture's file.
         colour: (H, W, 3) float32, sRGB-encoded straight colour, 0..1 (above 1 only where the file is HDR).
         alpha: (H, W) float32 in 0..1, or None where nothing tells object from background.
+        distorted: the file shows a lens distortion that colour and camera are free of.
     """
 
     name: str
@@ -28,6 +29,7 @@ class View:
     path: Path
     colour: np.ndarray
     alpha: np.ndarray | None
+    distorted: bool = False
 
 
 @dataclass(frozen=True)

@@ -220,7 +220,7 @@ def _view(shot: _Shot, masks: bool) -> View | InputError:
             raise InputError(frame.mask if frame.mask and masks else frame.picture, "is transparent everywhere")
     except InputError as error:
         return error
-    return View(shot.name, shot.camera, frame.picture, picture.colour, picture.alpha)
+    return View(shot.name, shot.camera, frame.picture, picture.colour, picture.alpha, frame.lens.distorted)
 
 
 def _mask(path: Path, picture: tuple[int, int], size: tuple[int, int]) -> np.ndarray:

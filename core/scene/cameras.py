@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from dataclasses import dataclass
@@ -26,13 +27,14 @@ class PlacedCamera:
 
 
 def save_cameras(path: Path, dataset: Dataset) -> None:
-    """Write the cameras of both splits; pictures inside the run folder are named relative to it, others absolutely."""
+    """Write the cameras of both splits; pictures inside the run folder are named relative to it, others absolutely.
+
+    Photographs with lens distortion don't fit their cameras: undistorted copies are written to `photographs/` beside `path`.
+    """
     folder = path.parent.resolve()
     views = [("train", view) for view in dataset.train] + [("test", view) for view in dataset.test]
-    text = json.dumps([_record(split, view, folder) for split, view in views], indent=1)
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    records = [_record(split, view, folder) for split, view in views]
+    _replace(path, json.dumps(records, indent=1).encode())
 
 
 def load_cameras(path: Path) -> list[PlacedCamera]:
@@ -47,6 +49,9 @@ def load_cameras(path: Path) -> list[PlacedCamera]:
 
 def _record(split: str, view: View, folder: Path) -> dict[str, object]:
     camera, picture = view.camera, view.path.resolve()
+    if view.distorted:
+        picture = folder / "photographs" / split / f"{view.name}.jpg"
+        _save_undistorted(view, picture)
     inside = picture.is_relative_to(folder)
     return {
         "name": view.name,
@@ -69,3 +74,18 @@ def _placed(record: dict, folder: Path) -> PlacedCamera:
     lens = {name: float(record[name]) for name in ("fx", "fy", "cx", "cy")}
     camera = Camera(int(record["width"]), int(record["height"]), **lens, to_world=to_world)
     return PlacedCamera(str(record["name"]), str(record["split"]), camera, folder / record["picture"])
+
+
+def _save_undistorted(view: View, target: Path) -> None:
+    from PIL import Image  # not there inside Blender, which only reads
+
+    target.parent.mkdir(parents=True, exist_ok=True)
+    data = io.BytesIO()
+    Image.fromarray(np.round(255 * np.clip(view.colour, 0, 1)).astype(np.uint8)).save(data, "JPEG", quality=92)
+    _replace(target, data.getvalue())
+
+
+def _replace(path: Path, data: bytes) -> None:
+    partial = path.with_name(path.name + ".part")
+    partial.write_bytes(data)
+    os.replace(partial, path)

@@ -2,6 +2,7 @@
 """Cameras of a run survive their file."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.errors import InputError
 from irgspp.core.scene.cameras import load_cameras, save_cameras
+from PIL import Image
 
 
 def make_dataset(*pictures: Path) -> Dataset:
@@ -43,6 +45,20 @@ def test_pictures_in_the_run_move_with_it(tmp_path):
     save_cameras(tmp_path / "run" / "cameras.json", make_dataset(tmp_path / "run" / "own.png"))
     (tmp_path / "run").rename(tmp_path / "moved")
     assert load_cameras(tmp_path / "moved" / "cameras.json")[0].picture == tmp_path / "moved" / "own.png"
+
+
+def test_undistorted_copies_stand_in_for_distorted_photographs(tmp_path):
+    dataset = make_dataset(tmp_path / "a.png", tmp_path / "b.png")
+    colour = np.broadcast_to(np.linspace(0, 1, 31, dtype=np.float32)[None, :, None], (17, 31, 3))
+    dataset.train[0] = replace(dataset.train[0], colour=colour, distorted=True)
+    (tmp_path / "run").mkdir()
+    save_cameras(tmp_path / "run" / "cameras.json", dataset)
+    copy, original = (p.picture for p in load_cameras(tmp_path / "run" / "cameras.json"))
+    assert original == tmp_path / "b.png"
+    assert copy == tmp_path / "run" / "photographs" / "train" / "v0.jpg"
+    with Image.open(copy) as picture:
+        assert np.abs(np.asarray(picture) / 255 - colour).max() < 0.05
+    assert not list(tmp_path.rglob("*.part"))
 
 
 @pytest.mark.parametrize("content", ["", "{}x", "[{}]", "[1]", "3", json.dumps([{"name": "a", "split": "b", "to_world": [[1]]}])])
