@@ -120,7 +120,7 @@ def _not_far(model: Path, cameras: list[Camera], records: PointRecords, warnings
     """(P,) which points lie at a distance that means anything."""
     focus = focus_of(cameras)
     extent = max(focus.distance, *(float(np.linalg.norm(c.centre - focus.point)) for c in cameras))
-    kept = np.linalg.norm(records.position - focus.point, axis=-1) < FAR * extent
+    kept = (np.abs(records.position - focus.point) < FAR * extent).all(-1)  # no squares: they would overflow
     lost = int((~kept).sum())
     if lost * 2 > len(kept):
         raise InputError(model, f"{lost} of {len(kept)} points lie at infinity (over {FAR:g} times as far as any camera)")
