@@ -119,6 +119,8 @@ def _render_layers(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "MULTI_LAYER_IMAGE"
     settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    if hasattr(settings, "use_exr_interleave"):  # Blender 5 would write one part per pass
+        settings.use_exr_interleave = True
     with tempfile.TemporaryDirectory() as folder:
         scene.render.filepath = str(Path(folder) / "layers.exr")
         bpy.ops.render.render(write_still=True, scene=scene.name)
