@@ -106,6 +106,9 @@ def gather(begin, end, points, normals, centre, matrix, voxel, pixel, depth, alp
                 # Measured across the surface: a slanted one changes its depth from pixel to pixel.
                 if alpha[r, c] <= 0.5 or abs(depth[r, c] - far) * facing > tolerance:
                     continue
+                # A thin part's far side is as near, but looks the other way.
+                if layers[r, c, 0] * normals[p, 0] + layers[r, c, 1] * normals[p, 1] + layers[r, c, 2] * normals[p, 2] <= 0:
+                    continue
                 w = facing * alpha[r, c] * (1 - abs(u - c)) * (1 - abs(v - r))
                 weight[p] += w
                 for k in range(layers.shape[2]):

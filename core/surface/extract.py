@@ -37,8 +37,7 @@ def extract_surface(
     """
     progress.phase("fuse", len(views))
     grid = make_grid(views, samples, bound, settings.voxels)
-    surface = _surface(fuse(views, grid, progress), grid, settings)
-    normals = meshing.vertex_normals(surface, settings.normal_averages)
+    surface, normals = _surface(fuse(views, grid, progress), grid, settings)
     progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
     _stop_if_asked(progress)
     progress.phase("unwrap", 1)
@@ -60,13 +59,15 @@ def extract_surface(
     return mesh
 
 
-def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Triangles:
-    mesh = meshing.isosurface(distance, grid)
-    mesh = meshing.main_components(meshing.cleaned(mesh), settings.fragment)
-    if not len(mesh.faces):
+def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> tuple[Triangles, np.ndarray]:
+    """The mesh within its budget, and unit normals of its vertices."""
+    fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)
+    if not len(fine.faces):
         raise IrgsppError("no surface: what the views' depths agree on is too small to be an object")
-    mesh = meshing.decimated(meshing.smoothed(mesh, settings.smoothing), settings.triangles)
-    return meshing.cleaned(mesh)
+    fine = meshing.smoothed(fine, settings.smoothing)
+    normals = meshing.vertex_normals(fine, settings.normal_averages)
+    mesh = meshing.cleaned(meshing.decimated(fine, settings.triangles))
+    return mesh, meshing.carried_normals(fine, normals, mesh.vertices)
 
 
 def _textures(

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import ndimage
 
 from ..kernels.jit import kernel
 from ..kernels.pool import even_ranges, run_ranges, thread_count
@@ -15,7 +16,7 @@ from .grid import BLOCK, Grid
 
 TRUNCATION = 4.0  # voxels
 GRAZING = 0.1  # cosine below which a depth says nothing about the distance
-CARVED = 0.1  # weight of being seen through, where no depth is near; one depth seen frontally weighs 1
+CARVED = 0.1  # weight of being seen through close to the object; a depth seen frontally weighs 1
 SMOOTHNESS = 0.5  # weight of the neighbours' mean against the depths
 RELAXATIONS = 10  # passes; what has no depth is bridged over about as many voxels
 
@@ -23,21 +24,20 @@ RELAXATIONS = 10  # passes; what has no depth is bridged over about as many voxe
 def fuse(views: Sequence[ViewBuffers], grid: Grid, progress: Progress) -> np.ndarray:
     """Fuse the views' depth into (B, BLOCK^3) float32 distances of the active blocks, in units of the truncation, -1 inside .. 1 outside.
 
-    Space that no depth tells about continues what is around it; seen through it is rather outside, else inside: small holes close.
+    Space that no depth tells about joins smoothly what is around it, rather outside where a view looks through it: small holes close.
     """
     shape = (len(grid.active), BLOCK**3)
     total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
     ranges = even_ranges(len(grid.active), 4 * thread_count())
     truncation = TRUNCATION * grid.voxel
     for done, view in enumerate(views):
-        layers = projection(view), *depth_layers(view)
+        layers = projection(view), *plane_layers(view, grid.voxel)
         run_ranges(integrate, ranges, grid.active, grid.origin, grid.voxel, truncation, *layers, total, weight, free)
         progress.step(done + 1)
     carved = free & (weight < CARVED)
     total[carved] += CARVED
     weight[carved] += CARVED
-    blank = np.where(free, np.float32(1), np.float32(-1))
-    distance = np.where(weight > 0, total / np.maximum(weight, 1e-12), blank)
+    distance = np.where(weight > 0, total / np.maximum(weight, 1e-12), np.float32(-1))
     table = grid.table()
     for _ in range(RELAXATIONS):
         relaxed = np.empty_like(distance)
@@ -53,21 +53,43 @@ def projection(view: ViewBuffers) -> np.ndarray:
     return np.ascontiguousarray(intrinsics @ camera.world_to_cv[:3])
 
 
-def depth_layers(view: ViewBuffers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Depth (0 = nothing there), |normal . ray| with the planar ray (distance to the plane per depth), and weight; (H, W) float32."""
+def plane_layers(view: ViewBuffers, voxel: float) -> tuple[np.ndarray | float, ...]:
+    """What a voxel asks a view.
+
+    Returns:
+        depth: (H, W) float32, 0 where there is none.
+        planes: (H, W, 4) float32, unit normal n and -n . p of the surface point p at each pixel's centre: n . x + w is x's distance.
+        weight: (H, W) float32, alpha times the cosine between normal and ray.
+        smooth: (H - 1, W - 1) bool, whether the four pixels around a corner show one surface.
+        gap: (H, W) float32, pixels from one without depth to the nearest with depth.
+        pixel: width of a pixel at depth 1.
+    """
     rays = view.camera.rays()
-    slope = np.abs((view.normal * rays).sum(-1))
-    cosine = slope / np.linalg.norm(rays, axis=-1)
     seen = (view.alpha > 0.5) & np.isfinite(view.depth) & (view.depth > 0)
+    depth = np.where(seen, view.depth, 0).astype(np.float32)
+    points = view.camera.centre + depth[..., None].astype(np.float64) * rays
+    planes = np.concatenate([view.normal, -(view.normal * points).sum(-1, keepdims=True)], -1)
+    cosine = -(view.normal * rays).sum(-1) / np.linalg.norm(rays, axis=-1)
     weight = np.where(seen & (cosine > GRAZING), view.alpha * cosine, 0)
-    layers = np.where(seen, view.depth, 0), slope, weight
-    depth, slope, weight = (np.ascontiguousarray(x, np.float32) for x in layers)
-    return depth, slope, weight
+    gap = np.asarray(ndimage.distance_transform_edt(~seen), np.float32) if seen.any() else np.full(depth.shape, np.inf, np.float32)
+    pixel = min(1 / view.camera.fx, 1 / view.camera.fy)
+    smooth = _smooth_corners(planes, points, weight, voxel)
+    return depth, planes.astype(np.float32), weight.astype(np.float32), smooth, gap, pixel
+
+
+def _smooth_corners(planes: np.ndarray, points: np.ndarray, weight: np.ndarray, voxel: float) -> np.ndarray:
+    """(H - 1, W - 1) bool: opposite pixels lie in each other's plane, up to a voxel."""
+    smooth = np.ones((weight.shape[0] - 1, weight.shape[1] - 1), bool)
+    corners = [(slice(i, i - 1 or None), slice(j, j - 1 or None)) for i, j in ((0, 0), (1, 1), (0, 1), (1, 0))]
+    for one, other in zip(corners, [corners[1], corners[0], corners[3], corners[2]], strict=True):
+        apart = (planes[one][..., :3] * points[other]).sum(-1) + planes[one][..., 3]
+        smooth &= (weight[one] > 0) & (np.abs(apart) < voxel)
+    return smooth
 
 
 @kernel
-def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, slope, weight, total, sum_weight, free):
-    """Add one view to the blocks begin..end: weighted distance to the tangent plane seen along the voxel's ray."""
+def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, planes, weight, smooth, gap, pixel, total, sum_weight, free):
+    """Add one view to the blocks begin..end: weighted distance to the plane that the voxel's pixel shows."""
     height, width = depth.shape
     for b in range(begin, end):
         for i in range(BLOCK * BLOCK * BLOCK):
@@ -82,28 +104,33 @@ def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, slop
             if not (0 <= u < width and 0 <= v < height):
                 continue
             column, row = int(u), int(v)
-            if depth[row, column] == 0:
-                free[b, i] = True
+            behind = far - depth[row, column]
+            w = weight[row, column]
+            free[b, i] |= gap[row, column] > 0 or behind < -truncation
+            if gap[row, column] * far * pixel > truncation:  # whatever the view sees is farther from here than that
+                total[b, i] += 1
+                sum_weight[b, i] += 1
+            if w == 0 or behind > 1.5 * truncation:
                 continue
-            surface = depth[row, column]
-            c, r = int(max(u - 0.5, 0.0)), int(max(v - 0.5, 0.0))
-            if c + 1 < width and r + 1 < height:
-                a00, a01, a10, a11 = depth[r, c], depth[r, c + 1], depth[r + 1, c], depth[r + 1, c + 1]
-                near = min(min(a00, a01), min(a10, a11))
-                # Interpolating across a depth edge would put a surface into thin air.
-                if near > 0 and max(max(a00, a01), max(a10, a11)) - near < truncation:
-                    s, t = min(max(u - 0.5 - c, 0.0), 1.0), min(max(v - 0.5 - r, 0.0), 1.0)
-                    surface = (1 - t) * ((1 - s) * a00 + s * a01) + t * ((1 - s) * a10 + s * a11)
-            behind = far - surface
-            distance = -behind * slope[row, column]
-            if behind < -truncation or distance > 0.5 * truncation:
-                free[b, i] = True
-            if weight[row, column] == 0 or distance < -truncation or behind > 3 * truncation:
+            distance = _to_plane(planes[row, column], x, y, z)
+            c, r = int(u - 0.5), int(v - 0.5)
+            if u > 0.5 and v > 0.5 and c + 1 < width and r + 1 < height and smooth[r, c]:
+                s, t = u - 0.5 - c, v - 0.5 - r
+                upper = (1 - s) * _to_plane(planes[r, c], x, y, z) + s * _to_plane(planes[r, c + 1], x, y, z)
+                lower = (1 - s) * _to_plane(planes[r + 1, c], x, y, z) + s * _to_plane(planes[r + 1, c + 1], x, y, z)
+                distance = (1 - t) * upper + t * lower
+            if distance < -truncation:
                 continue
             # Fades out behind the surface: the far side of a thin part belongs to other views.
-            w = weight[row, column] * min(1.0, 1.0 + distance / truncation)
+            w *= min(1.0, 1.0 + distance / truncation)
             total[b, i] += w * min(1.0, distance / truncation)
             sum_weight[b, i] += w
+
+
+@kernel
+def _to_plane(plane, x, y, z):
+    """Distance of a point to a plane (4,), positive in front."""
+    return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
 
 
 @kernel

@@ -9,6 +9,7 @@ import fast_simplification
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from ..errors import IrgsppError
@@ -134,6 +135,13 @@ def vertex_normals(mesh: Triangles, averages: int = 0) -> np.ndarray:
         for _ in range(averages):
             normals = unit(matrix @ normals)
     return normals
+
+
+def carried_normals(source: Triangles, normals: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(P, 3) unit normals at points on a mesh from those of its nearest vertices: a decimated mesh keeps the normals of the fine one."""
+    distance, nearest = KDTree(source.vertices).query(points, k=4, workers=-1)
+    weight = 1 / (distance + 1e-3 * distance[:, -1:] + 1e-12)
+    return unit((normals[nearest] * weight[..., None]).sum(1))
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Analytic objects seen by cameras all around: the truth is known everywhere."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.dataset import Bound
+from irgspp.core.scene.buffers import SurfaceSamples, ViewBuffers
+
+
+def look_at(position: np.ndarray) -> np.ndarray:
+    """(4, 4) camera at `position` looking at the origin."""
+    back = position / np.linalg.norm(position)
+    right = np.cross([0, 0, 1.0], back)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.stack([right, np.cross(back, right), back, position], -1)
+    return pose
+
+
+def cameras(count: int, size: int = 96, distance: float = 4.0, lowest: float = -0.95, highest: float = 0.95) -> list[Camera]:
+    """Cameras on a spiral over the sphere, between two heights of the unit sphere."""
+    z = np.linspace(lowest, highest, count)
+    angle = np.arange(count) * 2.399963
+    r = np.sqrt(1 - z**2)
+    places = distance * np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+    return [Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(p)) for p in places]
+
+
+def colour_of(points: np.ndarray) -> np.ndarray:
+    """A smooth colour for every place in the world, (..., 3) in 0..1."""
+    return 0.5 + 0.4 * np.sin(points * np.array([2.0, 3.0, 2.5]) + np.array([0.0, 1.0, 2.0]))
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A solid by its signed distance; rays are followed by sphere tracing."""
+
+    distance: Callable[[np.ndarray], np.ndarray]
+
+    def gradient(self, points: np.ndarray) -> np.ndarray:
+        step = 1e-5 * np.eye(3)
+        slopes = [self.distance(points + s) - self.distance(points - s) for s in step]
+        gradient = np.stack(slopes, -1)
+        return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """The nearest points of the surface."""
+        for _ in range(3):
+            points = points - self.distance(points)[..., None] * self.gradient(points)
+        return points
+
+    def view(self, camera: Camera, depth_noise: float = 0.0, seed: int = 0) -> ViewBuffers:
+        rays = camera.rays().astype(np.float64)
+        length = np.linalg.norm(rays, axis=-1)
+        along = np.full(length.shape, 1.0)
+        for _ in range(80):
+            along += self.distance(camera.centre + along[..., None] * rays / length[..., None])
+            along = np.minimum(along, 20.0)
+        hit = along < 19
+        points = camera.centre + along[..., None] * rays / length[..., None]
+        normal = np.where(hit[..., None], self.gradient(points), 0)
+        albedo = np.where(hit[..., None], colour_of(points), 0)
+        noise = depth_noise * np.random.default_rng(seed).normal(size=hit.shape)
+        layers = hit, np.where(hit, along / length + noise, 0), normal, albedo, albedo
+        roughness = np.where(hit, colour_of(points)[..., 1], 0)
+        metallic = np.where(hit, colour_of(points)[..., 2], 0)
+        return ViewBuffers(camera, *(x.astype(np.float32) for x in (*layers, roughness, metallic)))
+
+    def samples(self, count: int = 4000) -> SurfaceSamples:
+        points = np.random.default_rng(1).uniform(-1.3, 1.3, (20 * count, 3))
+        points = self.project(points[np.abs(self.distance(points)) < 0.3][:count])
+        colour = colour_of(points)
+        layers = points, self.gradient(points), np.full(len(points), 0.9), colour, colour[:, 1], colour[:, 2]
+        return SurfaceSamples(*(x.astype(np.float32) for x in layers))
+
+
+def sphere_distance(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points, axis=-1) - 1.0
+
+
+def torus_distance(points: np.ndarray) -> np.ndarray:
+    return np.hypot(np.hypot(points[..., 0], points[..., 1]) - 0.8, points[..., 2]) - 0.35
+
+
+def box_distance(points: np.ndarray) -> np.ndarray:
+    q = np.abs(points) - np.array([0.8, 0.6, 0.5])
+    return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
+
+
+@pytest.fixture(scope="session")
+def bound() -> Bound:
+    return Bound((0.0, 0.0, 0.0), 1.5)
+
+
+@pytest.fixture(scope="session")
+def solids() -> dict[str, Solid]:
+    return {"sphere": Solid(sphere_distance), "torus": Solid(torus_distance), "box": Solid(box_distance)}
+
+
+@pytest.fixture(scope="session")
+def camera_ring() -> Callable[..., list[Camera]]:
+    return cameras
+
+
+@pytest.fixture(scope="session")
+def true_colour() -> Callable[[np.ndarray], np.ndarray]:
+    return colour_of
