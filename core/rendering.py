@@ -16,7 +16,6 @@ from .config import DataSettings
 from .datasets.camera import Camera
 from .datasets.load import load_cameras
 from .errors import Cancelled, InputError
-from .evaluation.report import moved
 from .progress import Progress
 from .run_folder import write_atomic
 from .scene.buffers import ViewBuffers
@@ -126,7 +125,7 @@ def cameras_of(text: str, settings: DataSettings, run_to_world: np.ndarray) -> l
     path, split = split_of(text)
     cameras, to_world = load_cameras(path, split, settings)
     move = run_to_world @ np.linalg.inv(to_world)  # read on its own, a dataset may be placed otherwise
-    return [(name, moved(camera, move)) for name, camera in cameras]
+    return [(name, camera.moved(move)) for name, camera in cameras]
 
 
 def split_of(text: str) -> tuple[Path, str | None]:

@@ -63,3 +63,9 @@ class Camera:
         """The same camera for a picture of another size."""
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
+
+    def moved(self, similarity: np.ndarray) -> Camera:
+        """The same camera after a similarity (4, 4) of the world: it sees the same picture, depths grow with the world."""
+        to_world = similarity @ self.to_world
+        to_world[:3, :3] /= np.cbrt(np.linalg.det(to_world[:3, :3]))
+        return replace(self, to_world=to_world)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +45,7 @@ def evaluate(
     progress.phase("evaluate", len(views))
     for i, view in enumerate(views):
         truths.append(load_truth(view, scene, reconstruction.to_world))
-        predictions.append(predict(reconstruction, moved(view.camera, same), {name: scene.lights[name] for name in truths[-1].relit}))
+        predictions.append(predict(reconstruction, view.camera.moved(same), {name: scene.lights[name] for name in truths[-1].relit}))
         progress.step(i + 1)
         if progress.cancelled:
             raise Cancelled(f"stopped after {i + 1} of {len(views)} views")
@@ -61,13 +60,6 @@ def predict(reconstruction: Reconstruction, camera: Camera, lights: dict[str, np
     """Everything that is compared of one view."""
     relit = {name: shade_view(reconstruction, camera, light) for name, light in lights.items()}
     return Prediction(render_view(reconstruction, camera), shade_view(reconstruction, camera, None), relit)
-
-
-def moved(camera: Camera, similarity: np.ndarray) -> Camera:
-    """The camera after a similarity (4, 4) of the world; it keeps its own size."""
-    to_world = similarity @ camera.to_world
-    to_world[:3, :3] /= np.cbrt(np.linalg.det(to_world[:3, :3]))
-    return replace(camera, to_world=to_world)
 
 
 def summarise(views: Sequence[View], predictions: Sequence[Prediction], truths: Sequence[Truth], scene: SceneTruth) -> dict[str, Any]:

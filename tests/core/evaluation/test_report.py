@@ -88,17 +88,6 @@ def test_report_that_can_not_be_written(demo, known, tmp_path):
         report.evaluate(tmp_path, demo[0], tmp_path / "file")
 
 
-def test_cameras_move_with_a_similarity(demo):
-    camera = demo[1].test[0].camera
-    similarity = np.diag([2.0, 2.0, 2.0, 1.0])
-    similarity[:3, 3] = [1, 2, 3]
-    moved = report.moved(camera, similarity)
-    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
-    before, depth = camera.project(points)
-    after, further = moved.project(points @ similarity[:3, :3].T + similarity[:3, 3])
-    assert np.allclose(before, after) and np.allclose(2 * depth, further)
-
-
 def test_contact_sheet_shows_each_view_under_each_heading(demo, known, tmp_path):
     sheet.contact_sheet(demo[1], known, tmp_path / "sheet.png", rows=3)
     with Image.open(tmp_path / "sheet.png") as picture:
