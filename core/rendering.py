@@ -18,13 +18,12 @@ from .datasets.load import load_cameras
 from .errors import Cancelled, InputError
 from .progress import Progress
 from .run_folder import write_atomic
-from .scene.buffers import ViewBuffers
+from .scene.buffers import NOTHING, ViewBuffers
 from .scene.exr import read_exr_rgb, rgb_channels, write_exr
 from .scene.reconstruction import Reconstruction
 from .stages.render import render_view, shade_view
 
 LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
-NOTHING = 0.5 / 255  # below this alpha a pixel shows nothing, and its layers are noise divided by almost zero
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..scene.buffers import ViewBuffers
+from ..scene.buffers import NOTHING, ViewBuffers
 from . import metrics
 from .truth import Truth
-
-NOTHING = 0.5 / 255  # below this alpha a pixel shows nothing, and its layers are noise divided by almost zero
 
 
 @dataclass(frozen=True, eq=False)

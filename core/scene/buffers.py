@@ -9,6 +9,8 @@ import numpy as np
 
 from ..datasets.camera import Camera
 
+NOTHING = 0.5 / 255  # below this alpha a pixel shows nothing, and its layers are noise divided by almost zero
+
 
 @dataclass(frozen=True, eq=False)
 class ViewBuffers:
