@@ -39,8 +39,8 @@ def node_tree(owner: bpy.types.World | bpy.types.Material) -> tuple[bpy.types.No
 
 
 def load_image(path: Path, colour_space: str, pack: bool) -> bpy.types.Image:
-    """An image datablock of a file; packed, or linked by a path relative to the .blend where that is saved on the same drive."""
-    image = bpy.data.images.load(str(path.resolve()), check_existing=True)
+    """A new image datablock of a file (one that is there already may hold an older picture), packed into the .blend or linked."""
+    image = bpy.data.images.load(str(path.resolve()))
     image.colorspace_settings.name = colour_space
     if pack:
         image.pack()

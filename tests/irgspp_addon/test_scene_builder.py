@@ -2,6 +2,7 @@
 """A run becomes an ordinary object whose materials Cycles sees with the right values."""
 
 import importlib.util
+import shutil
 from pathlib import Path
 
 import bpy
@@ -102,3 +103,18 @@ def test_run_without_textures(run_folder, tmp_path):
 def test_folder_that_is_no_run(tmp_path):
     with pytest.raises(InputError, match=r"cameras\.json"):
         import_run(tmp_path)
+
+
+def test_importing_again_reads_the_files_again(run_folder, tmp_path):
+    """A run that was made anew in the same folder must not show the old run's packed textures."""
+    shutil.copytree(run_folder, tmp_path / "run")
+    first = import_run(tmp_path / "run")
+    size = 16
+    sphere_run.save_textures(sphere_run.textures(size), tmp_path / "run" / "textures")
+    second = import_run(tmp_path / "run")
+    sizes = [
+        {tuple(n.image.size) for n in i.mesh.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeTexImage"}
+        for i in (first, second)
+    ]
+    assert sizes == [{(128, 128)}, {(16, 16)}]
+    assert first.mesh is not second.mesh and first.world is not second.world
