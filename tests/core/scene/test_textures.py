@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Textures as PNG files."""
+
+import numpy as np
+import pytest
+from irgspp.core.errors import InputError
+from irgspp.core.scene.textures import load_textures, occlusion_roughness_metallic, save_textures
+
+
+def test_round_trip_is_exact(mesh, tmp_path):
+    save_textures(mesh.textures, tmp_path / "textures")
+    loaded = load_textures(tmp_path / "textures")
+    assert loaded.keys() == mesh.textures.keys()
+    for name, texture in mesh.textures.items():
+        np.testing.assert_array_equal(loaded[name], texture)
+    assert sorted(p.name for p in (tmp_path / "textures").iterdir()) == [f"{n}.png" for n in sorted(mesh.textures)]
+
+
+def test_missing_textures_are_left_out(mesh, tmp_path):
+    save_textures({"albedo": mesh.textures["albedo"]}, tmp_path)
+    assert list(load_textures(tmp_path)) == ["albedo"]
+
+
+def test_a_broken_picture_is_one_clear_line(mesh, tmp_path):
+    save_textures(mesh.textures, tmp_path)
+    (tmp_path / "normal.png").write_bytes((tmp_path / "normal.png").read_bytes()[:50])
+    with pytest.raises(InputError, match=r"normal\.png: not a readable picture"):
+        load_textures(tmp_path)
+
+
+def test_packed_channels(mesh):
+    packed = occlusion_roughness_metallic(mesh.textures)
+    assert (packed[..., 0] == 255).all()
+    np.testing.assert_array_equal(packed[..., 1], mesh.textures["roughness"])
+    np.testing.assert_array_equal(packed[..., 2], mesh.textures["metallic"])
