@@ -42,6 +42,10 @@ class IRGSPP_OT_import_run(bpy.types.Operator):
         except IrgsppError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        for thing in context.selected_objects:
+            thing.select_set(False)
+        imported.mesh.select_set(True)
+        context.view_layer.objects.active = imported.mesh
         if self.as_photographed:
             show_as_photographed(context.scene, imported)
         return {"FINISHED"}

@@ -73,6 +73,7 @@ def test_import_operator(extension, run_folder):
     (mesh,) = [o for o in bpy.context.scene.objects if o.type == "MESH"]
     assert mesh.active_material.name == "sphere attributes"
     assert bpy.context.scene.world.name == "sphere light"
+    assert bpy.context.view_layer.objects.active is mesh and list(bpy.context.selected_objects) == [mesh]
 
 
 def test_import_operator_reports_a_folder_that_is_no_run(extension, tmp_path):
