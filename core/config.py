@@ -41,9 +41,9 @@ class SurfaceSettings:
 
     voxels: Annotated[int, Range(16, 2048)] = 192  # along the longest side of the object
     smoothing: Annotated[int, Range(0, 1000)] = 10  # smoothing passes before decimation
-    normal_averages: Annotated[int, Range(0, 100)] = 2  # how often vertex normals are averaged with their neighbours
+    normal_averages: Annotated[int, Range(0, 100)] = 5  # how often vertex normals are averaged with their neighbours
     fragment: Annotated[float, Range(0, 1)] = 0.03  # components with less than this share of the largest one's area are dropped
-    detail: Annotated[float, Range(0, 1)] = 0.5  # how much of the views' normals goes into the normal texture
+    detail: Annotated[float, Range(0, 1)] = 1.0  # how much of the views' normals, where they stand out of their noise, is kept
     triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # budget after decimation
     texture: Annotated[int, Range(16, 16384)] = 1024  # texels along a side
 

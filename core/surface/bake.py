@@ -12,6 +12,9 @@ from ..kernels.jit import kernel
 from ..shading.colour import encode_srgb
 from .meshing import unit
 
+NOISE = 1.5  # times the median difference between two normals: what is less is noise
+STEEPEST = 0.8  # sine of the largest angle that a normal texture turns a normal by
+
 
 @dataclass(frozen=True, eq=False)
 class Texels:
@@ -111,6 +114,20 @@ def tangent_space(direction: np.ndarray, normal: np.ndarray, tangent: np.ndarray
     """World directions (P, 3) in the frame of tangent, bitangent = side * normal x tangent, and normal."""
     bitangent = side[:, None] * np.cross(normal, tangent)
     return np.stack([(direction * axis).sum(-1) for axis in (tangent, bitangent, normal)], -1)
+
+
+def detailed(normal: np.ndarray, fused: np.ndarray, seen: np.ndarray, strength: float) -> np.ndarray:
+    """Unit normals (P, 3) of the mesh, turned towards the views' fused ones as far as these stand out of their noise.
+
+    The noise is taken from the median over the `seen` (P,) points; `strength` in 0..1 scales what stands out: smooth parts stay
+    smooth, creases come back.
+    """
+    across = _across(fused, normal)
+    sine = np.linalg.norm(across, axis=-1, keepdims=True)
+    noise = NOISE * np.median(sine[seen]) if seen.any() else 0.0
+    kept = np.clip(sine - noise, 0, STEEPEST)
+    along = across / np.maximum(sine, 1e-9) * strength * kept
+    return unit(normal * np.sqrt(1 - (strength * kept) ** 2) + along)
 
 
 def to_byte(values: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..scene.buffers import SurfaceSamples, ViewBuffers
 from ..scene.mesh import Mesh
 from . import meshing
 from .attributes import fuse_attributes
-from .bake import colour_byte, rasterise, tangent_space, tangents, to_byte
+from .bake import colour_byte, detailed, rasterise, tangent_space, tangents, to_byte
 from .fusion import fuse
 from .grid import Grid, make_grid
 from .meshing import Triangles
@@ -46,6 +46,7 @@ def extract_surface(
     _stop_if_asked(progress)
     progress.phase("bake", 2 * len(views))
     fused = fuse_attributes(surface.vertices, normals, views, samples, grid.voxel, progress.step)
+    normals = detailed(normals, fused.normal, fused.weight > 0, settings.detail)
     mesh = Mesh(
         vertices=surface.vertices[source].astype(np.float32),
         normals=normals[source].astype(np.float32),
@@ -81,9 +82,9 @@ def _textures(
     side = frames[mesh.faces[texels.face, 0], 3]
     tangent = texels.interpolate(frames[:, :3], mesh.faces)
     tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
-    detail = np.where(fused.weight[:, None] > 0, fused.normal, normal)
-    local = meshing.unit(normal + settings.detail * (detail - normal))
-    local = tangent_space(local, normal, tangent, side)
+    seen = fused.weight > 0
+    detail = np.where(seen[:, None], detailed(normal, fused.normal, seen, settings.detail), normal)
+    local = tangent_space(detail, normal, tangent, side)
     return {
         "albedo": texels.picture(colour_byte(fused.albedo)),
         "roughness": texels.picture(to_byte(fused.roughness)),

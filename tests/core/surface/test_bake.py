@@ -87,3 +87,20 @@ def test_tangent_space_undoes_the_frame():
     side = np.where(rng.random(50) < 0.5, -1.0, 1.0)
     world = local[:, :1] * tangent + local[:, 1:2] * side[:, None] * np.cross(normal, tangent) + local[:, 2:] * normal
     np.testing.assert_allclose(bake.tangent_space(world, normal, tangent, side), local, atol=1e-12)
+
+
+def test_detail_drops_noise_and_keeps_creases():
+    rng = np.random.default_rng(0)
+    normal = np.tile([0, 0, 1.0], (4000, 1))
+    fused = normal + np.concatenate([0.05 * rng.normal(size=(4000, 2)), np.zeros((4000, 1))], -1)
+    fused[:200] = [0.6, 0, 0.8]  # a crease that smoothing took away
+    fused[200:210] = [-1, 0, 0.0]
+    fused /= np.linalg.norm(fused, axis=-1, keepdims=True)
+    seen = np.ones(4000, bool)
+    kept = bake.detailed(normal, fused, seen, 1.0)
+    np.testing.assert_allclose(np.linalg.norm(kept, axis=-1), 1)
+    assert np.linalg.norm(kept - normal, axis=-1)[210:].mean() < 0.3 * np.linalg.norm(fused - normal, axis=-1)[210:].mean()
+    assert np.abs(kept - fused)[:200].max() < 0.12
+    assert (kept[:, 2] >= np.sqrt(1 - bake.STEEPEST**2) - 1e-9).all()
+    np.testing.assert_allclose(bake.detailed(normal, fused, seen, 0.0), normal)
+    np.testing.assert_allclose(bake.detailed(normal, fused, ~seen, 1.0)[210:, 2], fused[210:, 2])  # nothing seen, no noise known
