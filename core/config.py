@@ -31,8 +31,16 @@ class DataSettings:
 class ReflectiveSettings:
     """First stage."""
 
-    iterations: Annotated[int, Range(1, 10_000_000)] = 1200
-    gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000
+    iterations: Annotated[int, Range(1, 10_000_000)] = 900
+    gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # of the start; with masks there are never more
+    normal_weight: Annotated[float, Range(0)] = 0.2  # agreement of splatted normals with those of the depth
+    mask_weight: Annotated[float, Range(0)] = 0.5
+    light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map
+    light_smoothness: Annotated[float, Range(0)] = 1e-3
+    trial_iterations: Annotated[int, Range(1)] = 150  # of each fit that decides between low-gloss and glossy
+    trial_gaussians: Annotated[int, Range(16)] = 8_000
+    trial_resolution: Annotated[int, Range(16)] = 100  # pixels along the longest side
+    trial_margin: Annotated[float, Range(0)] = 0.3  # dB by which reflections must explain the held-back view better
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""2D Gaussians: oriented disks with radiance and materials, what the stages optimise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from plyfile import PlyData, PlyElement
+
+from ..errors import InputError
+from .buffers import SurfaceSamples
+
+SH_COEFFICIENTS = 16  # degree 3
+SH_DC = 0.28209479177387814
+ALBEDO, ROUGHNESS, METALLIC = slice(0, 3), 3, 4  # rows of `material`
+
+
+def _ply_columns() -> list[str]:
+    """3DGS's column names with two scales, then our materials."""
+    sh_rest = [f"f_rest_{i}" for i in range(3 * (SH_COEFFICIENTS - 1))]
+    geometry = ["opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2", "rot_3"]
+    materials = ["albedo_r", "albedo_g", "albedo_b", "roughness", "metallic"]
+    return ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *sh_rest, *geometry, *materials]
+
+
+@dataclass
+class Gaussians:
+    """N disks as structure-of-arrays, float32, in raw (unconstrained) form.
+
+    Attributes:
+        position: (3, N) world.
+        quaternion: (4, N) w x y z of any length; columns of its rotation are two tangents and the normal.
+        log_scale: (2, N) log of the standard deviations, world units.
+        opacity: (N,) logits.
+        sh: (16, 3, N) linear radiance max(0.5 + SH, 0) in the direction from the camera.
+        material: (5, N) logits of albedo (3), roughness, metallic.
+    """
+
+    position: torch.Tensor
+    quaternion: torch.Tensor
+    log_scale: torch.Tensor
+    opacity: torch.Tensor
+    sh: torch.Tensor
+    material: torch.Tensor
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return self.position.shape[1]
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """The parameters by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def select(self, index: torch.Tensor) -> Gaussians:
+        """The disks at `index` (indices or a mask), detached copies."""
+        return Gaussians(**{k: v.detach()[..., index].clone() for k, v in self.tensors().items()})
+
+    def joined(self, other: Gaussians) -> Gaussians:
+        """Both sets, detached."""
+        theirs = other.tensors()
+        return Gaussians(**{k: torch.cat([v.detach(), theirs[k].detach()], -1) for k, v in self.tensors().items()})
+
+    def normals(self) -> torch.Tensor:
+        """(3, N) unit normals, side undefined."""
+        w, x, y, z = torch.nn.functional.normalize(self.quaternion, dim=0)
+        return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+    def materials(self) -> torch.Tensor:
+        """(5, N) albedo, roughness, metallic in 0..1."""
+        return self.material.sigmoid()
+
+    def samples(self) -> SurfaceSamples:
+        """The disks as surface points with materials, numpy."""
+        with torch.no_grad():
+            m = self.materials()
+            parts = self.position.T, self.normals().T, self.opacity.sigmoid(), m[ALBEDO].T, m[ROUGHNESS], m[METALLIC]
+            return SurfaceSamples(*(p.contiguous().numpy().astype(np.float32) for p in parts))
+
+
+def quaternion_to(normal: torch.Tensor) -> torch.Tensor:
+    """(3, N) unit vectors to (4, N) quaternions that turn +Z to them, the shortest way."""
+    w = 1 + normal[2]
+    flipped = w < 1e-6  # straight down: half a turn about x
+    axis = torch.stack([-normal[1], normal[0], torch.zeros_like(w)])
+    q = torch.cat([torch.where(flipped, 0.0, w)[None], torch.where(flipped, torch.eye(3)[:, :1], axis)])
+    return torch.nn.functional.normalize(q, dim=0)
+
+
+def save_gaussians(gaussians: Gaussians, path: Path) -> None:
+    """Write a binary PLY in 3DGS's columns (raw values) with albedo, roughness, metallic in 0..1 (linear); replaced in one step."""
+    with torch.no_grad():
+        g = gaussians
+        rest = g.sh[1:].permute(1, 0, 2).reshape(-1, g.count)  # channel by channel, as 3DGS writes them
+        quaternion = torch.nn.functional.normalize(g.quaternion, dim=0)
+        rows = torch.cat([g.position, g.normals(), g.sh[0], rest, g.opacity[None], g.log_scale, quaternion, g.materials()])
+    columns = _ply_columns()
+    table = np.empty(g.count, [(name, "f4") for name in columns])
+    for name, row in zip(columns, rows.detach().cpu().numpy(), strict=True):
+        table[name] = row
+    partial = path.with_name(path.name + ".part")
+    PlyData([PlyElement.describe(table, "vertex")], comments=["IRGS++ 2D Gaussians; SH is linear radiance; world +Z up"]).write(str(partial))
+    partial.replace(path)
+
+
+def load_gaussians(path: Path) -> Gaussians:
+    """Read what `save_gaussians` wrote. Raises InputError where the file is missing, broken or lacks a column."""
+    try:
+        vertex = PlyData.read(str(path))["vertex"]
+        rows = torch.from_numpy(np.stack([np.asarray(vertex[name], np.float32) for name in _ply_columns()]))
+    except (OSError, KeyError, ValueError, EOFError, RuntimeError) as error:
+        raise InputError(path, f"not a PLY of 2D Gaussians ({error})") from error
+    except Exception as error:  # plyfile's own parse errors share no public base but Exception
+        raise InputError(path, f"not a readable PLY ({error})") from error
+    if not torch.isfinite(rows).all():
+        raise InputError(path, "holds values that are not finite")
+    position, _, dc, rest, opacity, scale, quaternion, material = rows.split([3, 3, 3, 45, 1, 2, 4, 5])
+    sh = torch.cat([dc[None], rest.reshape(3, SH_COEFFICIENTS - 1, -1).permute(1, 0, 2)])
+    return Gaussians(position, quaternion, scale, opacity[0], sh.contiguous(), torch.logit(material.clamp(1e-6, 1 - 1e-6)))

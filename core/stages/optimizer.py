@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Adam over Gaussians whose number changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ..scene.gaussians import Gaussians
+
+ROWS = {"sh_dc": ("sh", slice(0, 1)), "sh_rest": ("sh", slice(1, None)), "albedo": ("material", slice(0, 3))}
+ROWS |= {"roughness": ("material", slice(3, 4)), "metallic": ("material", slice(4, 5))}
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A learning rate that falls exponentially to `final` times its start over the schedule."""
+
+    start: float
+    final: float = 1.0
+
+    def at(self, progress: float) -> float:
+        """The rate at progress 0..1."""
+        return self.start * self.final**progress
+
+
+class GaussianOptimizer:
+    """Adam (eps 1e-15) with a rate per group; groups that share a tensor (SH dc and rest) step on views of it."""
+
+    def __init__(self, gaussians: Gaussians, rates: dict[str, Rate], others: dict[str, torch.Tensor] | None = None) -> None:
+        """`rates` by parameter or ROWS name; parameters without a rate stay as they are. `others`: further tensors, not per Gaussian."""
+        self.rates, self.others = rates, others or {}
+        self.adopt(gaussians)
+
+    def adopt(self, gaussians: Gaussians) -> None:
+        """Optimise these Gaussians, with fresh moments."""
+        self.leaves = {k: v.detach().contiguous().requires_grad_() for k, v in gaussians.tensors().items()}
+        groups = [{"params": [self._view(name)], "name": name, "lr": rate.start} for name, rate in self.rates.items()]
+        self.adam = torch.optim.Adam(groups, eps=1e-15, fused=True)
+
+    def _view(self, name: str) -> torch.Tensor:
+        if name in self.others:
+            return self.others[name]
+        leaf, rows = ROWS.get(name, (name, slice(None)))
+        return self.leaves[leaf].detach()[rows]
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The leaves that gradients flow to."""
+        return Gaussians(**self.leaves)
+
+    def step(self, progress: float) -> None:
+        """One step with the rates at `progress` 0..1, then forget the gradients."""
+        for group in self.adam.param_groups:
+            group["lr"] = self.rates[group["name"]].at(progress)
+            if group["name"] not in self.others:
+                leaf, rows = ROWS.get(group["name"], (group["name"], slice(None)))
+                gradient = self.leaves[leaf].grad
+                group["params"][0].grad = None if gradient is None else gradient[rows]
+        self.adam.step()
+        for tensor in (*self.leaves.values(), *self.others.values()):
+            tensor.grad = None
+
+    def rebuild(self, gaussians: Gaussians, origin: torch.Tensor) -> None:
+        """Go on with other Gaussians: moments come from Gaussian origin[i] of the old set, or are zero where origin is -1."""
+        old = {g["name"]: self.adam.state.get(g["params"][0], {}) for g in self.adam.param_groups}
+        self.adopt(gaussians)
+        for group in self.adam.param_groups:
+            state = old[group["name"]]
+            if not state:
+                continue
+            if group["name"] in self.others:
+                self.adam.state[group["params"][0]] = state
+                continue
+            moved = {k: torch.where(origin >= 0, state[k][..., origin.clamp_min(0)], 0.0) for k in ("exp_avg", "exp_avg_sq")}
+            self.adam.state[group["params"][0]] = {"step": state["step"], **moved}
+
+    def reset_moments(self, name: str) -> None:
+        """Forget the moments of one group (its values were overwritten)."""
+        for group in self.adam.param_groups:
+            if group["name"] == name:
+                for key in ("exp_avg", "exp_avg_sq"):
+                    self.adam.state[group["params"][0]][key].zero_()
+
+    def state(self) -> dict[str, dict[str, torch.Tensor]]:
+        """Values and moments, for a checkpoint."""
+        moments = {g["name"]: dict(self.adam.state[g["params"][0]]) for g in self.adam.param_groups if g["params"][0] in self.adam.state}
+        flat = {f"{name}.{key}": value for name, state in moments.items() for key, value in state.items()}
+        values = {k: v.detach() for k, v in self.leaves.items()}
+        return {"values": values, "others": {k: v.detach() for k, v in self.others.items()}, "moments": flat}
+
+    def restore(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
+        """Go on from `state`."""
+        for name, value in state["others"].items():
+            self.others[name].data.copy_(value)
+        self.adopt(Gaussians(**state["values"]))
+        for group in self.adam.param_groups:
+            prefix = group["name"] + "."
+            moments = {k.removeprefix(prefix): v for k, v in state["moments"].items() if k.startswith(prefix)}
+            if moments:
+                self.adam.state[group["params"][0]] = moments

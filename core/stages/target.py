@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A photograph prepared for the loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ..datasets.camera import Camera
+from ..datasets.dataset import View
+from .losses import camera_rays
+
+SATURATED = 0.996  # encoded value from which a pixel says "at least this bright"
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What one camera should see.
+
+    Attributes:
+        camera: pinhole camera.
+        picture: (3, H, W) encoded, on black where there is a mask.
+        alpha: (H, W), or None without a mask.
+        saturated: (3, H, W) bool, values that are lower bounds.
+        rays: (3, H, W) in camera axes (z = 1); world_rays: the same in the world.
+        rotation: (3, 3) world to camera (OpenCV axes).
+    """
+
+    camera: Camera
+    picture: torch.Tensor
+    alpha: torch.Tensor | None
+    saturated: torch.Tensor
+    rays: torch.Tensor
+    world_rays: torch.Tensor
+    rotation: torch.Tensor
+
+    def bounded(self, rendered: torch.Tensor) -> torch.Tensor:
+        """`rendered` with what exceeds a saturated pixel cut off: a clipped highlight is a lower bound, not a value."""
+        limit = 1.0 if self.alpha is None else self.alpha
+        return torch.where(self.saturated, torch.minimum(rendered, rendered.new_ones(()) * limit), rendered)
+
+
+def make_target(view: View, reduction: int = 1) -> Target:
+    """A view as a target, its picture averaged over reduction x reduction pixels (a remainder at the border is cut off)."""
+    colour = torch.from_numpy(view.colour).permute(2, 0, 1).clamp(0, 1)
+    alpha = None if view.alpha is None else torch.from_numpy(view.alpha)
+    full = colour if alpha is None else colour * alpha
+    saturated = (colour >= SATURATED) & (torch.ones(()) if alpha is None else alpha > 0.5).bool()
+    camera = view.camera
+    if reduction > 1:
+        height, width = camera.height // reduction, camera.width // reduction
+        average = lambda t: torch.nn.functional.avg_pool2d(t, reduction)[..., :height, :width].contiguous()  # noqa: E731
+        full, saturated = average(full), average(saturated.float()) > 0.5
+        alpha = None if alpha is None else average(alpha[None])[0]
+        camera = cropped(camera, width * reduction, height * reduction).resized(width, height)
+    rays, rotation = camera_rays(camera), torch.as_tensor(camera.world_to_cv[:3, :3], dtype=torch.float32)
+    return Target(camera, full.contiguous(), alpha, saturated, rays, torch.einsum("ji,jhw->ihw", rotation, rays), rotation)
+
+
+def cropped(camera: Camera, width: int, height: int) -> Camera:
+    """The camera of the picture's upper left part."""
+    return Camera(width, height, camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world)
