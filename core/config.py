@@ -34,6 +34,7 @@ class ReflectiveSettings:
     iterations: Annotated[int, Range(1, 10_000_000)] = 900
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # of the start; with masks there are never more
     normal_weight: Annotated[float, Range(0)] = 0.2  # agreement of splatted normals with those of the depth
+    thinning: Annotated[int, Range(0)] = 20  # steps between pulls of the disks to their neighbours' planes; 0 = never
     mask_weight: Annotated[float, Range(0)] = 0.5
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map
     light_smoothness: Annotated[float, Range(0)] = 1e-3

@@ -95,7 +95,9 @@ class Job:
         """Gaussians to a mesh with textures."""
         views = RenderedViews(self.reconstruction, [view.camera for view in self.data.train])
         samples = self.reconstruction.surface_samples()
-        mesh = extract_surface(views, samples, self.reconstruction.bound, self.settings.surface, self.progress)
+        masks = [view.alpha for view in self.data.train if view.alpha is not None]
+        known = masks if self.data.has_alpha else None
+        mesh = extract_surface(views, samples, self.reconstruction.bound, self.settings.surface, self.progress, known)
         save_mesh_ply(mesh, self.folder.path / "mesh.ply")
         save_textures(mesh.textures, self.folder.path / "textures")
         save_glb(mesh, self.folder.path / "asset.glb")

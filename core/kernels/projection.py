@@ -25,7 +25,7 @@ from .simd import exp, load, maximum, select, splat, sqrt, store
 RECORD = 12  # floats of a splat: mx my A0 A1 B0 B1 C0 C1 c_z opacity cut-off(rho) unused
 GEOMETRY = 10  # of them have a gradient
 ALPHA_MIN = 1 / 255
-LOW_PASS = 8.0  # rho of the screen-space filter per squared pixel (2DGS: 1 / 0.707^2)
+LOW_PASS = 32.0  # rho of the screen-space filter per squared pixel (2DGS: 1 / 0.707^2)
 NEAR = 0.01  # nearest depth, as a share of the camera's distance to the scene's centre
 COSINE_MIN = 1e-3  # disks seen more edge-on than this keep this foreshortening; the low-pass filter draws them
 

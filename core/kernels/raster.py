@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tile rasteriser of 2D Gaussians: front-to-back compositing, a tile row of 8 pixels to a vector.
 
-Channels of a picture: the splats' features, then depth, then opacity. The adjoint runs front to back as well: with
-q_i = g . c_i and the running sum S_i = sum_{j<=i} w_j q_j,
+Channels of a picture: the splats' features, then depth, then opacity, and one more plane: the transmittance where it stopped.
+A pixel whose transmittance falls below TRANSMITTANCE_MIN counts as opaque: its sums are divided by the weights' sum and its
+opacity is 1. Otherwise the last per cent leaks through to the far side and draws the mean depth behind the surface.
+
+The adjoint runs front to back as well: with q_i = g . c_i and the running sum S_i = sum_{j<=i} w_j q_j,
 
     dL/dalpha_i = T_i q_i - (S_total - S_i) / (1 - alpha_i),
 
-where S_total = g . C is known from the picture.
+where S_total = g . C is known from the picture. In an opaque pixel C = sum(w c) / sum(w), so that q_i = (g . c_i - g . C) / sum(w)
+and S_total = 0.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from .projection import GEOMETRY, LOW_PASS
 from .simd import bits, exp, load, minimum, ramp, select, splat, store, total
 
 ALPHA_MAX = 0.99
-TRANSMITTANCE_MIN = 1e-3  # a pixel is finished below this
+TRANSMITTANCE_MIN = 0.02  # a pixel is finished, and opaque, below this
 _PIXELS = TILE * TILE
 _W_MIN = 1e-4  # the ray meets the disk's plane this far towards the horizon, or behind
 
@@ -81,22 +85,31 @@ def rasterize_range(begin, end, start, entries, record, feature, box, columns, p
                 store(acc, at, load(acc, at) + weight * select(filtered, splat(z), iw * z))
         for row in range(TILE):
             at = (y0 + row) * stride + x0
+            left = load(transmittance, row * 8)
+            opaque = left <= TRANSMITTANCE_MIN
+            scale = select(opaque, 1.0 / (1.0 - left), splat(1.0))
             for channel in range(channels - 1):
-                store(picture, channel * plane + at, load(acc, channel * _PIXELS + row * 8))
-            store(picture, (channels - 1) * plane + at, 1.0 - load(transmittance, row * 8))
+                store(picture, channel * plane + at, load(acc, channel * _PIXELS + row * 8) * scale)
+            store(picture, (channels - 1) * plane + at, select(opaque, splat(1.0), 1.0 - left))
+            store(picture, channels * plane + at, left)
 
 
 @kernel
 def _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, s_total):
-    """Copy a tile's upstream gradients together; s_total = g . C per pixel."""
+    """Copy a tile's upstream gradients together, as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
     for row in range(TILE):
         at = (y0 + row) * stride + x0
+        left = load(picture, channels * plane + at)
+        opaque = left <= TRANSMITTANCE_MIN
+        scale = select(opaque, 1.0 / (1.0 - left), splat(1.0))
         s = splat(0.0)
-        for channel in range(channels):
+        for channel in range(channels - 1):
             g = load(gradient, channel * plane + at)
-            store(g_tile, channel * _PIXELS + row * 8, g)
+            store(g_tile, channel * _PIXELS + row * 8, g * scale)
             s = s + g * load(picture, channel * plane + at)
-        store(s_total, row * 8, s)
+        g = load(gradient, (channels - 1) * plane + at)
+        store(g_tile, (channels - 1) * _PIXELS + row * 8, select(opaque, s * scale * -1.0, g))
+        store(s_total, row * 8, select(opaque, splat(0.0), s + g * (1.0 - left)))
 
 
 @kernel

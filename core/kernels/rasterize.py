@@ -58,7 +58,7 @@ class _Rasterize(torch.autograd.Function):
         width, height = int(cam[16]), int(cam[17])
         columns, rows = -(-width // TILE), -(-height // TILE)
         start, entries = bin_tiles(depth_order(depth, box), box, columns, rows)
-        picture = torch.empty(8 + extras, rows * TILE, columns * TILE)
+        picture = torch.empty(9 + extras, rows * TILE, columns * TILE)
         stride, plane = columns * TILE, rows * TILE * columns * TILE
         tiles = balanced_ranges(np.diff(start) + 1, thread_count())
         flat = picture.view(-1).numpy()
@@ -68,7 +68,7 @@ class _Rasterize(torch.autograd.Function):
         ctx.layout = (stride, plane, tiles, blocks)
         ctx.shapes = [t.shape for t in (position, quaternion, log_scale, opacity, sh, extra)]
         statistics.radius = torch.from_numpy((box[:, 2:] - box[:, :2]).max(1) + 1).clamp_min(0)
-        return picture[:, :height, :width]
+        return picture[:-1, :height, :width]
 
     @staticmethod
     def backward(ctx, gradient):
@@ -109,7 +109,8 @@ def rasterize(
 
     Returns:
         (8 + E, H, W) sums over splats of weight x (colour 3, world normal turned to the camera 3, extra E, planar depth 1),
-        not divided by opacity, and opacity itself last; and the statistics of density control.
+        not divided by opacity, and opacity itself last (nearly opaque counts as opaque: there the sums are means); and the
+        statistics of density control.
     """
     n = position.shape[1]
     if n < MIN_GAUSSIANS:

@@ -88,5 +88,8 @@ def _composite(alpha, depth, features, key, camera):
     through = torch.cumprod(1 - alpha, 1)
     before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], 1)
     weight = torch.where(before > TRANSMITTANCE_MIN, alpha * before, 0.0)
+    total = weight.sum(1, keepdim=True)
+    # Nearly opaque counts as opaque: weights are divided by their sum.
+    weight = torch.where((1 - total) <= TRANSMITTANCE_MIN, weight / total.clamp_min(0.5), weight)
     planes = [weight @ features.T, (weight * depth).sum(1, keepdim=True), weight.sum(1, keepdim=True)]
     return torch.cat(planes, 1).T.reshape(-1, camera.height, camera.width)

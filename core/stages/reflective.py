@@ -23,6 +23,7 @@ from .appearance import separate_light
 from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
 from .hull import initial_gaussians
+from .layer import thin
 from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
 from .target import Target, make_target
@@ -36,9 +37,9 @@ GLOSSY_START = (0.7, 0.7, 0.7, 0.25, 0.95)  # albedo, roughness, metallic of the
 def rates(radius: float, glossy: bool) -> dict[str, Rate]:
     """Learning rates; the position's follows the scene's radius."""
     table = {
-        "position": Rate(1.2e-3 * radius, 0.05),
+        "position": Rate(8e-4 * radius, 0.05),
         "quaternion": Rate(5e-4, 0.2),
-        "log_scale": Rate(1e-2, 0.2),
+        "log_scale": Rate(6e-3, 0.2),
         "opacity": Rate(5e-2, 0.2),
         "sh_dc": Rate(2e-2, 0.1),
         "sh_rest": Rate(1e-3, 0.1),
@@ -102,6 +103,8 @@ class Trainer:
     def _control(self, statistics) -> None:
         """Density control, in the middle of the schedule; a hull start has its Gaussians where they belong and is only pruned."""
         share = self.done / self.settings.iterations
+        if self.masked and self.settings.thinning and self.done % self.settings.thinning == 0 and share < 0.9:
+            thin(self.optimizer.gaussians, 0.5)
         if not 0.1 < share < 0.6:
             return
         if not self.masked:

@@ -19,11 +19,17 @@ from .bake import colour_byte, detailed, rasterise, tangent_space, tangents, to_
 from .fusion import fuse
 from .grid import Grid, make_grid
 from .meshing import Triangles
+from .silhouette import silhouette_offset
 from .unwrap import unwrap
 
 
 def extract_surface(
-    views: Sequence[ViewBuffers], samples: SurfaceSamples, bound: Bound, settings: SurfaceSettings, progress: Progress
+    views: Sequence[ViewBuffers],
+    samples: SurfaceSamples,
+    bound: Bound,
+    settings: SurfaceSettings,
+    progress: Progress,
+    masks: Sequence[np.ndarray] | None = None,
 ) -> Mesh:
     """The object's surface as a mesh with materials at the vertices and in textures.
 
@@ -31,6 +37,7 @@ def extract_surface(
         views: what the training cameras see of the reconstruction.
         samples: its Gaussians, asked where no view sees the surface.
         bound: the object; what lies outside is left out.
+        masks: (H, W) opacity of each view's photograph, where known: the surface is moved out to fill them.
 
     Raises:
         IrgsppError: no surface was found. Cancelled: the user stopped the work.
@@ -38,6 +45,10 @@ def extract_surface(
     progress.phase("fuse", len(views))
     grid = make_grid(views, samples, bound, settings.voxels)
     surface, normals = _surface(fuse(views, grid, progress), grid, settings)
+    if masks is not None:
+        offset = silhouette_offset(surface.vertices, surface.faces, [view.camera for view in views], masks)
+        surface = meshing.Triangles(surface.vertices + offset * normals, surface.faces)
+        progress.message(f"surface moved out by {offset:.2g} to fill the masks")
     progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
     _stop_if_asked(progress)
     progress.phase("unwrap", 1)
