@@ -81,6 +81,7 @@ class _Rasterize(torch.autograd.Function):
         picture = (flat, padded.view(-1).numpy(), stride, plane, slots)
         run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *picture, numbered=True)
         gradients = [torch.empty(shape) for shape in ctx.shapes]
+        gradients[4][ctx.coefficients :] = 0.0  # SH coefficients that the degree leaves out: the kernel does not write them
         screen = torch.empty(n)
         outputs = [g.view(-1).numpy() for g in gradients]
         run_ranges(project_backward_range, blocks, *ctx.arrays[:5], ctx.coefficients, ctx.cam, n, slots, *outputs, screen.numpy())

@@ -62,6 +62,25 @@ def test_gradients_match_autograd(seed):
         assert relative < 2e-4, f"{name}: {relative:.1e}"
 
 
+@pytest.fixture
+def poisoned_memory():
+    """Fresh tensors hold NaN, not whatever was there."""
+    torch.use_deterministic_algorithms(True)
+    yield
+    torch.use_deterministic_algorithms(False)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_unused_coefficients_get_no_gradient(poisoned_memory, degree):
+    parameters = [p.clone().requires_grad_() for p in cloud(40, 3)]
+    rasterize(*parameters, camera(), 1.0, degree)[0].sum().backward()
+    used = (degree + 1) ** 2
+    gradient = parameters[4].grad
+    assert gradient is not None and gradient[:used].abs().sum() > 0
+    assert not gradient[used:].any()
+    assert all(torch.isfinite(p.grad).all() for p in parameters if p.grad is not None)
+
+
 def test_edge_on_and_degenerate_disks_stay_finite():
     parameters = cloud(64, 5)
     cam = camera()
