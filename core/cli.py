@@ -98,7 +98,7 @@ def demo(args: argparse.Namespace, terminal: Terminal) -> int:
 def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
     """Print what was understood of a dataset."""
     from .datasets.load import load_dataset
-    from .inspection import describe
+    from .datasets.inspect import describe
 
     data = load_dataset(args.dataset, with_overrides(Settings(), args.set).data, terminal)
     terminal.end_line()

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from irgspp.core.colour import encode_srgb
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.scene.exr import read_exr_rgb, rgb_channels, write_exr
-from irgspp.core.shading.colour import encode_srgb
 from irgspp.core.shading.lights import LIGHTS
 from irgspp.irgspp_addon import ground_truth
 from irgspp.irgspp_addon.demo_scene import build_demo_scene

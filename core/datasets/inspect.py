@@ -23,8 +23,8 @@ def describe(dataset: Dataset) -> str:
         ("used as", _pinholes(dataset.train)),
         ("distance", _distances(dataset)),
         ("masks", _masks(dataset.train)),
-        ("points", f"{len(dataset.points.position)}" if dataset.points is not None else "none"),
-        ("object", f"centre ({_numbers(dataset.bound.centre)}), radius {dataset.bound.radius:.4g}"),
+        ("points", f"{len(dataset.points.position):,}" if dataset.points is not None else "none"),
+        ("object", f"centre ({_numbers(dataset.bound.centre, dataset.bound.radius)}), radius {dataset.bound.radius:.4g}"),
         ("own frame", _frame(dataset)),
         *(("warning", line) for line in _shortened(dataset.warnings)),
     ]
@@ -62,15 +62,19 @@ def _frame(dataset: Dataset) -> str:
         return "same as the tool's"
     up = dataset.to_world[2, :3] / np.linalg.norm(dataset.to_world[2, :3])
     origin = np.linalg.inv(dataset.to_world)[:3, 3]
-    return f"up was ({_numbers(up)}), origin moved to ({_numbers(origin)}); in it the object is at ({_numbers(_own_centre(dataset))})"
+    radius = dataset.bound.radius / np.cbrt(np.linalg.det(dataset.to_world[:3, :3]))
+    centre = _numbers(_own_centre(dataset), radius)
+    return f"up was ({_numbers(up, 1.0)}), origin moved to ({_numbers(origin, radius)}); in it the object is at ({centre})"
 
 
 def _own_centre(dataset: Dataset) -> np.ndarray:
     return (np.linalg.inv(dataset.to_world) @ [*dataset.bound.centre, 1])[:3]
 
 
-def _numbers(values: object) -> str:
-    return ", ".join(f"{v:.4g}" for v in np.asarray(values, np.float64) + 0.0)
+def _numbers(values: object, scale: float) -> str:
+    """The values to a thousandth of `scale`: what is smaller is noise."""
+    rounded = np.round(np.asarray(values, np.float64), 3 - int(np.floor(np.log10(scale)))) + 0.0  # no minus before a zero
+    return ", ".join(f"{v:.6g}" for v in rounded)
 
 
 def _range(values: np.ndarray, style: str) -> str:

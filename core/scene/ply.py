@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
 
+from ..colour import encode_srgb
 from ..errors import InputError
-from ..shading.colour import encode_srgb
 from .mesh import Mesh
 
 COLUMNS = {

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from .colour import luminance
+from ..colour import luminance
 from .lightmap import solid_angles, texel_directions
 
 

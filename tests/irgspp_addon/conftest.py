@@ -11,6 +11,7 @@ from pathlib import Path
 import bpy  # noqa: F401 (first of all: it makes Blender's other modules importable)
 import numpy as np
 import pytest
+from irgspp.core.colour import encode_srgb
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.scene.cameras import save_cameras
@@ -18,7 +19,6 @@ from irgspp.core.scene.exr import rgb_channels, write_exr
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.ply import save_mesh_ply
 from irgspp.core.scene.textures import save_textures
-from irgspp.core.shading.colour import encode_srgb
 from irgspp.core.shading.lights import map_directions
 from PIL import Image
 

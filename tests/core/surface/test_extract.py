@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 import trimesh
+from irgspp.core.colour import decode_srgb
 from irgspp.core.config import SurfaceSettings
 from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.progress import Silent
-from irgspp.core.shading.colour import decode_srgb
 from irgspp.core.surface.extract import extract_surface
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000, texture=256)
