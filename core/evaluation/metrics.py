@@ -18,6 +18,11 @@ from ..colour import encode_srgb
 from ..scene.mesh import Mesh
 
 
+def shown(figure: float) -> str:
+    """A figure as text; counts without decimals."""
+    return str(figure) if isinstance(figure, int) else f"{figure:.4f}"
+
+
 def on_black(rgba: np.ndarray) -> np.ndarray:
     """Linear premultiplied (H, W, 4) to encoded (H, W, 3) in 0..1, times alpha."""
     rgba = np.nan_to_num(rgba.astype(np.float64), nan=0.0, posinf=1.0, neginf=0.0)

@@ -19,6 +19,7 @@ from .truth import Truth
 
 SHOWN = 12  # views with pictures; figures are of all
 SIDE = 320  # pixels of a picture's longest side at most
+BACKDROP = 0.16  # dark for the reason that the contact sheet's is
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1500px; padding: 0 1rem; background: #18191c; color: #e2e2de }
 h1 { font-size: 1.5rem } h2 { font-size: 1.1rem; margin: 2.2rem 0 .5rem } p { color: #a9a9a4 }
@@ -34,7 +35,7 @@ def page(report: dict[str, Any], views: Sequence[View], predictions: Sequence[Pr
     scale = np.array(report["albedo_scale"] or (1.0, 1.0, 1.0))
     shown = np.unique(np.linspace(0, len(views) - 1, min(SHOWN, len(views))).round().astype(int))
     sections = [_section(views[i].name, report["views"][views[i].name], predictions[i], truths[i], scale) for i in shown]
-    rows = [f"<tr><th>{escape(name)}</th><td>{value:.4f}</td></tr>" for name, value in report["figures"].items()]
+    rows = [f"<tr><th>{escape(name)}</th><td>{metrics.shown(value)}</td></tr>" for name, value in report["figures"].items()]
     if report["albedo_scale"]:
         rows.append(f"<tr><th>albedo_scale</th><td>{' '.join(f'{s:.3f}' for s in scale)}</td></tr>")
     about = f"{escape(str(report['run']))} against the {len(views)} {escape(report['split'])} views of {escape(str(report['dataset']))}."
@@ -99,7 +100,7 @@ def _opaque(rgb: np.ndarray) -> np.ndarray:
 
 def _figure(caption: str, picture: np.ndarray) -> str:
     """An <img> with its bytes inside."""
-    image = Image.fromarray(pictures.over(picture, 0.35))
+    image = Image.fromarray(pictures.over(picture, BACKDROP))
     image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
     data = io.BytesIO()
     image.save(data, "JPEG", quality=92, subsampling=0)

@@ -86,7 +86,7 @@ def scene_figures(run: Path, reconstruction: Reconstruction, scene: SceneTruth) 
 
 def table(report: dict[str, Any]) -> str:
     """The mean figures as aligned lines of text."""
-    lines = [f"{name:28s} {value:10.4f}" for name, value in report["figures"].items()]
+    lines = [f"{name:28s} {metrics.shown(value):>10s}" for name, value in report["figures"].items()]
     if report["albedo_scale"]:
         lines.append(f"{'albedo_scale':28s} " + " ".join(f"{s:10.4f}" for s in report["albedo_scale"]))
     return "\n".join([*lines, f"{report['split'] + ' views':28s} {len(report['views']):10d}"])
