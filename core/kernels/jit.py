@@ -23,14 +23,25 @@ def cache_root() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "irgspp"
 
 
+def _claim(folder: Path) -> None:
+    """Make a folder that only this user can write to; compiled code out of somebody else's would be theirs to choose."""
+    folder.mkdir(exist_ok=True, mode=0o700)
+    about = folder.lstat()
+    if hasattr(os, "getuid") and (about.st_uid != os.getuid() or about.st_mode & 0o022):
+        raise PermissionError(f"{folder} is open to others")
+
+
 def cache_folder() -> Path:
     """A writable folder named by the kernels' sources: numba's own cache misses edits of imported helpers."""
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
     name = f"kernels-{digest.hexdigest()[:12]}"
-    for root in (cache_root(), Path(tempfile.gettempdir()) / f"irgspp-{os.getuid() if hasattr(os, 'getuid') else 'user'}"):
+    fallback = Path(tempfile.gettempdir()) / f"irgspp-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+    for root in (cache_root(), fallback):
         try:
+            if root == fallback:
+                _claim(root)
             (root / name).mkdir(parents=True, exist_ok=True, mode=0o700)
             (root / name / ".writable").touch()
             return root / name

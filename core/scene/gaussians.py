@@ -102,7 +102,8 @@ def save_gaussians(gaussians: Gaussians, path: Path) -> None:
     for name, row in zip(columns, rows.detach().cpu().numpy(), strict=True):
         table[name] = row
     partial = path.with_name(path.name + ".part")
-    PlyData([PlyElement.describe(table, "vertex")], comments=["IRGS++ 2D Gaussians; SH is linear radiance; world +Z up"]).write(str(partial))
+    comments = ["IRGS++ 2D Gaussians; SH is linear radiance; world +Z up"]
+    PlyData([PlyElement.describe(table, "vertex")], comments=comments).write(str(partial))
     partial.replace(path)
 
 

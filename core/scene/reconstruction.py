@@ -52,7 +52,8 @@ class Reconstruction:
         write_exr(folder / "environment.exr", rgb_channels(self.environment_map()))
         if self.background is not None:
             write_exr(folder / "background.exr", rgb_channels(self.background.detach().numpy()))
-        about = {"bound": asdict(self.bound), "to_world": self.to_world.tolist(), "glossy": self.glossy, "background": self.background is not None}
+        frame = {"bound": asdict(self.bound), "to_world": self.to_world.tolist()}
+        about = {**frame, "glossy": self.glossy, "background": self.background is not None}
         partial = folder / "reconstruction.json.part"
         partial.write_text(json.dumps(about, indent=1))
         os.replace(partial, folder / "reconstruction.json")
@@ -63,7 +64,8 @@ class Reconstruction:
         path = folder / "reconstruction.json"
         try:
             about = json.loads(path.read_text())
-            bound = Bound(tuple(float(c) for c in about["bound"]["centre"]), float(about["bound"]["radius"]))
+            x, y, z = (float(c) for c in about["bound"]["centre"])
+            bound = Bound((x, y, z), float(about["bound"]["radius"]))
             to_world, glossy, has_background = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"]), about["background"]
         except FileNotFoundError as error:
             raise InputError(path, "there is no such file", "is this a finished run folder?") from error

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from scipy.spatial import KDTree
 
@@ -69,7 +70,8 @@ def _enlarge(light: torch.Tensor, height: int) -> torch.Tensor:
 
 def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
     """(16, 32, 3) light: fitted with a constant albedo first, then jointly with a smooth one."""
-    neighbours = torch.from_numpy(KDTree(position.numpy()).query(position.numpy(), k=5)[1][:, 1:])
+    _, nearest = KDTree(position.numpy()).query(position.numpy(), k=5)
+    neighbours = torch.from_numpy(np.asarray(nearest)[:, 1:])
     alike = torch.exp(-10 * (seen[:, None] - seen[neighbours]).abs().sum(-1))
     log_light = torch.full((LIGHT_HEIGHT, 2 * LIGHT_HEIGHT, 3), math.log(2 * float(seen.mean()) + 1e-3), requires_grad=True)
     log_albedo = torch.full_like(seen, math.log(0.5)).requires_grad_()
@@ -79,7 +81,9 @@ def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor)
         adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else 0.05 * 0.1 ** (step / STEPS)
         albedo = log_albedo.exp()
         predicted = albedo * lookup(diffuse_light(log_light.exp()), normal)
-        jumps = (log_albedo[:, None] - log_albedo[neighbours]).abs().sum(-1)
+        # gather, not [neighbours]: the gradient of an index adds up in whatever order the threads come.
+        around = log_albedo.gather(0, neighbours.reshape(-1, 1).expand(-1, 3)).view(*neighbours.shape, 3)
+        jumps = (log_albedo[:, None] - around).abs().sum(-1)
         prior = 1e-3 * (log_light - log_light.detach().mean((0, 1))).square().mean()
         loss = (predicted.clamp_min(1e-4).sqrt() - seen.clamp_min(1e-4).sqrt()).abs().mean() + prior
         loss = loss + SMOOTHNESS * 1e-2 * (alike * jumps).mean()

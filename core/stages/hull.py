@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.ndimage import gaussian_filter
+from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from ..colour import decode_srgb
@@ -18,6 +19,7 @@ from ..scene.gaussians import SH_COEFFICIENTS, SH_DC, Gaussians, quaternion_to
 GRID = 96  # cells along the longest side of the hull
 OPACITY = 0.7
 SPREAD = 0.65  # scale of a disk in units of the spacing
+UNSEEN = 2.0  # alpha of a cell that no view has shown yet
 MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # albedo, roughness, metallic of the start
 
 
@@ -49,14 +51,17 @@ def _projection(view: View) -> np.ndarray:
     return (intrinsics @ c.world_to_cv[:3]).astype(np.float32)
 
 
-def _carve(views: list[View], low: np.ndarray, high: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, float]:
+def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, float]:
     step = float((high - low).max()) / cells
     shape = np.maximum(np.ceil((high - low) / step).astype(int) + 1, 3)
-    inside = np.ones(shape, np.float32)
+    inside = np.full(shape, UNSEEN, np.float32)
     for view in views:
         assert view.alpha is not None
         arrays = (low.astype(np.float32), np.float32(step), shape, _projection(view), view.alpha)
         run_ranges(carve_range, even_ranges(shape[0], thread_count()), *arrays, inside)
+    x, y, z = ((low[i] + step * np.arange(shape[i]) - bound.centre[i]) ** 2 for i in range(3))
+    # The corners of the box lie beyond the bound and often beyond every picture's border, where nothing carves them.
+    inside[(x[:, None, None] + y[:, None] + z > bound.radius**2) | (inside > 1)] = 0
     return inside, low, step
 
 
@@ -67,12 +72,12 @@ def visual_hull(views: list[View], bound: Bound) -> tuple[np.ndarray, np.ndarray
         minimum alpha per cell (X, Y, Z) float32, the world position of cell (0, 0, 0), and the cell size.
     """
     centre, radius = np.asarray(bound.centre), bound.radius
-    inside, corner, step = _carve(views, centre - radius, centre + radius, GRID // 2)
+    inside, corner, step = _carve(views, bound, centre - radius, centre + radius, GRID // 2)
     cells = np.argwhere(inside > 0.1)
     if not len(cells):
         raise InputError("masks", "no point of the object's bound is inside all masks", "check the cameras, or give the bound")
     low, high = corner + (cells.min(0) - 1.5) * step, corner + (cells.max(0) + 1.5) * step
-    return _carve(views, low, high, GRID)
+    return _carve(views, bound, low, high, GRID)
 
 
 def _surface(inside: np.ndarray, corner: np.ndarray, step: float, count: int, rng: np.random.Generator):
@@ -86,18 +91,12 @@ def _surface(inside: np.ndarray, corner: np.ndarray, step: float, count: int, rn
     r1, r2 = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     a, b, c = triangles[pick, 0], triangles[pick, 1], triangles[pick, 2]
     points = (1 - r1) * a + r1 * (1 - r2) * b + r1 * r2 * c
-    gradient = np.stack(np.gradient(_blur(inside)), -1) / step
+    gradient = np.stack(np.gradient(gaussian_filter(inside, 1.5)), -1) / step
     cell = np.clip(np.round((points - corner) / step).astype(int), 0, np.array(inside.shape) - 1)
     normals = -gradient[tuple(cell.T)]
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     flat = edges[pick] / np.maximum(area[pick, None], 1e-20)
     return points, np.where(length > 1e-6, normals / np.maximum(length, 1e-6), flat), float(area.sum())
-
-
-def _blur(volume: np.ndarray) -> np.ndarray:
-    from scipy.ndimage import gaussian_filter
-
-    return gaussian_filter(volume, 1.5)
 
 
 def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -145,10 +144,10 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     filler = centre + direction * radius * rng.random((len(direction), 1)) ** (1 / 3)
     points = np.concatenate([known, filler])
     cameras = np.stack([v.camera.centre for v in dataset.train])
-    _, nearest = cKDTree(cameras).query(points)
+    _, nearest = KDTree(cameras).query(points)
     normals = cameras[nearest] - points
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    distance, _ = cKDTree(points).query(points, k=4)
+    distance, _ = KDTree(points).query(points, k=4)
     spacing = np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
     return disks(points, normals, observed_colour(dataset.train, points, normals), spacing, 0.1)
 

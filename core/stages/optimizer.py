@@ -34,8 +34,8 @@ class GaussianOptimizer:
         self.adopt(gaussians)
 
     def adopt(self, gaussians: Gaussians) -> None:
-        """Optimise these Gaussians, with fresh moments."""
-        self.leaves = {k: v.detach().contiguous().requires_grad_() for k, v in gaussians.tensors().items()}
+        """Optimise a copy of these Gaussians, with fresh moments."""
+        self.leaves = {k: v.detach().clone(memory_format=torch.contiguous_format).requires_grad_() for k, v in gaussians.tensors().items()}
         groups = [{"params": [self._view(name)], "name": name, "lr": rate.start} for name, rate in self.rates.items()]
         self.adam = torch.optim.Adam(groups, eps=1e-15, fused=True)
 
