@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs prepared for the loss."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.dataset import View
+from irgspp.core.stages.target import make_target
+
+
+@pytest.fixture
+def view(camera_ring):
+    rng = np.random.default_rng(0)
+    c = camera_ring(3)[1]
+    camera = Camera(21, 15, 30.0, 28.0, 10.0, 8.0, c.to_world)
+    return View("a", camera, Path("a.png"), rng.random((15, 21, 3), np.float32), rng.random((15, 21), np.float32))
+
+
+def test_picture_is_on_black_and_the_rest_as_it_was(view):
+    target = make_target(view)
+    assert np.allclose(target.picture.permute(1, 2, 0), view.colour * view.alpha[..., None])
+    assert np.array_equal(target.alpha, view.alpha)
+    assert np.allclose(target.world_rays.permute(1, 2, 0), view.camera.rays(), atol=1e-5)
+    bare = make_target(View("a", view.camera, view.path, view.colour, None))
+    assert bare.alpha is None and np.array_equal(bare.picture.permute(1, 2, 0), view.colour)
+
+
+def test_reduced_picture_averages_and_its_camera_fits(view):
+    target = make_target(view, 4)
+    assert target.picture.shape == (3, 3, 5) and target.alpha.shape == (3, 5) and target.camera.width == 5
+    block = (view.colour * view.alpha[..., None])[4:8, 12:16].mean((0, 1))
+    assert np.allclose(target.picture[:, 1, 3], block, atol=1e-6)
+    points = np.random.default_rng(1).uniform(-0.3, 0.3, (20, 3))
+    full, small = view.camera.project(points)[0], target.camera.project(points)[0]
+    assert np.allclose(small, full / 4)
+    assert target.rays.shape == target.world_rays.shape == (3, 3, 5)
+
+
+def test_clipped_pixels_are_lower_bounds(view):
+    view.colour[3, 4], view.alpha[3, 4] = (1.0, 0.5, 0.999), 0.9
+    view.colour[5, 6], view.alpha[5, 6] = (1.0, 1.0, 1.0), 0.1  # hardly there: says nothing
+    target = make_target(view)
+    assert target.saturated[:, 3, 4].tolist() == [True, False, True] and not target.saturated[:, 5, 6].any()
+    bounded = target.bounded(torch.full_like(target.picture, 1.7))
+    assert bounded[:, 3, 4].tolist() == pytest.approx([0.9, 1.7, 0.9])
+    assert torch.equal(target.bounded(torch.zeros_like(target.picture)), torch.zeros_like(target.picture))
+    assert (bounded[~target.saturated] == 1.7).all()
