@@ -1,1 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine: photographs to Gaussians to a mesh with materials. Never imports bpy."""
+
+import os
+
+# Read when torch is loaded: else its idle threads spin on the cores that the kernels' threads need.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -28,7 +28,6 @@ LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit status: 0 done, 1 failed, 2 bad usage or bad input, 130 cancelled."""
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # torch's idle threads would spin on the cores that the kernels use
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         args = parser().parse_args(words)
@@ -97,8 +96,8 @@ def demo(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
     """Print what was understood of a dataset."""
-    from .datasets.load import load_dataset
     from .datasets.inspect import describe
+    from .datasets.load import load_dataset
 
     data = load_dataset(args.dataset, with_overrides(Settings(), args.set).data, terminal)
     terminal.end_line()

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The order of the main job, what it leaves after every kind of end, and what a resumed one does again (stages replaced by quick ones)."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from irgspp.core import pipeline, rendered_views
+from irgspp.core.config import Settings
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.dataset import Bound, Dataset, View
+from irgspp.core.errors import Cancelled, InputError, IrgsppError
+from irgspp.core.overrides import with_overrides
+from irgspp.core.progress import Silent
+from irgspp.core.rendered_views import RenderedViews
+from irgspp.core.run_folder import read_run
+
+
+def camera(width=4, height=4):
+    return Camera(width, height, 4.0, 4.0, 2.0, 2.0, np.eye(4))
+
+
+def small_dataset(path, settings, progress):
+    view = View("a", camera(), Path("a.png"), np.zeros((4, 4, 3), np.float32), None)
+    return Dataset(path, "transforms", [view] * 3, [], Bound((0, 0, 0), 1.0), np.eye(4), warnings=["b.png: truncated, left out"])
+
+
+class Stages:
+    """Stand-ins for the stages: note that they ran, write a file; `stop` names one that is interrupted, `fail` one that breaks."""
+
+    def __init__(self, monkeypatch):
+        self.ran, self.stop, self.fail = [], None, None
+        monkeypatch.setattr(pipeline, "load_dataset", small_dataset)
+        monkeypatch.setattr(pipeline, "train", self.train)
+        monkeypatch.setattr(pipeline, "extract_surface", self.extract)
+        monkeypatch.setattr(pipeline.Reconstruction, "load", staticmethod(lambda folder: self.reconstruction(folder)))
+        monkeypatch.setattr(pipeline, "save_mesh_ply", lambda mesh, path: path.write_text("mesh"))
+        monkeypatch.setattr(pipeline, "save_glb", lambda mesh, path: path.write_text("glb"))
+        monkeypatch.setattr(pipeline, "save_textures", lambda textures, folder: folder.mkdir(exist_ok=True))
+        monkeypatch.setattr(pipeline, "write_blend", self.blend)
+        monkeypatch.setattr(pipeline, "contact_sheet", lambda *args, **kwargs: self.note("contact sheet"))
+
+    def note(self, name):
+        self.ran.append(name)
+        if name == self.stop:
+            raise Cancelled("asked")
+        if name == self.fail:
+            raise IrgsppError("no surface")
+
+    def train(self, dataset, settings, progress, checkpoint):
+        progress.phase("first stage", 2)
+        progress.step(1, loss=0.5, psnr=20.0)
+        begun = checkpoint.load("reflective")
+        checkpoint.save("reflective", {"step": 1})
+        self.note("train" if begun is None else "train again")
+        progress.step(2, loss=0.25, psnr=30.0)
+        return self.reconstruction(None)
+
+    def reconstruction(self, folder):
+        class Result:
+            bound = Bound((0, 0, 0), 1.0)
+
+            def save(self, folder):
+                (folder / "gaussians.ply").write_text("gaussians")
+
+            def surface_samples(self):
+                return None
+
+        assert folder is None or (folder / "gaussians.ply").exists()
+        return Result()
+
+    def extract(self, views, samples, bound, settings, progress, masks):
+        assert len(views) == 3
+        assert masks is None  # the pictures have no alpha
+        self.note("surface")
+        return SimpleNamespace(textures={})
+
+    def blend(self, run, target, material, progress):
+        assert (run / "mesh.ply").exists()
+        assert (run / "cameras.json").exists()
+        assert material == "textures"
+        self.note("scene")
+
+
+@pytest.fixture
+def stages(monkeypatch):
+    return Stages(monkeypatch)
+
+
+ALL = ["train", "surface", "scene", "contact sheet"]
+
+
+def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
+    run = pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
+    assert stages.ran == ALL
+    state = read_run(run)
+    assert state["status"] == "done"
+    assert list(state["phases"]) == ["read", "reflective", "surface", "scene", "contact sheet"]
+    assert all(phase["finished"] and phase["peak_memory"] > 0 for phase in state["phases"].values())
+    assert state["training"] == {"loss": 0.25, "psnr": 30.0}
+    assert "b.png" in (run / "log.txt").read_text()
+    assert not (run / "checkpoint").exists()
+    assert {json.loads(line).get("phase") for line in (run / "events.jsonl").read_text().splitlines()} >= {"first stage"}
+
+
+@pytest.mark.parametrize(("stop", "again"), [("train", ["train again", *ALL[1:]]), ("surface", ALL[1:]), ("contact sheet", ALL[3:])])
+def test_cancelled_run_goes_on_where_it_was(tmp_path, stages, stop, again):
+    stages.stop = stop
+    with pytest.raises(Cancelled):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
+    assert read_run(tmp_path / "run")["status"] == "cancelled"
+    stages.stop, stages.ran[:] = None, []
+    pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)
+    assert stages.ran == again
+    assert read_run(tmp_path / "run")["status"] == "done"
+
+
+def test_failure_is_recorded(tmp_path, stages):
+    stages.fail = "surface"
+    with pytest.raises(IrgsppError, match="no surface"):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
+    state = read_run(tmp_path / "run")
+    assert (state["status"], state["error"]) == ("failed", "IrgsppError: no surface")
+    assert not state["phases"]["surface"]["finished"]
+
+
+def test_error_of_a_child_process_that_was_cancelled_too_is_a_cancel(tmp_path, stages, monkeypatch):
+    progress = Silent()
+
+    def killed(*_):
+        progress.cancelled = True
+        raise IrgsppError("Blender ended with status -2")
+
+    monkeypatch.setattr(pipeline, "write_blend", killed)
+    with pytest.raises(Cancelled):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), progress=progress)
+
+
+def test_cancel_between_phases(tmp_path, stages):
+    progress = Silent()
+    progress.cancelled = True
+    with pytest.raises(Cancelled):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), progress=progress)
+    assert stages.ran == []
+
+
+def test_without_blender_the_scene_is_skipped_and_said(tmp_path, stages, monkeypatch):
+    monkeypatch.setattr(pipeline.importlib.util, "find_spec", lambda name: None)
+    run = pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
+    assert "scene" not in stages.ran
+    assert read_run(run)["skipped"][0]["what"] == "scene.blend"
+
+
+def test_bad_dataset_leaves_nothing_and_keeps_the_old_run(tmp_path, stages, monkeypatch):
+    pipeline.reconstruct(Path("photos"), tmp_path / "old", Settings())
+    before = sorted(p.name for p in (tmp_path / "old").iterdir())
+
+    def broken(path, settings, progress):
+        raise InputError(path, "no such folder")
+
+    monkeypatch.setattr(pipeline, "load_dataset", broken)
+    with pytest.raises(InputError):
+        pipeline.reconstruct(Path("photos"), tmp_path / "new", Settings())
+    with pytest.raises(InputError):
+        pipeline.reconstruct(Path("photos"), tmp_path / "old", Settings(), overwrite=True)
+    assert not (tmp_path / "new").exists()
+    assert sorted(p.name for p in (tmp_path / "old").iterdir()) == before
+
+
+def test_settings_are_checked_before_anything_else(tmp_path, stages):
+    with pytest.raises(InputError, match="cuda"):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", with_overrides(Settings(), ["device=cuda"]))
+    assert not (tmp_path / "run").exists()
+
+
+def test_rendered_views_keeps_what_fits(monkeypatch):
+    rendered = []
+    monkeypatch.setattr(rendered_views, "render_view", lambda _, camera: rendered.append(camera.width) or camera.width)
+    views = RenderedViews(None, [camera(w) for w in (4, 5, 6)], memory=4 * 4 * 13 * 4)
+    assert list(views) == [4, 5, 6]
+    assert list(views) == [4, 5, 6]
+    assert rendered == [4, 5, 6, 5, 6]
+    assert (views[-1], views[1:]) == (6, [5, 6])
+    with pytest.raises(IndexError):
+        views[3]
