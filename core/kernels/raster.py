@@ -19,11 +19,12 @@ import numpy as np
 
 from .binning import TILE
 from .jit import kernel
-from .projection import GEOMETRY, LOW_PASS
-from .simd import bits, exp, load, minimum, ramp, select, splat, store, total
+from .projection import GEOMETRY, LOW_PASS, RECORD
+from .simd import bits, exp, load, minimum, prefetch, ramp, select, splat, store, total
 
 ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 0.02  # a pixel is finished, and opaque, below this
+_AHEAD = 4  # entries between asking for a splat's numbers and using them: they lie scattered, beyond the near caches
 _PIXELS = TILE * TILE
 _W_MIN = 1e-4  # the ray meets the disk's plane this far towards the horizon, or behind
 
@@ -50,6 +51,15 @@ def _exhausted(transmittance):
 
 
 @kernel
+def _fetch(record, feature, box, g):
+    prefetch(record, g, 0)
+    prefetch(record, g, RECORD - 1)
+    prefetch(box, g, 0)
+    prefetch(feature, g, 0)
+    prefetch(feature, g, feature.shape[1] - 1)
+
+
+@kernel
 def rasterize_range(begin, end, start, entries, record, feature, box, columns, picture, stride, plane):
     """Composite tiles begin..end into `picture`: channel planes of `plane` floats with rows of `stride` floats, flattened."""
     features = feature.shape[1]
@@ -64,6 +74,8 @@ def rasterize_range(begin, end, start, entries, record, feature, box, columns, p
         for entry in range(start[tile], start[tile + 1]):
             if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
                 break
+            coming = entries[min(entry + _AHEAD, start[tile + 1] - 1)]
+            _fetch(record, feature, box, coming)
             g = entries[entry]
             dx = x - record[g, 0]
             ax, bx, wx = dx * record[g, 2], dx * record[g, 4], dx * record[g, 6] + 1.0
@@ -133,6 +145,10 @@ def rasterize_backward_range(
         for entry in range(start[tile], start[tile + 1]):
             if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
                 break
+            coming = entries[min(entry + _AHEAD, start[tile + 1] - 1)]
+            _fetch(record, feature, box, coming)
+            prefetch(out, coming, 0)
+            prefetch(out, coming, out.shape[1] - 1)
             g = entries[entry]
             dx = x - record[g, 0]
             ax, bx, wx = dx * record[g, 2], dx * record[g, 4], dx * record[g, 6] + 1.0

@@ -7,16 +7,20 @@
 from __future__ import annotations
 
 import operator
+from typing import Any
 
+import numba.extending
 from llvmlite import ir
 from numba.core import types
-from numba.core.typing import signature
-from numba.core.typing.templates import ConcreteTemplate
-from numba.extending import intrinsic, lower_builtin, models, register_model
-
-from numba.core.typing.templates import infer_global  # isort: skip
+from numba.core.typing.templates import ConcreteTemplate, signature
+from numba.core.typing.templates import infer_global as _infer_global
+from numba.extending import lower_builtin, models, register_model
 
 from .jit import kernel
+
+# Their types say nothing of what numba makes of the functions they decorate.
+intrinsic: Any = numba.extending.intrinsic
+infer_global: Any = _infer_global
 
 WIDTH = 8
 _FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
@@ -91,6 +95,21 @@ def store(typing, array, index, value):
         return context.get_dummy_value()
 
     return types.void(array, types.intp, f32x8), emit
+
+
+@intrinsic
+def prefetch(typing, table, row, column):
+    """Ask for the cache line of one element of a 2-D array ahead of its use."""
+
+    def emit(context, builder, sig, args):
+        array = context.make_array(sig.args[0])(context, builder, args[0])
+        steps = [builder.mul(i, builder.extract_value(array.strides, axis)) for axis, i in enumerate(args[1:])]
+        byte = builder.gep(builder.bitcast(array.data, ir.IntType(8).as_pointer()), [builder.add(*steps)])
+        read, keep, data = (ir.Constant(ir.IntType(32), i) for i in (0, 3, 1))
+        _llvm(builder, "llvm.prefetch.p0i8", ir.VoidType(), [byte, read, keep, data])
+        return context.get_dummy_value()
+
+    return types.void(table, types.intp, types.intp), emit
 
 
 @intrinsic
