@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ Array = TypeVar("Array", np.ndarray, torch.Tensor)
 
 def encode_srgb(linear: Array) -> Array:
     """Linear Rec.709 (>= 0, negative counts as 0) to sRGB-encoded, any shape; above 1 the curve goes on (IEC 61966-2-1)."""
-    xp = torch if isinstance(linear, torch.Tensor) else np
+    xp: Any = torch if isinstance(linear, torch.Tensor) else np
     # The clip inside the power keeps its slope finite where the linear toe is chosen.
     power = 1.055 * xp.clip(linear, 0.0031308, None) ** (1 / 2.4) - 0.055
     return xp.where(linear <= 0.0031308, 12.92 * xp.clip(linear, 0.0, None), power)
@@ -21,11 +21,12 @@ def encode_srgb(linear: Array) -> Array:
 
 def decode_srgb(encoded: Array) -> Array:
     """sRGB-encoded (>= 0) to linear Rec.709, any shape; inverse of `encode_srgb`."""
-    xp = torch if isinstance(encoded, torch.Tensor) else np
+    xp: Any = torch if isinstance(encoded, torch.Tensor) else np
     power = ((xp.clip(encoded, 0.04045, None) + 0.055) / 1.055) ** 2.4
     return xp.where(encoded <= 0.04045, encoded / 12.92, power)
 
 
 def luminance(linear: Array) -> Array:
     """(..., 3) linear Rec.709 to (...) luminance."""
-    return 0.2126 * linear[..., 0] + 0.7152 * linear[..., 1] + 0.0722 * linear[..., 2]
+    channels: Any = linear  # numpy's and torch's operators have no common type
+    return 0.2126 * channels[..., 0] + 0.7152 * channels[..., 1] + 0.0722 * channels[..., 2]

@@ -2,6 +2,7 @@
 """The whole public interface in seconds: the embedded dataset through a job of tiny settings, and jobs that are stopped and go on."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -133,7 +134,7 @@ def test_demo_from_the_command_line(tmp_path, capsys):
     assert capsys.readouterr().out.strip() == str(tmp_path / "demo" / "contact_sheet.png")
     state = read_run(tmp_path / "demo")
     assert (state["status"], state["settings"]["preset"], state["settings"]["materials"]) == ("done", "draft", "auto")
-    assert "dB without reflections" in (tmp_path / "demo" / "log.txt").read_text()
+    assert re.search(r"materials: .*\d dB", (tmp_path / "demo" / "log.txt").read_text())
 
 
 def test_cancelled_job_goes_on_to_the_same_result(run, settings, tmp_path):
