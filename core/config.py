@@ -31,17 +31,18 @@ class DataSettings:
 class ReflectiveSettings:
     """First stage."""
 
-    iterations: Annotated[int, Range(1, 10_000_000)] = 900
+    iterations: Annotated[int, Range(1, 10_000_000)] = 1500
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # of the start; with masks there are never more
     normal_weight: Annotated[float, Range(0)] = 0.2  # agreement of splatted normals with those of the depth
-    thinning: Annotated[int, Range(0)] = 20  # steps between pulls of the disks to their neighbours' planes; 0 = never
+    thinning: Annotated[int, Range(0)] = 0  # steps between pulls of the disks to their neighbours' planes; 0 = never
     mask_weight: Annotated[float, Range(0)] = 0.5
+    sh_growth: Annotated[float, Range(0, 1)] = 0.6  # share of the schedule after which all SH degrees are in use
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map
     light_smoothness: Annotated[float, Range(0)] = 1e-3
-    trial_iterations: Annotated[int, Range(1)] = 150  # of each fit that decides between low-gloss and glossy
+    trial_iterations: Annotated[int, Range(1)] = 250  # of each fit that decides between low-gloss and glossy
     trial_gaussians: Annotated[int, Range(16)] = 8_000
     trial_resolution: Annotated[int, Range(16)] = 100  # pixels along the longest side
-    trial_margin: Annotated[float, Range(0)] = 0.3  # dB by which reflections must explain the held-back view better
+    trial_margin: Annotated[float, Range(0)] = 0.5  # dB by which reflections must explain the held-back view better
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class Settings:
 PRESETS: dict[str, Settings] = {
     "draft": Settings(  # a look
         preset="draft",
-        reflective=replace(ReflectiveSettings(), iterations=400, gaussians=15_000),
+        reflective=replace(ReflectiveSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
     ),
     "balanced": Settings(),

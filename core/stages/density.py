@@ -31,6 +31,7 @@ class DensityControl:
     large: float = 0.01
     huge: float = 0.5
     grow: float = 0.1  # share of the Gaussians that are cloned or split at a time
+    pictures: int = 0  # looked at since the last change
     gradient: torch.Tensor = field(default_factory=lambda: torch.zeros(0))
     seen: torch.Tensor = field(default_factory=lambda: torch.zeros(0))
 
@@ -38,12 +39,16 @@ class DensityControl:
         """Add one picture's gradients."""
         if len(self.gradient) != len(statistics.radius):
             self.gradient, self.seen = torch.zeros(len(statistics.radius)), torch.zeros(len(statistics.radius))
+        self.pictures += 1
         assert statistics.gradient is not None, "observe after the backward pass"
         self.gradient += statistics.gradient
-        self.seen += statistics.radius > 0
+        self.seen += statistics.gradient > 0  # what lies behind opaque surfaces has none
 
-    def refine(self, optimizer: GaussianOptimizer, generator: torch.Generator) -> tuple[int, int]:
-        """Prune what is transparent, never seen or huge; clone and split what is pulled hardest. Returns (added, pruned)."""
+    def refine(self, optimizer: GaussianOptimizer, generator: torch.Generator, grow: bool) -> tuple[int, int]:
+        """Prune what is transparent, huge, or was seen by no view since the last time; `grow`: clone and split what is pulled hardest.
+
+        Returns (added, pruned).
+        """
         g = optimizer.gaussians
         with torch.no_grad():
             width = g.log_scale.exp().amax(0)
@@ -52,7 +57,7 @@ class DensityControl:
                 keep &= self.seen > 0
             pull = torch.where(keep, self._pull(g.count), 0.0)
             room = max(0, self.budget - int(keep.sum()))
-            count = min(room, math.ceil(self.grow * int(keep.sum())), int((pull > 0).sum()))
+            count = min(room, math.ceil(self.grow * int(keep.sum())), int((pull > 0).sum())) if grow else 0
             chosen = pull.topk(count).indices.sort().values
             split = chosen[width[chosen] > self.large * self.radius]
             clone = chosen[width[chosen] <= self.large * self.radius]
@@ -65,7 +70,7 @@ class DensityControl:
             fresh = torch.full((len(clone) + 2 * len(split),), -1)
             optimizer.rebuild(grown, torch.cat([stay, fresh]))
         pruned = g.count - int(keep.sum())
-        self.gradient, self.seen = torch.zeros(0), torch.zeros(0)
+        self.pictures, self.gradient, self.seen = 0, torch.zeros(0), torch.zeros(0)
         return len(chosen), pruned
 
     def _pull(self, count: int) -> torch.Tensor:

@@ -15,7 +15,7 @@ from ..config import ReflectiveSettings, Settings
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
 from ..kernels.photometric import photometric_loss
-from ..kernels.rasterize import rasterize
+from ..kernels.rasterize import ScreenStatistics, rasterize
 from ..progress import Checkpoint, Progress, Silent
 from ..scene.gaussians import Gaussians
 from ..scene.reconstruction import Reconstruction
@@ -23,6 +23,7 @@ from .appearance import separate_light
 from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
 from .hull import initial_gaussians
+from .kind import COATED, KINDS, Kind, candidates
 from .layer import thin
 from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
@@ -30,44 +31,40 @@ from .target import Target, make_target
 
 START_RADIANCE = 0.5  # of the light and the background, linear
 CHECKPOINT_SECONDS = 30.0
+HOLD_BACK_FROM = 8  # views; fewer are all needed
+TRIAL_HOLD_BACK = 6  # one view in so many tests a trial
 TEST_EVERY = 50  # steps between looks at the held-back view
-GLOSSY_START = (0.7, 0.7, 0.7, 0.25, 0.95)  # albedo, roughness, metallic of the glossy start
-
-
-def rates(radius: float, glossy: bool) -> dict[str, Rate]:
-    """Learning rates; the position's follows the scene's radius."""
-    table = {
-        "position": Rate(8e-4 * radius, 0.05),
-        "quaternion": Rate(5e-4, 0.2),
-        "log_scale": Rate(6e-3, 0.2),
-        "opacity": Rate(5e-2, 0.2),
-        "sh_dc": Rate(2e-2, 0.1),
-        "sh_rest": Rate(1e-3, 0.1),
-    }
-    if glossy:
-        table |= {"albedo": Rate(2e-2, 0.1), "roughness": Rate(2e-2, 0.1), "metallic": Rate(1e-2, 0.1), "light": Rate(3e-2, 0.2)}
-    return table
 
 
 class Trainer:
     """The state of the first stage and one step of it; `run` drives it to the end of its schedule."""
 
-    def __init__(self, dataset: Dataset, settings: ReflectiveSettings, gaussians: Gaussians, glossy: bool, seed: int, reduction: int = 1) -> None:
-        self.dataset, self.settings, self.glossy = dataset, settings, glossy
-        self.held_back = len(dataset.train) // 2 if len(dataset.train) >= 8 else None
+    def __init__(
+        self,
+        dataset: Dataset,
+        settings: ReflectiveSettings,
+        gaussians: Gaussians,
+        kind: Kind,
+        seed: int,
+        hold_back: int,
+        reduction: int = 1,
+    ) -> None:
+        """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`: pictures are averaged down so many times."""
+        self.dataset, self.settings, self.kind = dataset, settings, kind
+        views = torch.arange(len(dataset.train))
+        self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
         self.targets = [make_target(view, reduction) for view in dataset.train]
         self.generator = torch.Generator().manual_seed(seed)
         self.masked = dataset.has_alpha
         self.light = torch.full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
         self.background = torch.full((64, 128, 3), math.log(START_RADIANCE))
-        others, table = {}, rates(dataset.bound.radius, glossy)
-        if glossy:
+        others, table = {}, kind.rates(dataset.bound.radius)
+        if kind.glossy:
             others["light"] = self.light.requires_grad_()
         if not self.masked:
             others["background"] = self.background.requires_grad_()
             table["background"] = Rate(1e-2, 0.2)
-        if glossy:
-            gaussians = replace(gaussians, material=torch.logit(torch.tensor(GLOSSY_START))[:, None].repeat(1, gaussians.count))
+        gaussians = replace(gaussians, material=torch.logit(torch.tensor(kind.material))[:, None].repeat(1, gaussians.count))
         self.optimizer = GaussianOptimizer(gaussians, table, others)
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order = 0, torch.zeros(0, dtype=torch.long)
@@ -75,21 +72,21 @@ class Trainer:
     def render(self, target: Target, degree: int = 3):
         """The encoded picture (3, H, W), the rasterised sums and the screen statistics."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
-        extra = g.materials() if self.glossy else torch.zeros(0, g.count)
+        extra = g.materials() if self.kind.glossy else torch.zeros(0, g.count)
         sums, statistics = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, target.camera, radius, degree)
-        straight = radiance(sums, target.world_rays, self.light.exp() if self.glossy else None)
+        straight = radiance(sums, target.world_rays, self.light.exp() if self.kind.glossy else None)
         background = None if self.masked else self.background.exp()
         return composite(straight, sums[-1], target.world_rays, background), sums, statistics
 
     def step(self) -> float:
         """One view, one step; returns the loss."""
         target = self.targets[self._next_view()]
-        picture, sums, statistics = self.render(target)
+        picture, sums, statistics = self.render(target, self._degree())
         loss = photometric_loss(target.bounded(picture), target.picture)
         if target.alpha is not None:
             loss = loss + self.settings.mask_weight * (sums[-1] - target.alpha).abs().mean()
         loss = loss + self.settings.normal_weight * normal_consistency(sums, target.rays, target.rotation)
-        if self.glossy:
+        if self.kind.glossy:
             loss = loss + self.settings.light_smoothness * _roughness_of(self.light)
         value = loss.item()
         if not math.isfinite(value):
@@ -100,36 +97,42 @@ class Trainer:
         self._control(statistics)
         return value
 
-    def _control(self, statistics) -> None:
-        """Density control, in the middle of the schedule; a hull start has its Gaussians where they belong and is only pruned."""
+    def _degree(self) -> int:
+        """SH degrees come one after the other, so that parallax is explained by geometry before it can be by view-dependent colour."""
         share = self.done / self.settings.iterations
-        if self.masked and self.settings.thinning and self.done % self.settings.thinning == 0 and share < 0.9:
+        return 3 if share >= self.settings.sh_growth else int(3 * share / self.settings.sh_growth)
+
+    def _control(self, statistics: ScreenStatistics) -> None:
+        """Density control in the middle of the schedule; a hull start has its Gaussians where they belong and is only pruned."""
+        settings, share = self.settings, self.done / self.settings.iterations
+        if self.masked and settings.thinning and self.done % settings.thinning == 0 and share < 0.9:
             thin(self.optimizer.gaussians, 0.5)
-        if not 0.1 < share < 0.6:
+        if not 0.1 < share < 0.7:
             return
-        if not self.masked:
-            self.density.observe(statistics)
-        period = max(1, self.settings.iterations // 20)
-        if self.done % period == 0:
-            self.density.refine(self.optimizer, self.generator)
-        if not self.masked and self.done == period * 8:
+        self.density.observe(statistics)
+        # A hull start needs every view looked at before something counts as unseen.
+        period = max(settings.iterations // 20, 2 * len(self.targets) if self.masked else 1)
+        if self.density.pictures >= period:
+            self.density.refine(self.optimizer, self.generator, grow=not self.masked)
+        if not self.masked and self.done == settings.iterations // 3:
             reset_opacity(self.optimizer)
 
     def _next_view(self) -> int:
         if not len(self.order):
             order = torch.randperm(len(self.targets), generator=self.generator)
-            self.order = order[order != (self.held_back if self.held_back is not None else -1)]
+            self.order = order[~self.held_back[order]]
         view, self.order = int(self.order[-1]), self.order[:-1]
         return view
 
     def test(self) -> float | None:
-        """PSNR in dB on the held-back view, or None where the views are too few to hold one back."""
-        if self.held_back is None:
-            return None
-        target = self.targets[self.held_back]
-        with torch.no_grad():
-            error = (self.render(target)[0].clamp(0, 1) - target.picture).square().mean()
-        return -10 * math.log10(max(error.item(), 1e-10))
+        """Mean PSNR in dB over the held-back views, or None where there are none."""
+        values = []
+        for index in torch.nonzero(self.held_back)[:, 0].tolist():
+            target = self.targets[index]
+            with torch.no_grad():
+                error = (self.render(target)[0].clamp(0, 1) - target.picture).square().mean()
+            values.append(-10 * math.log10(max(error.item(), 1e-10)))
+        return sum(values) / len(values) if values else None
 
     def run(self, progress: Progress, checkpoint: Checkpoint | None) -> None:
         """To the end of the schedule, or until the user is content; raises Cancelled after a checkpoint."""
@@ -150,15 +153,15 @@ class Trainer:
 
     def state(self) -> dict[str, Any]:
         """Everything that the rest of the schedule depends on."""
-        density = {"gradient": self.density.gradient, "seen": self.density.seen}
+        density = {"gradient": self.density.gradient, "seen": self.density.seen, "pictures": self.density.pictures}
         order = {"order": self.order, "generator": self.generator.get_state()}
-        return {"done": self.done, "glossy": self.glossy, "optimizer": self.optimizer.state(), **density, **order}
+        return {"done": self.done, "kind": self.kind.name, "optimizer": self.optimizer.state(), **density, **order}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from `state`."""
         self.done, self.order = int(state["done"]), state["order"]
         self.generator.set_state(state["generator"])
-        self.density.gradient, self.density.seen = state["gradient"], state["seen"]
+        self.density.gradient, self.density.seen, self.density.pictures = state["gradient"], state["seen"], int(state["pictures"])
         self.optimizer.restore(state["optimizer"])
 
 
@@ -168,30 +171,41 @@ def _roughness_of(light: torch.Tensor) -> torch.Tensor:
     return across.square().mean() + (light[1:] - light[:-1]).square().mean()
 
 
-def is_glossy(dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress) -> bool:
-    """Decide whether reflections explain the photographs better: fit both kinds briefly, compare on the held-back view."""
-    if settings.materials != "auto":
-        return settings.materials == "glossy"
-    if len(dataset.train) < 8:
-        return False
+def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress) -> Kind:
+    """Decide what the object is made of: fit every kind briefly and take what explains the held-back view best.
+
+    A reflecting kind must be better by `trial_margin`; where no view can be held back it is the first of the allowed kinds.
+    """
+    kinds, brief = candidates(settings.materials), settings.reflective
+    if len(kinds) == 1 or len(dataset.train) < HOLD_BACK_FROM:
+        return kinds[0]
     longest = max(dataset.train[0].camera.width, dataset.train[0].camera.height)
-    reduction = max(1, longest // settings.reflective.trial_resolution)
-    index = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(settings.seed))[: settings.reflective.trial_gaussians]
-    few = gaussians.select(index.sort().values)
-    few.log_scale += 0.5 * math.log(gaussians.count / few.count)
+    reduction = max(1, longest // brief.trial_resolution)
+    few = thinned_out(gaussians, brief.trial_gaussians, settings.seed)
+    brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count)
+    progress.phase("materials", len(kinds) * brief.iterations)
     score = {}
-    progress.phase("materials", 2 * settings.reflective.trial_iterations)
-    for glossy in (False, True):
-        brief = replace(settings.reflective, iterations=settings.reflective.trial_iterations, gaussians=few.count)
-        trial = Trainer(dataset, brief, few, glossy, settings.seed, reduction)
+    for i, kind in enumerate(kinds):
+        # All at one pace: what is compared is the model.
+        paced = replace(kind, position=COATED.position, quaternion=COATED.quaternion, log_scale=COATED.log_scale)
+        trial = Trainer(dataset, brief, few, paced, settings.seed, TRIAL_HOLD_BACK, reduction)
         for _ in range(brief.iterations):
             if progress.cancelled:
                 raise Cancelled("stopped while the kind of material was being decided")
             trial.step()
-            progress.step(trial.done + glossy * brief.iterations)
-        score[glossy] = trial.test() or 0.0
-    progress.message(f"materials: {score[False]:.2f} dB without reflections, {score[True]:.2f} dB with")
-    return score[True] > score[False] + settings.reflective.trial_margin
+            progress.step(trial.done + i * brief.iterations)
+        score[kind] = trial.test() or 0.0
+    best = max(kinds, key=lambda kind: score[kind] - settings.reflective.trial_margin * kind.glossy)
+    progress.message("materials: " + ", ".join(f"{k.name} {v:.2f} dB" for k, v in score.items()) + f" -> {best.name}")
+    return best
+
+
+def thinned_out(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
+    """At most `count` of the disks, larger so that they cover the same surface."""
+    index = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))[:count]
+    few = gaussians.select(index.sort().values)
+    few.log_scale += 0.5 * math.log(gaussians.count / few.count)
+    return few
 
 
 def train(dataset: Dataset, settings: Settings, progress: Progress | None = None, checkpoint: Checkpoint | None = None) -> Reconstruction:
@@ -206,13 +220,15 @@ def train(dataset: Dataset, settings: Settings, progress: Progress | None = None
     torch.manual_seed(settings.seed)
     gaussians = initial_gaussians(dataset, settings.reflective.gaussians, np.random.default_rng(settings.seed))
     state = checkpoint.load("reflective") if checkpoint is not None else None
-    glossy = bool(state["glossy"]) if state is not None else is_glossy(dataset, settings, gaussians, progress)
-    trainer = Trainer(dataset, settings.reflective, gaussians, glossy, settings.seed)
+    resumed = [k for k in KINDS if state is not None and k.name == state["kind"]]
+    kind = resumed[0] if resumed else choose_kind(dataset, settings, gaussians, progress)
+    hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
+    trainer = Trainer(dataset, settings.reflective, gaussians, kind, settings.seed, hold_back)
     if state is not None:
         trainer.restore(state)
     progress.phase("reflective", settings.reflective.iterations)
     trainer.run(progress, checkpoint)
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
-    result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, glossy, background)
+    result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, kind.glossy, background)
     return separate_light(result, settings.seed)
