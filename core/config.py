@@ -20,7 +20,7 @@ class Range(NamedTuple):
 class DataSettings:
     """How photographs are read."""
 
-    resolution: Annotated[int, Range(16, 16384)] = 800  # longest side in pixels; larger pictures are reduced
+    resolution: Annotated[int, Range(16, 16384)] = 640  # longest side in pixels; larger pictures are reduced
     masks: bool = True  # use alpha channels and mask files
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
     centre: tuple[float, float, float] | None = None  # object bound in the dataset's own frame; None = estimated
@@ -34,7 +34,6 @@ class ReflectiveSettings:
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # of the start; with masks there are never more
     normal_weight: Annotated[float, Range(0)] = 0.2  # agreement of splatted normals with those of the depth
-    thinning: Annotated[int, Range(0)] = 0  # steps between pulls of the disks to their neighbours' planes; 0 = never
     mask_weight: Annotated[float, Range(0)] = 0.5
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # share of the schedule after which all SH degrees are in use
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map
@@ -82,12 +81,14 @@ class Settings:
 PRESETS: dict[str, Settings] = {
     "draft": Settings(  # a look
         preset="draft",
+        data=replace(DataSettings(), resolution=320),
         reflective=replace(ReflectiveSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
     ),
     "balanced": Settings(),
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
+        data=replace(DataSettings(), resolution=800),
         reflective=replace(ReflectiveSettings(), iterations=50_000, gaussians=100_000),
         surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
     ),

@@ -134,12 +134,17 @@ def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussia
 
 
 def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
-    """Disks on the sparse points, and at random in the bound up to `count`; normals point to the nearest camera."""
+    """Disks on the sparse points, and at random in the bound up to half of `count`: density control grows the rest where it is needed.
+
+    Normals point to the nearest camera.
+    """
     centre, radius = np.asarray(dataset.bound.centre), dataset.bound.radius
     known = dataset.points.position if dataset.points is not None else np.zeros((0, 3), np.float32)
+    colours = decode_srgb(dataset.points.colour) if dataset.points is not None else np.zeros((0, 3), np.float32)
     if len(known) > count:
-        known = known[rng.choice(len(known), count, replace=False)]
-    direction = rng.normal(size=(max(count - len(known), 0), 3))
+        chosen = rng.choice(len(known), count, replace=False)
+        known, colours = known[chosen], colours[chosen]
+    direction = rng.normal(size=(max(count // 2 - len(known), 0), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     filler = centre + direction * radius * rng.random((len(direction), 1)) ** (1 / 3)
     points = np.concatenate([known, filler])
@@ -149,7 +154,8 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     distance, _ = KDTree(points).query(points, k=4)
     spacing = np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
-    return disks(points, normals, observed_colour(dataset.train, points, normals), spacing, 0.1)
+    colour = np.concatenate([colours, observed_colour(dataset.train, points[len(known) :], normals[len(known) :])])
+    return disks(points, normals, colour, spacing, 0.1)
 
 
 def initial_gaussians(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:

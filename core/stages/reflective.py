@@ -24,7 +24,6 @@ from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
 from .hull import initial_gaussians
 from .kind import COATED, KINDS, Kind, candidates
-from .layer import thin
 from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
 from .target import Target, make_target
@@ -105,8 +104,6 @@ class Trainer:
     def _control(self, statistics: ScreenStatistics) -> None:
         """Density control in the middle of the schedule; a hull start has its Gaussians where they belong and is only pruned."""
         settings, share = self.settings, self.done / self.settings.iterations
-        if self.masked and settings.thinning and self.done % settings.thinning == 0 and share < 0.9:
-            thin(self.optimizer.gaussians, 0.5)
         if not 0.1 < share < 0.7:
             return
         self.density.observe(statistics)
@@ -174,10 +171,14 @@ def _roughness_of(light: torch.Tensor) -> torch.Tensor:
 def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress) -> Kind:
     """Decide what the object is made of: fit every kind briefly and take what explains the held-back view best.
 
-    A reflecting kind must be better by `trial_margin`; where no view can be held back it is the first of the allowed kinds.
+    A reflecting kind must be better by `trial_margin`. Where no view can be held back, or no mask tells the object from its
+    background, it is the first of the allowed kinds.
     """
     kinds, brief = candidates(settings.materials), settings.reflective
     if len(kinds) == 1 or len(dataset.train) < HOLD_BACK_FROM:
+        return kinds[0]
+    if not dataset.has_alpha:
+        progress.message(f"materials: {kinds[0].name}; without masks the background would pass for reflections")
         return kinds[0]
     longest = max(dataset.train[0].camera.width, dataset.train[0].camera.height)
     reduction = max(1, longest // brief.trial_resolution)
