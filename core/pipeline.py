@@ -141,8 +141,7 @@ def radiance_psnr(reconstruction: Reconstruction, views: Sequence[View]) -> floa
     """Mean PSNR in dB of the Gaussians' own radiance against photographs, both encoded, on black by their own alpha."""
     values = []
     for view in views:
-        buffers = render_view(reconstruction, view.camera)
-        rgba = np.concatenate([buffers.radiance * buffers.alpha[..., None], buffers.alpha[..., None]], -1)
+        rgba = render_view(reconstruction, view.camera).picture
         alpha = 1.0 if view.alpha is None else view.alpha[..., None]
         values.append(psnr(on_black(rgba), np.clip(view.colour, 0, 1) * alpha))
     return float(np.mean(values))

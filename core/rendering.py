@@ -109,7 +109,7 @@ def write_layers(folder: Path, buffers: ViewBuffers, layers: Sequence[str]) -> N
         "normal": rgb_channels(np.where(there[..., None], buffers.normal, 0)),
         "depth": {"Z": np.where(there, buffers.depth, 0)},
         "material": {"R": np.where(there, buffers.roughness, 0), "G": np.where(there, buffers.metallic, 0)},
-        "radiance": rgb_channels(np.concatenate([buffers.radiance * buffers.alpha[..., None], buffers.alpha[..., None]], -1)),
+        "radiance": rgb_channels(buffers.picture),
     }
     for name, data in channels.items():
         if name in layers:

@@ -21,12 +21,6 @@ class Prediction:
     shaded: np.ndarray
     relit: dict[str, np.ndarray] = field(default_factory=dict)
 
-    @property
-    def radiance(self) -> np.ndarray:
-        """(H, W, 4) the Gaussians' own radiance, linear premultiplied."""
-        alpha = self.buffers.alpha[..., None]
-        return np.concatenate([self.buffers.radiance * alpha, alpha], -1)
-
     def layer(self, name: str) -> np.ndarray:
         """A layer of the buffers, 0 where nothing is."""
         values, there = getattr(self.buffers, name), self.buffers.alpha > NOTHING
@@ -37,7 +31,7 @@ def view_figures(prediction: Prediction, truth: Truth) -> dict[str, float]:
     """Every figure of one view that needs no other view; names as in the report."""
     inside = truth.object
     figures = _picture_figures("nvs", prediction.shaded, truth.picture, inside)
-    figures |= _picture_figures("radiance", prediction.radiance, truth.picture, inside)
+    figures |= _picture_figures("radiance", prediction.buffers.picture, truth.picture, inside)
     for name in truth.relit.keys() & prediction.relit.keys():
         figures |= _picture_figures(f"relight_{name}", prediction.relit[name], truth.relit[name], inside)
     if not inside.any():

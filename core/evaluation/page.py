@@ -54,7 +54,7 @@ def _section(name: str, figures: dict[str, float], prediction: Prediction, truth
 
 
 def _picture_row(prediction: Prediction, truth: Truth) -> list[str]:
-    shaded, radiance = metrics.on_black(prediction.shaded), metrics.on_black(prediction.radiance)
+    shaded, radiance = metrics.on_black(prediction.shaded), metrics.on_black(prediction.buffers.picture)
     return [
         _figure("photograph", _opaque(truth.picture)),
         _figure("rendered by its light", _opaque(shaded)),

@@ -50,7 +50,7 @@ def view_row(view: View, reconstruction: Reconstruction, lights: Sequence[np.nda
     photograph = pictures.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
     return [
         photograph,
-        pictures.shaded(shade_view(reconstruction, camera, None)),
+        pictures.shaded(buffers.picture),
         pictures.colour(buffers.albedo, buffers.alpha),
         pictures.grey(buffers.roughness, buffers.alpha),
         pictures.grey(buffers.metallic, buffers.alpha),

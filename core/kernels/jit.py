@@ -59,5 +59,9 @@ FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile `function(begin, end, ...)` or a helper of one. Helpers shared between modules must live in this folder."""
-    return numba.njit(function, nogil=True, cache=True, fastmath=FASTMATH, error_model="numpy")
+    """Compile `function(begin, end, ...)` or a helper of one. Helpers shared between modules must live in this folder.
+
+    Helpers are always inlined: one that is called could be another copy in code just compiled than in code from the cache, with sums
+    contracted otherwise, and the first run on a machine would differ from the later ones.
+    """
+    return numba.njit(function, nogil=True, cache=True, forceinline=True, fastmath=FASTMATH, error_model="numpy")

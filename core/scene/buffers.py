@@ -24,6 +24,7 @@ class ViewBuffers:
         radiance: (H, W, 3) linear Rec.709.
         albedo: (H, W, 3) linear 0..1 (F0 where metallic).
         roughness, metallic: (H, W) in 0..1.
+        background: (H, W, 3) linear radiance behind it all, or None where the photographs were masked.
     """
 
     camera: Camera
@@ -34,6 +35,15 @@ class ViewBuffers:
     albedo: np.ndarray
     roughness: np.ndarray
     metallic: np.ndarray
+    background: np.ndarray | None = None
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(H, W, 4) what the photograph would show by the own radiance, linear premultiplied; opaque where a background is known."""
+        alpha = self.alpha[..., None]
+        if self.background is None:
+            return np.concatenate([self.radiance * alpha, alpha], -1)
+        return np.concatenate([self.radiance * alpha + self.background * (1 - alpha), np.ones_like(alpha)], -1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,10 +70,14 @@ def radiance(picture: torch.Tensor, rays: torch.Tensor, light: torch.Tensor | No
     return splat_radiance(picture) if light is None else reflective_radiance(picture, rays, specular_light(light))
 
 
+def background_radiance(background: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
+    """(3, H, W) linear radiance of a lat-long background (h, w, 3) along world rays (3, H, W)."""
+    direction = torch.nn.functional.normalize(rays.flatten(1), dim=0).T
+    return lookup(background, direction).T.view_as(rays)
+
+
 def composite(straight: torch.Tensor, alpha: torch.Tensor, rays: torch.Tensor, background: torch.Tensor | None) -> torch.Tensor:
     """(3, H, W) encoded picture, on black where masks tell object from background, else on the learned background (in linear light)."""
     if background is None:
         return encode_srgb(straight) * alpha
-    direction = torch.nn.functional.normalize(rays.flatten(1), dim=0).T
-    behind = lookup(background, direction).T.view_as(straight)
-    return encode_srgb(straight * alpha + behind * (1 - alpha))
+    return encode_srgb(straight * alpha + background_radiance(background, rays) * (1 - alpha))

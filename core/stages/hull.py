@@ -18,6 +18,7 @@ from ..scene.gaussians import SH_COEFFICIENTS, SH_DC, Gaussians, quaternion_to
 
 GRID = 96  # cells along the longest side of the hull
 OPACITY = 0.7
+SURROUNDINGS = 5.0  # radii of the bound that random points reach
 SPREAD = 0.65  # scale of a disk in units of the spacing
 UNSEEN = 2.0  # alpha of a cell that no view has shown yet
 MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # albedo, roughness, metallic of the start
@@ -134,7 +135,7 @@ def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussia
 
 
 def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
-    """Disks on the sparse points, and at random in the bound up to half of `count`: density control grows the rest where it is needed.
+    """Disks on the sparse points, and at random in and around the bound up to half of `count`; density control grows the rest.
 
     Normals point to the nearest camera.
     """
@@ -146,9 +147,14 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
         known, colours = known[chosen], colours[chosen]
     direction = rng.normal(size=(max(count // 2 - len(known), 0), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    filler = centre + direction * radius * rng.random((len(direction), 1)) ** (1 / 3)
-    points = np.concatenate([known, filler])
+    # Every other one around the object, log-uniform in distance, since the background has to be somewhere.
+    inner = rng.random(len(direction)) ** (1 / 3)
+    reach = np.where(np.arange(len(direction)) % 2 == 0, inner, SURROUNDINGS ** rng.random(len(direction)))
+    filler = centre + direction * radius * reach[:, None]
     cameras = np.stack([v.camera.centre for v in dataset.train])
+    room = 0.5 * np.linalg.norm(cameras - centre, axis=1).min()  # a disk close before a lens hides everything
+    filler = filler[KDTree(cameras).query(filler)[0] > room]
+    points = np.concatenate([known, filler])
     _, nearest = KDTree(cameras).query(points)
     normals = cameras[nearest] - points
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

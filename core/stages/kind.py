@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .optimizer import Rate
 
@@ -51,3 +51,8 @@ KINDS = (LOW_GLOSS, COATED, METAL)
 def candidates(materials: str) -> tuple[Kind, ...]:
     """The kinds that the setting `materials` allows: auto, low-gloss or glossy."""
     return KINDS if materials == "auto" else tuple(k for k in KINDS if k.glossy == (materials == "glossy"))
+
+
+def with_pace(kind: Kind, other: Kind) -> Kind:
+    """`kind` with the learning rates of `other`."""
+    return replace(kind, position=other.position, quaternion=other.quaternion, log_scale=other.log_scale)

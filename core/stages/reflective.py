@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..colour import decode_srgb
 from ..config import ReflectiveSettings, Settings
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
@@ -23,7 +24,7 @@ from .appearance import separate_light
 from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
 from .hull import initial_gaussians
-from .kind import COATED, KINDS, Kind, candidates
+from .kind import COATED, KINDS, Kind, candidates, with_pace
 from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
 from .target import Target, make_target
@@ -32,6 +33,7 @@ START_RADIANCE = 0.5  # of the light and the background, linear
 CHECKPOINT_SECONDS = 30.0
 HOLD_BACK_FROM = 8  # views; fewer are all needed
 TRIAL_HOLD_BACK = 6  # one view in so many tests a trial
+RESET_EVERY = 3000  # steps between resets of the opacity (3DGS); shorter schedules have none
 TEST_EVERY = 50  # steps between looks at the held-back view
 
 
@@ -56,13 +58,13 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(seed)
         self.masked = dataset.has_alpha
         self.light = torch.full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
-        self.background = torch.full((64, 128, 3), math.log(START_RADIANCE))
+        self.background = border_radiance(self.targets).log().expand(64, 128, 3).clone()
         others, table = {}, kind.rates(dataset.bound.radius)
         if kind.glossy:
             others["light"] = self.light.requires_grad_()
         if not self.masked:
             others["background"] = self.background.requires_grad_()
-            table["background"] = Rate(1e-2, 0.2)
+            table["background"] = Rate(3e-2, 0.2)
         gaussians = replace(gaussians, material=torch.logit(torch.tensor(kind.material))[:, None].repeat(1, gaussians.count))
         self.optimizer = GaussianOptimizer(gaussians, table, others)
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
@@ -111,7 +113,7 @@ class Trainer:
         period = max(settings.iterations // 20, 2 * len(self.targets) if self.masked else 1)
         if self.density.pictures >= period:
             self.density.refine(self.optimizer, self.generator, grow=not self.masked)
-        if not self.masked and self.done == settings.iterations // 3:
+        if not self.masked and self.done % RESET_EVERY == 0:
             reset_opacity(self.optimizer)
 
     def _next_view(self) -> int:
@@ -162,6 +164,12 @@ class Trainer:
         self.optimizer.restore(state["optimizer"])
 
 
+def border_radiance(targets: list[Target]) -> torch.Tensor:
+    """(3,) median linear colour along the pictures' borders: what the background is like before anything is known."""
+    edges = [t.picture[:, rows, columns].flatten(1) for t in targets for rows, columns in ((0, slice(None)), (slice(None), 0))]
+    return decode_srgb(torch.cat(edges, 1).median(1).values).clamp_min(1e-3)
+
+
 def _roughness_of(light: torch.Tensor) -> torch.Tensor:
     """Mean squared difference of neighbours of a log light map."""
     across = light - torch.roll(light, 1, 1)
@@ -175,10 +183,10 @@ def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, prog
     background, it is the first of the allowed kinds.
     """
     kinds, brief = candidates(settings.materials), settings.reflective
-    if len(kinds) == 1 or len(dataset.train) < HOLD_BACK_FROM:
-        return kinds[0]
     if not dataset.has_alpha:
         progress.message(f"materials: {kinds[0].name}; without masks the background would pass for reflections")
+        return kind_named(kinds[0].name, dataset)
+    if len(kinds) == 1 or len(dataset.train) < HOLD_BACK_FROM:
         return kinds[0]
     longest = max(dataset.train[0].camera.width, dataset.train[0].camera.height)
     reduction = max(1, longest // brief.trial_resolution)
@@ -188,8 +196,7 @@ def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, prog
     score = {}
     for i, kind in enumerate(kinds):
         # All at one pace: what is compared is the model.
-        paced = replace(kind, position=COATED.position, quaternion=COATED.quaternion, log_scale=COATED.log_scale)
-        trial = Trainer(dataset, brief, few, paced, settings.seed, TRIAL_HOLD_BACK, reduction)
+        trial = Trainer(dataset, brief, few, with_pace(kind, COATED), settings.seed, TRIAL_HOLD_BACK, reduction)
         for _ in range(brief.iterations):
             if progress.cancelled:
                 raise Cancelled("stopped while the kind of material was being decided")
@@ -199,6 +206,12 @@ def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, prog
     best = max(kinds, key=lambda kind: score[kind] - settings.reflective.trial_margin * kind.glossy)
     progress.message("materials: " + ", ".join(f"{k.name} {v:.2f} dB" for k, v in score.items()) + f" -> {best.name}")
     return best
+
+
+def kind_named(name: str, dataset: Dataset) -> Kind:
+    """The kind of that name at its pace for this dataset: what starts on sparse points has farther to go than what starts on a hull."""
+    kind = next(k for k in KINDS if k.name == name)
+    return kind if dataset.has_alpha else with_pace(kind, COATED)
 
 
 def thinned_out(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
@@ -221,8 +234,7 @@ def train(dataset: Dataset, settings: Settings, progress: Progress | None = None
     torch.manual_seed(settings.seed)
     gaussians = initial_gaussians(dataset, settings.reflective.gaussians, np.random.default_rng(settings.seed))
     state = checkpoint.load("reflective") if checkpoint is not None else None
-    resumed = [k for k in KINDS if state is not None and k.name == state["kind"]]
-    kind = resumed[0] if resumed else choose_kind(dataset, settings, gaussians, progress)
+    kind = kind_named(state["kind"], dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
     trainer = Trainer(dataset, settings.reflective, gaussians, kind, settings.seed, hold_back)
     if state is not None:

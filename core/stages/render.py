@@ -11,7 +11,7 @@ from ..kernels.rasterize import rasterize
 from ..scene.buffers import ViewBuffers
 from ..scene.reconstruction import Reconstruction
 from ..shading.split_sum import diffuse_light, shade, specular_light
-from .deferred import ALPHA_FLOOR, radiance, surface_pixels
+from .deferred import ALPHA_FLOOR, background_radiance, radiance, surface_pixels
 
 LIGHT_HEIGHT = 64  # rows a light map is reduced to before it is prefiltered
 
@@ -34,8 +34,11 @@ def render_view(reconstruction: Reconstruction, camera: Camera) -> ViewBuffers:
         mean = torch.where(alpha > ALPHA_FLOOR, picture[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
         normal = torch.nn.functional.normalize(mean[3:6], dim=0)
         pictures = (alpha, mean[11], normal, shown * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
+        behind = None
+        if reconstruction.background is not None:
+            behind = background_radiance(reconstruction.background, rays).permute(1, 2, 0).contiguous().numpy()
         moved = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().numpy() for p in pictures]
-    return ViewBuffers(camera, *moved)
+    return ViewBuffers(camera, *moved, background=behind)
 
 
 def reduced(environment: np.ndarray, height: int = LIGHT_HEIGHT) -> torch.Tensor:

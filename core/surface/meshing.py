@@ -65,17 +65,26 @@ def compacted(mesh: Triangles) -> Triangles:
 def main_components(mesh: Triangles, share: float) -> Triangles:
     """The components with at least `share` of the largest one's area. Hollows (closed, inside out) go too: no view can have seen them."""
     v, f = mesh.vertices, mesh.faces
-    _, label = connected_components(adjacency(mesh), directed=False)
-    label = label[f[:, 0]]
+    _, vertex_label = connected_components(adjacency(mesh), directed=False)
+    label = vertex_label[f[:, 0]]
     a, b, c = v[f[:, 0]], v[f[:, 1]], v[f[:, 2]]
     cross = np.cross(b - a, c - a)
     area = np.bincount(label, np.linalg.norm(cross, axis=-1) / 2)
     centre = (np.bincount(label, a[:, i]) / np.maximum(np.bincount(label), 1) for i in range(3))
     offset = a - np.stack(list(centre), -1)[label]
     volume = np.bincount(label, (offset * cross).sum(-1) / 6)
-    outward = volume > -1e-3 * area**1.5
+    open_surface = np.zeros(len(area), bool)  # its signed volume says nothing: a wall seen from one side
+    open_surface[vertex_label[border_vertices(f)]] = True
+    outward = open_surface | (volume > -1e-3 * area**1.5)
     keep = outward & (area >= share * area[outward].max(initial=0))
     return compacted(Triangles(v, f[keep[label]]))
+
+
+def border_vertices(faces: np.ndarray) -> np.ndarray:
+    """Vertices on edges that belong to one face only."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    once, count = np.unique(edges, axis=0, return_counts=True)
+    return np.unique(once[count == 1])
 
 
 def adjacency(mesh: Triangles) -> sparse.csr_matrix:
