@@ -2,6 +2,7 @@
 """The whole public interface in seconds: the embedded dataset through a job of tiny settings, and jobs that are stopped and go on."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -177,6 +178,18 @@ def test_killed_job_goes_on_to_the_same_result(run, tmp_path):
     steps = [e["step"] for line in (killed / "events.jsonl").read_text().splitlines() if "loss" in (e := json.loads(line))]
     assert steps[0] == KEEP + 1
     assert_same(killed, run)
+
+
+def test_first_run_on_a_machine_is_like_the_later_ones(tmp_path):
+    """Kernels are compiled in the first, read from the cache in the second."""
+    environment = {**os.environ, "IRGSPP_CACHE": str(tmp_path / "cache")}
+    environment.pop("NUMBA_CACHE_DIR", None)  # this process has set it
+    for name in ("first", "second"):
+        command = [sys.executable, "-P", "-m", "irgspp", "reconstruct", str(DEMO_DATA), "-o", str(tmp_path / name), "--preset", "draft"]
+        command += [word for text in (*TINY, "reflective.iterations=4") for word in ("--set", text)]
+        subprocess.run(command, env=environment, stderr=subprocess.DEVNULL, check=True)
+    assert list((tmp_path / "cache").rglob("*.nbc"))
+    assert_same(tmp_path / "second", tmp_path / "first")
 
 
 def assert_same(run, other):
