@@ -2,9 +2,6 @@
 """The rasteriser against brute force in float64."""
 
 import math
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -108,35 +105,6 @@ def test_same_input_same_bits():
     for p in (first, second):
         rasterize(*p, camera(), 1.0)[0].square().sum().backward()
     assert all(torch.equal(a.grad, b.grad) for a, b in zip(first, second, strict=True))
-
-
-CACHED = """
-import hashlib, sys
-import numpy as np, torch
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.kernels.rasterize import rasterize
-g = torch.Generator().manual_seed(1)
-pose = np.eye(4)
-pose[2, 3] = 4.0
-shapes = ((3, 3000), (4, 3000), (2, 3000), (3000,), (16, 3, 3000), (0, 3000))
-values = [torch.randn(*shape, generator=g) * 0.4 for shape in shapes]
-values[2] -= 3.0
-values = [value.requires_grad_() for value in values]
-picture, _ = rasterize(*values, Camera(64, 64, 80.0, 80.0, 32.0, 32.0, pose), 1.0)
-(picture * torch.randn(picture.shape, generator=g)).sum().backward()
-bits = [tensor.detach().numpy().tobytes() for tensor in (picture, *(value.grad for value in values))]
-print(hashlib.sha256(b"".join(bits)).hexdigest(), picture[-1].mean().item())
-"""
-
-
-def test_code_just_compiled_and_cached_code_give_the_same_bits(tmp_path):
-    environment = {**os.environ, "IRGSPP_CACHE": str(tmp_path)}
-    environment.pop("NUMBA_CACHE_DIR", None)  # this process has set it
-    command = [sys.executable, "-P", "-c", CACHED]
-    first, second = (subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout for _ in range(2))
-    assert list(tmp_path.rglob("*.nbc"))
-    assert first == second
-    assert float(first.split()[1]) > 0.05
 
 
 def test_facing_disk_has_its_depth_normal_and_opacity():
