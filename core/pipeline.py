@@ -36,7 +36,8 @@ from .stages.render import render_view
 from .surface.extract import extract_surface
 
 DEMO_DATA = Path(__file__).parent / "demo_data"
-DEMO_OVERRIDES = ("reflective.gaussians=10000", "surface.voxels=96", "surface.triangles=10000")  # what 64x64 pictures can carry
+# What 64x64 pictures can carry.
+DEMO_OVERRIDES = ("reflective.gaussians=10000", "surface.voxels=96", "surface.triangles=10000", "surface.texture=512")
 
 
 def reconstruct(

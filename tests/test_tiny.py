@@ -134,7 +134,7 @@ def test_demo_from_the_command_line(tmp_path, capsys):
     assert main(["demo", "-o", str(tmp_path / "demo"), *(part for word in words for part in ("--set", word))]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "demo" / "contact_sheet.png")
     state = read_run(tmp_path / "demo")
-    assert (state["status"], state["settings"]["preset"], state["settings"]["materials"]) == ("done", "draft", "auto")
+    assert (state["status"], state["settings"]["preset"], state["settings"]["materials"]) == ("done", "balanced", "auto")
     assert re.search(r"materials: .*\d dB", (tmp_path / "demo" / "log.txt").read_text())
 
 
