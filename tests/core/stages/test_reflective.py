@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The first stage as a whole, small: what it decides, that it improves, that it goes on where it stopped."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.config import Settings, preset
+from irgspp.core.datasets.dataset import Bound, Dataset, View
+from irgspp.core.errors import Cancelled, IrgsppError
+from irgspp.core.overrides import with_overrides
+from irgspp.core.progress import Silent
+from irgspp.core.stages.hull import initial_gaussians
+from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL, candidates
+from irgspp.core.stages.reflective import Trainer, border_radiance, choose_kind, thinned_out, train
+
+SMALL = ("reflective.iterations=12", "reflective.gaussians=400", "reflective.light_height=16")
+BOUND = Bound((0.0, 0.0, 0.0), 1.5)
+
+
+def settings(*overrides: str) -> Settings:
+    return with_overrides(preset("draft"), [*SMALL, *overrides])
+
+
+def mirror_photographs(cameras, masks) -> Dataset:
+    """A chrome sphere under a light of hard stripes: no smooth function of the viewing direction explains it, its reflection does."""
+    views = []
+    for camera, mask in zip(cameras, masks, strict=True):
+        rays = camera.rays().astype(np.float64)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        b = rays @ camera.centre
+        t = -b - np.sqrt(np.maximum(b * b - camera.centre @ camera.centre + 1, 0))
+        normal = camera.centre + t[..., None] * rays
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        mirrored = rays - 2 * (rays * normal).sum(-1, keepdims=True) * normal
+        bright = np.sin(5 * np.arctan2(mirrored[..., 1], mirrored[..., 0])) > 0
+        colour = np.where(bright[..., None], [0.9, 0.8, 0.6], [0.25, 0.2, 0.15]).astype(np.float32)
+        views.append(View(f"{len(views)}", camera, Path("a.png"), colour, mask))
+    return Dataset(Path("mirror"), "transforms", views, [], BOUND, np.eye(4))
+
+
+class StopAfter(Silent):
+    """Cancels after so many steps."""
+
+    def __init__(self, steps: int) -> None:
+        self.steps = steps
+
+    def step(self, done: int, **figures: float) -> None:
+        self.cancelled = done >= self.steps
+
+
+class Memory(dict):
+    """A checkpoint that is kept in memory."""
+
+    def save(self, name, state):
+        self[name] = state
+
+    def load(self, name):
+        return self.get(name)
+
+
+@pytest.mark.parametrize(("materials", "masked"), [("low-gloss", True), ("low-gloss", False)])
+def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, materials, masked):
+    dataset, chosen = sphere_dataset(camera_ring(9, 32), masked=masked), settings(f"materials={materials}")
+    whole = train(dataset, chosen)
+    memory = Memory()
+    with pytest.raises(Cancelled):
+        train(dataset, chosen, StopAfter(5), memory)
+    assert memory["reflective"]["done"] == 5
+    resumed = train(dataset, chosen, checkpoint=memory)
+    for name, value in whole.gaussians.tensors().items():
+        assert torch.equal(value, resumed.gaussians.tensors()[name]), name
+    assert torch.equal(whole.environment, resumed.environment)
+
+
+@pytest.mark.parametrize("kind", [COATED, METAL])
+def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, kind):
+    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings().reflective
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    first, second = (Trainer(dataset, chosen, start, kind, 0, 9) for _ in range(2))
+    for _ in range(12):
+        first.step()
+    for _ in range(4):
+        second.step()
+    third = Trainer(dataset, chosen, start, kind, 0, 9)
+    third.restore(second.state())
+    for _ in range(8):
+        third.step()
+    assert torch.equal(first.light, third.light)
+    for name, value in first.optimizer.gaussians.tensors().items():
+        assert torch.equal(value, third.optimizer.gaussians.tensors()[name]), name
+
+
+def test_fit_gets_better_on_views_it_does_not_learn_from(sphere_dataset, camera_ring):
+    dataset, chosen = sphere_dataset(camera_ring(12, 32)), settings("reflective.iterations=60").reflective
+    trainer = Trainer(dataset, chosen, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 4)
+    before = trainer.test()
+    for _ in range(60):
+        trainer.step()
+    after = trainer.test()
+    assert before is not None and after is not None and after > before + 3
+    assert int(trainer.held_back.sum()) == 3
+
+
+def test_a_mirror_is_told_from_paint(sphere_dataset, camera_ring):
+    cameras = camera_ring(24, 48)
+    painted = sphere_dataset(cameras)
+    mirror = mirror_photographs(cameras, [view.alpha for view in painted.train])
+    chosen = settings("reflective.trial_iterations=60", "reflective.trial_gaussians=1500", "reflective.gaussians=1500")
+    start = initial_gaussians(painted, 1500, np.random.default_rng(0))
+    assert choose_kind(painted, chosen, start, Silent()) is LOW_GLOSS
+    assert choose_kind(mirror, chosen, start, Silent()).glossy
+
+
+def test_what_is_given_is_not_tried(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32))
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    assert choose_kind(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
+    assert {k.glossy for k in candidates("glossy")} == {True}
+    unmasked = sphere_dataset(camera_ring(9, 32), masked=False)
+    kind = choose_kind(unmasked, settings(), start, Silent())
+    assert (kind.name, kind.position) == (LOW_GLOSS.name, COATED.position)
+
+
+def test_thinned_out_disks_cover_the_same_area(splat_sphere):
+    many = splat_sphere(1000)
+    few = thinned_out(many, 250, 0)
+    assert few.count == 250
+    assert few.log_scale.exp().square().sum().item() == pytest.approx(many.log_scale.exp().square().sum().item(), rel=1e-4)
+
+
+def test_background_starts_like_the_borders(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32), masked=False)
+    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 0)
+    found = border_radiance(trainer.targets)
+    assert found.tolist() == pytest.approx([((c + 0.055) / 1.055) ** 2.4 for c in (0.8, 0.5, 0.2)], rel=1e-4)
+    assert trainer.test() is None
+
+
+def test_a_loss_that_is_not_finite_stops_the_fit(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32))
+    view = replace(dataset.train[0], colour=np.full_like(dataset.train[0].colour, math.nan))
+    broken = replace(dataset, train=[view] * 9)
+    with pytest.raises(IrgsppError, match="iteration 1"):
+        train(broken, settings("materials=low-gloss"))
