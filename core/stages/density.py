@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 import torch
 
-from ..kernels.rasterize import ScreenStatistics
+from ..errors import IrgsppError
+from ..kernels.rasterize import MIN_GAUSSIANS, ScreenStatistics
 from ..scene.gaussians import Gaussians
 from .optimizer import GaussianOptimizer
 
@@ -47,7 +48,7 @@ class DensityControl:
     def refine(self, optimizer: GaussianOptimizer, generator: torch.Generator, grow: bool) -> tuple[int, int]:
         """Prune what is transparent, huge, or was seen by no view since the last time; `grow`: clone and split what is pulled hardest.
 
-        Returns (added, pruned).
+        Returns (added, pruned). Raises IrgsppError where nothing would be left.
         """
         g = optimizer.gaussians
         with torch.no_grad():
@@ -55,6 +56,8 @@ class DensityControl:
             keep = (g.opacity.sigmoid() > PRUNE_OPACITY) & (width < self.huge * self.radius)
             if len(self.seen) == g.count:
                 keep &= self.seen > 0
+            if int(keep.sum()) < MIN_GAUSSIANS:
+                raise IrgsppError("density control: no Gaussian is left that is opaque and seen; do cameras and masks fit the photographs?")
             pull = torch.where(keep, self._pull(g.count), 0.0)
             room = max(0, self.budget - int(keep.sum()))
             count = min(room, math.ceil(self.grow * int(keep.sum())), int((pull > 0).sum())) if grow else 0

@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from irgspp.core.errors import IrgsppError
 from irgspp.core.kernels.rasterize import ScreenStatistics
 from irgspp.core.stages.density import PRUNE_OPACITY, RESET_OPACITY, SPLIT_SHRINK, DensityControl, reset_opacity
 from irgspp.core.stages.optimizer import GaussianOptimizer, Rate
@@ -40,6 +41,14 @@ def test_exactly_the_transparent_the_huge_and_the_unseen_go(gaussians, generator
     assert control.refine(optimizer, generator, grow=False) == (0, 40)
     assert torch.equal(optimizer.gaussians.position, gaussians.position[:, 40:])
     assert torch.equal(optimizer.gaussians.sh, gaussians.sh[..., 40:])
+
+
+def test_nothing_left_is_told(gaussians, generator):
+    control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
+    observed(control, torch.zeros(COUNT))
+    with pytest.raises(IrgsppError, match="no Gaussian is left"):
+        control.refine(optimizer, generator, grow=False)
+    assert optimizer.gaussians.count == COUNT
 
 
 def test_once_seen_is_seen(gaussians, generator):
