@@ -21,6 +21,7 @@ from .run_folder import write_atomic
 from .scene.buffers import NOTHING, ViewBuffers
 from .scene.exr import read_exr_rgb, rgb_channels, write_exr
 from .scene.reconstruction import Reconstruction
+from .shading.lightmap import rotate
 from .stages.render import render_view, shade_view
 
 LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
@@ -44,15 +45,7 @@ def load_light(path: Path, name: str | None = None, rotation: float = 0.0, stren
         raise InputError(path, "holds values that are not finite")
     if strength < 0:
         raise InputError("--strength", f"{strength} is negative")
-    return Light(name or path.stem, (rotated(np.clip(picture, 0, None), rotation) * strength).astype(np.float32))
-
-
-def rotated(picture: np.ndarray, degrees: float) -> np.ndarray:
-    """A lat-long map (H, W, C) turned counter-clockwise about +Z; between columns it is interpolated."""
-    shift = degrees / 360 * picture.shape[1]  # u falls with the azimuth: what was at column j + shift comes to j
-    whole = int(np.floor(shift))
-    share = shift - whole
-    return (1 - share) * np.roll(picture, -whole, 1) + share * np.roll(picture, -whole - 1, 1)
+    return Light(name or path.stem, (rotate(np.clip(picture, 0, None), rotation) * strength).astype(np.float32))
 
 
 def render_views(

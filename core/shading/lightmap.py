@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
 
@@ -55,11 +56,9 @@ def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | No
     return values[0, :, 0, 0].T
 
 
-def rotate(maps: torch.Tensor, degrees: float) -> torch.Tensor:
-    """(H, W, C) turned about +Z: what was seen along +X is then seen at `degrees` towards +Y."""
-    height, width, _ = maps.shape
-    direction = texel_directions(height, width).reshape(-1, 3)
-    angle = math.radians(-degrees)
-    c, s = math.cos(angle), math.sin(angle)
-    turned = torch.stack([c * direction[:, 0] - s * direction[:, 1], s * direction[:, 0] + c * direction[:, 1], direction[:, 2]], -1)
-    return lookup(maps, turned).reshape(maps.shape)
+def rotate(picture: np.ndarray, degrees: float) -> np.ndarray:
+    """A lat-long map (H, W, C) turned counter-clockwise about +Z; between columns it is interpolated, so that no light is lost."""
+    shift = degrees / 360 * picture.shape[1]  # u falls with the azimuth: what was at column j + shift comes to j
+    whole = int(np.floor(shift))
+    share = shift - whole
+    return (1 - share) * np.roll(picture, -whole, 1) + share * np.roll(picture, -whole - 1, 1)

@@ -14,9 +14,10 @@ from irgspp.core.datasets.camera import Camera
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.progress import Silent
-from irgspp.core.rendering import Light, cameras_of, load_light, render_views, rotated, split_of, write_rgba
+from irgspp.core.rendering import Light, cameras_of, load_light, render_views, split_of, write_rgba
 from irgspp.core.scene.buffers import ViewBuffers
 from irgspp.core.scene.exr import read_exr, rgb_channels, write_exr
+from irgspp.core.shading.lightmap import rotate
 from irgspp.core.shading.lights import map_directions
 from PIL import Image
 
@@ -36,7 +37,7 @@ def test_light_turns_counter_clockwise_seen_from_above():
     """A lamp at +X (azimuth 0) turned by 90 degrees stands at +Y."""
     d = map_directions(32, 64)
     lamp = np.exp(20 * (d[..., :1] - 1))
-    turned = rotated(lamp, 90)
+    turned = rotate(lamp, 90)
     brightest = d.reshape(-1, 3)[turned.reshape(-1).argmax()]
     assert brightest @ [0, 1, 0] > 0.99
 
@@ -44,8 +45,8 @@ def test_light_turns_counter_clockwise_seen_from_above():
 @given(st.floats(-720, 720))
 def test_turning_keeps_the_light_and_can_be_undone_by_whole_turns(degrees):
     light = np.random.default_rng(0).random((4, 8, 3))
-    np.testing.assert_allclose(rotated(light, degrees).sum(1), light.sum(1))
-    np.testing.assert_allclose(rotated(light, degrees + 360), rotated(light, degrees), atol=1e-9)
+    np.testing.assert_allclose(rotate(light, degrees).sum(1), light.sum(1))
+    np.testing.assert_allclose(rotate(light, degrees + 360), rotate(light, degrees), atol=1e-9)
 
 
 def test_load_light(tmp_path):
