@@ -41,7 +41,7 @@ class ReflectiveSettings:
     trial_iterations: Annotated[int, Range(1)] = 250  # of each fit that decides between low-gloss and glossy
     trial_gaussians: Annotated[int, Range(16)] = 8_000
     trial_resolution: Annotated[int, Range(16)] = 100  # pixels along the longest side
-    trial_margin: Annotated[float, Range(0)] = 0.5  # dB by which reflections must explain the held-back view better
+    trial_margin: Annotated[float, Range(0)] = 0.5  # dB by which a more reflecting kind must explain held-back views better
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def _roughness_of(light: torch.Tensor) -> torch.Tensor:
 def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress) -> Kind:
     """Decide what the object is made of: fit every kind briefly and take what explains the held-back view best.
 
-    A reflecting kind must be better by `trial_margin`. Where no view can be held back, or no mask tells the object from its
+    Each kind must be better by `trial_margin` than the less reflecting one before it. Where no view can be held back, or no mask tells the object from its
     background, it is the first of the allowed kinds.
     """
     kinds, brief = candidates(settings.materials), settings.reflective
@@ -203,7 +203,9 @@ def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, prog
             trial.step()
             progress.step(trial.done + i * brief.iterations)
         score[kind] = trial.test() or 0.0
-    best = max(kinds, key=lambda kind: score[kind] - settings.reflective.trial_margin * kind.glossy)
+    best = kinds[0]
+    for kind in kinds[1:]:
+        best = kind if score[kind] > score[best] + settings.reflective.trial_margin else best
     progress.message("materials: " + ", ".join(f"{k.name} {v:.2f} dB" for k, v in score.items()) + f" -> {best.name}")
     return best
 
