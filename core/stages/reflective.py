@@ -177,10 +177,10 @@ def _roughness_of(light: torch.Tensor) -> torch.Tensor:
 
 
 def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress) -> Kind:
-    """Decide what the object is made of: fit every kind briefly and take what explains the held-back view best.
+    """Decide what the object is made of: fit every kind briefly and take what explains the held-back views best.
 
-    Each kind must be better by `trial_margin` than the less reflecting one before it. Where no view can be held back, or no mask tells the object from its
-    background, it is the first of the allowed kinds.
+    Each kind must be better by `trial_margin` than the less reflecting one before it. Where no view can be held back, or no mask
+    tells the object from its background, it is the first of the allowed kinds.
     """
     kinds, brief = candidates(settings.materials), settings.reflective
     if not dataset.has_alpha:
