@@ -32,19 +32,15 @@ def facing_radiance(gaussians: Gaussians) -> torch.Tensor:
     return ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0).T
 
 
-def outward_normals(gaussians: Gaussians) -> torch.Tensor:
-    """(N, 3) unit normals; the start orients them outward and training turns them by less than a right angle."""
-    return gaussians.normals().T
-
-
 def separate_light(reconstruction: Reconstruction, seed: int) -> Reconstruction:
     """Set albedo, and the light where the stage has not found one by reflections, from the diffuse radiance.
 
-    The light is kept where `glossy`. The overall scale between light and albedo is unknowable: the light is scaled so that the
-    median albedo of what is not metal is 0.5.
+    The light is kept where `glossy`. The overall scale between light and albedo is unknowable: a light that is fitted here is
+    scaled so that the median albedo is 0.5. Where no disk is opaque there is nothing to separate and all stays as it is.
     """
     g = reconstruction.gaussians
-    normal, seen = outward_normals(g), facing_radiance(g)
+    # The start orients normals outward, and training turns them by less than a right angle.
+    normal, seen = g.normals().T, facing_radiance(g)
     share = 1 - g.materials()[METALLIC]
     solid = torch.nonzero(g.opacity.sigmoid() > 0.5)[:, 0]
     if not len(solid):

@@ -29,7 +29,7 @@ from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
 from .target import Target, make_target
 
-START_RADIANCE = 0.5  # of the light and the background, linear
+START_RADIANCE = 0.5  # of the light, linear
 CHECKPOINT_SECONDS = 30.0
 HOLD_BACK_FROM = 8  # views; fewer are all needed
 TRIAL_HOLD_BACK = 6  # one view in so many tests a trial
@@ -230,7 +230,7 @@ def train(dataset: Dataset, settings: Settings, progress: Progress | None = None
     Goes on from the checkpoint "reflective" where there is one; the result is then that of an undisturbed run.
 
     Raises:
-        Cancelled: the user stopped the work; the checkpoint is written. IrgsppError: the loss is not finite.
+        Cancelled: the user stopped the work; the checkpoint is written. IrgsppError: the loss is not finite, or no Gaussian is left.
     """
     progress = progress or Silent()
     torch.manual_seed(settings.seed)
