@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -40,11 +41,9 @@ def balanced_ranges(cost: np.ndarray, parts: int) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in itertools.pairwise(edges)]
 
 
-def run_ranges(kernel: Callable[..., None], ranges: Sequence[tuple[int, int]], *args: object, numbered: bool = False) -> None:
-    """Call `kernel(begin, end, *args)` for every range on the pool and wait; `numbered` puts the range's index first."""
+def run_ranges(kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], *args: object, numbered: bool = False) -> list[Any]:
+    """Call `kernel(begin, end, *args)` for every range on the pool, results in order; `numbered` puts the range's index first."""
     calls = [((i, a, b) if numbered else (a, b)) for i, (a, b) in enumerate(ranges)]
     if len(calls) == 1:
-        kernel(*calls[0], *args)
-        return
-    for future in [_executor(thread_count()).submit(kernel, *call, *args) for call in calls]:
-        future.result()
+        return [kernel(*calls[0], *args)]
+    return [future.result() for future in [_executor(thread_count()).submit(kernel, *call, *args) for call in calls]]

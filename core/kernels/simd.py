@@ -165,18 +165,33 @@ def _binary(name):
 sqrt, floor, minimum, maximum = _unary("sqrt"), _unary("floor"), _binary("minnum"), _binary("maxnum")
 
 
+def _across(combine, doc):
+    @intrinsic
+    def function(typing, value):
+        def emit(context, builder, sig, args):
+            v = args[0]
+            for half in (4, 2, 1):
+                shuffle = ir.Constant(_INTS, [(i + half) % WIDTH for i in range(WIDTH)])
+                v = getattr(builder, combine)(v, builder.shuffle_vector(v, v, shuffle))
+            return builder.extract_element(v, ir.Constant(ir.IntType(32), 0))
+
+        return types.float32(f32x8), emit
+
+    function.__doc__ = doc
+    return function
+
+
+total, product = _across("fadd", "Sum of the 8 lanes."), _across("fmul", "Product of the 8 lanes.")
+
+
 @intrinsic
-def total(typing, value):
-    """Sum of the 8 lanes."""
+def first_bit(typing, mask):
+    """Number of the lowest bit set in a mask that is not 0."""
 
     def emit(context, builder, sig, args):
-        v = args[0]
-        for half in (4, 2, 1):
-            shuffle = ir.Constant(_INTS, [(i + half) % WIDTH for i in range(WIDTH)])
-            v = builder.fadd(v, builder.shuffle_vector(v, v, shuffle))
-        return builder.extract_element(v, ir.Constant(ir.IntType(32), 0))
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
 
-    return types.float32(f32x8), emit
+    return types.int64(types.uint64), emit
 
 
 @intrinsic

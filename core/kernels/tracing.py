@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one face of the ray tracer of 2D Gaussians (2DGRT): rays in, what they see out, differentiable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from .bvh import DiskTree, flat
+from .compositing import (
+    SH_ROW,
+    SUMS,
+    blend_backward_range,
+    blend_range,
+    composite_backward_range,
+    composite_range,
+    pack_range,
+    unpack_range,
+)
+from .pool import balanced_ranges, even_ranges, run_ranges, thread_count
+from .trace import gather_range, transmittance_range
+
+COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # columns of what `trace` returns; distance and opacity follow the extras
+
+
+@dataclass(frozen=True)
+class HitLists:
+    """What R rays meet, in the order they meet it.
+
+    Attributes:
+        start: (R + 1,) int64, ray r's hits are start[r] : start[r + 1].
+        index: (H,) int32 Gaussian. weight: (H,) float32 its share of the ray; they sum to the ray's opacity, to 1 where the ray
+            counts as opaque.
+        distance: (H,) float32 along the ray.
+        left: (R,) float32 transmittance behind the last hit, before opaque rays are counted as such.
+    """
+
+    start: np.ndarray
+    index: np.ndarray
+    weight: np.ndarray
+    distance: np.ndarray
+    left: np.ndarray
+
+    @property
+    def rays(self) -> int:
+        """R."""
+        return len(self.start) - 1
+
+
+def _checked(origin: torch.Tensor, direction: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+    if origin.shape != direction.shape or origin.ndim != 2 or origin.shape[1] != 3:
+        raise ValueError(f"rays need origins and directions of one shape (R, 3), got {tuple(origin.shape)} and {tuple(direction.shape)}")
+    return flat(origin), flat(direction)
+
+
+def hit_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists:
+    """Hits of rays (R, 3) with unit directions, in exact order, until the transmittance falls below TRANSMITTANCE_MIN."""
+    o, d = _checked(origin, direction)
+    rays = len(origin)
+    count, left = np.zeros(rays, np.int64), np.ones(rays, np.float32)
+    parts = [(np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.float32))]
+    if tree.depth and rays:
+        arrays = (o, d, tree.node, tree.child, tree.leaf, tree.index, tree.depth, count, left)
+        parts = run_ranges(gather_range, even_ranges(rays, thread_count()), *arrays)
+    start = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)])
+    index, weight, distance = (p[0] if len(parts) == 1 else np.concatenate(p) for p in zip(*parts, strict=True))
+    return HitLists(start, index, weight, distance, left)
+
+
+def transmittance(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    """(R,) share of light that passes along rays (R, 3), 0 below TRANSMITTANCE_MIN; no gradients."""
+    o, d = _checked(origin, direction)
+    through = torch.ones(len(origin))
+    if tree.depth and len(origin):
+        arrays = (o, d, tree.node, tree.child, tree.leaf, tree.depth, through.numpy())
+        run_ranges(transmittance_range, even_ranges(len(origin), 4 * thread_count()), *arrays)
+    return through
+
+
+def _whole(channels: int) -> int:
+    """Floats of a row that holds so many channels in whole vectors."""
+    return -(-channels // 8) * 8
+
+
+def _pack(sh: torch.Tensor | None, extra: torch.Tensor, coefficients: int) -> np.ndarray:
+    n = extra.shape[1]
+    rows = np.empty((n, (SH_ROW if coefficients else 0) + _whole(len(extra))), np.float32)
+    values = np.empty(0, np.float32) if sh is None else flat(sh)
+    run_ranges(pack_range, even_ranges(n, thread_count()), values, flat(extra), coefficients, n, rows)
+    return rows
+
+
+class _Trace(torch.autograd.Function):
+    """CPU backend."""
+
+    @staticmethod
+    def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients):
+        lists = hit_lists(tree, origin, direction)
+        rows = _pack(sh, extra, coefficients)
+        out = torch.empty(lists.rays, SUMS + len(extra))
+        lit = np.empty(len(lists.index), np.uint8)
+        arrays = (lists.start, lists.index, lists.weight, lists.distance, tree.record, rows, coefficients, len(extra))
+        ranges = balanced_ranges(np.diff(lists.start) + 1, thread_count())
+        run_ranges(composite_range, ranges, flat(direction), *arrays, out.numpy(), lit)
+        ctx.lists, ctx.lit, ctx.ranges, ctx.coefficients = lists, lit, ranges, coefficients
+        ctx.direction, ctx.shapes = flat(direction), (None if sh is None else sh.shape, extra.shape)
+        return out
+
+    @staticmethod
+    def backward(ctx, gradient):
+        lists, coefficients, (sh_shape, extra_shape) = ctx.lists, ctx.coefficients, ctx.shapes
+        n = extra_shape[1]
+        slots = np.zeros((len(ctx.ranges), n, (SH_ROW if coefficients else 0) + _whole(extra_shape[0])), np.float32)
+        arrays = (ctx.direction, lists.start, lists.index, lists.weight, ctx.lit, coefficients, extra_shape[0])
+        run_ranges(composite_backward_range, ctx.ranges, *arrays, gradient.contiguous().numpy(), slots, numbered=True)
+        g_sh, g_extra = (torch.zeros(sh_shape) if sh_shape is not None else None), torch.empty(extra_shape)
+        outputs = (np.empty(0, np.float32) if g_sh is None else g_sh.view(-1).numpy(), g_extra.view(-1).numpy())
+        run_ranges(unpack_range, even_ranges(n, thread_count()), slots, coefficients, n, *outputs)
+        return None, None, None, None, g_sh, g_extra, None, None, None, None
+
+
+def trace(
+    position: torch.Tensor,
+    quaternion: torch.Tensor,
+    log_scale: torch.Tensor,
+    opacity: torch.Tensor,
+    sh: torch.Tensor | None,
+    extra: torch.Tensor,
+    origin: torch.Tensor,
+    direction: torch.Tensor,
+    tree: DiskTree,
+    degree: int = 3,
+) -> torch.Tensor:
+    """Composite 2D Gaussians along rays, in the exact order of their hits.
+
+    Args:
+        position: (3, N) world; quaternion: (4, N) w x y z, any length; log_scale: (2, N); opacity: (N,) logits.
+        sh: (K, 3, N) radiance max(0.5 + sum, 0) in the ray's direction, K >= (degree + 1)^2; None: no colour, zeros.
+        extra: (E, N) further channels, E >= 0.
+        origin: (R, 3); direction: (R, 3) unit. Hits lie strictly ahead; offsets from a surface are the caller's.
+        tree: built from, or refitted to, these very Gaussians. degree: SH degree in use, 0..3.
+
+    Returns:
+        (R, 8 + E) sums over hits of weight x (colour 3, unit normal turned against the ray 3, extra E, distance 1), not divided by
+        opacity, and opacity itself last (nearly opaque counts as opaque: there the sums are means).
+
+    Raises:
+        ValueError: shapes that don't fit, or a tree of other Gaussians.
+    """
+    _checked(origin, direction)
+    if not tree.matches(position, quaternion, log_scale, opacity):
+        raise ValueError("the tree stands for other Gaussians; refit or rebuild it after they change")
+    coefficients = 0 if sh is None else (degree + 1) ** 2
+    return _Trace.apply(position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients)
+
+
+class _Blend(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, values, lists, ray):
+        rows = _pack(None, values, 0)
+        out = torch.empty(len(ray), len(values))
+        ranges = balanced_ranges(np.diff(lists.start)[ray] + 1, thread_count())
+        run_ranges(blend_range, ranges, ray, lists.start, lists.index, lists.weight, rows, len(values), out.numpy())
+        ctx.lists, ctx.ray, ctx.ranges, ctx.shape = lists, ray, ranges, values.shape
+        return out
+
+    @staticmethod
+    def backward(ctx, gradient):
+        lists, (channels, n) = ctx.lists, ctx.shape
+        slots = np.zeros((len(ctx.ranges), n, _whole(channels)), np.float32)
+        arrays = (ctx.ray, lists.start, lists.index, lists.weight, gradient.contiguous().numpy(), slots)
+        run_ranges(blend_backward_range, ctx.ranges, *arrays, numbered=True)
+        out = torch.empty(channels, n)
+        run_ranges(unpack_range, even_ranges(n, thread_count()), slots, 0, n, np.empty(0, np.float32), out.view(-1).numpy())
+        return out, None, None
+
+
+def blend(lists: HitLists, values: torch.Tensor, rows: torch.Tensor | None = None) -> torch.Tensor:
+    """Sums over hits of weight x value, differentiable in the values.
+
+    Args:
+        lists: what R rays meet. values: (C, N) channels of the Gaussians. rows: (B,) rays wanted, any order; None: all R.
+
+    Returns:
+        (B, C), not divided by opacity.
+    """
+    ray = np.arange(lists.rays) if rows is None else rows.detach().to(torch.int64).contiguous().numpy()
+    return _Blend.apply(values, lists, ray)
