@@ -11,11 +11,11 @@ from functools import cache
 
 import torch
 
-from .brdf import base_reflectance, ggx_alpha, ggx_distribution, sample_visible_normal, schlick, smith_visibility
+from .brdf import base_reflectance, ggx_alpha, ggx_distribution
 from .lightmap import lookup, solid_angles, texel_directions
+from .specular_albedo import diffuse_share, specular_albedo
 
 LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness of the specular stack; 0 is the map itself
-TABLE = 64
 
 
 @cache
@@ -55,34 +55,6 @@ def stack_level(roughness: torch.Tensor) -> torch.Tensor:
     return i + (roughness - knots[i]) / (knots[i + 1] - knots[i])
 
 
-@cache
-def brdf_table() -> torch.Tensor:
-    """(TABLE roughness, TABLE n.v, 2): scale and bias of F0 in the specular albedo; from 0 to 1 inclusive."""
-    grid = torch.linspace(0, 1, TABLE, dtype=torch.float64).clamp_min(1e-3)
-    n_v = grid[None, :, None].expand(TABLE, TABLE, 1024)
-    alpha = ggx_alpha(grid)[:, None, None].expand_as(n_v)
-    i = torch.arange(1024, dtype=torch.float64)
-    u = torch.stack([(i + 0.5) / 1024, (i * 0.6180339887498949) % 1], -1).expand(*n_v.shape, 2)
-    view = torch.stack([(1 - n_v**2).sqrt(), torch.zeros_like(n_v), n_v], -1)
-    half = sample_visible_normal(view, alpha, u)
-    v_h = (view * half).sum(-1).clamp_min(1e-9)
-    n_l = 2 * v_h * half[..., 2] - n_v
-    # f cos / p = F G2 / G1, with G1 of the visible-normal density
-    g1 = 2 * n_v / (n_v + (alpha**2 + (1 - alpha**2) * n_v**2).sqrt())
-    ratio = torch.where(n_l > 0, smith_visibility(n_l.clamp_min(1e-9), n_v, alpha) * 4 * n_l * n_v / g1, 0.0)
-    fresnel = schlick(v_h, torch.zeros(1, dtype=torch.float64))
-    return torch.stack([(ratio * (1 - fresnel)).mean(-1), (ratio * fresnel).mean(-1)], -1).float()
-
-
-def specular_albedo(n_v: torch.Tensor, roughness: torch.Tensor, f0: torch.Tensor) -> torch.Tensor:
-    """Directional albedo F0 x scale + bias of the specular lobe; n_v, roughness (P,), f0 (P, 3) -> (P, 3)."""
-    table = brdf_table().to(f0.device).permute(2, 0, 1)[None]
-    grid = torch.stack([n_v, roughness], -1) * 2 - 1
-    pair = torch.nn.functional.grid_sample(table, grid[None, None], mode="bilinear", padding_mode="border", align_corners=True)
-    scale, bias = pair[0, :, 0]
-    return f0 * scale[:, None] + bias[:, None]
-
-
 def reflect(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
     """Mirror direction of unit `view` (towards the eye) at unit `normal`, (P, 3)."""
     return 2 * (view * normal).sum(-1, keepdim=True) * normal - view
@@ -105,7 +77,13 @@ def shade(
     metallic: torch.Tensor,
     diffuse: torch.Tensor,
     stack: torch.Tensor,
+    conserving: bool = False,
 ) -> torch.Tensor:
-    """Radiance under a distant light without visibility, (P, 3): (1 - m) a E(n) + specular; `diffuse` from `diffuse_light`."""
+    """Radiance under a distant light without visibility, (P, 3): (1 - m) a E(n) + specular; `diffuse` from `diffuse_light`.
+
+    `conserving` takes from the diffuse lobe what the specular one reflects, as Blender's Principled does.
+    """
     body = (1 - metallic[:, None]) * albedo * lookup(diffuse, normal)
+    if conserving:
+        body = body * diffuse_share((view * normal).sum(-1).clamp(1e-3, 1), roughness)[:, None]
     return body + specular_radiance(view, normal, albedo, roughness, metallic, stack)

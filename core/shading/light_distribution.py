@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Directions drawn in proportion to the brightness of a light map."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from .lightmap import direction_to_uv, solid_angles
+
+FLOOR = 1e-3  # share of the mean that even a black texel gets, so that none dies
+SIDE = 1 / 6  # weight of either neighbour: lookup is bilinear, light spills half a texel over the edge
+
+
+class LightDistribution:
+    """A density over the sphere that is constant in each texel of a lat-long map; made anew whenever the map changes.
+
+    Texels weigh their brightest channel, blurred over the 3 x 3 neighbourhood, times their exact solid angle. Everything is
+    detached. A map that is black everywhere gives the uniform density.
+    """
+
+    def __init__(self, light: torch.Tensor) -> None:
+        """light: (H, W, 3) linear, finite; negative values count as black. Raises ValueError for anything else."""
+        if light.ndim != 3 or light.shape[2] != 3 or 0 in light.shape:
+            raise ValueError(f"a light map is (H, W, 3), got {tuple(light.shape)}")
+        with torch.no_grad():
+            self._build(light.detach().amax(-1).clamp_min(0))
+
+    def _build(self, brightness: torch.Tensor) -> None:
+        height, width = brightness.shape
+        angle = solid_angles(height, width, torch.float64).to(brightness.device)
+        value = _blurred(brightness.double())
+        mean = (value.sum(1) * angle).sum() / (4 * math.pi)
+        if not torch.isfinite(mean):
+            raise ValueError("the light map holds values that are not finite")
+        value = value + FLOOR * mean if mean > 0 else torch.ones_like(value)
+        weight = value * angle[:, None]
+        rows = weight.sum(1)
+        # Both searches are one each: row r's share of the table lies in r..r+1.
+        conditional = weight.cumsum(1) / rows[:, None]
+        conditional[:, -1] = 1
+        self._rows = (rows.cumsum(0) / rows.sum()).contiguous()
+        self._columns = (conditional + torch.arange(height, device=weight.device)[:, None]).reshape(-1)
+        self._edges = torch.cos(torch.arange(height + 1, dtype=torch.float64, device=weight.device) * (math.pi / height))
+        self._density = (value / weight.sum()).to(brightness.dtype)  # per steradian
+        self.height, self.width = height, width
+
+    def sample(self, u: torch.Tensor) -> torch.Tensor:
+        """(..., 2) uniform numbers in [0, 1) to (..., 3) unit directions, uniform in solid angle inside each texel."""
+        across, down = u.reshape(-1, 2).double().unbind(-1)
+        row = torch.searchsorted(self._rows, down.contiguous(), right=True).clamp_max(self.height - 1)
+        before = torch.where(row > 0, self._rows[row - 1], 0.0)
+        v = ((down - before) / (self._rows[row] - before)).clamp(0, 1)
+        flat = torch.searchsorted(self._columns, across + row, right=True)
+        flat = torch.minimum(flat, row * self.width + self.width - 1)
+        left = torch.where(flat % self.width > 0, self._columns[flat - 1], row.double())
+        phi = (flat % self.width + ((across + row - left) / (self._columns[flat] - left)).clamp(0, 1)) * (2 * math.pi / self.width)
+        z = self._edges[row] + (self._edges[row + 1] - self._edges[row]) * v
+        s = (1 - z * z).clamp_min(0).sqrt()
+        return torch.stack([-s * phi.cos(), s * phi.sin(), z], -1).to(u.dtype).view(*u.shape[:-1], 3)
+
+    def density(self, direction: torch.Tensor) -> torch.Tensor:
+        """(..., 3) unit directions to (...) density per steradian; it integrates to 1 over the sphere."""
+        u, v = direction_to_uv(direction)
+        column = (u * self.width).long().clamp(0, self.width - 1)
+        row = (v * self.height).long().clamp(0, self.height - 1)
+        return self._density.reshape(-1)[row * self.width + column]
+
+
+def _blurred(brightness: torch.Tensor) -> torch.Tensor:
+    """(H, W) mean over 3 x 3 texels, the middle four times as heavy: near the density of least variance under bilinear lookup."""
+    rows = torch.cat([brightness[:1], brightness, brightness[-1:]])
+    rows = (1 - 2 * SIDE) * rows[1:-1] + SIDE * (rows[:-2] + rows[2:])
+    return (1 - 2 * SIDE) * rows + SIDE * (rows.roll(1, 1) + rows.roll(-1, 1))

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where to look for light: cosine, visible-normal and light-map samples under the balance heuristic, or plain strata.
+
+The mixture is deterministic: q = (N_c p_c + N_g p_g + N_e p_e) / N, evaluated at every sample whatever strategy drew it (Veach 1997).
+All of it is detached: sampling follows materials and light, gradients flow through what is sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import torch
+
+from .brdf import facing, ggx_alpha, sample_visible_normal, visible_normal_density
+from .light_distribution import LightDistribution
+
+METHODS = ("mis", "stratified")
+DENSITY_FLOOR = 1e-9  # keeps weights finite where a density underflows; far below any that counts
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """N directions at each of P points.
+
+    Attributes:
+        direction: (P, N, 3) unit, in the world, contiguous.
+        density: (P, N) per steradian, > 0; that of the mixture.
+    """
+
+    direction: torch.Tensor
+    density: torch.Tensor
+
+
+def orthonormal_basis(normal: torch.Tensor) -> torch.Tensor:
+    """(P, 3) unit normals to (P, 3, 3) right-handed frames; columns are tangent, bitangent, normal (Duff et al. 2017, no singularity)."""
+    x, y, z = normal.unbind(-1)
+    sign = torch.where(z < 0, -1.0, 1.0).to(z.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    tangent = torch.stack([1 + sign * x * x * a, sign * b, -sign * x], -1)
+    return torch.stack([tangent, torch.stack([b, sign + y * y * a, -y], -1), normal], -1)
+
+
+@cache
+def point_set(count: int) -> torch.Tensor:
+    """(count, 2) float64 points of low discrepancy on the unit torus: a golden-ratio lattice."""
+    i = torch.arange(count, dtype=torch.float64)
+    return torch.stack([(i + 0.5) / max(count, 1), (i * 0.6180339887498949) % 1], -1)
+
+
+def draw(
+    view: torch.Tensor,
+    normal: torch.Tensor,
+    roughness: torch.Tensor,
+    counts: tuple[int, int, int],
+    light: LightDistribution,
+    shift: torch.Tensor | torch.Generator,
+    method: str = "mis",
+) -> Samples:
+    """Directions to gather light from at P surface points.
+
+    Args:
+        view: (P, 3) unit, towards the eye. normal: (P, 3) unit. roughness: (P,) in 0..1.
+        counts: how many cosine, GGX visible-normal and light-map samples; N is their sum.
+        light: the light's distribution, made of the map as it is now.
+        shift: (P, 2) in [0, 1), by which each point's sets are shifted on the torus (Cranley and Patterson 1976), or what draws it.
+        method: "mis", or "stratified": N strata of the hemisphere, uniform, light and lobe unheeded.
+
+    Returns:
+        Samples. Those below the horizon count in N and bring nothing.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method {method!r} is none of {', '.join(METHODS)}")
+    if sum(counts) < 1 or min(counts) < 0:
+        raise ValueError(f"counts {counts} make no sample")
+    with torch.no_grad():
+        if isinstance(shift, torch.Generator):
+            shift = torch.rand(len(view), 2, generator=shift, dtype=view.dtype, device=shift.device)
+        frame = orthonormal_basis(normal)
+        if method == "stratified":
+            local = _uniform(_shifted(sum(counts), shift))
+            return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
+        return _mixture(facing(view, normal), frame, ggx_alpha(roughness), counts, light, shift)
+
+
+def _mixture(view, frame, alpha, counts, light: LightDistribution, shift) -> Samples:
+    n_c, n_g, n_e = counts
+    alpha = alpha[:, None]
+    local_view = (view[:, None] @ frame).contiguous()  # (P, 1, 3)
+    half = sample_visible_normal(local_view, alpha, _shifted(n_g, shift))
+    mirrored = 2 * (local_view * half).sum(-1, keepdim=True) * half - local_view
+    local = torch.cat([_cosine(_shifted(n_c, shift)), mirrored], 1)
+    direction = torch.cat([local @ frame.mT, light.sample(_shifted(n_e, shift))], 1)
+    direction = torch.nn.functional.normalize(direction, dim=-1)
+    local = direction @ frame
+    density = n_e * light.density(direction)
+    density += (n_c / math.pi) * local[..., 2].clamp_min(0)
+    density += n_g * visible_normal_density(local_view, local, alpha)
+    return Samples(direction, (density / sum(counts)).clamp_min(DENSITY_FLOOR))
+
+
+def _shifted(count: int, shift: torch.Tensor) -> torch.Tensor:
+    """(P, count, 2) the point set, shifted for each of P points."""
+    u = point_set(count).to(shift)[None] + shift[:, None]
+    return u - u.floor()
+
+
+def _cosine(u: torch.Tensor) -> torch.Tensor:
+    """(..., 2) to (..., 3) local directions of density cos / pi."""
+    r, phi = u[..., 0].sqrt(), 2 * math.pi * u[..., 1]
+    return torch.stack([r * phi.cos(), r * phi.sin(), (1 - u[..., 0]).clamp_min(0).sqrt()], -1)
+
+
+def _uniform(u: torch.Tensor) -> torch.Tensor:
+    """(..., 2) to (..., 3) local directions, uniform over the hemisphere."""
+    z, phi = u[..., 0], 2 * math.pi * u[..., 1]
+    r = (1 - z * z).clamp_min(0).sqrt()
+    return torch.stack([r * phi.cos(), r * phi.sin(), z], -1)

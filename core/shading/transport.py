@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The rendering equation as a sum over samples: light that comes in, made light that goes out."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from .brdf import base_reflectance, facing, ggx_alpha, specular_lobe
+from .sampling import Samples
+from .specular_albedo import diffuse_share
+
+
+def reflect_light(
+    view: torch.Tensor,
+    normal: torch.Tensor,
+    albedo: torch.Tensor,
+    roughness: torch.Tensor,
+    metallic: torch.Tensor,
+    samples: Samples,
+    incoming: torch.Tensor,
+    conserving: bool = False,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Monte Carlo estimate of the light that P points send to the eye.
+
+    Args:
+        view: (P, 3) unit, towards the eye. normal: (P, 3) unit. albedo: (P, 3); roughness, metallic: (P,), all in 0..1.
+        samples: from `draw`, constants. incoming: (P, N, 3) linear radiance along them.
+        conserving: take from the diffuse lobe what the specular one reflects, as Blender's Principled does.
+
+    Returns:
+        Diffuse and specular (P, 3) linear: mean of f L cos / q. Differentiable in materials, normal, view and incoming.
+    """
+    view = facing(view, normal)
+    n_l, value, power = specular_lobe(view, normal, ggx_alpha(roughness), samples.direction)
+    weight = n_l.clamp_min(0) / (samples.density * samples.density.shape[1])
+    value = value * weight
+    bias = value * power
+    # Colour comes last: all three sums are one product with the incoming light.
+    irradiance, scaled, added = (torch.stack([weight, value - bias, bias], 1) @ incoming).unbind(1)
+    diffuse = (1 - metallic[:, None]) * albedo * irradiance / math.pi
+    if conserving:
+        diffuse = diffuse * diffuse_share((view * normal).sum(-1), roughness)[:, None]
+    return diffuse, base_reflectance(albedo, metallic[:, None]) * scaled + added
