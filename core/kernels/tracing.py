@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from .adjoint import GEOMETRY, disk_backward_range, trace_backward_range
 from .bvh import DiskTree, flat
 from .compositing import (
     SH_ROW,
@@ -101,24 +102,41 @@ class _Trace(torch.autograd.Function):
         rows = _pack(sh, extra, coefficients)
         out = torch.empty(lists.rays, SUMS + len(extra))
         lit = np.empty(len(lists.index), np.uint8)
-        arrays = (lists.start, lists.index, lists.weight, lists.distance, tree.record, rows, coefficients, len(extra))
+        hits = (lists.start, lists.index, lists.weight, lists.distance)
         ranges = balanced_ranges(np.diff(lists.start) + 1, thread_count())
-        run_ranges(composite_range, ranges, flat(direction), *arrays, out.numpy(), lit)
-        ctx.lists, ctx.lit, ctx.ranges, ctx.coefficients = lists, lit, ranges, coefficients
-        ctx.direction, ctx.shapes = flat(direction), (None if sh is None else sh.shape, extra.shape)
+        run_ranges(composite_range, ranges, flat(direction), *hits, tree.record, rows, coefficients, len(extra), out.numpy(), lit)
+        ctx.lists, ctx.lit, ctx.ranges, ctx.rays = lists, lit, ranges, (flat(origin), flat(direction))
+        ctx.record, ctx.quaternion, ctx.rows, ctx.coefficients = tree.record, tree.parameters[1], rows, coefficients
+        ctx.shapes = [None if p is None else p.shape for p in (position, quaternion, log_scale, opacity, sh, extra, origin, direction)]
+        ctx.save_for_backward(out)
         return out
 
     @staticmethod
     def backward(ctx, gradient):
-        lists, coefficients, (sh_shape, extra_shape) = ctx.lists, ctx.coefficients, ctx.shapes
-        n = extra_shape[1]
-        slots = np.zeros((len(ctx.ranges), n, (SH_ROW if coefficients else 0) + _whole(extra_shape[0])), np.float32)
-        arrays = (ctx.direction, lists.start, lists.index, lists.weight, ctx.lit, coefficients, extra_shape[0])
-        run_ranges(composite_backward_range, ctx.ranges, *arrays, gradient.contiguous().numpy(), slots, numbered=True)
-        g_sh, g_extra = (torch.zeros(sh_shape) if sh_shape is not None else None), torch.empty(extra_shape)
-        outputs = (np.empty(0, np.float32) if g_sh is None else g_sh.view(-1).numpy(), g_extra.view(-1).numpy())
-        run_ranges(unpack_range, even_ranges(n, thread_count()), slots, coefficients, n, *outputs)
-        return None, None, None, None, g_sh, g_extra, None, None, None, None
+        geometry = any(ctx.needs_input_grad[:4]) or any(ctx.needs_input_grad[6:8])
+        gradients = [None if shape is None else torch.zeros(shape) for shape in ctx.shapes]
+        outputs = [np.empty(0, np.float32) if g is None else g.view(-1).numpy() for g in gradients]
+        gradient = gradient.contiguous().numpy()
+        (n, width), extras = ctx.rows.shape, ctx.shapes[5][0]
+        slots = np.zeros((len(ctx.ranges), n, width + (GEOMETRY if geometry else 0)), np.float32)
+        if geometry:
+            _geometry_backward(ctx, gradient, slots, gradients, outputs)
+        else:
+            arrays = (ctx.rays[1], ctx.lists.start, ctx.lists.index, ctx.lists.weight, ctx.lit, ctx.coefficients, extras)
+            run_ranges(composite_backward_range, ctx.ranges, *arrays, gradient, slots, numbered=True)
+        run_ranges(unpack_range, even_ranges(n, thread_count()), slots, ctx.coefficients, n, *outputs[4:6])
+        wanted = zip(ctx.needs_input_grad, gradients, strict=False)
+        return *(g if needed else None for needed, g in wanted), None, None
+
+
+def _geometry_backward(ctx, gradient, slots, gradients, outputs):
+    """Gradients of disks and rays; those of rows are left in the slots."""
+    lists, (n, width) = ctx.lists, ctx.rows.shape
+    hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
+    scene = (ctx.record, ctx.rows, ctx.coefficients, ctx.shapes[5][0], ctx.saved_tensors[0].detach().numpy())
+    rays = [g.numpy() for g in gradients[6:8]]
+    run_ranges(trace_backward_range, ctx.ranges, *ctx.rays, *hits, *scene, gradient, slots, *rays, numbered=True)
+    run_ranges(disk_backward_range, even_ranges(n, thread_count()), slots, width, ctx.record, ctx.quaternion, n, *outputs[:4])
 
 
 def trace(
