@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from ..errors import IrgsppError
 from ..scene.gaussians import Gaussians
 
 ROWS = {"sh_dc": ("sh", slice(0, 1)), "sh_rest": ("sh", slice(1, None)), "albedo": ("material", slice(0, 3))}
@@ -26,12 +27,16 @@ class Rate:
 
 
 class GaussianOptimizer:
-    """Adam (eps 1e-15) with a rate per group; groups that share a tensor (SH dc and rest) step on views of it."""
+    """Adam (eps 1e-15) with a rate per group; groups that share a tensor (SH dc and rest) step on views of it.
+
+    A value that is NaN or infinite, whether it was given or made by a step, raises IrgsppError: the parameter and the iteration are named.
+    """
 
     def __init__(self, gaussians: Gaussians, rates: dict[str, Rate], others: dict[str, torch.Tensor] | None = None) -> None:
         """`rates` by parameter or ROWS name; parameters without a rate stay as they are. `others`: further tensors, not per Gaussian."""
         self.rates, self.others = rates, others or {}
         self.adopt(gaussians)
+        self.check_finite()
 
     def adopt(self, gaussians: Gaussians) -> None:
         """Optimise a copy of these Gaussians, with fresh moments."""
@@ -59,8 +64,33 @@ class GaussianOptimizer:
                 gradient = self.leaves[leaf].grad
                 group["params"][0].grad = None if gradient is None else gradient[rows]
         self.adam.step()
+        self.check_finite()
         for tensor in (*self.leaves.values(), *self.others.values()):
             tensor.grad = None
+
+    @property
+    def iteration(self) -> int:
+        """Steps done so far, those before a checkpoint included."""
+        return max((int(state["step"]) for state in self.adam.state.values()), default=0)
+
+    def check_finite(self) -> None:
+        """Raise IrgsppError where a value is NaN or infinite."""
+        named = self.leaves | self.others
+        with torch.no_grad():
+            # A sum takes a fifth of the time of looking at each value; one that overflows is looked at again below.
+            if torch.stack([tensor.sum() for tensor in named.values()]).isfinite().all():
+                return
+            for name, tensor in named.items():
+                parts = {k: rows for k, (leaf, rows) in ROWS.items() if leaf == name} or {name: slice(None)}
+                for part, rows in parts.items():
+                    if not tensor[rows].isfinite().all():
+                        raise IrgsppError(self._fault(part, tensor, rows))
+
+    def _fault(self, part: str, tensor: torch.Tensor, rows: slice) -> str:
+        """One line on values `rows` of `tensor` that are not finite, and where that comes from."""
+        bad = int((~tensor[rows].isfinite()).sum())
+        gradient = "" if tensor.grad is None or tensor.grad[rows].isfinite().all() else ", made by a gradient that is not"
+        return f"{part} is not finite after iteration {self.iteration} ({bad} of {tensor[rows].numel()} values{gradient})"
 
     def rebuild(self, gaussians: Gaussians, origin: torch.Tensor) -> None:
         """Go on with other Gaussians: moments come from Gaussian origin[i] of the old set, or are zero where origin is -1."""
@@ -75,6 +105,7 @@ class GaussianOptimizer:
                 continue
             moved = {k: torch.where(origin >= 0, state[k][..., origin.clamp_min(0)], 0.0) for k in ("exp_avg", "exp_avg_sq")}
             self.adam.state[group["params"][0]] = {"step": state["step"], **moved}
+        self.check_finite()
 
     def reset_moments(self, name: str) -> None:
         """Forget the moments of one group (its values were overwritten)."""
@@ -100,3 +131,4 @@ class GaussianOptimizer:
             moments = {k.removeprefix(prefix): v for k, v in state["moments"].items() if k.startswith(prefix)}
             if moments:
                 self.adam.state[group["params"][0]] = moments
+        self.check_finite()

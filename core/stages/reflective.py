@@ -91,6 +91,7 @@ class Trainer:
             loss = loss + self.settings.light_smoothness * _roughness_of(self.light)
         value = loss.item()
         if not math.isfinite(value):
+            self.optimizer.check_finite()  # names the parameter where it is one
             raise IrgsppError(f"the first stage's loss is not finite at iteration {self.done + 1}")
         loss.backward()
         self.optimizer.step(self.done / self.settings.iterations)

@@ -2,9 +2,11 @@
 """Adam over a changing set against a plain Adam over separate tensors."""
 
 import io
+import math
 
 import pytest
 import torch
+from irgspp.core.errors import IrgsppError
 from irgspp.core.stages.optimizer import ROWS, GaussianOptimizer, Rate
 
 RATES = {"position": Rate(1e-2, 0.1), "sh_dc": Rate(2e-2), "sh_rest": Rate(1e-3, 0.5), "albedo": Rate(3e-2), "light": Rate(5e-2, 0.2)}
@@ -119,3 +121,53 @@ def test_the_gaussians_it_was_given_stay_as_they_are(some_gaussians):
     gradients(optimizer, 0)
     optimizer.step(0.0)
     assert torch.equal(given.position, some_gaussians(20, 1).position)
+
+
+BAD = [math.nan, math.inf, -math.inf]
+PARTS = ["position", "quaternion", "log_scale", "opacity", "sh_dc", "sh_rest", "albedo", "roughness", "metallic", "light"]
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("name", PARTS)
+def test_one_bad_value_stops_the_step_by_name_and_iteration(optimizer, name, bad):
+    for step in range(3):
+        gradients(optimizer, step)
+        optimizer.step(0.0)
+    with torch.no_grad():
+        part(optimizer, name).view(-1)[5] = bad
+    gradients(optimizer, 3)
+    with pytest.raises(IrgsppError, match=rf"^{name} is not finite after iteration 4 \(1 of {part(optimizer, name).numel()} values\)$"):
+        optimizer.step(0.0)
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("name", RATES)
+def test_one_bad_gradient_stops_the_step_by_name_and_iteration(optimizer, name, bad):
+    gradients(optimizer, 0)
+    optimizer.step(0.0)
+    gradients(optimizer, 1)
+    part_gradient(optimizer, name).view(-1)[7] = bad
+    with pytest.raises(IrgsppError, match=f"^{name} is not finite after iteration 2 .*made by a gradient"):
+        optimizer.step(0.0)
+
+
+def test_bad_values_are_refused_where_they_are_given(some_gaussians, optimizer):
+    given = some_gaussians(20, 1)
+    given.quaternion[2, 3] = math.nan
+    with pytest.raises(IrgsppError, match="quaternion is not finite after iteration 0"):
+        GaussianOptimizer(given, RATES, {"light": torch.ones(4, 8, 3)})
+    gradients(optimizer, 0)
+    optimizer.step(0.0)
+    state = optimizer.state()
+    with pytest.raises(IrgsppError, match="quaternion is not finite after iteration 1"):
+        optimizer.rebuild(given, torch.arange(20))
+    state["others"]["light"] = torch.full((4, 8, 3), math.inf)
+    with pytest.raises(IrgsppError, match="light is not finite"):
+        optimizer.restore(state)
+
+
+def test_large_values_are_not_bad_ones(optimizer):
+    with torch.no_grad():
+        optimizer.leaves["log_scale"].fill_(3e38)  # their sum overflows
+    gradients(optimizer, 0)
+    optimizer.step(0.0)

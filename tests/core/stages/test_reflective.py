@@ -142,7 +142,16 @@ def test_background_starts_like_the_borders(sphere_dataset, camera_ring):
 
 def test_a_loss_that_is_not_finite_stops_the_fit(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
+    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 9)
+    trainer.step()
+    for target in trainer.targets:
+        target.picture.fill_(math.nan)
+    with pytest.raises(IrgsppError, match="loss is not finite at iteration 2"):
+        trainer.step()
+
+
+def test_photographs_that_are_not_finite_are_told_by_what_they_would_start(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32))
     view = replace(dataset.train[0], colour=np.full_like(dataset.train[0].colour, math.nan))
-    broken = replace(dataset, train=[view] * 9)
-    with pytest.raises(IrgsppError, match="iteration 1"):
-        train(broken, settings("materials=low-gloss"))
+    with pytest.raises(IrgsppError, match="sh_dc is not finite after iteration 0"):
+        train(replace(dataset, train=[view] * 9), settings("materials=low-gloss"))

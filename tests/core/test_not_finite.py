@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A value that is not finite ends the job with status 1 and one line, and keeps the checkpoint before it."""
+
+import math
+
+import pytest
+import torch
+from irgspp.core.cli import main
+from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.run_folder import read_run
+from irgspp.core.stages import reflective
+from irgspp.core.stages.reflective import Trainer
+
+SETTINGS = ["reflective.iterations=8", "reflective.gaussians=600", "reflective.light_height=16", "surface.voxels=32", "surface.texture=64"]
+FAULT = 5  # the iteration that breaks
+COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
+
+
+def bad_gradient(trainer: Trainer, name: str) -> None:
+    """One gradient of this iteration becomes infinite."""
+    trainer.optimizer.leaves[name].register_hook(lambda g: g.reshape(-1).index_fill(0, torch.tensor([11]), math.inf).view_as(g))
+
+
+def bad_value(trainer: Trainer, name: str) -> None:
+    with torch.no_grad():
+        trainer.optimizer.leaves[name].view(-1)[11] = math.nan
+
+
+@pytest.fixture
+def breaking(monkeypatch):
+    """Breaks a parameter right before iteration FAULT; every iteration leaves a checkpoint."""
+    step = Trainer.step
+    monkeypatch.setattr(reflective, "CHECKPOINT_SECONDS", -1.0)
+
+    def install(fault, name: str) -> None:
+        def broken(self: Trainer) -> float:
+            if self.done == FAULT - 1:
+                fault(self, name)
+            return step(self)
+
+        monkeypatch.setattr(Trainer, "step", broken)
+
+    return install
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "told", "materials"),
+    [
+        (bad_gradient, "position", f"position is not finite after iteration {FAULT}", "low-gloss"),
+        (bad_gradient, "sh", f"sh_dc is not finite after iteration {FAULT}", "low-gloss"),
+        (bad_value, "opacity", f"opacity is not finite after iteration {FAULT}", "low-gloss"),
+        (bad_value, "material", f"albedo is not finite after iteration {FAULT - 1}", "glossy"),  # the picture already shows it
+    ],
+)
+def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, name, told, materials):
+    breaking(fault, name)
+    run = tmp_path / "run"
+    arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", materials, "--set", "reflective.trial_iterations=1"]
+    assert main(arguments) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
+    assert len(lines) == 1 and told in lines[0]
+    state = read_run(run)
+    assert state["status"] == "failed" and told in state["error"]
+    saved = torch.load(run / "checkpoint" / "reflective.pt", weights_only=True)
+    assert saved["done"] == FAULT - 1
+    assert all(torch.isfinite(v).all() for v in saved["optimizer"]["values"].values())
+    assert not (run / "gaussians.ply").exists()
