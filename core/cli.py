@@ -15,15 +15,14 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
+from . import render_command
 from .config import PRESETS, Settings, preset
-from .errors import Cancelled, InputError, IrgsppError
+from .errors import Cancelled, IrgsppError
 from .overrides import from_dict, with_overrides
 from .run_folder import read_run
 from .terminal import Terminal
 
 # Heavy imports (torch, numba) stand inside the commands: `irgspp --help` answers at once.
-
-LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -124,23 +123,6 @@ def settings_of(args: argparse.Namespace) -> Settings:
     return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), args.set)
 
 
-def render(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Views of a run as picture files."""
-    from .rendering import cameras_of, load_light, render_views
-    from .scene.reconstruction import Reconstruction
-
-    if args.environment is None and (args.name or args.rotation or args.strength != 1.0):
-        raise InputError("--name, --rotation, --strength", "belong to --environment")
-    light = load_light(args.environment, args.name, args.rotation, args.strength) if args.environment else None
-    settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    reconstruction = Reconstruction.load(args.run)
-    cameras = cameras_of(args.views, settings.data, reconstruction.to_world)
-    render_views(reconstruction, cameras, args.out, terminal, layers=args.layers, light=light)
-    terminal.end_line()
-    print(args.out)
-    return 0
-
-
 def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
     """Compare a run with a dataset's test views: a table here, a page and JSON in the report folder."""
     from .evaluation.report import evaluate, table
@@ -197,16 +179,9 @@ def parser() -> argparse.ArgumentParser:
     _resume_options(one)
     one.add_argument("--overwrite", action="store_true", help="replace the run in the folder")
 
-    one = _command(commands, "render", render, "views of a run as pictures and layers")
+    one = _command(commands, "render", render_command.render, "views of a run as pictures and layers")
     _run_argument(one)
-    views = "whose cameras; split train, test or all; without one the test views, or all where there are none of their own"
-    one.add_argument("--views", metavar="DATASET[:split]", required=True, help=views)
-    one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the pictures")
-    one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")
-    one.add_argument("--environment", metavar="FILE", type=Path, help="lat-long EXR to light the object by (default: the recovered light)")
-    one.add_argument("--name", help="the light's name in file names (default: that of its file)")
-    one.add_argument("--rotation", type=float, default=0.0, metavar="DEG", help="turn the light about +Z, counter-clockwise from above")
-    one.add_argument("--strength", type=float, default=1.0, metavar="X", help="multiply the light")
+    render_command.add_options(one)
 
     one = _command(commands, "evaluate", evaluate, "compare a run with a dataset: every figure its truth allows")
     _run_argument(one)
@@ -221,13 +196,6 @@ def parser() -> argparse.ArgumentParser:
     one = _command(commands, "devices", devices, "print what can be used to compute on")
     one.add_argument("--json", action="store_true")
     return top
-
-
-def _layers(text: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(","))
-    if unknown := [name for name in names if name not in LAYERS]:
-        raise argparse.ArgumentTypeError(f"unknown layer {', '.join(unknown)} (there are {', '.join(LAYERS)})")
-    return names
 
 
 def _command(commands, name: str, function, text: str, resumable: bool = False) -> argparse.ArgumentParser:

@@ -16,55 +16,64 @@ from .config import DataSettings
 from .datasets.camera import Camera
 from .datasets.load import load_cameras
 from .errors import Cancelled, InputError
-from .progress import Progress
+from .progress import Progress, Silent
+from .relight.lighting import prepare
+from .relight.relighter import Relighter
 from .run_folder import write_atomic
 from .scene.buffers import NOTHING, ViewBuffers
-from .scene.exr import read_exr_rgb, rgb_channels, write_exr
-from .scene.reconstruction import Reconstruction
+from .scene.exr import rgb_channels, write_exr
+from .scene.light_files import read_light
 from .shading.lightmap import rotate
-from .stages.render import render_view, shade_view
+from .stages.render import render_view
 
 LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light to show the object under: its name in file names and an (H, W, 3) float32 linear lat-long map."""
+    """A light to show the object under: its name in file names ("" is the recovered one) and an (H, W, 3) float32 linear lat-long map."""
 
     name: str
     picture: np.ndarray
 
 
-def load_light(path: Path, name: str | None = None, rotation: float = 0.0, strength: float = 1.0) -> Light:
-    """Read a lat-long EXR, turned by `rotation` degrees about +Z (counter-clockwise from above), times `strength` (>= 0).
+def load_light(
+    path: Path, name: str | None = None, rotation: float = 0.0, strength: float = 1.0, progress: Progress | None = None
+) -> Light:
+    """Read a lat-long map, turned by `rotation` degrees about +Z (counter-clockwise from above), times `strength` (>= 0).
 
-    Raises InputError where it can't be read or is no light (negative, not finite).
+    Texels that are no light are repaired, which `progress` is told. Raises InputError where the file can't be read.
     """
-    picture = read_exr_rgb(path)
-    if not np.isfinite(picture).all():
-        raise InputError(path, "holds values that are not finite")
-    if strength < 0:
-        raise InputError("--strength", f"{strength} is negative")
-    return Light(name or path.stem, (rotate(np.clip(picture, 0, None), rotation) * strength).astype(np.float32))
+    if not (strength >= 0 and np.isfinite(strength) and np.isfinite(rotation)):
+        raise InputError("--strength, --rotation", f"{strength}, {rotation}: not a finite strength >= 0 and a finite angle")
+    picture, remarks = read_light(path)
+    for remark in remarks:
+        (progress or Silent()).message(f"warning: {remark}")
+    return Light(name or path.stem, (rotate(picture, rotation) * strength).astype(np.float32))
 
 
 def render_views(
-    reconstruction: Reconstruction,
+    relighter: Relighter,
     cameras: Sequence[tuple[str, Camera]],
     out: Path,
     progress: Progress,
     *,
     layers: Sequence[str] = LAYERS,
-    light: Light | None = None,
+    lights: Sequence[Light] = (),
 ) -> None:
-    """Write `out/<view>/` for every named camera: `rgba` under `light` (None: the recovered one) and the other layers.
+    """Write `out/<view>/` for every named camera, each as soon as it is done: `rgba` under every light, and the other layers.
 
-    Files: rgba.exr (`rgba_<light>.exr`) linear premultiplied RGBA and the same as 8-bit straight-alpha .png; radiance.exr like it,
-    the Gaussians' own radiance; albedo.exr linear RGB; normal.exr unit world XYZ as RGB; depth.exr Z, planar; material.exr R roughness,
-    G metallic. Raises InputError for an unknown layer or where a folder can't be made, Cancelled between two views.
+    Files: rgba.exr under the recovered light (no `lights`), else rgba_<light>.exr, linear premultiplied RGBA, and the same as 8-bit
+    straight-alpha .png; radiance.exr like it, the Gaussians' own radiance; albedo.exr linear RGB; normal.exr unit world XYZ as RGB;
+    depth.exr Z, planar; material.exr R roughness, G metallic. Raises InputError for an unknown layer, for lights of one name or where
+    a folder can't be made, Cancelled between two pictures.
     """
     if unknown := set(layers) - set(LAYERS):
         raise InputError(f"layer {', '.join(sorted(unknown))}", "there is none of that name", f"use {', '.join(LAYERS)}")
+    shown = lights or [Light("", relighter.reconstruction.environment_map())]
+    if len({light.name for light in shown}) < len(shown):
+        raise InputError("--environment", "two lights have the same name", "tell them apart by --name")
+    prepared = [(light.name, prepare(light.picture)) for light in shown] if "rgba" in layers else []
     progress.phase("render", len(cameras))
     for i, (name, camera) in enumerate(cameras):
         folder = out / name
@@ -72,14 +81,20 @@ def render_views(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(folder, f"can't be made ({error.strerror})") from error
-        if "rgba" in layers:
-            rgba = shade_view(reconstruction, camera, None if light is None else light.picture)
-            write_rgba(folder / (f"rgba_{light.name}" if light else "rgba"), rgba)
+        if prepared:
+            surface = relighter.surface(camera)
+            for light_name, light in prepared:
+                _stop_if_asked(progress, i, len(cameras))
+                write_rgba(folder / (f"rgba_{light_name}" if light_name else "rgba"), relighter.relit(surface, light).numpy())
         if set(layers) - {"rgba"}:
-            write_layers(folder, render_view(reconstruction, camera), layers)
+            write_layers(folder, render_view(relighter.reconstruction, camera), layers)
         progress.step(i + 1)
-        if progress.cancelled:
-            raise Cancelled(f"stopped after {i + 1} of {len(cameras)} views")
+        _stop_if_asked(progress, i + 1, len(cameras))
+
+
+def _stop_if_asked(progress: Progress, done: int, views: int) -> None:
+    if progress.cancelled:
+        raise Cancelled(f"stopped after {done} of {views} views")
 
 
 def write_rgba(stem: Path, rgba: np.ndarray) -> None:

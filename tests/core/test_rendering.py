@@ -2,9 +2,11 @@
 """Picture files of views: lights turned and scaled, premultiplied and straight alpha, cameras brought into a run's world."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from irgspp.core import rendering
@@ -56,13 +58,44 @@ def test_load_light(tmp_path):
     assert light.name == "city"
     np.testing.assert_allclose(light.picture, 1.5)
     assert load_light(path, "other").name == "other"
-    with pytest.raises(InputError, match="negative"):
-        load_light(path, strength=-1)
-    write_exr(path, rgb_channels(np.full((4, 8, 3), np.nan, np.float32)))
-    with pytest.raises(InputError, match="finite"):
-        load_light(path)
+    for wrong in ({"strength": -1.0}, {"strength": np.inf}, {"rotation": np.nan}):
+        with pytest.raises(InputError, match="strength"):
+            load_light(path, **wrong)
     with pytest.raises(InputError, match=r"none\.exr"):
         load_light(tmp_path / "none.exr")
+
+
+def test_light_that_had_to_be_repaired_is_told(tmp_path):
+    class Listener(Silent):
+        said = ""
+
+        def message(self, text):
+            self.said += text
+
+    path = tmp_path / "broken.exr"
+    picture = np.full((4, 8, 3), 0.5, np.float32)
+    picture[0, 0, 0] = np.nan
+    write_exr(path, rgb_channels(picture))
+    listener = Listener()
+    light = load_light(path, progress=listener)
+    assert "broken.exr: 1 texels is not a number" in listener.said
+    assert np.isfinite(light.picture).all()
+
+
+class FakeRelighter:
+    """Knows only what it is asked."""
+
+    reconstruction = SimpleNamespace(environment_map=lambda: np.full((2, 4, 3), 7, np.float32))
+
+    def __init__(self):
+        self.asked = []
+
+    def surface(self, camera):
+        return camera
+
+    def relit(self, surface, light):
+        self.asked.append((surface, float(light.radiance[0, 0, 0])))
+        return torch.full((4, 6, 4), 0.25)
 
 
 def test_rgba_is_premultiplied_in_exr_and_straight_in_png(tmp_path):
@@ -78,15 +111,15 @@ def test_rgba_is_premultiplied_in_exr_and_straight_in_png(tmp_path):
 
 
 def test_views_are_written_with_their_layers(tmp_path, monkeypatch):
-    light = Light("city", np.ones((2, 4, 3), np.float32))
-    asked = []
+    lights = [Light(name, np.full((2, 4, 3), level, np.float32)) for name, level in (("city", 1), ("night", 2))]
     monkeypatch.setattr(rendering, "render_view", lambda _, camera: buffers(0.5))
-    monkeypatch.setattr(rendering, "shade_view", lambda _, camera, picture: asked.append(picture) or np.full((4, 6, 4), 0.25, np.float32))
-    render_views(None, [("r_000", CAMERA), ("r_001", CAMERA)], tmp_path, Silent(), light=light)
-    expected = ["albedo.exr", "depth.exr", "material.exr", "normal.exr", "radiance.exr", "rgba_city.exr", "rgba_city.png"]
+    relighter = FakeRelighter()
+    render_views(relighter, [("r_000", CAMERA), ("r_001", CAMERA)], tmp_path, Silent(), lights=lights)
+    pictures = [f"rgba_{light}.{kind}" for light in ("city", "night") for kind in ("exr", "png")]
+    expected = ["albedo.exr", "depth.exr", "material.exr", "normal.exr", "radiance.exr", *pictures]
     for view in ("r_000", "r_001"):
         assert sorted(p.name for p in (tmp_path / view).iterdir()) == expected
-    assert asked == [light.picture] * 2
+    assert relighter.asked == [(CAMERA, 1.0), (CAMERA, 2.0)] * 2
     truth = buffers(0.5)
     radiance, material = read_exr(tmp_path / "r_000" / "radiance.exr"), read_exr(tmp_path / "r_000" / "material.exr")
     np.testing.assert_allclose(radiance["B"], truth.radiance[..., 2] * 0.5)
@@ -96,9 +129,16 @@ def test_views_are_written_with_their_layers(tmp_path, monkeypatch):
     np.testing.assert_allclose(read_exr(tmp_path / "r_000" / "depth.exr")["Z"], 2)
 
 
+def test_recovered_light_is_the_default(tmp_path):
+    relighter = FakeRelighter()
+    render_views(relighter, [("a", CAMERA)], tmp_path, Silent(), layers=("rgba",))
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["rgba.exr", "rgba.png"]
+    assert relighter.asked == [(CAMERA, 7.0)]
+
+
 def test_layers_are_zero_where_nothing_is(tmp_path, monkeypatch):
     monkeypatch.setattr(rendering, "render_view", lambda *_: buffers(1e-4))
-    render_views(None, [("a", CAMERA)], tmp_path, Silent(), layers=("normal", "depth"))
+    render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, Silent(), layers=("normal", "depth"))
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["depth.exr", "normal.exr"]
     assert not read_exr(tmp_path / "a" / "depth.exr")["Z"].any()
     assert not read_exr(tmp_path / "a" / "normal.exr")["B"].any()
@@ -106,15 +146,17 @@ def test_layers_are_zero_where_nothing_is(tmp_path, monkeypatch):
 
 def test_rendering_refuses_and_stops(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="gloss"):
-        render_views(None, [("a", CAMERA)], tmp_path, Silent(), layers=("gloss",))
+        render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, Silent(), layers=("gloss",))
+    with pytest.raises(InputError, match="same name"):
+        render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, Silent(), lights=[Light("x", np.ones((2, 4, 3)))] * 2)
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="can't be made"):
-        render_views(None, [("a", CAMERA)], tmp_path / "file", Silent())
+        render_views(FakeRelighter(), [("a", CAMERA)], tmp_path / "file", Silent())
     monkeypatch.setattr(rendering, "render_view", lambda *_: buffers(1.0))
     progress = Silent()
     progress.cancelled = True
     with pytest.raises(Cancelled):
-        render_views(None, [("a", CAMERA), ("b", CAMERA)], tmp_path, progress, layers=("depth",))
+        render_views(FakeRelighter(), [("a", CAMERA), ("b", CAMERA)], tmp_path, progress, layers=("depth",))
     assert (tmp_path / "a" / "depth.exr").exists()
     assert not (tmp_path / "b").exists()
 

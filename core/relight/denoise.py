@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What takes the last noise out of a picture of few samples: the cross-bilateral filter, guided by depth and normals.
+
+Mode `paper` filters the final colour. Mode `demodulated` filters diffuse and specular light apart, each divided by what the surface
+reflects of it, so that no texture is blurred.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..kernels.bilateral import bilateral_range
+from ..kernels.pool import even_ranges, run_ranges, thread_count
+from ..shading.brdf import base_reflectance
+from ..shading.split_sum import specular_albedo
+from .primary import Primary
+
+SIGMA = 2.0  # pixels
+REACH = 6  # pixels to each side: three sigma
+NORMAL_DOUBLINGS = 7  # normals' cosine to the power of 128
+DEPTH_EPSILON = 5e-3  # of the scene radius
+BLOCKS = 4  # rows are handed out in this many ranges per thread: the object rarely covers them evenly
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where pixels lie in planes with a margin around the picture and rows of whole vectors."""
+
+    width: int
+    height: int
+
+    @property
+    def stride(self) -> int:
+        """Floats from row to row."""
+        return -(-self.width // 8) * 8 + 2 * REACH
+
+    @property
+    def plane(self) -> int:
+        """Floats of a plane."""
+        return self.stride * (self.height + 2 * REACH)
+
+    def places(self, index: np.ndarray) -> np.ndarray:
+        """Flat pixel indices to places in a plane."""
+        return (index // self.width + REACH) * self.stride + index % self.width + REACH
+
+    def scatter(self, rows: torch.Tensor, index: np.ndarray) -> np.ndarray:
+        """(C, P) values at pixels `index` as C flattened planes, 0 elsewhere."""
+        planes = np.zeros((len(rows), self.plane), np.float32)
+        planes[:, self.places(index)] = rows.numpy()
+        return planes.reshape(-1)
+
+
+def denoised(diffuse: torch.Tensor, specular: torch.Tensor, surface: Primary, radius: float, mode: str = "demodulated") -> torch.Tensor:
+    """Filtered reflected light.
+
+    Args:
+        diffuse, specular: (P, 3) light that the surface points reflect. surface: those points. radius: of the scene.
+        mode: "paper" or "demodulated".
+
+    Returns:
+        (P, 3) their sum.
+    """
+    if mode == "paper":
+        return filtered(diffuse + specular, surface, radius)
+    body = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
+    n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
+    gloss = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
+    light = filtered(torch.cat([diffuse / body, specular / gloss], 1), surface, radius)
+    return light[:, :3] * body + light[:, 3:] * gloss
+
+
+def filtered(values: torch.Tensor, surface: Primary, radius: float) -> torch.Tensor:
+    """(P, C) values at the surface's pixels after the filter; every pixel is a mean of its neighbours, with weights that sum to 1."""
+    grid = Grid(surface.camera.width, surface.camera.height)
+    index = surface.index.numpy()
+    planes, guides = grid.scatter(values.T, index), grid.scatter(_guides(surface), index)
+    out = np.zeros_like(planes)
+    bell = np.exp(-(np.arange(-REACH, REACH + 1) ** 2) / (2 * SIGMA**2))
+    numbers = (np.outer(bell, bell).astype(np.float32), np.float32(DEPTH_EPSILON * radius), NORMAL_DOUBLINGS)
+    rows = even_ranges(grid.height, BLOCKS * thread_count())
+    run_ranges(bilateral_range, rows, planes, guides, *numbers, grid.width, REACH, grid.stride, grid.plane, out)
+    return torch.from_numpy(out.reshape(-1, grid.plane)[:, grid.places(index)].T.copy())
+
+
+def _guides(surface: Primary) -> torch.Tensor:
+    """(7, P) normal, depth, its slopes to the right and down, coverage."""
+    camera = surface.camera
+    # The tangent plane n.(x - p) = 0 gives the slopes without the noise of differences.
+    across = torch.from_numpy(camera.to_world[:3, 0] / camera.fx).float()
+    down = torch.from_numpy(-camera.to_world[:3, 1] / camera.fy).float()
+    facing = (surface.normal * surface.ray).sum(-1).clamp_max(-1e-2)
+    slopes = [-surface.depth * (surface.normal @ step) / facing for step in (across, down)]
+    return torch.cat([surface.normal.T, torch.stack([surface.depth, *slopes, surface.alpha])])

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Secondary rays on the Gaussians themselves: their materials composited along the ray."""
+
+from __future__ import annotations
+
+import torch
+
+from ..kernels.bvh import DiskTree
+from ..kernels.tracing import trace
+from ..scene.reconstruction import Reconstruction
+from .query import Hits
+
+OFFSET = 0.03  # of the scene radius: the mean depth lies inside the cloud of disks that make a surface, whose thickness this clears
+FAINTEST = 1 / 255  # opacity below which a ray counts as free
+
+
+class GaussianQuery:
+    """The Gaussians of a reconstruction as `SurfaceQuery`; those outside its bound, a backdrop, don't count.
+
+    Args:
+        reconstruction: whose disks. offset: of the scene radius, by which rays start above the surface.
+    """
+
+    def __init__(self, reconstruction: Reconstruction, offset: float = OFFSET) -> None:
+        g, bound = reconstruction.gaussians, reconstruction.bound
+        with torch.no_grad():
+            inside = (g.position - torch.tensor(bound.centre)[:, None]).norm(dim=0) <= bound.radius
+            self._disks = g.select(inside)
+            self._materials = self._disks.materials()
+        self._geometry = (self._disks.position, self._disks.quaternion, self._disks.log_scale, self._disks.opacity)
+        self._tree = DiskTree.build(*self._geometry)
+        self._offset = offset * bound.radius
+
+    def origins(self, point: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+        """See `SurfaceQuery`."""
+        return point + self._offset * normal
+
+    def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
+        """See `SurfaceQuery`."""
+        with torch.no_grad():
+            sums = trace(*self._geometry, None, self._materials, origin.contiguous(), direction.contiguous(), self._tree)
+            ray = torch.nonzero(sums[:, -1] > FAINTEST)[:, 0]
+            at = sums[ray]
+            opacity = at[:, -1]
+            mean = at / opacity[:, None]
+            normal = torch.nn.functional.normalize(mean[:, 3:6], dim=1)
+        return Hits(ray, opacity, mean[:, 6:9], mean[:, 9].contiguous(), mean[:, 10], normal)

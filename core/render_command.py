@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command `irgspp render`: views of a run as pictures under any light, and their layers."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .config import DataSettings
+from .errors import InputError
+from .overrides import from_dict
+from .run_folder import read_run
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from .datasets.camera import Camera
+    from .scene.reconstruction import Reconstruction
+
+# Heavy imports (torch, numba) stand inside the functions: `irgspp --help` answers at once.
+
+LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
+
+
+def render(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Views of a run as picture files."""
+    from .relight.backends import open_query
+    from .relight.relighter import Relighter, RelightSettings
+    from .rendering import load_light, render_views
+    from .scene.reconstruction import Reconstruction
+
+    settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    lights = [load_light(*one, progress=terminal) for one in _lights(args)]
+    reconstruction = Reconstruction.load(args.run)
+    how = RelightSettings(
+        samples=args.samples,
+        sampling=args.sampling,
+        denoise="off" if args.no_denoise else args.denoiser,
+        indirect=not args.no_indirect,
+        conserving=args.diffuse == "conserving",
+        albedo_scale=tuple(args.albedo_scale),
+    )
+    relighter = Relighter(reconstruction, open_query(args.run, reconstruction, args.backend), how)
+    cameras = _cameras(args, settings.data, reconstruction)
+    render_views(relighter, cameras, args.out, terminal, layers=args.layers, lights=lights)
+    terminal.end_line()
+    print(args.out)
+    return 0
+
+
+def _lights(args: argparse.Namespace) -> list[tuple[Path, str | None, float, float]]:
+    """File, name, rotation and strength of each light; the last two are given once for all or once for each."""
+    count = len(args.environment)
+    columns = [args.environment]
+    for option, default in (("name", None), ("rotation", 0.0), ("strength", 1.0)):
+        given = getattr(args, option)
+        if given and not count:
+            raise InputError(f"--{option}", "belongs to --environment")
+        if len(given) not in (0, count) and (option == "name" or len(given) > 1):
+            raise InputError(f"--{option}", f"is given {len(given)} times for {count} lights", "give one for each --environment")
+        columns.append(given if len(given) == count else [*given, default][:1] * count)
+    return list(zip(*columns, strict=True))
+
+
+def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: Reconstruction) -> list[tuple[str, Camera]]:
+    """The views of a dataset, or an orbit with the lens of the first of them (of the run's own photographs where no dataset is named)."""
+    from .relight.orbit import orbit
+    from .rendering import cameras_of
+    from .scene.cameras import load_cameras
+
+    if args.orbit is None and args.views is None:
+        raise InputError("render", "needs to know which views", "add --views DATASET[:split] or --orbit N")
+    if args.views is not None:
+        cameras = cameras_of(args.views, settings, reconstruction.to_world)
+    else:
+        cameras = [(placed.name, placed.camera) for placed in load_cameras(args.run / "cameras.json")]
+    return cameras if args.orbit is None else orbit(args.orbit, [camera for _, camera in cameras], reconstruction.bound)
+
+
+def add_options(one: argparse.ArgumentParser) -> None:
+    """What the command understands beside the run folder."""
+    views = "whose cameras; split train, test or all; without one the test views, or all where there are none of their own"
+    one.add_argument("--views", metavar="DATASET[:split]", help=views)
+    one.add_argument("--orbit", type=int, metavar="N", help="N views on a circle around the object instead")
+    one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the pictures")
+    one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")
+    _light_options(one)
+    _relight_options(one)
+
+
+def _light_options(one: argparse.ArgumentParser) -> None:
+    files = "lat-long .exr, .hdr, .png or .jpg to light the object by; repeatable (default: the recovered light)"
+    one.add_argument("--environment", metavar="FILE", type=Path, action="append", default=[], help=files)
+    one.add_argument("--name", action="append", default=[], help="the light's name in file names (default: that of its file)")
+    turn = "turn the light about +Z, counter-clockwise from above; once for all lights or once for each"
+    one.add_argument("--rotation", type=float, action="append", default=[], metavar="DEG", help=turn)
+    one.add_argument("--strength", type=float, action="append", default=[], metavar="X", help="multiply the light, likewise")
+
+
+def _relight_options(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
+    one.add_argument("--backend", choices=("gaussian", "mesh"), default="gaussian", help="what shadows and reflections are traced on")
+    one.add_argument("--sampling", choices=("mis", "stratified"), default="mis", help="default: mis, which needs far fewer samples")
+    one.add_argument("--denoiser", choices=("demodulated", "paper"), default="demodulated", help="filter light (default) or the picture")
+    one.add_argument("--no-denoise", action="store_true", help="leave the noise in")
+    one.add_argument("--no-indirect", action="store_true", help="shadows, but no light from one part of the object to another")
+    diffuse = "conserving takes from the diffuse light what a dielectric reflects, as Blender's Principled does"
+    one.add_argument("--diffuse", choices=("lambert", "conserving"), default="lambert", help=diffuse)
+    scale = "multiply the albedo: an unknown light leaves its brightness open, `irgspp evaluate` tells the best factors"
+    one.add_argument("--albedo-scale", type=_factor, nargs=3, default=(1.0, 1.0, 1.0), metavar=("R", "G", "B"), help=scale)
+
+
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is no factor")
+    return value
+
+
+def _layers(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if unknown := [name for name in names if name not in LAYERS]:
+        raise argparse.ArgumentTypeError(f"unknown layer {', '.join(unknown)} (there are {', '.join(LAYERS)})")
+    return names

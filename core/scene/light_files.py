@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light maps as files: lat-long pictures in .exr, .hdr, .png or .jpg."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ..colour import decode_srgb
+from ..datasets.picture import MAX_PIXELS, read_picture, unit
+from ..errors import InputError
+from .exr import read_exr_rgb
+
+HDR_SIGNATURES = (b"#?RADIANCE", b"#?RGBE")
+
+
+def read_light(path: Path) -> tuple[np.ndarray, list[str]]:
+    """A light map (H, W, 3) float32 linear, finite and >= 0, and what is odd about the file or had to be repaired, a line each.
+
+    .exr and .hdr hold linear values, anything else is taken for sRGB. NaN and negative texels become 0, infinite ones as bright as
+    the brightest other. Raises InputError where the file can't be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".exr":
+        picture = read_exr_rgb(path)
+    elif suffix == ".hdr":
+        picture = _read_hdr(path)
+    else:
+        picture = decode_srgb(unit(read_picture(path).colour))
+    return repaired(picture, path)
+
+
+def repaired(picture: np.ndarray, where: object) -> tuple[np.ndarray, list[str]]:
+    """A light map (H, W, 3) with only finite values >= 0, float32, and lines that say what was changed or is odd."""
+    remarks = []
+    height, width = picture.shape[:2]
+    if width != 2 * height:
+        remarks.append(f"{where}: is {width}x{height}, not twice as wide as high; it is stretched over the sphere all the same")
+    texel = {
+        "not a number": np.isnan(picture).any(-1),
+        "infinite": np.isposinf(picture).any(-1),
+        "negative": (picture < 0).any(-1),
+    }
+    for what, bad in texel.items():
+        if bad.any():
+            remarks.append(f"{where}: {int(bad.sum())} texels {'are' if bad.sum() > 1 else 'is'} {what}; repaired")
+    finite = picture[np.isfinite(picture)]
+    brightest = float(finite.max()) if finite.size else 0.0
+    return np.clip(np.nan_to_num(picture, nan=0.0, posinf=brightest, neginf=0.0), 0, None).astype(np.float32), remarks
+
+
+def _read_hdr(path: Path) -> np.ndarray:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})") from error
+    if not data.startswith(HDR_SIGNATURES):
+        raise InputError(path, "not a Radiance picture")
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    except cv2.error as error:
+        raise InputError(path, f"not a readable Radiance picture ({error.err})") from error
+    if pixels is None or pixels.dtype != np.float32 or pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
+        raise InputError(path, "not a readable Radiance picture")
+    return np.ascontiguousarray(pixels[..., ::-1])
