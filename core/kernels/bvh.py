@@ -21,7 +21,7 @@ NORMAL, AXIS_U, AXIS_V, OPACITY, CUT, SCALE_U, SCALE_V, DISK = 3, 6, 9, 12, 13, 
 LEAF = 14 * 8  # floats of a leaf: the record up to CUT, 8 disks to each
 NODE = 6 * 8  # floats of a node: low x y z, high x y z, 8 children to each
 _BINS = 16
-_SCALES = (1e-15, 1e15)  # scales outside are no area, or not a number
+_SCALES = (1e-15, 1e15)  # lengths outside are none, or not a number (math.isfinite may be reordered away here)
 _PAD = np.float32(1e-6)  # boxes grow by this share of their position, ten times that of their size: rounding must not lose a hit
 
 
@@ -39,7 +39,7 @@ def describe_disks(position, quaternion, log_scale, opacity, n, record, low, hig
         alpha = np.float32(1.0) / (np.float32(1.0) + np.float32(math.exp(-opacity[i])))
         valid = alpha > ALPHA_MIN and _SCALES[0] < su < _SCALES[1] and _SCALES[0] < sv < _SCALES[1]
         for axis in range(3):
-            valid = valid and math.isfinite(position[axis * n + i]) and math.isfinite(normal[axis])
+            valid = valid and abs(position[axis * n + i]) < _SCALES[1] and abs(normal[axis]) < 2
         record[i, OPACITY] = alpha
         record[i, CUT] = np.float32(2.0 * math.log(alpha / ALPHA_MIN)) if valid else np.float32(-1.0)
         record[i, SCALE_U], record[i, SCALE_V] = su, sv

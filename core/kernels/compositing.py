@@ -11,6 +11,7 @@ import numpy as np
 from .bvh import NORMAL
 from .harmonics import basis
 from .jit import kernel
+from .raster import TRANSMITTANCE_MIN
 from .simd import load, prefetch, store, total
 
 SH_ROW = 48
@@ -80,7 +81,7 @@ def facing(record, g, dx, dy, dz):
 
 
 @kernel
-def composite_range(begin, end, direction, start, index, weight, distance, record, rows, coefficients, extras, out, lit):
+def composite_range(begin, end, direction, start, index, weight, distance, left, record, rows, coefficients, extras, out, lit):
     """Sums over the hits of rays begin..end -> out (R, SUMS + E); lit: (H,) bit c is set where channel c's clamp let it pass."""
     width = rows.shape[1]
     offset = SH_ROW if coefficients > 0 else 0
@@ -116,7 +117,8 @@ def composite_range(begin, end, direction, start, index, weight, distance, recor
         out[ray, 3], out[ray, 4], out[ray, 5] = nx, ny, nz
         for j in range(extras):
             out[ray, 6 + j] = acc[j]
-        out[ray, 6 + extras], out[ray, 7 + extras] = depth, opacity
+        out[ray, 6 + extras] = depth
+        out[ray, 7 + extras] = np.float32(1.0) if left[ray] <= np.float32(TRANSMITTANCE_MIN) else opacity
 
 
 @kernel

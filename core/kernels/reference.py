@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rasteriser's plain twin: brute force in float64 torch, with autograd. The oracle of the tests; slow."""
+"""The rasteriser's and the ray tracer's plain twins: brute force in float64 torch, with autograd. The oracle of the tests; slow."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from ..datasets.camera import Camera
 from . import harmonics as sh_constants
 from .projection import ALPHA_MIN, COSINE_MIN, LOW_PASS, NEAR
 from .raster import _W_MIN, ALPHA_MAX, TRANSMITTANCE_MIN
+from .trace import GRAZING
 
 
 def sh_basis(direction: torch.Tensor, degree: int) -> torch.Tensor:
@@ -82,14 +83,51 @@ def rasterize_reference(
     return _composite(torch.where(seen, alpha, 0.0), torch.where(filtered, c[2], t), features, c[2], camera)
 
 
-def _composite(alpha, depth, features, key, camera):
-    order = torch.argsort(key, stable=True)
-    alpha, depth, features = alpha[:, order], depth[:, order], features[:, order]
+def _weights(alpha):
+    """Weights along dim 1 of alphas sorted front to back; nearly opaque counts as opaque: there they are divided by their sum."""
     through = torch.cumprod(1 - alpha, 1)
     before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], 1)
     weight = torch.where(before > TRANSMITTANCE_MIN, alpha * before, 0.0)
     total = weight.sum(1, keepdim=True)
-    # Nearly opaque counts as opaque: weights are divided by their sum.
-    weight = torch.where((1 - total) <= TRANSMITTANCE_MIN, weight / total.clamp_min(0.5), weight)
+    return torch.where((1 - total) <= TRANSMITTANCE_MIN, weight / total.clamp_min(0.5), weight)
+
+
+def _composite(alpha, depth, features, key, camera):
+    order = torch.argsort(key, stable=True)
+    alpha, depth, features = alpha[:, order], depth[:, order], features[:, order]
+    weight = _weights(alpha)
     planes = [weight @ features.T, (weight * depth).sum(1, keepdim=True), weight.sum(1, keepdim=True)]
     return torch.cat(planes, 1).T.reshape(-1, camera.height, camera.width)
+
+
+def trace_reference(
+    position: torch.Tensor,
+    quaternion: torch.Tensor,
+    log_scale: torch.Tensor,
+    opacity: torch.Tensor,
+    sh: torch.Tensor | None,
+    extra: torch.Tensor,
+    origin: torch.Tensor,
+    direction: torch.Tensor,
+    degree: int = 3,
+) -> torch.Tensor:
+    """`trace` by definition: every ray against every Gaussian, in float64; same arguments without the tree, (R, 8 + E)."""
+    axes, scale, alpha0 = rotation_matrix(quaternion), log_scale.exp(), opacity.sigmoid()
+    cosine = direction @ axes[:, 2]
+    square = cosine**2 > GRAZING
+    centre = position - origin[:, :, None]  # (R, 3, N)
+    t = (centre * axes[:, 2]).sum(1) / torch.where(square, cosine, 1.0)
+    hit = direction[:, :, None] * t[:, None] - centre
+    rho = ((hit * axes[:, 0]).sum(1) / scale[0]) ** 2 + ((hit * axes[:, 1]).sum(1) / scale[1]) ** 2
+    alpha = (alpha0 * torch.exp(-0.5 * rho)).clamp_max(ALPHA_MAX)
+    alpha = torch.where(square & (t > 0) & (alpha >= ALPHA_MIN), alpha, 0.0)
+    order = torch.argsort(t, dim=1, stable=True)
+    weight = torch.zeros_like(alpha).scatter(1, order, _weights(alpha.gather(1, order)))
+
+    colour = torch.zeros(len(origin), 3, dtype=weight.dtype)
+    if sh is not None:
+        shown = torch.einsum("kr,kcn->rcn", sh_basis(direction.T, degree), sh[: (degree + 1) ** 2]) + 0.5
+        colour = (shown.clamp_min(0) * weight[:, None]).sum(2)
+    normal = torch.where(cosine > 0, -weight, weight) @ axes[:, 2].T
+    parts = [colour, normal, weight @ extra.T, (weight * t).sum(1, keepdim=True), weight.sum(1, keepdim=True)]
+    return torch.cat(parts, 1)

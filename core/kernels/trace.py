@@ -17,7 +17,7 @@ from .raster import ALPHA_MAX, TRANSMITTANCE_MIN
 from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
 
 NEAREST = 16  # hits gathered in one descent
-_GRAZING = np.float32(1e-8)  # disks whose normal is this close (cosine squared) to square with the ray are missed
+GRAZING = np.float32(1e-8)  # disks whose normal is this close (cosine squared) to square with the ray are missed
 _TINY = np.float32(1e-12)  # directions' components are kept away from 0 by this
 _IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # boxes are entered this much earlier, and left this much later, than computed
 _NOBODY = np.int32(2**31 - 1)
@@ -67,7 +67,7 @@ def _planes(leaf, at, o, d):
     cx, cy, cz = load(leaf, at) - o[0], load(leaf, at + 8) - o[1], load(leaf, at + 16) - o[2]
     nx, ny, nz = load(leaf, at + NORMAL * 8), load(leaf, at + NORMAL * 8 + 8), load(leaf, at + NORMAL * 8 + 16)
     cosine = nx * d[0] + ny * d[1] + nz * d[2]
-    square = cosine * cosine > _GRAZING
+    square = cosine * cosine > GRAZING
     t = (nx * cx + ny * cy + nz * cz) / select(square, cosine, splat(np.float32(1.0)))
     return t, square, (cx, cy, cz)
 

@@ -64,7 +64,7 @@ def hit_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> 
     parts = [(np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.float32))]
     if tree.depth and rays:
         arrays = (o, d, tree.node, tree.child, tree.leaf, tree.index, tree.depth, count, left)
-        parts = run_ranges(gather_range, even_ranges(rays, thread_count()), *arrays)
+        parts = run_ranges(gather_range, even_ranges(rays, 4 * thread_count()), *arrays)
     start = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)])
     index, weight, distance = (p[0] if len(parts) == 1 else np.concatenate(p) for p in zip(*parts, strict=True))
     return HitLists(start, index, weight, distance, left)
@@ -102,7 +102,7 @@ class _Trace(torch.autograd.Function):
         rows = _pack(sh, extra, coefficients)
         out = torch.empty(lists.rays, SUMS + len(extra))
         lit = np.empty(len(lists.index), np.uint8)
-        hits = (lists.start, lists.index, lists.weight, lists.distance)
+        hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
         ranges = balanced_ranges(np.diff(lists.start) + 1, thread_count())
         run_ranges(composite_range, ranges, flat(direction), *hits, tree.record, rows, coefficients, len(extra), out.numpy(), lit)
         ctx.lists, ctx.lit, ctx.ranges, ctx.rays = lists, lit, ranges, (flat(origin), flat(direction))

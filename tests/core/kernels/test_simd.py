@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from irgspp.core.kernels import simd
 from irgspp.core.kernels.jit import kernel
-from irgspp.core.kernels.simd import bits, exp, floor, load, maximum, minimum, ramp, select, splat, sqrt, store, total
+from irgspp.core.kernels.simd import bits, exp, first_bit, floor, load, maximum, minimum, product, ramp, select, splat, sqrt, store, total
 
 
 @kernel
@@ -45,6 +45,18 @@ def exponential(values, out):
 def sums(values, out):
     for i in range(len(out)):
         out[i] = total(load(values, i))
+
+
+@kernel
+def products(values, out):
+    for i in range(len(out)):
+        out[i] = product(load(values, i))
+
+
+@kernel
+def first_below(values, limit):
+    mask = bits(load(values, 0) < limit)
+    return first_bit(mask) if mask != 0 else -1
 
 
 @kernel
@@ -108,6 +120,18 @@ def test_total_sums_any_eight_neighbours():
     out = np.empty(33, np.float32)
     sums(values, out)
     assert np.allclose(out, np.convolve(values, np.ones(8), "valid"), atol=1e-5)
+
+
+def test_product_multiplies_any_eight_neighbours():
+    values = np.random.default_rng(2).uniform(0.5, 1.5, 40).astype(np.float32)
+    out = np.empty(33, np.float32)
+    products(values, out)
+    assert np.allclose(out, [values[i : i + 8].prod() for i in range(33)], rtol=1e-6)
+
+
+def test_first_bit_is_the_lowest_lane():
+    values = np.arange(8, 0, -1).astype(np.float32)
+    assert [first_below(values, np.float32(limit)) for limit in (9, 8, 4.5, 1.5, 1)] == [0, 1, 4, 7, -1]
 
 
 def test_load_and_store_need_no_alignment_and_touch_nothing_else():
