@@ -17,7 +17,7 @@ from .raster import ALPHA_MAX, TRANSMITTANCE_MIN
 from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
 
 NEAREST = 16  # hits gathered in one descent
-GRAZING = np.float32(1e-8)  # disks whose normal is this close (cosine squared) to square with the ray are missed
+GRAZING = 1e-8  # disks whose normal is this close (cosine squared) to square with the ray are missed
 _TINY = np.float32(1e-12)  # directions' components are kept away from 0 by this
 _IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # boxes are entered this much earlier, and left this much later, than computed
 _NOBODY = np.int32(2**31 - 1)
