@@ -13,6 +13,7 @@ from ..datasets.picture import MAX_PIXELS, read_picture, unit
 from ..errors import InputError
 from .exr import read_exr_rgb
 
+DIM = 1e-4  # stands for a light that is black everywhere
 HDR_SIGNATURES = (b"#?RADIANCE", b"#?RGBE")
 
 
@@ -20,7 +21,7 @@ def read_light(path: Path) -> tuple[np.ndarray, list[str]]:
     """A light map (H, W, 3) float32 linear, finite and >= 0, and what is odd about the file or had to be repaired, a line each.
 
     .exr and .hdr hold linear values, anything else is taken for sRGB. NaN and negative texels become 0, infinite ones as bright as
-    the brightest other. Raises InputError where the file can't be read.
+    the brightest other, a black map a dim grey. Raises InputError where the file can't be read.
     """
     suffix = path.suffix.lower()
     if suffix == ".exr":
@@ -33,22 +34,22 @@ def read_light(path: Path) -> tuple[np.ndarray, list[str]]:
 
 
 def repaired(picture: np.ndarray, where: object) -> tuple[np.ndarray, list[str]]:
-    """A light map (H, W, 3) with only finite values >= 0, float32, and lines that say what was changed or is odd."""
+    """A light map (H, W, 3) with only finite values >= 0, not all of them 0, float32, and lines that say what was changed or is odd."""
     remarks = []
     height, width = picture.shape[:2]
     if width != 2 * height:
         remarks.append(f"{where}: is {width}x{height}, not twice as wide as high; it is stretched over the sphere all the same")
-    texel = {
-        "not a number": np.isnan(picture).any(-1),
-        "infinite": np.isposinf(picture).any(-1),
-        "negative": (picture < 0).any(-1),
-    }
-    for what, bad in texel.items():
-        if bad.any():
-            remarks.append(f"{where}: {int(bad.sum())} texels {'are' if bad.sum() > 1 else 'is'} {what}; repaired")
-    finite = picture[np.isfinite(picture)]
-    brightest = float(finite.max()) if finite.size else 0.0
-    return np.clip(np.nan_to_num(picture, nan=0.0, posinf=brightest, neginf=0.0), 0, None).astype(np.float32), remarks
+    brightest = float(max(picture.max(where=np.isfinite(picture), initial=0.0), 0.0))
+    faults = [("not a number", np.isnan(picture), 0.0), ("negative", picture < 0, 0.0), ("infinite", np.isposinf(picture), brightest)]
+    for what, bad, value in faults:
+        if texels := int(bad.any(-1).sum()):
+            remarks.append(f"{where}: {texels} {'texels are' if texels > 1 else 'texel is'} {what}, set to {value:g}")
+    whole = np.nan_to_num(picture, nan=0.0, posinf=brightest, neginf=0.0)
+    light = np.clip(whole, 0, np.finfo(np.float32).max).astype(np.float32)
+    if not light.any():
+        remarks.append(f"{where}: all {width * height} texels are black, set to a grey of {DIM:g}")
+        light[:] = DIM
+    return light, remarks
 
 
 def _read_hdr(path: Path) -> np.ndarray:

@@ -78,7 +78,7 @@ def test_light_that_had_to_be_repaired_is_told(tmp_path):
     write_exr(path, rgb_channels(picture))
     listener = Listener()
     light = load_light(path, progress=listener)
-    assert "broken.exr: 1 texels is not a number" in listener.said
+    assert "broken.exr: 1 texel is not a number" in listener.said
     assert np.isfinite(light.picture).all()
 
 
