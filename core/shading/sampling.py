@@ -47,7 +47,7 @@ def orthonormal_basis(normal: torch.Tensor) -> torch.Tensor:
 def point_set(count: int) -> torch.Tensor:
     """(count, 2) float64 points of low discrepancy on the unit torus: a golden-ratio lattice."""
     i = torch.arange(count, dtype=torch.float64)
-    return torch.stack([(i + 0.5) / max(count, 1), (i * 0.6180339887498949) % 1], -1)
+    return torch.stack([(i * 0.6180339887498949) % 1, (i + 0.5) / max(count, 1)], -1)
 
 
 def draw(
