@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shade a scene of known geometry, material and light by tracing Gaussians, and by Cycles; print how far they are apart."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from irgspp.core.colour import encode_srgb
+from irgspp.core.kernels.bvh import DiskTree
+from irgspp.core.kernels.tracing import COLOUR, EXTRA, NORMAL, trace, transmittance
+from irgspp.core.scene.gaussians import SH_DC, Gaussians
+from irgspp.core.shading.light_distribution import LightDistribution
+from irgspp.core.shading.lightmap import lookup
+from irgspp.core.shading.lights import LIGHTS
+from irgspp.core.shading.sampling import draw
+from irgspp.core.shading.transport import reflect_light
+from known_scene import CyclesScene, Surface, camera, first_hits, inner_pixels, lift, splats
+from PIL import Image
+
+
+@dataclass(frozen=True)
+class Case:
+    """The materials, and whether our diffuse lobe gives up what the specular one reflects (`reflect_light`), as Blender's does."""
+
+    sphere: Surface
+    square: Surface
+    conserving: bool = False
+
+
+GOLD, STEEL = Surface((0.9, 0.6, 0.3), 0.4, 1.0), Surface((0.7, 0.7, 0.75), 0.5, 1.0)
+RED, BLUE = Surface((0.8, 0.3, 0.2), 0.4), Surface((0.5, 0.6, 0.7), 0.5)
+CASES = {
+    "diffuse": Case(replace(RED, diffuse=True), replace(BLUE, diffuse=True)),
+    "metal": Case(GOLD, STEEL),
+    "metal on diffuse": Case(GOLD, replace(BLUE, diffuse=True)),
+    "dielectric": Case(RED, BLUE),
+    "dielectric, 1-E_s": Case(RED, BLUE, conserving=True),
+    "metal, multiscatter": Case(replace(GOLD, multiscatter=True), replace(STEEL, multiscatter=True)),
+}
+RAYS = 1 << 18  # at a time
+INNER = 4  # a hit seen by chance is shaded with so many times fewer samples; the mean is the same
+MARGIN = 1  # pixels left out along edges
+
+
+@dataclass(frozen=True)
+class Points:
+    """Surface points, a row each: position, unit normal and view, albedo (P, 3); roughness, metallic, shine (P,).
+
+    shine is 0 where the specular lobe is left out (Diffuse BSDF), else 1.
+    """
+
+    position: torch.Tensor
+    normal: torch.Tensor
+    view: torch.Tensor
+    albedo: torch.Tensor
+    roughness: torch.Tensor
+    metallic: torch.Tensor
+    shine: torch.Tensor
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def at(self, index: torch.Tensor | slice) -> Points:
+        """Some of them."""
+        return Points(*(value[index] for value in vars(self).values()))
+
+    def batches(self, samples: int) -> Iterator[Points]:
+        """All of them, about RAYS rays at a time."""
+        step = max(1, RAYS // samples)
+        return (self.at(slice(i, i + step)) for i in range(0, len(self), step))
+
+
+class TracedScene:
+    """The splats under a light; estimates outgoing radiance as the second stage does."""
+
+    def __init__(
+        self, gaussians: Gaussians, shine: torch.Tensor, light: np.ndarray, offset: float, conserving: bool, seed: int = 0
+    ) -> None:
+        """shine: (N,), see Points. offset: rays start so far above a surface. conserving: of the diffuse lobe, see `reflect_light`."""
+        g = self.gaussians = gaussians
+        self.offset, self.conserving = offset, conserving
+        self.tree = DiskTree.build(g.position, g.quaternion, g.log_scale, g.opacity)
+        self.extra = torch.cat([g.materials(), shine[None]])
+        self.light = torch.as_tensor(light, dtype=torch.float32)
+        self.distribution = LightDistribution(self.light)
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def look(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[Points, torch.Tensor, torch.Tensor]:
+        """What rays (R, 3) meet: surface points, the Gaussians' own radiance (R, 3, a sum), and opacity (R,)."""
+        g = self.gaussians
+        sums = trace(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, self.extra, origin, direction, self.tree, degree=0)
+        mean = sums[:, :-1] / sums[:, -1:].clamp_min(1e-6)
+        normal = torch.nn.functional.normalize(mean[:, NORMAL], dim=-1)
+        albedo, (roughness, metallic, shine, distance) = mean[:, EXTRA : EXTRA + 3], mean[:, EXTRA + 3 :].T
+        position = origin + distance[:, None] * direction
+        return Points(position, normal, -direction, albedo, roughness, metallic, shine), sums[:, COLOUR], sums[:, -1]
+
+    def prepare(self, samples: int) -> None:
+        """Give every Gaussian the light that it scatters evenly, direct light only: its radiance for later bounces."""
+        g, m = self.gaussians, self.gaussians.materials().T
+        normal = g.normals().T.contiguous()
+        points = Points(g.position.T.contiguous(), normal, normal, m[:, :3], m[:, 3], m[:, 4], torch.zeros(g.count))
+        g.sh[0] = (self.shade(points, samples, bounces=0).T - 0.5) / SH_DC
+
+    def shade(self, points: Points, samples: int, bounces: int) -> torch.Tensor:
+        """(P, 3) outgoing radiance with direct light and so many bounces (0 or 1) of indirect light."""
+        return torch.cat([torch.add(*self._reflect(some, samples, bounces)) for some in points.batches(samples)])
+
+    def _reflect(self, points: Points, samples: int, bounces: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Diffuse and specular (P, 3)."""
+        share = max(1, samples // 4)
+        counts = samples - 2 * share, share, share
+        drawn = draw(points.view, points.normal, points.roughness, counts, self.distribution, self.generator)
+        above = (drawn.direction * points.normal[:, None]).sum(-1) > 0
+        row = torch.nonzero(above)[:, 0]
+        direction = drawn.direction[above]
+        origin = points.position[row] + self.offset * points.normal[row]
+        incoming = torch.zeros(*above.shape, 3)
+        incoming[above] = self._incoming(origin, direction, samples, bounces)
+        surface = points.albedo, points.roughness, points.metallic
+        diffuse, specular = reflect_light(points.view, points.normal, *surface, drawn, incoming, self.conserving)
+        return diffuse, specular * points.shine[:, None]
+
+    def _incoming(self, origin: torch.Tensor, direction: torch.Tensor, samples: int, bounces: int) -> torch.Tensor:
+        """(R, 3) L_i = V L_env + L_ind."""
+        sky = lookup(self.light, direction)
+        if not bounces:
+            return transmittance(self.tree, origin, direction)[:, None] * sky
+        points, radiance, opacity = self.look(origin, direction)
+        met = torch.nonzero((opacity > 0.01) & (points.shine > 0.01))[:, 0]
+        mirrored = torch.zeros_like(radiance)
+        if len(met):
+            mirrored[met] = opacity[met, None] * self._mirrored(points.at(met), max(4, samples // INNER))
+        return (1 - opacity[:, None]) * sky + radiance + mirrored
+
+    def _mirrored(self, points: Points, samples: int) -> torch.Tensor:
+        """(P, 3) direct light that leaves by the specular lobe: it depends on the direction, so that no Gaussian can hold it."""
+        return torch.cat([self._reflect(some, samples, 0)[1] for some in points.batches(samples)])
+
+
+def traced_picture(scene: TracedScene, view, wanted: np.ndarray, samples: int, bounces: int) -> np.ndarray:
+    """(H, W, 3) linear radiance at the pixels `wanted` (H, W), 0 elsewhere."""
+    rays = torch.nn.functional.normalize(torch.from_numpy(view.rays()[wanted]), dim=-1)
+    origin = torch.tensor(view.centre, dtype=torch.float32).expand_as(rays).contiguous()
+    points, _, opacity = scene.look(origin, rays)
+    if float(opacity.min()) < 0.99:
+        raise RuntimeError("the splats leave holes")
+    picture = np.zeros((*wanted.shape, 3), np.float32)
+    picture[wanted] = scene.shade(points, samples, bounces).numpy()
+    return picture
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Ours against Cycles over the inner pixels: mean of |a - b| / b per pixel, and the signed difference of the means."""
+
+    case: str
+    bounces: int
+    relative: float
+    signed: float
+    strip: np.ndarray  # (H, 3 W, 3) encoded: ours, Cycles, 10 x the difference
+
+    def row(self) -> str:
+        """A line of the table."""
+        lit = "one bounce" if self.bounces else "direct"
+        return f"{self.case:20} {lit:12} {100 * self.relative:12.2f} % {100 * self.signed:+11.2f} %"
+
+
+def compare(name: str, cycles: CyclesScene, light: np.ndarray, args: argparse.Namespace) -> Iterator[Difference]:
+    """Direct light, then one bounce."""
+    case, view = CASES[name], camera(args.size)
+    inner = inner_pixels(first_hits(view), MARGIN)
+    gaussians = splats(args.splats, case.sphere, case.square)
+    shine = torch.where(gaussians.position[2] == 0, float(not case.square.diffuse), float(not case.sphere.diffuse))
+    scene = TracedScene(gaussians, shine, light, lift(args.splats), case.conserving)
+    scene.prepare(max(32, args.samples // INNER))
+    for bounces in (0, 1):
+        truth = cycles.render(view, case.sphere, case.square, bounces, args.cycles_samples)[..., :3] * inner[..., None]
+        ours = traced_picture(scene, view, inner, args.samples, bounces)
+        a, b = ours[inner].astype(np.float64), truth[inner].astype(np.float64)
+        relative = float((np.abs(a - b).mean(-1) / b.mean(-1)).mean())
+        strip = np.concatenate([encode_srgb(np.clip(p, 0, 1)) for p in (ours, truth, 10 * np.abs(ours - truth))], 1)
+        yield Difference(name, bounces, relative, float(a.mean() / b.mean() - 1), strip)
+
+
+def arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", help="some of: " + ", ".join(CASES) + "; default: all")
+    parser.add_argument("-o", "--output", type=Path, help="folder for pictures: ours, Cycles, 10 x the difference")
+    parser.add_argument("--size", type=int, default=48, help="pixels across")
+    parser.add_argument("--samples", type=int, default=512, help="ours, per pixel")
+    parser.add_argument("--cycles-samples", type=int, default=2048)
+    parser.add_argument("--splats", type=int, default=30_000)
+    parser.add_argument("--light", choices=LIGHTS, default="studio")
+    args = parser.parse_args(argv)
+    unknown = set(args.cases) - set(CASES)
+    if unknown:
+        parser.error(f"no case {', '.join(sorted(unknown))}")
+    return args
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = arguments(argv)
+    light = LIGHTS[args.light](64, 128)
+    cycles = CyclesScene(light)
+    if args.output is not None:
+        args.output.mkdir(parents=True, exist_ok=True)
+    print(f"{'case':20} {'light':12} {'mean relative':>14} {'of the means':>13}")
+    for name in args.cases or CASES:
+        for difference in compare(name, cycles, light, args):
+            print(difference.row(), flush=True)
+            if args.output is not None:
+                path = args.output / f"{re.sub('[^a-z0-9]+', '_', name.lower())}_{difference.bounces}.png"
+                Image.fromarray(np.round(255 * difference.strip).astype(np.uint8)).save(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
