@@ -15,6 +15,7 @@ import torch
 
 from .jit import kernel
 from .projection import ALPHA_MIN
+from .simd import load, minimum, splat, store
 
 # Floats of a disk's record: centre (3), normal (3), t_u / s_u (3), t_v / s_v (3), opacity, largest rho, and the two scales.
 NORMAL, AXIS_U, AXIS_V, OPACITY, CUT, SCALE_U, SCALE_V, DISK = 3, 6, 9, 12, 13, 14, 15, 16
@@ -26,8 +27,9 @@ _PAD = np.float32(1e-6)  # boxes grow by this share of their position, ten times
 
 
 @kernel
-def describe_disks(position, quaternion, log_scale, opacity, n, record, low, high):
-    """Records (N, DISK) and boxes (N, 3) of all disks; CUT is -1, and the box empty, where there is nothing to hit."""
+def describe_disks(position, quaternion, log_scale, opacity, n, record, box, middle):
+    """Records (N, DISK), boxes and centres (N x 8,) of all disks; CUT is -1, and the box empty, where there is nothing to hit."""
+    box[:] = middle[:] = np.float32(0.0)
     for i in range(n):
         w, x, y, z = quaternion[i], quaternion[n + i], quaternion[2 * n + i], quaternion[3 * n + i]
         inv = np.float32(1.0) / np.float32(math.sqrt(max(w * w + x * x + y * y + z * z, np.float32(1e-20))))
@@ -50,82 +52,89 @@ def describe_disks(position, quaternion, log_scale, opacity, n, record, low, hig
             record[i, axis], record[i, NORMAL + axis] = c, normal[axis]
             record[i, AXIS_U + axis], record[i, AXIS_V + axis] = u[axis] / su, v[axis] / sv
             reach = radius * math.sqrt((su * u[axis]) ** 2 + (sv * v[axis]) ** 2) + _PAD * (abs(c) + 10 * half)
-            low[i, axis] = c - reach if valid else np.float32(math.inf)
-            high[i, axis] = c + reach if valid else np.float32(-math.inf)
+            box[i * 8 + axis] = c - reach if valid else np.float32(math.inf)
+            box[i * 8 + 4 + axis] = -c - reach if valid else np.float32(math.inf)
+            middle[i * 8 + axis], middle[i * 8 + 4 + axis] = c, -c
 
 
 @kernel
-def _area(box):
-    x, y, z = box[3] - box[0], box[4] - box[1], box[5] - box[2]
+def _grow(boxes, at, other, g):
+    """Make box `at` of `boxes` hold box `g` of `other`."""
+    store(boxes, at * 8, minimum(load(boxes, at * 8), load(other, g * 8)))
+
+
+@kernel
+def _area(box, at):
+    x, y, z = box[at * 8] + box[at * 8 + 4], box[at * 8 + 1] + box[at * 8 + 5], box[at * 8 + 2] + box[at * 8 + 6]
     return x * y + y * z + z * x
 
 
 @kernel
-def _include(box, low, high):
-    for axis in range(3):
-        box[axis] = min(box[axis], low[axis])
-        box[3 + axis] = max(box[3 + axis], high[axis])
-
-
-@kernel
-def _clear(box):
-    box[:3] = np.float32(math.inf)
-    box[3:] = np.float32(-math.inf)
-
-
-@kernel
-def _bound(order, begin, end, low, high, box):
-    _clear(box)
+def _bound(order, begin, end, boxes, box):
+    """The box around those of order[begin:end] -> box (8,)."""
+    hull = splat(np.float32(math.inf))
     for i in range(begin, end):
-        _include(box, low[order[i]], high[order[i]])
+        hull = minimum(hull, load(boxes, order[i] * 8))
+    store(box, 0, hull)
 
 
 @kernel
-def _bin(low, high, g, axis, start, step):
-    return min(max(int((low[g, axis] + high[g, axis] - start) * step), 0), _BINS - 1)
+def _bin(middle, g, axis, start, step):
+    return min(max(int((middle[g * 8 + axis] - start) * step), 0), _BINS - 1)
 
 
 @kernel
-def _split(order, begin, end, low, high, bins, fill, cost, box):
-    """Part order[begin:end] in two along the widest axis of the centres; returns where the second half starts."""
-    least, most = np.full(3, math.inf, np.float32), np.full(3, -math.inf, np.float32)
-    for i in range(begin, end):
-        g = order[i]
-        for axis in range(3):
-            c = low[g, axis] + high[g, axis]
-            least[axis], most[axis] = min(least[axis], c), max(most[axis], c)
-    extent = most - least
-    axis = np.argmax(extent)
-    if not extent[axis] > 0:
-        return (begin + end) // 2
-    start, step = least[axis], np.float32(_BINS * 0.9999) / extent[axis]
-    fill[:] = 0
-    for b in range(_BINS):
-        _clear(bins[b])
-    for i in range(begin, end):
-        g = order[i]
-        b = _bin(low, high, g, axis, start, step)
-        fill[b] += 1
-        _include(bins[b], low[g], high[g])
-    _clear(box)
-    count = 0
+def _cheapest(axis, count, bins, fill, cost, box):
+    """The best bin of one axis to start the second half with, and its cost."""
+    first = axis * _BINS
+    store(box, 0, splat(np.float32(math.inf)))
+    seen, best, least = 0, 0, np.float32(math.inf)
     for b in range(_BINS - 1):
-        _include(box, bins[b, :3], bins[b, 3:])
-        count += fill[b]
-        cost[b] = _area(box) * ((count + 7) // 8)
-    _clear(box)
-    count, best, least_cost = 0, 0, np.float32(math.inf)
+        _grow(box, 0, bins, first + b)
+        seen += fill[first + b]
+        cost[b] = _area(box, 0) * np.float32((seen + 7) // 8)
+    store(box, 0, splat(np.float32(math.inf)))
+    seen = 0
     for b in range(_BINS - 1, 0, -1):
-        _include(box, bins[b, :3], bins[b, 3:])
-        count += fill[b]
-        if 0 < count < end - begin:
-            total = cost[b - 1] + _area(box) * ((count + 7) // 8)
-            if total < least_cost:
-                best, least_cost = b, total
+        _grow(box, 0, bins, first + b)
+        seen += fill[first + b]
+        if 0 < seen < count:
+            total = cost[b - 1] + _area(box, 0) * np.float32((seen + 7) // 8)
+            if total < least:
+                best, least = b, total
+    return best, least
+
+
+@kernel
+def _split(order, begin, end, boxes, middle, bins, fill, cost, box):
+    """Part order[begin:end] in two where that costs rays least; returns where the second half starts."""
+    _bound(order, begin, end, middle, box)
+    x, y, z = box[0], box[1], box[2]
+    scale = np.float32(_BINS * 0.9999)
+    tiny = np.float32(1e-30)
+    sx, sy, sz = scale / max(-box[4] - x, tiny), scale / max(-box[5] - y, tiny), scale / max(-box[6] - z, tiny)
+    fill[:] = 0
+    for b in range(3 * _BINS):
+        store(bins, b * 8, splat(np.float32(math.inf)))
+    for i in range(begin, end):
+        g = order[i]
+        bx, by, bz = _bin(middle, g, 0, x, sx), _bin(middle, g, 1, y, sy) + _BINS, _bin(middle, g, 2, z, sz) + 2 * _BINS
+        fill[bx] += 1
+        fill[by] += 1
+        fill[bz] += 1
+        _grow(bins, bx, boxes, g)
+        _grow(bins, by, boxes, g)
+        _grow(bins, bz, boxes, g)
+    axis, best, least = 0, 0, np.float32(math.inf)
+    for a in range(3):
+        b, price = _cheapest(a, end - begin, bins, fill, cost, box)
+        if price < least:
+            axis, best, least = a, b, price
+    start, step = (x, sx) if axis == 0 else ((y, sy) if axis == 1 else (z, sz))
     left, right = begin, end - 1
     while left <= right:
         g = order[left]
-        if _bin(low, high, g, axis, start, step) < best:
+        if _bin(middle, g, axis, start, step) < best:
             left += 1
         else:
             order[left], order[right] = order[right], g
@@ -134,7 +143,7 @@ def _split(order, begin, end, low, high, bins, fill, cost, box):
 
 
 @kernel
-def build_nodes(order, low, high):
+def build_nodes(order, boxes, middle):
     """Sort `order` (M,) into leaves. Returns children (nodes, 8), leaf ranges in `order` (leaves, 2) and the tree's depth.
 
     A child is a later node's number, ~leaf, or its own node's number where there is none.
@@ -143,8 +152,8 @@ def build_nodes(order, low, high):
     child = np.empty((m + 1, 8), np.int32)
     leaves = np.empty((m + 1, 2), np.int32)
     begins, ends, levels = np.empty(m + 1, np.int32), np.empty(m + 1, np.int32), np.empty(m + 1, np.int32)
-    bins, fill, cost = np.empty((_BINS, 6), np.float32), np.empty(_BINS, np.int32), np.empty(_BINS, np.float32)
-    box, area = np.empty(6, np.float32), np.empty(8, np.float32)
+    bins, fill, cost = np.empty(3 * _BINS * 8, np.float32), np.empty(3 * _BINS, np.int32), np.empty(_BINS, np.float32)
+    box, area = np.empty(8, np.float32), np.empty(8, np.float32)
     part = np.empty((8, 2), np.int32)
     begins[0], ends[0], levels[0] = 0, m, 1
     nodes, leaf_count, node = 1, 0, 0
@@ -158,11 +167,11 @@ def build_nodes(order, low, high):
             if widest < 0:
                 break
             begin, end = part[widest, 0], part[widest, 1]
-            middle = _split(order, begin, end, low, high, bins, fill, cost, box)
-            part[widest, 1], part[parts, 0], part[parts, 1] = middle, middle, end
+            half = _split(order, begin, end, boxes, middle, bins, fill, cost, box)
+            part[widest, 1], part[parts, 0], part[parts, 1] = half, half, end
             for p in (widest, parts):
-                _bound(order, part[p, 0], part[p, 1], low, high, box)
-                area[p] = _area(box)
+                _bound(order, part[p, 0], part[p, 1], boxes, box)
+                area[p] = _area(box, 0)
             parts += 1
         for p in range(8):
             if p >= parts:
@@ -191,24 +200,32 @@ def fill_leaves(index, record, leaf):
 
 
 @kernel
-def fill_nodes(child, index, low, high, node):
+def fill_nodes(child, index, boxes, node):
     """Boxes of all children, from the last node to the first."""
-    box = np.empty(6, np.float32)
+    box = np.empty(8, np.float32)
     for i in range(len(child) - 1, -1, -1):
         for lane in range(8):
             c = child[i, lane]
-            _clear(box)
+            store(box, 0, splat(np.float32(math.inf)))
             if c < 0:
                 for j in range(~c * 8, ~c * 8 + 8):
                     if index[j] >= 0:
-                        _include(box, low[index[j]], high[index[j]])
+                        _grow(box, 0, boxes, index[j])
             elif c != i:
                 for axis in range(3):
                     for j in range(8):
                         box[axis] = min(box[axis], node[c * NODE + axis * 8 + j])
-                        box[3 + axis] = max(box[3 + axis], node[c * NODE + 24 + axis * 8 + j])
-            for j in range(6):
-                node[i * NODE + j * 8 + lane] = box[j]
+                        box[4 + axis] = min(box[4 + axis], -node[c * NODE + 24 + axis * 8 + j])
+            for axis in range(3):
+                node[i * NODE + axis * 8 + lane] = box[axis]
+                node[i * NODE + 24 + axis * 8 + lane] = -box[4 + axis]
+
+
+def aligned(floats: int) -> np.ndarray:
+    """So many floats that start with a cache line: vectors that straddle two lines take twice the loads."""
+    memory = np.empty(floats + 16, np.float32)
+    first = -memory.ctypes.data % 64 // 4
+    return memory[first : first + floats]
 
 
 def flat(tensor: torch.Tensor) -> np.ndarray:
@@ -239,42 +256,42 @@ class DiskTree:
     def build(cls, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> DiskTree:
         """A tree over raw parameters: (3, N) world, (4, N) w x y z of any length, (2, N) logs, (N,) logits; no gradients."""
         parameters = tuple(flat(p).copy() for p in (position, quaternion, log_scale, opacity))
-        record, low, high = _describe(parameters)
+        record, boxes, middle = _describe(parameters)
         order = np.flatnonzero(record[:, CUT] >= 0).astype(np.int32)
         child, ranges, depth = np.empty((0, 8), np.int32), np.empty((0, 2), np.int32), 0
         if len(order):
-            child, ranges, depth = build_nodes(order, low, high)
+            child, ranges, depth = build_nodes(order, boxes, middle)
         place = ranges[:, :1] + np.arange(8, dtype=np.int32)
         index = np.where(place < ranges[:, 1:], order[np.minimum(place, max(len(order) - 1, 0))] if len(order) else -1, -1)
-        tree = cls(parameters, record, child, np.empty(len(child) * NODE, np.float32), index.reshape(-1).astype(np.int32),
-                   np.empty(len(index) * LEAF, np.float32), int(depth))  # fmt: skip
-        tree._fill(low, high)
+        tree = cls(parameters, record, child, aligned(len(child) * NODE), index.reshape(-1).astype(np.int32),
+                   aligned(len(index) * LEAF), int(depth))  # fmt: skip
+        tree._fill(boxes)
         return tree
 
     def refit(self, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> None:
         """Follow parameters that have moved: same topology, new numbers. Built anew where a Gaussian left out can now be seen."""
         parameters = tuple(flat(p).copy() for p in (position, quaternion, log_scale, opacity))
-        record, low, high = _describe(parameters)
+        record, boxes, _ = _describe(parameters)
         held = np.zeros(len(record), bool)
         held[self.index[self.index >= 0]] = True
         if len(record) != len(self.record) or (~held & (record[:, CUT] >= 0)).any():
             self.__dict__.update(DiskTree.build(position, quaternion, log_scale, opacity).__dict__)
             return
         self.parameters, self.record = parameters, record
-        self._fill(low, high)
+        self._fill(boxes)
 
     def matches(self, *parameters: torch.Tensor) -> bool:
         """Whether the tree stands for exactly these position, quaternion, log scale and opacity."""
         pairs = zip(self.parameters, parameters, strict=True)
         return all(np.array_equal(mine.view(np.int32), flat(theirs).view(np.int32)) for mine, theirs in pairs)  # NaN equals NaN
 
-    def _fill(self, low: np.ndarray, high: np.ndarray) -> None:
+    def _fill(self, boxes: np.ndarray) -> None:
         fill_leaves(self.index, self.record, self.leaf)
-        fill_nodes(self.child, self.index, low, high, self.node)
+        fill_nodes(self.child, self.index, boxes, self.node)
 
 
 def _describe(parameters: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(parameters[3])
-    record, low, high = np.empty((n, DISK), np.float32), np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-    describe_disks(*parameters, n, record, low, high)
-    return record, low, high
+    record, boxes, middle = np.empty((n, DISK), np.float32), np.empty(8 * n, np.float32), np.empty(8 * n, np.float32)
+    describe_disks(*parameters, n, record, boxes, middle)
+    return record, boxes, middle
