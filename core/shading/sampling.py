@@ -114,7 +114,7 @@ def _cosine(u: torch.Tensor) -> torch.Tensor:
 
 
 def _uniform(u: torch.Tensor) -> torch.Tensor:
-    """(..., 2) to (..., 3) local directions, uniform over the hemisphere."""
-    z, phi = u[..., 0], 2 * math.pi * u[..., 1]
+    """(..., 2) to (..., 3) local directions, uniform over the hemisphere, in strata of height."""
+    z, phi = u[..., 1], 2 * math.pi * u[..., 0]
     r = (1 - z * z).clamp_min(0).sqrt()
     return torch.stack([r * phi.cos(), r * phi.sin(), z], -1)
