@@ -13,7 +13,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import torch
-from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.scene.exr import read_exr, rgb_channels, write_exr
 from irgspp.core.scene.gaussians import SH_COEFFICIENTS, Gaussians, quaternion_to
 from irgspp.irgspp_addon.ground_truth import place_camera
@@ -44,13 +44,7 @@ class Surface:
 
 def camera(size: int) -> Camera:
     """Looks down on the scene, which fills the picture."""
-    away = np.array(EYE) - np.array([0.0, 0.0, 0.3])
-    away /= np.linalg.norm(away)
-    right = np.cross([0.0, 0.0, 1.0], away)
-    right /= np.linalg.norm(right)
-    to_world = np.eye(4)
-    to_world[:3] = np.stack([right, np.cross(away, right), away, EYE], -1)
-    return Camera(size, size, 1.6 * size, 1.6 * size, size / 2, size / 2, to_world)
+    return Camera(size, size, 1.6 * size, 1.6 * size, size / 2, size / 2, look_at(EYE, (0.0, 0.0, 0.3)))
 
 
 def first_hits(view: Camera) -> np.ndarray:

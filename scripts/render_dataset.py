@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from irgspp.core.colour import encode_srgb
-from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.scene.exr import read_exr_rgb, rgb_channels, write_exr
 from irgspp.core.shading.lights import LIGHTS
@@ -51,10 +51,7 @@ def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolutio
         z = 1.0 - 1.5 * (i + 0.5) / count
         azimuth = (i + phase) * np.pi * (3 - np.sqrt(5))
         away = np.array([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z])
-        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-        to_world = np.eye(4)
-        to_world[:3, :3] = np.stack([right, np.cross(away, right), away], -1)
-        to_world[:3, 3] = centre + away * radius * LENS_RADII
+        to_world = look_at(centre + away * radius * LENS_RADII, centre)
         cameras.append(Camera(resolution, resolution, focal, focal, resolution / 2, resolution / 2, to_world))
     return cameras
 

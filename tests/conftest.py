@@ -1,4 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine before torch: it settles how torch's threads wait."""
+"""The engine before torch, as it settles how torch's threads wait; cameras all around."""
+
+from collections.abc import Callable
 
 import irgspp.core  # noqa: F401
+import numpy as np
+import pytest
+from irgspp.core.datasets.camera import Camera, look_at
+
+
+def ring(count: int, size: int = 64, distance: float = 4.0, lowest: float = -0.9, highest: float = 0.9) -> list[Camera]:
+    """Cameras on a spiral over the sphere between two heights of the unit sphere, looking at the origin."""
+    z, angle = np.linspace(lowest, highest, count), np.arange(count) * 2.399963
+    r = np.sqrt(1 - z**2)
+    places = distance * np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+    return [Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(p)) for p in places]
+
+
+@pytest.fixture(scope="session")
+def camera_ring() -> Callable[..., list[Camera]]:
+    return ring

@@ -3,11 +3,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 GL_TO_CV = np.diag([1.0, -1.0, -1.0, 1.0])
+Point = Sequence[float] | np.ndarray
+
+
+def look_at(eye: Point, target: Point = (0.0, 0.0, 0.0), up: Point = (0.0, 0.0, 1.0)) -> np.ndarray:
+    """(4, 4) camera to world at `eye`, with `target` in the middle and `up` upwards; looking along `up`, an axis lies to the right."""
+    back = np.subtract(eye, target)
+    back = back / np.linalg.norm(back)
+    right = np.cross(up, back)
+    if np.linalg.norm(right) < 1e-9 * np.linalg.norm(up):
+        side = np.abs(back).argmin()
+        right = np.eye(3)[side] - back[side] * back
+    right = right / np.linalg.norm(right)
+    to_world = np.eye(4)
+    to_world[:3] = np.stack([right, np.cross(back, right), back, eye], -1)
+    return to_world
 
 
 @dataclass(frozen=True, eq=False)

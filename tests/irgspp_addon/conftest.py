@@ -12,7 +12,7 @@ import bpy  # noqa: F401 (first of all: it makes Blender's other modules importa
 import numpy as np
 import pytest
 from irgspp.core.colour import encode_srgb
-from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.scene.cameras import save_cameras
 from irgspp.core.scene.exr import rgb_channels, write_exr
@@ -67,12 +67,7 @@ def cameras() -> list[Camera]:
     lenses = [(64, 48, 70.0, 70.0, 32.0, 24.0), (48, 64, 60.0, 66.0, 20.5, 35.0), (50, 50, 80.0, 62.0, 30.0, 21.5)]
     placed = []
     for (width, height, fx, fy, cx, cy), eye in zip(lenses, [(4.0, 0.5, 1.0), (-2.0, 3.0, 0.7), (0.3, -4.0, -1.2)], strict=True):
-        away = np.array(eye) / np.linalg.norm(eye)
-        right = np.cross([0.1, 0.0, 1.0], away)
-        right /= np.linalg.norm(right)
-        to_world = np.eye(4)
-        to_world[:3] = np.stack([right, np.cross(away, right), away, eye], -1)
-        placed.append(Camera(width, height, fx, fy, cx, cy, to_world))
+        placed.append(Camera(width, height, fx, fy, cx, cy, look_at(eye, up=(0.1, 0.0, 1.0))))
     return placed
 
 

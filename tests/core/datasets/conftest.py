@@ -10,20 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from irgspp.core.datasets.camera import look_at
 from PIL import Image
 
 W, H, FOCAL, RADIUS = 60, 48, 70.0, 0.5
 MODEL_IDS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FOV": 7}
-
-
-def look_at(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(4, 4) camera to world, -Z towards the target, +Z up in the world."""
-    back = (centre - target) / np.linalg.norm(centre - target)
-    right = np.cross([0, 0, 1], back)
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = right, np.cross(back, right), back, centre
-    return matrix
 
 
 def ring(count: int, target: np.ndarray) -> list[np.ndarray]:

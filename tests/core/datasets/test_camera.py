@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.camera import Camera, look_at
 
 RANDOM = np.random.default_rng(0)
 
@@ -52,3 +52,18 @@ def test_a_camera_moves_with_a_similarity_of_the_world(camera):
     before, depth = camera.project(points)
     after, further = moved.project(points @ similarity[:3, :3].T + similarity[:3, 3])
     assert np.allclose(before, after) and np.allclose(2 * depth, further)
+
+
+@pytest.mark.parametrize("eye", [(2.0, -1.0, 0.5), (0.0, 0.0, 3.0), (1.0, 2.0, -4.0)])
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.3, -0.1, 2.0), (1.0, 0.0, 0.0)])
+def test_a_camera_looks_at_its_target_upright(eye, up):
+    target = np.array([0.0, 0.0, 0.2])
+    camera = Camera(31, 17, 40.0, 44.0, 14.0, 9.5, look_at(eye, target, up))
+    rotation = camera.to_world[:3, :3]
+    assert np.allclose(rotation.T @ rotation, np.eye(3)) and np.linalg.det(rotation) == pytest.approx(1)
+    assert np.array_equal(camera.centre, eye)
+    (middle,), (depth,) = camera.project(target[None])
+    assert np.allclose(middle, [14.0, 9.5]) and depth == pytest.approx(np.linalg.norm(target - eye))
+    (above,), _ = camera.project((target + 0.01 * np.array(up))[None])
+    along_up = np.allclose(np.cross(up, target - eye), 0)
+    assert above == pytest.approx(middle) if along_up else above[0] == pytest.approx(14) and above[1] < 9.5

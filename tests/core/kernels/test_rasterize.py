@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.reference import rasterize_reference
 
@@ -14,12 +14,8 @@ NAMES = ("position", "quaternion", "log_scale", "opacity", "sh", "extra")
 
 
 def camera(width=37, height=29, off_centre=(2.5, -1.5)):
-    pose = np.eye(4)
     direction = np.array([math.cos(0.7) * math.cos(0.3), math.cos(0.7) * math.sin(0.3), math.sin(0.7)])
-    right = np.cross([0, 0, 1], direction)
-    right /= np.linalg.norm(right)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(direction, right), direction, 4 * direction
-    return Camera(width, height, 52.0, 49.0, width / 2 + off_centre[0], height / 2 + off_centre[1], pose)
+    return Camera(width, height, 52.0, 49.0, width / 2 + off_centre[0], height / 2 + off_centre[1], look_at(4 * direction))
 
 
 def cloud(n, seed, extras=2, size=0.12):

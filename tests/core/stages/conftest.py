@@ -15,24 +15,6 @@ from irgspp.core.stages.hull import disks
 BOUND = Bound((0.0, 0.0, 0.0), 1.5)
 
 
-def look_at(position: np.ndarray) -> np.ndarray:
-    """(4, 4) camera at `position` looking at the origin."""
-    back = position / np.linalg.norm(position)
-    right = np.cross([0, 0, 1.0], back)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3] = np.stack([right, np.cross(back, right), back, position], -1)
-    return pose
-
-
-def ring(count: int, size: int = 64, distance: float = 4.0) -> list[Camera]:
-    """Cameras on a spiral over the sphere."""
-    z, angle = np.linspace(-0.9, 0.9, count), np.arange(count) * 2.399963
-    r = np.sqrt(1 - z**2)
-    places = distance * np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
-    return [Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(p)) for p in places]
-
-
 def sphere_mask(camera: Camera, samples: int = 4) -> np.ndarray:
     """(H, W) share of each pixel that the unit sphere covers."""
     rays = camera.resized(samples * camera.width, samples * camera.height).rays().astype(np.float64)
@@ -71,11 +53,6 @@ def random_gaussians(count: int, seed: int) -> Gaussians:
     g = torch.Generator().manual_seed(seed)
     shapes = {"position": (3,), "quaternion": (4,), "log_scale": (2,), "opacity": (), "sh": (16, 3), "material": (5,)}
     return Gaussians(**{name: torch.randn(*shape, count, generator=g) for name, shape in shapes.items()})
-
-
-@pytest.fixture(scope="session")
-def camera_ring() -> Callable[..., list[Camera]]:
-    return ring
 
 
 @pytest.fixture(scope="session")

@@ -3,31 +3,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound
 from irgspp.core.scene.buffers import SurfaceSamples, ViewBuffers
-
-
-def look_at(position: np.ndarray) -> np.ndarray:
-    """(4, 4) camera at `position` looking at the origin."""
-    back = position / np.linalg.norm(position)
-    right = np.cross([0, 0, 1.0], back)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3] = np.stack([right, np.cross(back, right), back, position], -1)
-    return pose
-
-
-def cameras(count: int, size: int = 96, distance: float = 4.0, lowest: float = -0.95, highest: float = 0.95) -> list[Camera]:
-    """Cameras on a spiral over the sphere, between two heights of the unit sphere."""
-    z = np.linspace(lowest, highest, count)
-    angle = np.arange(count) * 2.399963
-    r = np.sqrt(1 - z**2)
-    places = distance * np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
-    return [Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(p)) for p in places]
 
 
 def colour_of(points: np.ndarray) -> np.ndarray:
@@ -102,8 +84,9 @@ def solids() -> dict[str, Solid]:
 
 
 @pytest.fixture(scope="session")
-def camera_ring() -> Callable[..., list[Camera]]:
-    return cameras
+def camera_ring(camera_ring) -> Callable[..., list[Camera]]:
+    """As elsewhere, with finer pictures and from nearer to the poles."""
+    return partial(camera_ring, size=96, lowest=-0.95, highest=0.95)
 
 
 @pytest.fixture(scope="session")

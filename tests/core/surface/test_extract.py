@@ -132,7 +132,7 @@ def test_no_ghosts_where_no_view_looks(solids, camera_ring, bound):
 
 def test_progress_tells_three_phases_and_every_step(solids, camera_ring, bound):
     solid, recorder = solids["sphere"], Recorder()
-    views = [solid.view(camera, seed=i) for i, camera in enumerate(camera_ring(12, 48))]
+    views = [solid.view(camera, seed=i) for i, camera in enumerate(camera_ring(12, size=48))]
     extract_surface(views, solid.samples(), bound, replace(SETTINGS, voxels=24, texture=64), recorder)
     assert recorder.told == [("fuse", 12), *((i,) for i in range(1, 13)), ("unwrap", 1), (1,), ("bake", 24), *((i,) for i in range(1, 25))]
 
@@ -140,11 +140,11 @@ def test_progress_tells_three_phases_and_every_step(solids, camera_ring, bound):
 def test_cancelling_stops(solids, camera_ring, bound):
     solid = solids["sphere"]
     with pytest.raises(Cancelled):
-        extract_surface([solid.view(c) for c in camera_ring(6, 32)], solid.samples(), bound, SETTINGS, Recorder(cancelled=True))
+        extract_surface([solid.view(c) for c in camera_ring(6, size=32)], solid.samples(), bound, SETTINGS, Recorder(cancelled=True))
 
 
 def test_views_without_depth_are_one_clear_line(solids, camera_ring, bound):
-    views = [solids["sphere"].view(camera) for camera in camera_ring(3, 32)]
+    views = [solids["sphere"].view(camera) for camera in camera_ring(3, size=32)]
     views = [replace(view, depth=0 * view.depth) for view in views]
     with pytest.raises(IrgsppError, match="no surface") as error:
         extract_surface(views, solids["sphere"].samples(), bound, SETTINGS, Silent())

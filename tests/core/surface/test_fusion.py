@@ -56,7 +56,7 @@ def integrate_plainly(view, point, voxel, truncation):
 
 def test_integrate_equals_plain_loops(solids, camera_ring, bound):
     solid, rng = solids["torus"], np.random.default_rng(0)
-    views = [solid.view(camera, 0.02, i) for i, camera in enumerate(camera_ring(3, 24))]
+    views = [solid.view(camera, 0.02, i) for i, camera in enumerate(camera_ring(3, size=24))]
     grid = make_grid(views, solid.samples(500), bound, 24)
     shape, truncation = (len(grid.active), BLOCK**3), fusion.TRUNCATION * grid.voxel
     total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool)
