@@ -24,8 +24,8 @@ LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
     """Views of a run as picture files."""
-    from .relight.backends import open_query
-    from .relight.relighter import Relighter, RelightSettings
+    from .relight.backends import open_relighter
+    from .relight.relighter import RelightSettings
     from .rendering import load_light, render_views
     from .scene.reconstruction import Reconstruction
 
@@ -40,7 +40,7 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
         conserving=args.diffuse == "conserving",
         albedo_scale=tuple(args.albedo_scale),
     )
-    relighter = Relighter(reconstruction, open_query(args.run, reconstruction, args.backend), how)
+    relighter = open_relighter(args.run, reconstruction, args.backend, how)
     cameras = _cameras(args, settings.data, reconstruction)
     render_views(relighter, cameras, args.out, terminal, layers=args.layers, lights=lights)
     terminal.end_line()

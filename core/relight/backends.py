@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two scenes that secondary rays can be asked about, by name."""
+"""A relighter for a run folder: secondary rays on its Gaussians or on its mesh."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from ..scene.ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from .gaussian_query import GaussianQuery
 from .mesh_query import MeshQuery
-from .query import SurfaceQuery
+from .relighter import Relighter, RelightSettings
 
 Backend = Literal["gaussian", "mesh"]
 
 
-def open_query(run: Path, reconstruction: Reconstruction, backend: Backend) -> SurfaceQuery:
-    """The query backend of a run. Raises InputError where the run lacks what it needs."""
+def open_relighter(run: Path, reconstruction: Reconstruction, backend: Backend, settings: RelightSettings) -> Relighter:
+    """The relighter of a run. Raises InputError where the run lacks what it needs, or settings are impossible."""
+    file, radius = run / "mesh.ply", reconstruction.bound.radius
+    mesh = MeshQuery(load_mesh_ply(file), radius) if file.is_file() else None
     if backend == "gaussian":
-        return GaussianQuery(reconstruction)
-    if not (run / "mesh.ply").is_file():
-        fix = f"make it by: irgspp reconstruct DATASET -o {run} --resume"
-        raise InputError(run / "mesh.ply", "is missing, which --backend mesh needs", fix)
-    return MeshQuery(load_mesh_ply(run / "mesh.ply"), reconstruction.bound.radius)
+        return Relighter(reconstruction, GaussianQuery(reconstruction), settings, mesh)
+    if mesh is None:
+        raise InputError(file, "is missing, which --backend mesh needs", f"make it by: irgspp reconstruct DATASET -o {run} --resume")
+    return Relighter(reconstruction, mesh, settings, mesh)

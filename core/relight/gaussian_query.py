@@ -8,9 +8,10 @@ import torch
 from ..kernels.bvh import DiskTree
 from ..kernels.tracing import trace
 from ..scene.reconstruction import Reconstruction
+from .primary import Primary
 from .query import Hits
 
-OFFSET = 0.03  # of the scene radius: the mean depth lies inside the cloud of disks that make a surface, whose thickness this clears
+OFFSET = 0.02  # of the scene radius: the mean depth lies inside the cloud of disks that make a surface, whose thickness this clears
 FAINTEST = 1 / 255  # opacity below which a ray counts as free
 
 
@@ -31,9 +32,9 @@ class GaussianQuery:
         self._tree = DiskTree.build(*self._geometry)
         self._offset = offset * bound.radius
 
-    def origins(self, point: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+    def origins(self, surface: Primary) -> torch.Tensor:
         """See `SurfaceQuery`."""
-        return point + self._offset * normal
+        return surface.point + self._offset * surface.normal
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
         """See `SurfaceQuery`."""

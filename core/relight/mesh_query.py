@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import torch
 from embreex.mesh_construction import TriangleMesh
@@ -10,9 +12,13 @@ from embreex.rtcore_scene import EmbreeScene
 
 from ..kernels.pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
+from .primary import Primary
 from .query import Hits
 
-OFFSET = 0.012  # of the scene radius: rays start above points of the Gaussians' surface, which is not exactly the mesh's
+# Of the scene radius:
+CLEARANCE = 0.002  # rays start this much above the mesh,
+OFFSET = 0.012  # or above the Gaussians' surface where the mesh is not,
+NEAR = 0.05  # which it is where it lies closer than this
 
 
 class MeshQuery:
@@ -23,7 +29,7 @@ class MeshQuery:
     """
 
     def __init__(self, mesh: Mesh, radius: float) -> None:
-        self._faces, self._offset = torch.from_numpy(mesh.faces.astype(np.int64)), OFFSET * radius
+        self._faces, self._radius = torch.from_numpy(mesh.faces.astype(np.int64)), radius
         rows = (mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None])
         self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32))
         self._scene = EmbreeScene()
@@ -31,29 +37,57 @@ class MeshQuery:
         # The first query commits the scene, which threads must not race for.
         self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
 
-    def origins(self, point: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
-        """See `SurfaceQuery`."""
-        return point + self._offset * normal
+    def origins(self, surface: Primary) -> torch.Tensor:
+        """See `SurfaceQuery`. Rays start on the mesh: the Gaussians' surface lies inside it here and outside there."""
+        ray, _, distance = self._seen(surface)
+        origin = surface.point + OFFSET * self._radius * surface.normal
+        on_mesh = _centre(surface) - distance[:, None] * surface.view[ray]
+        return origin.index_copy(0, ray, on_mesh + CLEARANCE * self._radius * surface.normal[ray])
+
+    def refined(self, surface: Primary, weight: float) -> Primary:
+        """The surface with normals that are `weight` the mesh's and 1 - `weight` the Gaussians': their errors have little in common."""
+        ray, hits, _ = self._seen(surface)
+        normal = (1 - weight) * surface.normal[ray] + weight * hits.normal
+        normal = torch.nn.functional.normalize(normal, dim=1)
+        return dataclasses.replace(surface, normal=surface.normal.index_copy(0, ray, normal))
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
         """See `SurfaceQuery`."""
+        return self._closest(origin, direction)[0]
+
+    def _seen(self, surface: Primary) -> tuple[torch.Tensor, Hits, torch.Tensor]:
+        """Which of a view's pixels see the mesh where the Gaussians are, (K,), what they see there, and its distance (K,)."""
+        direction = -surface.view
+        origin = _centre(surface).expand_as(direction)
+        hits, distance = self._closest(origin, direction)
+        gap = (origin[hits.ray] + distance[:, None] * direction[hits.ray] - surface.point[hits.ray]).norm(dim=1)
+        near = gap < NEAR * self._radius
+        chosen = Hits(*(getattr(hits, field.name)[near] for field in dataclasses.fields(hits)))
+        return chosen.ray, chosen, distance[near]
+
+    def _closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[Hits, torch.Tensor]:
+        """Hits and their distances (K,)."""
         origins, directions = origin.contiguous().numpy(), direction.contiguous().numpy()
         triangle = np.empty(len(origins), np.int32)
-        uv = np.empty((2, len(origins)), np.float32)
+        u, v, t = np.empty((3, len(origins)), np.float32)
 
         def run(begin: int, end: int) -> None:
             found = self._scene.run(origins[begin:end], directions[begin:end], query="INTERSECT", output=True)
-            triangle[begin:end], uv[0, begin:end], uv[1, begin:end] = found["primID"], found["u"], found["v"]
+            for to, name in ((triangle, "primID"), (u, "u"), (v, "v"), (t, "tfar")):
+                to[begin:end] = found[name]
 
         run_ranges(run, even_ranges(len(origins), thread_count()))
         ray = np.flatnonzero(triangle >= 0)
-        return self._hits(torch.from_numpy(ray), torch.from_numpy(triangle[ray]), torch.from_numpy(uv[:, ray]), direction)
+        share = torch.from_numpy(np.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1))
+        return self._hits(torch.from_numpy(ray), torch.from_numpy(triangle[ray]), share, direction), torch.from_numpy(t[ray])
 
-    def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, uv: torch.Tensor, direction: torch.Tensor) -> Hits:
-        corners = self._attributes[self._faces[triangle]]  # (K, 3, 8)
-        share = torch.stack([1 - uv[0] - uv[1], uv[0], uv[1]], 1)
-        at = torch.einsum("kc,kca->ka", share, corners)
+    def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, share: torch.Tensor, direction: torch.Tensor) -> Hits:
+        at = torch.einsum("kc,kca->ka", share, self._attributes[self._faces[triangle]])
         normal = torch.nn.functional.normalize(at[:, :3], dim=1)
         away = (normal * direction[ray]).sum(1, keepdim=True) > 0
         materials = (at[:, 3:6], at[:, 6].contiguous(), at[:, 7])
         return Hits(ray, torch.ones(len(ray)), *materials, torch.where(away, -normal, normal))
+
+
+def _centre(surface: Primary) -> torch.Tensor:
+    return torch.from_numpy(surface.camera.centre).float()

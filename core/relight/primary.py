@@ -22,7 +22,7 @@ class Primary:
         camera: the view's camera.
         index: (P,) flat pixel index, ascending.
         ray: (P, 3) world direction of planar depth 1; view: (P, 3) unit, towards the camera.
-        point: (P, 3) world; depth: (P,) planar.
+        point: (P, 3) world; depth: (P,) planar. origin: (P, 3) where secondary rays start.
         normal: (P, 3) unit; near silhouettes it may look a little away from the camera.
         albedo: (P, 3); roughness, metallic: (P,); alpha: (P,) opacity, in `coverage` (H, W) with what is too faint to be lit.
     """
@@ -39,6 +39,7 @@ class Primary:
     metallic: torch.Tensor
     alpha: torch.Tensor
     coverage: torch.Tensor
+    origin: torch.Tensor
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
         """(P, 3) straight colours of the points as an (H, W, 4) linear premultiplied picture."""
@@ -57,4 +58,4 @@ def primary_surface(reconstruction: Reconstruction, camera: Camera, albedo_scale
         depth = picture[-2].flatten()[p.index] / p.alpha
         point = torch.from_numpy(camera.centre).float() + depth[:, None] * ray
         materials = (p.albedo * albedo_scale, p.roughness, p.metallic, p.alpha)
-        return Primary(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, picture[-1].contiguous())
+        return Primary(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, picture[-1].contiguous(), point)

@@ -8,6 +8,8 @@ from typing import Protocol
 
 import torch
 
+from .primary import Primary
+
 
 @dataclass(frozen=True, eq=False)
 class Hits:
@@ -31,8 +33,8 @@ class Hits:
 class SurfaceQuery(Protocol):
     """A scene that rays can be asked about."""
 
-    def origins(self, point: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
-        """(P, 3) where rays from surface points (P, 3) with unit normals (P, 3) have to start so that they don't meet that surface."""
+    def origins(self, surface: Primary) -> torch.Tensor:
+        """(P, 3) where rays from a view's surface points have to start so that they don't meet that very surface."""
         ...
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:

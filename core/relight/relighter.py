@@ -6,6 +6,7 @@ L_i = V L_new + (1 - V) SplitSum(a, r, m, n of what hides it, prefiltered L_new)
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +20,7 @@ from ..shading.split_sum import shade
 from ..shading.transport import reflect_light
 from .denoise import denoised
 from .lighting import PreparedLight
+from .mesh_query import MeshQuery
 from .primary import Primary, primary_surface
 from .query import SurfaceQuery
 from .samples import pixel_shifts, sample_counts
@@ -36,6 +38,7 @@ class RelightSettings:
         denoise: "demodulated", "paper" or "off".
         indirect: light that other parts of the object reflect; without it they only cast shadows.
         conserving: the diffuse lobe gets what the specular one leaves (Blender's Principled) instead of all (the paper).
+        mesh_normals: how much of the shading normals is the mesh's, 0..1, where a mesh is known.
         albedo_scale: per channel, for all albedo; under an unknown light its brightness can't be known.
     """
 
@@ -44,20 +47,30 @@ class RelightSettings:
     denoise: Literal["demodulated", "paper", "off"] = "demodulated"
     indirect: bool = True
     conserving: bool = False
+    mesh_normals: float = 0.5
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 class Relighter:
-    """Renders views of a reconstruction; the same view under the same light is always the same picture, bit by bit."""
+    """Renders views of a reconstruction; the same view under the same light is always the same picture, bit by bit.
 
-    def __init__(self, reconstruction: Reconstruction, query: SurfaceQuery, settings: RelightSettings) -> None:
-        self.reconstruction, self.query, self.settings = reconstruction, query, settings
+    Args:
+        reconstruction: what cameras see. query: what secondary rays meet. mesh: whose normals better those of the Gaussians, if any.
+    """
+
+    def __init__(
+        self, reconstruction: Reconstruction, query: SurfaceQuery, settings: RelightSettings, mesh: MeshQuery | None = None
+    ) -> None:
+        self.reconstruction, self.query, self.settings, self._mesh = reconstruction, query, settings, mesh
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
         self._scale = torch.tensor(settings.albedo_scale)
 
     def surface(self, camera: Camera) -> Primary:
         """What `camera` sees, to be lit by `relit`, once or under several lights."""
-        return primary_surface(self.reconstruction, camera, self._scale)
+        surface = primary_surface(self.reconstruction, camera, self._scale)
+        if self._mesh is not None and self.settings.mesh_normals > 0:
+            surface = self._mesh.refined(surface, self.settings.mesh_normals)
+        return dataclasses.replace(surface, origin=self.query.origins(surface))
 
     def relit(self, surface: Primary, light: PreparedLight) -> torch.Tensor:
         """(H, W, 4) linear premultiplied RGBA of a surface under a light."""
@@ -79,18 +92,17 @@ class Relighter:
         shift = pixel_shifts(surface.index[part], surface.camera.width)
         assert light.distribution is not None
         samples = draw(view, normal, roughness, self.counts, light.distribution, shift, self.settings.sampling)
-        incoming = self._incoming(surface.point[part], normal, samples, light)
+        incoming = self._incoming(surface.origin[part], normal, samples, light)
         materials = (surface.albedo[part], roughness, surface.metallic[part])
         return reflect_light(view, normal, *materials, samples, incoming, self.settings.conserving)
 
-    def _incoming(self, point: torch.Tensor, normal: torch.Tensor, samples: Samples, light: PreparedLight) -> torch.Tensor:
+    def _incoming(self, origin: torch.Tensor, normal: torch.Tensor, samples: Samples, light: PreparedLight) -> torch.Tensor:
         """(P, N, 3) radiance along the samples; 0 below the horizon, where it would not count."""
         direction = samples.direction
         above = torch.nonzero((direction @ normal[..., None])[..., 0].flatten() > 0)[:, 0]
         rays = direction.view(-1, 3)[above]
-        origin = self.query.origins(point, normal)[above // direction.shape[1]]
         radiance = lookup(light.radiance, rays)
-        hit = self.query.hits(origin, rays)
+        hit = self.query.hits(origin[above // direction.shape[1]], rays)
         behind = radiance[hit.ray] * (1 - hit.opacity[:, None])
         if self.settings.indirect:
             materials = (hit.albedo * self._scale, hit.roughness, hit.metallic)
