@@ -33,8 +33,9 @@ def up_of(cameras: Sequence[Camera]) -> np.ndarray:
 def rotation_to_z(up: np.ndarray) -> np.ndarray:
     """(3, 3) the smallest rotation that takes the unit vector `up` to +Z."""
     axis = np.cross(up, [0, 0, 1])
-    cosine = float(up[2])
-    if cosine < -1 + 1e-9:
+    cosine, sine2 = float(up[2]), float(axis @ axis)
+    if cosine < 0 and sine2 < 1e-30:
         return np.diag([1.0, -1.0, -1.0])
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + skew + skew @ skew / (1 + cosine)
+    # sin^2 / (1 - cos) is 1 + cos, without its cancellation near straight down.
+    return np.eye(3) + skew + skew @ skew / (1 + cosine if cosine > 0 else sine2 / (1 - cosine))

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from irgspp.core.config import DataSettings
 from irgspp.core.datasets.bound import focus_of
@@ -81,6 +81,9 @@ def test_focus_survives_a_stray_camera(capture):
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1))
+@example((0.0, 3e-6, -1.0))
+@example((1e-14, -1e-9, -1.0))
+@example((0.0, 0.0, -1.0))
 def test_the_rotation_takes_up_to_z(direction):
     up = np.array(direction) / np.linalg.norm(direction)
     turn = rotation_to_z(up)
