@@ -49,13 +49,17 @@ def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | No
     """
     stack = maps if maps.ndim == 4 else maps[None]
     levels, _, width, _ = stack.shape
-    planes = torch.cat([stack[:, :, -1:], stack, stack[:, :, :1]], 2).permute(3, 0, 1, 2)[None]
+    planes = torch.cat([stack[:, :, -1:], stack, stack[:, :, :1]], 2).permute(3, 0, 1, 2)
     u, v = direction_to_uv(direction)
-    u = (u * width + 1) / (width + 2)  # one texel of wrap on either side
-    w = torch.full_like(u, 0.5) if level is None else (level + 0.5) / levels
-    grid = torch.stack([u, v, w], -1) * 2 - 1
-    values = torch.nn.functional.grid_sample(planes, grid[None, None, None], mode="bilinear", padding_mode="border", align_corners=False)
-    return values[0, :, 0, 0].T
+    coordinates = [(u * width + 1) / (width + 2), v]  # one texel of wrap on either side
+    if level is None:
+        planes, shape = planes[:, 0], (1, 1, -1, 2)  # torch has a quicker way in two dimensions
+    else:
+        coordinates.append((level + 0.5) / levels)
+        shape = (1, 1, 1, -1, 3)
+    grid = (torch.stack(coordinates, -1) * 2 - 1).view(shape)
+    values = torch.nn.functional.grid_sample(planes[None], grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return values.view(planes.shape[0], -1).T
 
 
 def rotate(picture: np.ndarray, degrees: float) -> np.ndarray:
