@@ -17,6 +17,8 @@ from skimage.transform import resize
 from ..colour import encode_srgb
 from ..scene.mesh import Mesh
 
+SSIM_WINDOW = 11  # pixels that a picture must have along each side
+
 
 def shown(figure: float) -> str:
     """A figure as text; counts without decimals."""
@@ -58,14 +60,19 @@ def albedo_scale(albedos: Sequence[np.ndarray], truths: Sequence[np.ndarray], ma
     return np.median(ratio[np.isfinite(ratio).all(-1)], axis=0)
 
 
-def environment_psnr(light: np.ndarray, truth: np.ndarray) -> float:
-    """PSNR of light maps (H, W, 3), encoded and clipped, on the grid of the true one, after a least-squares scale per channel."""
+def environment_figures(light: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """PSNR and SSIM of light maps (H, W, 3), encoded and clipped, on the grid of the true one, after a least-squares scale per channel.
+
+    The scale is weighted by solid angle; `environment_psnr_unscaled` is without it.
+    """
     height, width = truth.shape[:2]
     reduced = resize(light.astype(np.float64), (height, width), order=1, mode="edge", anti_aliasing=light.shape[0] > height)
     light = np.nan_to_num(np.asarray(reduced))
     weight = np.sin((np.arange(height) + 0.5) * np.pi / height)[:, None, None]
     scale = (weight * truth * light).sum((0, 1)) / np.maximum((weight * light * light).sum((0, 1)), 1e-12)
-    return psnr(encode_srgb(np.clip(light * scale, 0, 1)), encode_srgb(np.clip(truth, 0, 1)))
+    scaled, plain, true = (encode_srgb(np.clip(picture, 0, 1)) for picture in (light * scale, light, truth))
+    figures = {"environment_psnr": psnr(scaled, true), "environment_psnr_unscaled": psnr(plain, true)}
+    return figures | ({"environment_ssim": ssim(scaled, true)} if min(height, width) >= SSIM_WINDOW else {})
 
 
 def mesh_distances(mesh: Mesh, points: np.ndarray, normals: np.ndarray, near: float = 0.1, samples: int = 300_000) -> dict[str, float]:

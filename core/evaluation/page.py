@@ -43,7 +43,7 @@ def page(report: dict[str, Any], views: Sequence[View], predictions: Sequence[Pr
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Evaluation</title><style>{STYLE}</style>"
         f"<h1>Evaluation</h1><p>{about} PSNR in dB, angles in degrees, lengths in scene units; means over the views. "
         "Albedo is shown after the scale per channel that the figures use. Heat: dark is exact.</p>"
-        f"<table>{''.join(rows)}</table>{''.join(sections)}</html>\n"
+        f"<table>{''.join(rows)}</table><p>{'<br>'.join(escape(line) for line in report['protocol'])}</p>{''.join(sections)}</html>\n"
     )
 
 

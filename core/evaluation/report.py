@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,18 @@ from ..datasets.dataset import View
 from ..datasets.load import load_dataset
 from ..errors import Cancelled, InputError
 from ..progress import Progress, Silent
+from ..relight.backends import open_relighter
+from ..relight.lighting import prepare
+from ..relight.relighter import Relighter, RelightSettings
 from ..scene.ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
-from ..stages.render import render_view, shade_view
+from ..stages.render import render_view
 from . import metrics
 from .figures import Prediction, albedo_figures, averages, view_figures
 from .page import page
 from .truth import SceneTruth, Truth, load_scene_truth, load_truth
+
+SAMPLES, BACKEND = 64, "gaussian"  # of shaded and relit pictures
 
 
 def evaluate(
@@ -32,7 +38,7 @@ def evaluate(
     """Compare a run with the test views of a dataset (its training views where it has no others).
 
     Writes `report.json` and `report.html` (self-contained) into `output`, `run/evaluation` where that is None, and returns what is in
-    the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split".
+    the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split", "protocol".
     `settings` say how the dataset is read. Raises InputError for a folder that is no finished run, or a dataset that can't be read.
     """
     progress = progress or Silent()
@@ -41,25 +47,69 @@ def evaluate(
     split, views = ("test", data.test) if data.test else ("train", data.train)
     scene = load_scene_truth(dataset, reconstruction.to_world)
     same = reconstruction.to_world @ np.linalg.inv(data.to_world)  # read on its own, a dataset may be placed otherwise
-    truths, predictions = [], []
-    progress.phase("evaluate", len(views))
-    for i, view in enumerate(views):
-        truths.append(load_truth(view, scene, reconstruction.to_world))
-        predictions.append(predict(reconstruction, view.camera.moved(same), {name: scene.lights[name] for name in truths[-1].relit}))
-        progress.step(i + 1)
-        if progress.cancelled:
-            raise Cancelled(f"stopped after {i + 1} of {len(views)} views")
+    cameras = [view.camera.moved(same) for view in views]
+    truths = [load_truth(view, scene, reconstruction.to_world) for view in views]
+    relighter = open_relighter(run, reconstruction, BACKEND, RelightSettings(samples=SAMPLES))
+    predictions = shaded_views(relighter, cameras, progress)
+    _, scale = albedo_figures(predictions, truths)
+    lights = [{name: scene.lights[name] for name in truth.relit} for truth in truths]
+    predictions = relit_views(relighter.scaled(scale), predictions, cameras, lights, progress)
     report = summarise(views, predictions, truths, scene)
     report["figures"] |= scene_figures(run, reconstruction, scene)
-    report |= {"run": str(run.resolve()), "dataset": str(dataset.resolve()), "split": split}
+    report |= {"run": str(run.resolve()), "dataset": str(dataset.resolve()), "split": split, "protocol": protocol(report["albedo_scale"])}
     _write(output or run / "evaluation", report, page(report, views, predictions, truths))
     return report
 
 
-def predict(reconstruction: Reconstruction, camera: Camera, lights: dict[str, np.ndarray]) -> Prediction:
-    """Everything that is compared of one view."""
-    relit = {name: shade_view(reconstruction, camera, light) for name, light in lights.items()}
-    return Prediction(render_view(reconstruction, camera), shade_view(reconstruction, camera, None), relit)
+def shaded_views(relighter: Relighter, cameras: Sequence[Camera], progress: Progress) -> list[Prediction]:
+    """The layers of each view, and its picture under the recovered light with the albedo as it is."""
+    reconstruction, predictions = relighter.reconstruction, []
+    light = prepare(reconstruction.environment_map())
+    progress.phase("evaluate", len(cameras))
+    for camera in cameras:
+        shaded = relighter.relit(relighter.surface(camera), light).numpy()
+        predictions.append(Prediction(render_view(reconstruction, camera), shaded))
+        _stepped(progress, len(predictions), len(cameras))
+    return predictions
+
+
+def relit_views(
+    relighter: Relighter,
+    predictions: Sequence[Prediction],
+    cameras: Sequence[Camera],
+    lights: Sequence[dict[str, np.ndarray]],
+    progress: Progress,
+) -> list[Prediction]:
+    """The predictions, and with them each view's pictures under its named lights."""
+    prepared, complete = {}, []
+    progress.phase("relight", len(cameras))
+    for prediction, camera, names in zip(predictions, cameras, lights, strict=True):
+        prepared |= {name: prepare(light) for name, light in names.items() if name not in prepared}
+        surface = relighter.surface(camera) if names else None
+        relit = {name: relighter.relit(surface, prepared[name]).numpy() for name in names} if surface else {}
+        complete.append(replace(prediction, relit=relit))
+        _stepped(progress, len(complete), len(cameras))
+    return complete
+
+
+def _stepped(progress: Progress, done: int, of: int) -> None:
+    progress.step(done)
+    if progress.cancelled:
+        raise Cancelled(f"stopped after {done} of {of} views")
+
+
+def protocol(scale: Sequence[float] | None) -> list[str]:
+    """How the figures were made, a line each: published ones differ in this and can't be compared otherwise."""
+    factors = "as estimated (no true albedo is known)" if scale is None else "times " + " ".join(f"{s:.4f}" for s in scale)
+    fitted = "" if scale is None else ", the median of true / estimated albedo per channel over all views"
+    return [
+        "Pictures: sRGB-encoded, clipped to 0..1, on black by their own alpha; means over the views, then over the lights.",
+        f"Shaded and relit pictures: {SAMPLES} samples per pixel, {BACKEND} backend, denoised.",
+        f"Relit pictures: albedo {factors}{fitted}. Pictures under the recovered light: albedo as estimated.",
+        "Albedo: linear, times the true alpha, after that scale.",
+        "Environment: on the true map's grid, one least-squares scale per channel weighted by solid angle, sRGB-encoded, clipped to 0..1; "
+        "environment_psnr_unscaled without the scale.",
+    ]
 
 
 def summarise(views: Sequence[View], predictions: Sequence[Prediction], truths: Sequence[Truth], scene: SceneTruth) -> dict[str, Any]:
@@ -78,7 +128,7 @@ def scene_figures(run: Path, reconstruction: Reconstruction, scene: SceneTruth) 
     """Figures of the light and of the mesh, where the truth is known."""
     figures = {}
     if scene.train_light in scene.lights:
-        figures["environment_psnr"] = metrics.environment_psnr(reconstruction.environment_map(), scene.lights[scene.train_light])
+        figures |= metrics.environment_figures(reconstruction.environment_map(), scene.lights[scene.train_light])
     if scene.points is not None and (run / "mesh.ply").is_file():
         figures |= metrics.mesh_distances(load_mesh_ply(run / "mesh.ply"), *scene.points)
     return figures
@@ -89,7 +139,8 @@ def table(report: dict[str, Any]) -> str:
     lines = [f"{name:28s} {metrics.shown(value):>10s}" for name, value in report["figures"].items()]
     if report["albedo_scale"]:
         lines.append(f"{'albedo_scale':28s} " + " ".join(f"{s:10.4f}" for s in report["albedo_scale"]))
-    return "\n".join([*lines, f"{report['split'] + ' views':28s} {len(report['views']):10d}"])
+    lines.append(f"{report['split'] + ' views':28s} {len(report['views']):10d}")
+    return "\n".join([*lines, *report["protocol"]])
 
 
 def _write(folder: Path, report: dict[str, Any], html: str) -> None:

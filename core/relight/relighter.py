@@ -7,9 +7,11 @@ L_i = V L_new + (1 - V) SplitSum(a, r, m, n of what hides it, prefiltered L_new)
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 
 from ..datasets.camera import Camera
@@ -64,6 +66,14 @@ class Relighter:
         self.reconstruction, self.query, self.settings, self._mesh = reconstruction, query, settings, mesh
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
         self._scale = torch.tensor(settings.albedo_scale)
+
+    def scaled(self, albedo_scale: Sequence[float] | np.ndarray | None) -> Relighter:
+        """The same with another factor (3,) of the albedo; None: as it is."""
+        if albedo_scale is None:
+            return self
+        r, g, b = (float(factor) for factor in albedo_scale)
+        settings = dataclasses.replace(self.settings, albedo_scale=(r, g, b))
+        return Relighter(self.reconstruction, self.query, settings, self._mesh)
 
     def surface(self, camera: Camera) -> Primary:
         """What `camera` sees, to be lit by `relit`, once or under several lights."""

@@ -58,10 +58,15 @@ def test_albedo_scale_is_found_in_spite_of_outliers():
 
 
 def test_environment_is_compared_up_to_a_scale_per_channel():
-    truth = RANDOM.uniform(0, 1, (8, 16, 3))
-    assert metrics.environment_psnr(truth * np.array([2.0, 0.1, 7.0]), truth) == pytest.approx(100)
-    assert metrics.environment_psnr(np.roll(truth, 5, 1), truth) < 15
-    assert metrics.environment_psnr(sky_light(64, 128), sky_light(16, 32)) > 27  # its own resolution doesn't matter
+    truth = RANDOM.uniform(0, 1, (16, 32, 3))
+    tinted = metrics.environment_figures(truth * np.array([2.0, 0.1, 7.0]), truth)
+    assert tinted["environment_psnr"] == pytest.approx(100) and tinted["environment_ssim"] == pytest.approx(1)
+    assert tinted["environment_psnr_unscaled"] < 20
+    turned = metrics.environment_figures(np.roll(truth, 5, 1), truth)
+    assert turned["environment_psnr"] < 15 and turned["environment_ssim"] < 0.9
+    other = metrics.environment_figures(sky_light(64, 128), sky_light(16, 32))
+    assert other["environment_psnr"] > 27  # its own resolution doesn't matter
+    assert "environment_ssim" not in metrics.environment_figures(truth[:4, :8], truth[:4, :8])  # too small for the window
 
 
 def globe(radius: float, rows: int = 60) -> Mesh:

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+import torch
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.evaluation import report, sheet
 from irgspp.core.progress import Silent
@@ -37,9 +38,28 @@ def known(demo, monkeypatch):
         names = [name for name, truth in scene.lights.items() if light is not None and np.array_equal(light, truth)]
         return at(camera).relit[names[0]] if names else at(camera).shaded
 
+    class KnowingRelighter:
+        """Darker by a third where nobody asked for the albedo scale of 1."""
+
+        def __init__(self, brightness=0.67):
+            self.brightness = brightness
+            self.reconstruction = known
+
+        def scaled(self, scale):
+            return KnowingRelighter(float(np.mean(scale)))
+
+        def surface(self, camera):
+            return camera
+
+        def relit(self, camera, light):
+            name = next((n for n, truth in scene.lights.items() if np.array_equal(light.radiance.numpy(), truth)), scene.train_light)
+            relit = name != scene.train_light
+            return torch.from_numpy(at(camera).relit[name] * self.brightness if relit else at(camera).shaded)
+
     for module in (report, sheet):
         monkeypatch.setattr(module, "render_view", lambda reconstruction, camera: at(camera).buffers)
-        monkeypatch.setattr(module, "shade_view", shade)
+    monkeypatch.setattr(sheet, "shade_view", shade)
+    monkeypatch.setattr(report, "open_relighter", lambda *_: KnowingRelighter())
     known = Known(scene.lights["sky"])
     monkeypatch.setattr(report.Reconstruction, "load", lambda run: known)
     return known
@@ -53,8 +73,10 @@ def test_report_of_a_perfect_run(demo, known, tmp_path):
     assert np.allclose(found["albedo_scale"], 1) and len(found["views"]) == 6 and found["split"] == "test"
     assert json.loads((tmp_path / "out" / "report.json").read_text()) == found
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
+    assert any("albedo times 1.0000 1.0000 1.0000" in line for line in found["protocol"])
     lines = report.table(found).splitlines()
-    assert any(re.fullmatch(r"normal_mae +0\.0\d+", line) for line in lines) and lines[-1].split() == ["test", "views", "6"]
+    assert any(re.fullmatch(r"normal_mae +0\.0\d+", line) for line in lines) and ["test", "views", "6"] in [line.split() for line in lines]
+    assert lines[-len(found["protocol"]) :] == found["protocol"]
 
 
 def test_page_is_self_contained(demo, known, tmp_path):
@@ -62,7 +84,7 @@ def test_page_is_self_contained(demo, known, tmp_path):
     html = (tmp_path / "evaluation" / "report.html").read_text()
     sources = re.findall(r"(?:src|href)='([^']{5})", html)
     assert len(sources) > 6 * 12 and set(sources) == {"data:"}
-    for name in (*demo[2].lights, "true normal", "photograph", "r_005"):
+    for name in (*demo[2].lights, "Relit pictures: albedo times", "true normal", "photograph", "r_005"):
         assert name == "sky" or name in html
 
 
