@@ -27,6 +27,7 @@ GEOMETRY = 10  # of them have a gradient
 ALPHA_MIN = 1 / 255
 LOW_PASS = 32.0  # rho of the screen-space filter per squared pixel (2DGS: 1 / 0.707^2)
 NEAR = 0.01  # nearest depth, as a share of the camera's distance to the scene's centre
+LOG_SCALE_MIN = -30.0  # smaller disks count as this small: their inverse squared is still a number
 COSINE_MIN = 1e-3  # disks seen more edge-on than this keep this foreshortening; the low-pass filter draws them
 
 
@@ -89,6 +90,11 @@ def _sigmoid(x):
 
 
 @kernel
+def _log_scale(log_scale, i):
+    return maximum(load(log_scale, i), splat(LOG_SCALE_MIN))
+
+
+@kernel
 def _frame(position, quaternion, n, i, cam):
     """Camera-space centre and axes; foreshortening n.c is kept away from 0, `free` where it was not touched."""
     world = (load(position, i), load(position, n + i), load(position, 2 * n + i))
@@ -125,7 +131,7 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
     for block in range(begin, end):
         i = min(block * 8, n - 8)
         offset, c, r2, tu, tv, normal, nc, side, _, _, _ = _frame(position, quaternion, n, i, cam)
-        su, sv = exp(load(log_scale, i)), exp(load(log_scale, n + i))
+        su, sv = exp(_log_scale(log_scale, i)), exp(_log_scale(log_scale, n + i))
         z = select(c[2] > cam[18], c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
         e, f = _cross(tv, c), _cross(c, tu)
@@ -239,7 +245,7 @@ def project_backward_range(
     for block in range(begin, end):
         i = min(block * 8, n - 8)
         offset, c, _, tu, tv, normal, nc, side, free, q, qinv = _frame(position, quaternion, n, i, cam)
-        isu, isv = exp(load(log_scale, i) * -1.0), exp(load(log_scale, n + i) * -1.0)
+        isu, isv = exp(_log_scale(log_scale, i) * -1.0), exp(_log_scale(log_scale, n + i) * -1.0)
         front = c[2] > cam[18]
         z = select(front, c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
