@@ -86,6 +86,7 @@ def test_colour_spaces_and_principled(run_folder):
     spaces = {n.label: n.image.colorspace_settings.name for n in nodes if n.bl_idname == "ShaderNodeTexImage"}
     assert spaces == {"albedo": "sRGB", "roughness": "Non-Color", "metallic": "Non-Color", "normal": "Non-Color"}
     principled = next(n for n in nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    assert principled.distribution == "GGX"
     assert all(principled.inputs[name].is_linked for name in ("Base Color", "Roughness", "Metallic", "Normal"))
     assert principled.inputs["IOR"].default_value == 1.5
     assert imported.world is not bpy.context.scene.world  # importing alone leaves the scene's light as it is
