@@ -18,6 +18,10 @@ class LightDistribution:
 
     Texels weigh their brightest channel, blurred over the 3 x 3 neighbourhood, times their exact solid angle. Everything is
     detached. A map that is black everywhere gives the uniform density.
+
+    Attributes:
+        rows: (H,) float64 cumulated probability of rows; columns: (H W,) the row's number + cumulated probability within it.
+        edges: (H + 1,) float64 cosines of the rows' edges. texels: (H W,) density per steradian.
     """
 
     def __init__(self, light: torch.Tensor) -> None:
@@ -40,23 +44,23 @@ class LightDistribution:
         # Both searches are one each: row r's share of the table lies in r..r+1.
         conditional = weight.cumsum(1) / rows[:, None]
         conditional[:, -1] = 1
-        self._rows = (rows.cumsum(0) / rows.sum()).contiguous()
-        self._columns = (conditional + torch.arange(height, device=weight.device)[:, None]).reshape(-1)
-        self._edges = torch.cos(torch.arange(height + 1, dtype=torch.float64, device=weight.device) * (math.pi / height))
-        self._density = (value / weight.sum()).to(brightness.dtype)  # per steradian
+        self.rows = (rows.cumsum(0) / rows.sum()).contiguous()
+        self.columns = (conditional + torch.arange(height, device=weight.device)[:, None]).reshape(-1)
+        self.edges = torch.cos(torch.arange(height + 1, dtype=torch.float64, device=weight.device) * (math.pi / height))
+        self.texels = (value / weight.sum()).to(brightness.dtype).reshape(-1)
         self.height, self.width = height, width
 
     def sample(self, u: torch.Tensor) -> torch.Tensor:
         """(..., 2) uniform numbers in [0, 1) to (..., 3) unit directions, uniform in solid angle inside each texel."""
         across, down = u.reshape(-1, 2).double().unbind(-1)
-        row = torch.searchsorted(self._rows, down.contiguous(), right=True).clamp_max(self.height - 1)
-        before = torch.where(row > 0, self._rows[row - 1], 0.0)
-        v = ((down - before) / (self._rows[row] - before)).clamp(0, 1)
-        flat = torch.searchsorted(self._columns, across + row, right=True)
+        row = torch.searchsorted(self.rows, down.contiguous(), right=True).clamp_max(self.height - 1)
+        before = torch.where(row > 0, self.rows[row - 1], 0.0)
+        v = ((down - before) / (self.rows[row] - before)).clamp(0, 1)
+        flat = torch.searchsorted(self.columns, across + row, right=True)
         flat = torch.minimum(flat, row * self.width + self.width - 1)
-        left = torch.where(flat % self.width > 0, self._columns[flat - 1], row.double())
-        phi = (flat % self.width + ((across + row - left) / (self._columns[flat] - left)).clamp(0, 1)) * (2 * math.pi / self.width)
-        z = self._edges[row] + (self._edges[row + 1] - self._edges[row]) * v
+        left = torch.where(flat % self.width > 0, self.columns[flat - 1], row.double())
+        phi = (flat % self.width + ((across + row - left) / (self.columns[flat] - left)).clamp(0, 1)) * (2 * math.pi / self.width)
+        z = self.edges[row] + (self.edges[row + 1] - self.edges[row]) * v
         s = (1 - z * z).clamp_min(0).sqrt()
         return torch.stack([-s * phi.cos(), s * phi.sin(), z], -1).to(u.dtype).view(*u.shape[:-1], 3)
 
@@ -65,7 +69,7 @@ class LightDistribution:
         u, v = direction_to_uv(direction)
         column = (u * self.width).long().clamp(0, self.width - 1)
         row = (v * self.height).long().clamp(0, self.height - 1)
-        return self._density.reshape(-1)[row * self.width + column]
+        return self.texels[row * self.width + column]
 
 
 def _blurred(brightness: torch.Tensor) -> torch.Tensor:

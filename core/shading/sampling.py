@@ -13,6 +13,8 @@ from functools import cache
 
 import torch
 
+from ..kernels.directions import draw_range
+from ..kernels.pool import even_ranges, run_ranges, thread_count
 from .brdf import facing, ggx_alpha, sample_visible_normal, visible_normal_density
 from .light_distribution import LightDistribution
 
@@ -78,17 +80,28 @@ def draw(
     with torch.no_grad():
         if isinstance(shift, torch.Generator):
             shift = torch.rand(len(view), 2, generator=shift, dtype=view.dtype, device=shift.device)
-        frame = orthonormal_basis(normal)
+        frame, shift = orthonormal_basis(normal), shift.to(view)
         if method == "stratified":
             local = _uniform(_shifted(sum(counts), shift))
             return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
-        return _mixture(facing(view, normal), frame, ggx_alpha(roughness), counts, light, shift)
+        local_view = facing(view, normal)[:, None] @ frame
+        plain = view.dtype == torch.float32 and view.device.type == "cpu"
+        return (_mixture if plain else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, light, shift)
 
 
-def _mixture(view, frame, alpha, counts, light: LightDistribution, shift) -> Samples:
+def _mixture(local_view, frame, alpha, counts, light: LightDistribution, shift) -> Samples:
+    """One pass of a kernel; float32 on the CPU."""
+    direction, density = torch.empty(len(frame), sum(counts), 3), torch.empty(len(frame), sum(counts))
+    inputs = (frame, local_view[:, 0], alpha, shift, *map(point_set, counts), light.rows, light.columns, light.edges, light.texels)
+    arrays = [t.contiguous().numpy() for t in (*inputs, direction, density)]
+    run_ranges(draw_range, even_ranges(len(frame), 4 * thread_count()), *arrays)
+    return Samples(direction, density.clamp_(min=DENSITY_FLOOR))
+
+
+def _mixture_reference(local_view, frame, alpha, counts, light: LightDistribution, shift) -> Samples:
+    """The twin in plain operations, for any floating type and device; local_view: (P, 1, 3)."""
     n_c, n_g, n_e = counts
     alpha = alpha[:, None]
-    local_view = (view[:, None] @ frame).contiguous()  # (P, 1, 3)
     half = sample_visible_normal(local_view, alpha, _shifted(n_g, shift))
     mirrored = 2 * (local_view * half).sum(-1, keepdim=True) * half - local_view
     local = torch.cat([_cosine(_shifted(n_c, shift)), mirrored], 1)
@@ -104,7 +117,7 @@ def _mixture(view, frame, alpha, counts, light: LightDistribution, shift) -> Sam
 def _shifted(count: int, shift: torch.Tensor) -> torch.Tensor:
     """(P, count, 2) the point set, shifted for each of P points."""
     u = point_set(count).to(shift)[None] + shift[:, None]
-    return u - u.floor()
+    return u - (u >= 1).to(u)
 
 
 def _cosine(u: torch.Tensor) -> torch.Tensor:

@@ -7,6 +7,7 @@ import math
 
 import torch
 
+from ..kernels.reflection import weighted_sums
 from .brdf import base_reflectance, facing, ggx_alpha, specular_lobe
 from .sampling import Samples
 from .specular_albedo import diffuse_share
@@ -32,14 +33,22 @@ def reflect_light(
     Returns:
         Diffuse and specular (P, 3) linear: mean of f L cos / q. Differentiable in materials, normal, view and incoming.
     """
-    view = facing(view, normal)
-    n_l, value, power = specular_lobe(view, normal, ggx_alpha(roughness), samples.direction)
-    weight = n_l.clamp_min(0) / (samples.density * samples.density.shape[1])
-    value = value * weight
-    bias = value * power
-    # Colour comes last: all three sums are one product with the incoming light.
-    irradiance, scaled, added = (torch.stack([weight, value - bias, bias], 1) @ incoming).unbind(1)
+    view, alpha = facing(view, normal), ggx_alpha(roughness)
+    plain = incoming.dtype == torch.float32 and incoming.device.type == "cpu"
+    sums = (weighted_sums if plain else weighted_sums_reference)(view, normal, alpha, samples.direction, samples.density, incoming)
+    irradiance, scaled, added = sums.unbind(1)  # colour comes last
     diffuse = (1 - metallic[:, None]) * albedo * irradiance / math.pi
     if conserving:
         diffuse = diffuse * diffuse_share((view * normal).sum(-1), roughness)[:, None]
     return diffuse, base_reflectance(albedo, metallic[:, None]) * scaled + added
+
+
+def weighted_sums_reference(
+    view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, direction: torch.Tensor, density: torch.Tensor, incoming: torch.Tensor
+) -> torch.Tensor:
+    """The twin of `weighted_sums` in plain operations, for any floating type and device."""
+    n_l, value, power = specular_lobe(view, normal, alpha, direction)
+    weight = n_l.clamp_min(0) / (density * density.shape[1])
+    value = value * weight
+    bias = value * power
+    return torch.stack([weight, value - bias, bias], 1) @ incoming

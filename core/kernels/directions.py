@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Directions by cosine, visible normals and light map, with the density of their mixture, sample by sample.
+
+The twin in plain operations stands beside the caller, shading/sampling.py.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .jit import kernel
+
+TURN = 2 * math.pi
+
+
+@kernel
+def _wrapped(point, shift):
+    """A coordinate in [0, 1) shifted by another, on the torus."""
+    u = point + float(shift)
+    return u - 1 if u >= 1 else u
+
+
+@kernel
+def _first_above(table, value, low, high):
+    """Index of the first entry of ascending table[low:high] that is greater than `value`, `high` - 1 at most."""
+    size = high - low
+    while size > 1:
+        half = size // 2
+        low += half * (table[low + half - 1] <= value)
+        size -= half
+    return low
+
+
+@kernel
+def _mirrored(vx, vy, vz, alpha, u0, u1):
+    """A local direction mirrored at a visible normal, by spherical caps; view (vx, vy, vz)."""
+    length = math.sqrt((vx * vx + vy * vy) * alpha * alpha + vz * vz)
+    wx, wy, wz = vx * alpha / length, vy * alpha / length, vz / length
+    z = (1 - u0) * (1 + wz) - wz
+    r, phi = math.sqrt(max(1 - z * z, 0.0)), TURN * u1
+    hx, hy, hz = (r * math.cos(np.float32(phi)) + wx) * alpha, (r * math.sin(np.float32(phi)) + wy) * alpha, max(z + wz, 1e-6)
+    scale = 2 * (vx * hx + vy * hy + vz * hz) / (hx * hx + hy * hy + hz * hz)
+    return scale * hx - vx, scale * hy - vy, scale * hz - vz
+
+
+@kernel
+def _towards_light(u0, u1, rows, columns, edges):
+    """A world direction by the light map's tables, and the texel it lies in."""
+    height = len(rows)
+    width = len(columns) // height
+    row = _first_above(rows, u1, 0, height)
+    before = rows[row - 1] if row > 0 else 0.0
+    down = min(max((u1 - before) / (rows[row] - before), 0.0), 1.0)
+    flat = _first_above(columns, u0 + row, row * width, row * width + width)
+    left = columns[flat - 1] if flat > row * width else float(row)
+    across = min(max((u0 + row - left) / (columns[flat] - left), 0.0), 1.0)
+    phi = (flat - row * width + across) * (TURN / width)
+    z = edges[row] + (edges[row + 1] - edges[row]) * down
+    s = math.sqrt(max(1 - z * z, 0.0))
+    return -s * math.cos(np.float32(phi)), s * math.sin(np.float32(phi)), z, flat
+
+
+@kernel
+def _texel(x, y, z, height, width):
+    """Flat index of the texel that a world direction lies in; some texel for what is not a number."""
+    column = int((0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN) * width)
+    row = int(math.acos(np.float32(min(max(z, -1.0), 1.0))) / math.pi * height)
+    return max(min(row, height - 1), 0) * width + max(min(column, width - 1), 0)
+
+
+@kernel
+def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points_e, rows, columns, edges, light, direction, density):
+    """Points begin..end: `direction` (P, N, 3) and `density` (P, N) of cosine, visible-normal and light samples, in this order.
+
+    frame: (P, 3, 3), columns tangent, bitangent, normal. view: (P, 3) local. points_*: (n, 2) in [0, 1). rows, columns, edges,
+    light: the light's tables, cumulated over rows, cumulated within each row, cosines of the rows' edges, density per texel.
+    """
+    n_c, n_g, n_e = len(points_c), len(points_g), len(points_e)
+    count = n_c + n_g + n_e
+    height = len(rows)
+    width = len(columns) // height
+    for p in range(begin, end):
+        tx, ty, tz = float(frame[p, 0, 0]), float(frame[p, 1, 0]), float(frame[p, 2, 0])
+        bx, by, bz = float(frame[p, 0, 1]), float(frame[p, 1, 1]), float(frame[p, 2, 1])
+        nx, ny, nz = float(frame[p, 0, 2]), float(frame[p, 1, 2]), float(frame[p, 2, 2])
+        vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
+        a = float(alpha[p])
+        a2 = a * a
+        masked = 0.5 / (vz + math.sqrt(a2 + (1 - a2) * vz * vz))
+        for i in range(count):
+            if i < n_c + n_g:
+                if i < n_c:
+                    u0, u1 = _wrapped(points_c[i, 0], shift[p, 0]), _wrapped(points_c[i, 1], shift[p, 1])
+                    r, phi = math.sqrt(u0), TURN * u1
+                    lx, ly, lz = r * math.cos(np.float32(phi)), r * math.sin(np.float32(phi)), math.sqrt(max(1 - u0, 0.0))
+                else:
+                    u0, u1 = _wrapped(points_g[i - n_c, 0], shift[p, 0]), _wrapped(points_g[i - n_c, 1], shift[p, 1])
+                    lx, ly, lz = _mirrored(vx, vy, vz, a, u0, u1)
+                x, y, z = lx * tx + ly * bx + lz * nx, lx * ty + ly * by + lz * ny, lx * tz + ly * bz + lz * nz
+                texel = _texel(x, y, z, height, width) if n_e > 0 else 0
+            else:
+                j = i - n_c - n_g
+                u0, u1 = _wrapped(points_e[j, 0], shift[p, 0]), _wrapped(points_e[j, 1], shift[p, 1])
+                x, y, z, texel = _towards_light(u0, u1, rows, columns, edges)
+                lx, ly, lz = x * tx + y * ty + z * tz, x * bx + y * by + z * bz, x * nx + y * ny + z * nz
+            q = n_e * float(light[texel]) + n_c / math.pi * max(lz, 0.0)
+            hx, hy, hz = vx + lx, vy + ly, vz + lz
+            if hz > 0:
+                flat2 = hx * hx + hy * hy
+                k = a2 + flat2 / max(flat2 + hz * hz, 1e-14) * (1 - a2)
+                q += n_g * masked * a2 / (math.pi * k * k)
+            direction[p, i, 0], direction[p, i, 1], direction[p, i, 2] = x, y, z
+            density[p, i] = q / count
