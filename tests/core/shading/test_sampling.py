@@ -299,7 +299,7 @@ def test_what_is_not_a_number_stays_visible_and_where_it_is():
     sound = draw(view, normal, roughness, counts, light, shift)
     normal[1] = math.nan
     samples = draw(view, normal, roughness, counts, light, shift)
-    assert samples.density[1].isnan().all()
+    assert (samples.density[1].isnan() | samples.direction[1].isnan().any(-1)).all()
     for row in (0, 2):
         assert torch.equal(samples.direction[row], sound.direction[row]) and torch.equal(samples.density[row], sound.density[row])
 

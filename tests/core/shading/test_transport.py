@@ -74,7 +74,7 @@ def textbook(light, view, direction, roughness):
     return (1 - METALLIC) * albedo / math.pi * lit, specular * lit
 
 
-def reference(light, view, roughness, count=1_000_000):
+def reference(light, view, roughness, count=500_000):
     """Mean and standard error (2, 3) of the light that goes out, by means of its own."""
     if light.mean() < 0.25 * light.max() and (light > 0).sum() == 3:
         return hot_reference(light, view, roughness)
@@ -98,7 +98,7 @@ def reference(light, view, roughness, count=1_000_000):
     return values.mean(1), values.std(1) / math.sqrt(count)
 
 
-def hot_reference(light, view, roughness, fine=600):
+def hot_reference(light, view, roughness, fine=300):
     """By the midpoint rule over the texels that see the hot one in a bilinear lookup."""
     row, column = (int(i) for i in (light[..., 0] == light[..., 0].max()).nonzero()[0])
     share = (torch.arange(3 * fine, dtype=F64) + 0.5) / fine - 1
