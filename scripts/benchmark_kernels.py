@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Time the rasteriser's kernels, forward and backward, against the same algorithm in plain scalar loops."""
+"""Time the rasteriser's and the ray tracer's kernels, forward and backward, against the same algorithms in plain scalar loops."""
 
 # pyright: reportMissingImports=false
 # (`irgspp` is the folder above, known to pyright under no name)
@@ -20,16 +20,26 @@ import numpy as np
 import torch
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.kernels.binning import TILE, bin_tiles, depth_order
-from irgspp.core.kernels.pool import balanced_ranges, run_ranges, thread_count
+from irgspp.core.kernels.bvh import DiskTree, flat
+from irgspp.core.kernels.compositing import SH_ROW, SUMS, composite_backward_range, composite_range, pack_range
+from irgspp.core.kernels.pool import balanced_ranges, even_ranges, run_ranges, thread_count
 from irgspp.core.kernels.projection import GEOMETRY, NEAR, RECORD, project_range
 from irgspp.core.kernels.raster import rasterize_backward_range, rasterize_range
 from irgspp.core.kernels.rasterize import camera_numbers
+from irgspp.core.kernels.trace import gather_range
+from irgspp.core.kernels.tracing import NORMAL, trace
 from irgspp.core.scene.gaussians import quaternion_to
 from plain_raster import plain_backward_range, plain_range
+from plain_trace import plain_composite_backward_range, plain_composite_range, plain_gather_range
 
 EXTRAS = 4  # with colour, normal, depth and opacity: 12 channels
 MAJOR, MINOR = 1.0, 0.4  # radii of the torus
-KERNELS = {"vector": (rasterize_range, rasterize_backward_range), "plain": (plain_range, plain_backward_range)}
+OFFSET = 1.0  # where secondary rays start, along themselves, in spacings of the disks
+RASTER = {"vector": (rasterize_range, rasterize_backward_range), "plain": (plain_range, plain_backward_range)}
+TRACE = {
+    "vector": ((gather_range, composite_range), composite_backward_range),
+    "plain": ((plain_gather_range, plain_composite_range), plain_composite_backward_range),
+}
 
 
 @dataclass(frozen=True)
@@ -78,12 +88,17 @@ def torus(count: int, seed: int) -> list[np.ndarray]:
     return [np.ascontiguousarray(p, np.float32).reshape(-1) for p in parts]
 
 
-def project(count: int, size: int, seed: int = 0) -> Splats:
-    """The torus seen from 35 degrees above in a picture of size x size, with a random upstream gradient."""
+def viewer(size: int) -> Camera:
+    """Looks at the torus from 35 degrees above."""
     back = np.array([0.0, -math.cos(math.radians(35)), math.sin(math.radians(35))])
     pose = np.eye(4)
     pose[:3] = np.stack([[1, 0, 0], np.cross(back, [1, 0, 0]), back, 4 * back], -1)
-    camera = Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, pose)
+    return Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, pose)
+
+
+def project(count: int, size: int, seed: int = 0) -> Splats:
+    """The torus in a picture of size x size, with a random upstream gradient."""
+    camera = viewer(size)
     record, feature = np.empty((count, RECORD), np.float32), np.empty((count, 6 + EXTRAS), np.float32)
     box, depth = np.empty((count, 4), np.int32), np.empty(count, np.float32)
     camera_array = camera_numbers(camera, NEAR)
@@ -98,62 +113,141 @@ def project(count: int, size: int, seed: int = 0) -> Splats:
     return Splats(start, entries, record, feature, box, columns, picture, gradient, stride, plane, slots, tiles)
 
 
-def disagreement(splats: Splats) -> dict[str, float]:
-    """How far both versions are apart: largest difference of a picture value, relative L2 of all gradients.
+@dataclass
+class Rays:
+    """Secondary rays and what the kernels make of them; attributes as in `core/kernels/tracing.py`."""
 
-    Also warms the kernels up. Pixels exactly on a threshold may fall to either side of it.
+    tree: DiskTree
+    rows: np.ndarray
+    origin: np.ndarray
+    direction: np.ndarray
+    ranges: list[tuple[int, int]]
+    count: np.ndarray
+    left: np.ndarray
+    picture: np.ndarray
+    gradient: np.ndarray
+    slots: np.ndarray
+    hits: tuple[np.ndarray, ...] = ()
+
+    def forward(self, kernels: tuple[Callable[..., Any], Callable[..., None]]) -> None:
+        """Fill `hits` and `picture`."""
+        gather, composite = kernels
+        t = self.tree
+        scene = t.node, t.child, t.leaf, t.index, t.depth, self.count, self.left
+        parts = run_ranges(gather, self.ranges, self.origin, self.direction, *scene)
+        index, weight, distance = (np.concatenate(p) for p in zip(*parts, strict=True))
+        start, lit = np.concatenate([[0], np.cumsum(self.count)]), np.empty(len(index), np.uint8)
+        sums = start, index, weight, distance, self.left, t.record, self.rows, 16, 0, self.picture, lit
+        run_ranges(composite, self.ranges, self.direction, *sums)
+        self.hits = start, index, weight, lit
+
+    def backward(self, kernel: Callable[..., None]) -> None:
+        """Add to `slots`."""
+        run_ranges(kernel, self.ranges, self.direction, *self.hits, 16, 0, self.gradient, self.slots, numbered=True)
+
+
+def scatter(count: int, number: int, seed: int = 0) -> Rays:
+    """`number` rays over the hemispheres (cosine) of points that the viewer sees, with a random upstream gradient."""
+    flat_arrays = [torch.from_numpy(a) for a in torus(count, seed)]
+    parameters = [a.view(*shape, count) for a, shape in zip(flat_arrays[:4], [(3,), (4,), (2,), ()], strict=True)]
+    tree = DiskTree.build(*parameters)
+    camera = viewer(256)
+    direction = torch.from_numpy(camera.rays().reshape(-1, 3)).float()
+    direction = torch.nn.functional.normalize(direction, dim=1)
+    origin = torch.from_numpy(camera.centre).float().expand_as(direction)
+    seen = trace(*parameters, None, torch.empty(0, count), origin, direction, tree)
+    solid = seen[:, -1] > 0.5
+    point = (origin + direction * (seen[:, -2] / seen[:, -1])[:, None])[solid]
+    normal = torch.nn.functional.normalize(seen[solid, NORMAL], dim=1)
+    g = torch.Generator().manual_seed(seed)
+    start = torch.arange(number) * len(point) // number
+    direction = torch.nn.functional.normalize(torch.randn(number, 3, generator=g), dim=1) + normal[start]
+    direction = torch.nn.functional.normalize(direction, dim=1)
+    spacing = math.sqrt(4 * np.pi**2 * MAJOR * MINOR / count)
+    rows = np.empty((count, SH_ROW), np.float32)
+    pack_range(0, count, flat_arrays[4].numpy(), np.empty(0, np.float32), 16, count, rows)
+    ranges = even_ranges(number, thread_count())
+    gradient = torch.randn(number, SUMS, generator=g).numpy()
+    slots = np.zeros((len(ranges), count, SH_ROW), np.float32)
+    counts, left, picture = np.zeros(number, np.int64), np.ones(number, np.float32), np.empty((number, SUMS), np.float32)
+    return Rays(
+        tree, rows, flat(point[start] + OFFSET * spacing * direction), flat(direction), ranges, counts, left, picture, gradient, slots
+    )
+
+
+def disagreement(work: Splats | Rays, kernels: dict[str, Any]) -> dict[str, float]:
+    """How far both versions are apart: largest difference of a sum, relative L2 of all gradients.
+
+    Also warms the kernels up. Pixels and rays exactly on a threshold may fall to either side of it.
     """
     pictures, gradients = [], []
-    for forward, backward in KERNELS.values():
-        splats.slots[:] = 0
-        splats.forward(forward)
-        splats.backward(backward)
-        pictures.append(splats.picture.copy())
-        gradients.append(splats.slots.sum(0, dtype=np.float64))
+    for forward, backward in kernels.values():
+        work.slots[:] = 0
+        work.forward(forward)
+        work.backward(backward)
+        pictures.append(work.picture.copy())
+        gradients.append(work.slots.sum(0, dtype=np.float64))
     relative = np.linalg.norm(gradients[0] - gradients[1]) / np.linalg.norm(gradients[1])
     return {"picture": float(np.abs(pictures[0] - pictures[1]).max()), "gradient": float(relative)}
 
 
-def measure(splats: Splats, repetitions: int) -> dict[str, dict[str, float]]:
-    """Median milliseconds of each kernel; the versions take turns, so that what else the machine does hits both alike."""
-    times: dict[str, dict[str, list[float]]] = {name: {"forward": [], "backward": []} for name in KERNELS}
+def measure(work: Splats | Rays, kernels: dict[str, Any], repetitions: int) -> dict[str, dict[str, float]]:
+    """Median CPU milliseconds (all threads) of each kernel; the versions take turns, so that what else goes on hits both alike."""
+    times: dict[str, dict[str, list[float]]] = {name: {"forward": [], "backward": []} for name in kernels}
     for _ in range(repetitions):
-        for name, (forward, backward) in KERNELS.items():
-            splats.slots[:] = 0
-            began = time.perf_counter()
-            splats.forward(forward)
-            middle = time.perf_counter()
-            splats.backward(backward)
+        for name, (forward, backward) in kernels.items():
+            work.slots[:] = 0
+            began = time.process_time()
+            work.forward(forward)
+            middle = time.process_time()
+            work.backward(backward)
             times[name]["forward"].append(1e3 * (middle - began))
-            times[name]["backward"].append(1e3 * (time.perf_counter() - middle))
+            times[name]["backward"].append(1e3 * (time.process_time() - middle))
     return {name: {part: statistics.median(values) for part, values in parts.items()} for name, parts in times.items()}
 
 
-def benchmark(count: int, size: int, repetitions: int) -> dict[str, Any]:
-    """One scene's figures."""
-    splats = project(count, size)
-    apart = disagreement(splats)
-    medians = measure(splats, repetitions)
+def benchmark(operator: str, count: int, size: int, repetitions: int) -> dict[str, Any]:
+    """One scene's figures; `size` is pixels along a side of the picture, or the number of rays."""
+    work, kernels = (project(count, size), RASTER) if operator == "rasterize" else (scatter(count, size), TRACE)
+    apart = disagreement(work, kernels)
+    medians = measure(work, kernels, repetitions)
     ratio = sum(medians["vector"].values()) / sum(medians["plain"].values())
-    return {"disks": count, "size": size, "threads": thread_count(), "difference": apart, "milliseconds": medians, "ratio": ratio}
+    figures: dict[str, Any] = {"operator": operator, "disks": count, "size": size, "threads": thread_count()}
+    if isinstance(work, Rays):
+        vector = medians["vector"]
+        figures["hits_per_ray"] = float(work.count.mean())
+        figures["mrays_per_second"] = {"forward": size / vector["forward"] / 1e3, "both": size / sum(vector.values()) / 1e3}
+    return figures | {"difference": apart, "milliseconds": medians, "ratio": ratio}
+
+
+def report(result: dict[str, Any]) -> None:
+    """One line for each version of the kernels."""
+    for name, parts in result["milliseconds"].items():
+        line = f"{result['operator']:>9} {result['disks']:8d} {result['size']:7d} {result['threads']:7d} {name:>7} "
+        line += f"{parts['forward']:11.2f} {parts['backward']:11.2f} "
+        if name == "vector":
+            line += f"{result['ratio']:6.3f}   {result['difference']['picture']:.1e}, {result['difference']['gradient']:.1e}"
+            if "mrays_per_second" in result:
+                speed = result["mrays_per_second"]
+                line += f"   {speed['forward']:.2f}, {speed['both']:.2f} Mray/s, {result['hits_per_ray']:.1f} hits a ray"
+        print(line)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--disks", type=int, nargs="+", default=[20_000, 100_000])
     parser.add_argument("--size", type=int, default=256, help="pixels along a side")
+    parser.add_argument("--rays", type=int, default=131_072, help="secondary rays")
     parser.add_argument("--repetitions", type=int, default=9)
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     options = parser.parse_args()
     results = []
-    print(f"{'disks':>8} {'threads':>7} {'kernel':>7} {'forward ms':>11} {'backward ms':>11} {'ratio':>6}   difference: picture, gradient")
-    for count in options.disks:
-        result = benchmark(count, options.size, options.repetitions)
-        results.append(result)
-        for name, parts in result["milliseconds"].items():
-            tail = f"{result['ratio']:6.3f}   {result['difference']['picture']:.1e}, {result['difference']['gradient']:.1e}"
-            line = f"{count:8d} {result['threads']:7d} {name:>7} {parts['forward']:11.2f} {parts['backward']:11.2f} "
-            print(line + (tail if name == "vector" else ""))
+    head = f"{'operator':>9} {'disks':>8} {'size':>7} {'threads':>7} {'kernel':>7} {'forward ms':>11} {'backward ms':>11} {'ratio':>6}"
+    print(head + "   difference: sums, gradient")
+    for operator, size in (("rasterize", options.size), ("trace", options.rays)):
+        for count in options.disks:
+            results.append(benchmark(operator, count, size, options.repetitions))
+            report(results[-1])
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
 

@@ -84,7 +84,7 @@ def _bin(middle, g, axis, start, step):
 
 
 @kernel
-def _cheapest(axis, count, bins, fill, cost, box):
+def _cheapest(axis, count, bins, fill, prices, box):
     """The best bin of one axis to start the second half with, and its cost."""
     first = axis * _BINS
     store(box, 0, splat(np.float32(math.inf)))
@@ -92,21 +92,21 @@ def _cheapest(axis, count, bins, fill, cost, box):
     for b in range(_BINS - 1):
         _grow(box, 0, bins, first + b)
         seen += fill[first + b]
-        cost[b] = _area(box, 0) * np.float32((seen + 7) // 8)
+        prices[b] = _area(box, 0) * np.float32((seen + 7) // 8)
     store(box, 0, splat(np.float32(math.inf)))
     seen = 0
     for b in range(_BINS - 1, 0, -1):
         _grow(box, 0, bins, first + b)
         seen += fill[first + b]
         if 0 < seen < count:
-            total = cost[b - 1] + _area(box, 0) * np.float32((seen + 7) // 8)
+            total = prices[b - 1] + _area(box, 0) * np.float32((seen + 7) // 8)
             if total < least:
                 best, least = b, total
     return best, least
 
 
 @kernel
-def _split(order, begin, end, boxes, middle, bins, fill, cost, box):
+def _split(order, begin, end, boxes, middle, bins, fill, prices, box):
     """Part order[begin:end] in two where that costs rays least; returns where the second half starts."""
     _bound(order, begin, end, middle, box)
     x, y, z = box[0], box[1], box[2]
@@ -127,7 +127,7 @@ def _split(order, begin, end, boxes, middle, bins, fill, cost, box):
         _grow(bins, bz, boxes, g)
     axis, best, least = 0, 0, np.float32(math.inf)
     for a in range(3):
-        b, price = _cheapest(a, end - begin, bins, fill, cost, box)
+        b, price = _cheapest(a, end - begin, bins, fill, prices, box)
         if price < least:
             axis, best, least = a, b, price
     start, step = (x, sx) if axis == 0 else ((y, sy) if axis == 1 else (z, sz))
@@ -152,26 +152,26 @@ def build_nodes(order, boxes, middle):
     child = np.empty((m + 1, 8), np.int32)
     leaves = np.empty((m + 1, 2), np.int32)
     begins, ends, levels = np.empty(m + 1, np.int32), np.empty(m + 1, np.int32), np.empty(m + 1, np.int32)
-    bins, fill, cost = np.empty(3 * _BINS * 8, np.float32), np.empty(3 * _BINS, np.int32), np.empty(_BINS, np.float32)
-    box, area = np.empty(8, np.float32), np.empty(8, np.float32)
+    bins, fill, prices = np.empty(3 * _BINS * 8, np.float32), np.empty(3 * _BINS, np.int32), np.empty(_BINS, np.float32)
+    box, cost = np.empty(8, np.float32), np.empty(8, np.float32)
     part = np.empty((8, 2), np.int32)
     begins[0], ends[0], levels[0] = 0, m, 1
     nodes, leaf_count, node = 1, 0, 0
     while node < nodes:
-        part[0, 0], part[0, 1], area[0], parts = begins[node], ends[node], np.float32(math.inf), 1
+        part[0, 0], part[0, 1], cost[0], parts = begins[node], ends[node], np.float32(math.inf), 1
         while parts < 8:
-            widest, largest = -1, np.float32(-1.0)
+            dearest, most = -1, np.float32(-1.0)
             for p in range(parts):
-                if part[p, 1] - part[p, 0] > 8 and area[p] > largest:
-                    widest, largest = p, area[p]
-            if widest < 0:
+                if part[p, 1] - part[p, 0] > 8 and cost[p] > most:
+                    dearest, most = p, cost[p]
+            if dearest < 0:
                 break
-            begin, end = part[widest, 0], part[widest, 1]
-            half = _split(order, begin, end, boxes, middle, bins, fill, cost, box)
-            part[widest, 1], part[parts, 0], part[parts, 1] = half, half, end
-            for p in (widest, parts):
+            begin, end = part[dearest, 0], part[dearest, 1]
+            half = _split(order, begin, end, boxes, middle, bins, fill, prices, box)
+            part[dearest, 1], part[parts, 0], part[parts, 1] = half, half, end
+            for p in (dearest, parts):
                 _bound(order, part[p, 0], part[p, 1], boxes, box)
-                area[p] = _area(box, 0)
+                cost[p] = _area(box, 0) * np.float32(part[p, 1] - part[p, 0])  # rays that come by times what they meet
             parts += 1
         for p in range(8):
             if p >= parts:

@@ -2,7 +2,8 @@
 """Which 2D Gaussians a ray meets, in exact order: one ray at a time against 8 boxes, or 8 disks, of a `DiskTree`.
 
 A ray keeps its NEAREST next hits in a sorted buffer, ordered by the true distance, then by the Gaussian's number. Where the buffer
-overflows before the ray is opaque, it goes on from the last hit: nothing is dropped or met twice.
+overflows before the ray is opaque, it goes on from the last hit: nothing is dropped or met twice. Nodes wait on a stack, the nearest
+on top; leaves are tested as soon as their box is, side by side for the processor, since the buffer sorts the hits anyway.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from .jit import kernel
 from .raster import ALPHA_MAX, TRANSMITTANCE_MIN
 from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
 
-NEAREST = 16  # hits gathered in one descent
+NEAREST = 32
 GRAZING = 1e-8  # disks whose normal is this close (cosine squared) to square with the ray are missed
 _TINY = np.float32(1e-12)  # directions' components are kept away from 0 by this
 _IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # boxes are entered this much earlier, and left this much later, than computed
-_NOBODY = np.int32(2**31 - 1)
+_NOBODY, _EVERYBODY = np.uint64(2**31 - 1), np.uint64(0x7F800000FFFFFFFF)  # hits in front of and behind all others
+_SOLID = 0.9999 * TRANSMITTANCE_MIN  # `behind`, multiplied and divided many times, is sure to be opaque below this
+_NUMBER = np.uint64(2**32 - 1)
 
 
 @kernel
@@ -42,7 +45,7 @@ def _inverse(x):
 
 @kernel
 def _sides(direction, ray):
-    """Where in a node the ray's near sides lie, per axis; the far sides lie at 24 minus that, counted from both axes' starts."""
+    """Which half of a node, per axis, holds the sides through which the ray enters: 0 the low ones, 24 the high ones."""
     x = 24 if direction[3 * ray] < 0 else 0
     y = 24 if direction[3 * ray + 1] < 0 else 0
     z = 24 if direction[3 * ray + 2] < 0 else 0
@@ -88,6 +91,18 @@ def _alpha(leaf, at, rho):
 
 
 @kernel
+def _hit(t, g):
+    """A hit as one number that sorts by distance, then by Gaussian."""
+    return np.uint64(np.float32(t).view(np.uint32)) << np.uint64(32) | np.uint64(g)
+
+
+@kernel
+def _distance(hit):
+    """The distance of such a hit."""
+    return np.uint32(hit >> np.uint64(32)).view(np.float32)
+
+
+@kernel
 def _grown(array):
     larger = np.empty(2 * len(array), array.dtype)
     larger[: len(array)] = array
@@ -104,82 +119,85 @@ def gather_range(begin, end, origin, direction, node, child, leaf, index, depth,
     capacity = (end - begin) * 6 + NEAREST
     out_index, out_weight, out_t = np.empty(capacity, np.int32), np.empty(capacity, np.float32), np.empty(capacity, np.float32)
     stack, stack_t = np.empty(7 * depth + 8, np.int32), np.empty(7 * depth + 8, np.float32)
-    near_t, near_alpha = np.empty(NEAREST, np.float32), np.empty(NEAREST, np.float32)
-    near_index, behind = np.empty(NEAREST, np.int32), np.empty(NEAREST, np.float32)
-    lane_t, lane_alpha = np.empty(8, np.float32), np.empty(8, np.float32)
-    opaque = np.float32(TRANSMITTANCE_MIN)
+    near, near_alpha = np.empty(NEAREST, np.uint64), np.empty(NEAREST, np.float32)
+    lane_enter, lane_t, lane_alpha = np.empty(8, np.float32), np.empty(8, np.float32), np.empty(8, np.float32)
+    opaque, solid = np.float32(TRANSMITTANCE_MIN), np.float32(_SOLID)
     at = 0
     for ray in range(begin, end):
         o, d, into, out = _ray(origin, direction, ray)
         side = _sides(direction, ray)
         first, before = at, np.float32(1.0)
-        last_t, last_index = np.float32(0.0), _NOBODY
+        last_t, last = np.float32(0.0), _NOBODY
         while True:
-            n, t_max = 0, np.float32(math.inf)
+            n, t_max, furthest, behind = 0, np.float32(math.inf), _EVERYBODY, before
             stack[0], stack_t[0], top = 0, np.float32(0.0), 1
             while top > 0:
                 top -= 1
                 if stack_t[top] > t_max:
                     continue
-                item = stack[top]
-                if item >= 0:
-                    enter, leave = _boxes(node, item * NODE, side, o, into, out)
-                    mask = bits((enter <= leave) & (enter <= t_max) & (leave >= last_t))
-                    store(lane_t, 0, enter)
-                    bottom = top
-                    while mask != 0:
-                        lane = first_bit(mask)
-                        mask &= mask - np.uint32(1)
-                        t = lane_t[lane]
+                item, bottom = stack[top], top
+                enter, leave = _boxes(node, item * NODE, side, o, into, out)
+                children = bits((enter <= leave) & (enter <= t_max) & (leave >= last_t))
+                store(lane_enter, 0, enter)
+                while children != 0:
+                    lane = first_bit(children)
+                    children &= children - np.uint32(1)
+                    t, below = lane_enter[lane], child[item, lane]
+                    if below >= 0:
                         place = top
                         while place > bottom and stack_t[place - 1] < t:  # the nearest child comes off first
                             stack[place], stack_t[place] = stack[place - 1], stack_t[place - 1]
                             place -= 1
-                        stack[place], stack_t[place] = child[item, lane], t
+                        stack[place], stack_t[place] = below, t
                         top += 1
-                    continue
-                base = (~item) * LEAF
-                t8, square, centre = _planes(leaf, base, o, d)
-                met = square & (t8 >= last_t) & (t8 <= t_max)
-                if bits(met) == 0:
-                    continue
-                rho = _bell(leaf, base, d, t8, centre)
-                mask = bits(met & (rho <= load(leaf, base + CUT * 8)))
-                if mask == 0:
-                    continue
-                store(lane_t, 0, t8)
-                store(lane_alpha, 0, _alpha(leaf, base, rho))
-                while mask != 0:
-                    lane = first_bit(mask)
-                    mask &= mask - np.uint32(1)
-                    t, g = lane_t[lane], index[(~item) * 8 + lane]
-                    if t > t_max or (t == t_max and g > near_index[n - 1]) or (t == last_t and g <= last_index):
                         continue
-                    place = min(n, NEAREST - 1)
-                    while place > 0 and (near_t[place - 1] > t or (near_t[place - 1] == t and near_index[place - 1] > g)):
-                        near_t[place], near_alpha[place] = near_t[place - 1], near_alpha[place - 1]
-                        near_index[place] = near_index[place - 1]
-                        place -= 1
-                    near_t[place], near_alpha[place], near_index[place] = t, lane_alpha[lane], g
-                    n = min(n + 1, NEAREST)
-                    run = behind[place - 1] if place > 0 else before
-                    for i in range(place, n):
-                        run *= np.float32(1.0) - near_alpha[i]
-                        behind[i] = run
-                        if run <= opaque:  # nothing further away is seen
-                            n, t_max = i + 1, near_t[i]
-                            break
-                    if n == NEAREST:
-                        t_max = near_t[n - 1]
+                    base = (~below) * LEAF
+                    t8, square, centre = _planes(leaf, base, o, d)
+                    met = square & (t8 >= last_t) & (t8 <= t_max)
+                    if bits(met) == 0:
+                        continue
+                    rho = _bell(leaf, base, d, t8, centre)
+                    mask = bits(met & (rho <= load(leaf, base + CUT * 8)))
+                    if mask == 0:
+                        continue
+                    store(lane_t, 0, t8)
+                    store(lane_alpha, 0, _alpha(leaf, base, rho))
+                    while mask != 0:
+                        lane = first_bit(mask)
+                        mask &= mask - np.uint32(1)
+                        key = _hit(lane_t[lane], index[(~below) * 8 + lane])
+                        if key > furthest or key <= last:
+                            continue
+                        place = n
+                        if n == NEAREST:
+                            place -= 1
+                            behind /= np.float32(1.0) - near_alpha[place]
+                        else:
+                            n += 1
+                        while place > 0 and near[place - 1] > key:
+                            near[place], near_alpha[place] = near[place - 1], near_alpha[place - 1]
+                            place -= 1
+                        near[place], near_alpha[place] = key, lane_alpha[lane]
+                        behind *= np.float32(1.0) - lane_alpha[lane]
+                        while n > 1 and behind <= solid * (np.float32(1.0) - near_alpha[n - 1]):  # nobody sees the last
+                            n -= 1
+                            behind /= np.float32(1.0) - near_alpha[n]
+                        if n == NEAREST or behind <= solid:
+                            furthest = near[n - 1]
+                    t_max = _distance(furthest)
             if at + n > len(out_t):
                 out_index, out_weight, out_t = _grown(out_index), _grown(out_weight), _grown(out_t)
             for i in range(n):
-                out_index[at], out_t[at], out_weight[at] = near_index[i], near_t[i], before * near_alpha[i]
-                before = behind[i]
+                weight = before * near_alpha[i]
+                out_index[at], out_t[at], out_weight[at] = np.int32(near[i] & _NUMBER), _distance(near[i]), weight
+                before *= np.float32(1.0) - near_alpha[i]
                 at += 1
+                if before <= opaque:
+                    break
             if n < NEAREST or before <= opaque:
                 break
-            last_t, last_index = near_t[n - 1], near_index[n - 1]
+            last = near[n - 1]
+            last_t = _distance(last)
         if before <= opaque:
             scale = np.float32(1.0) / (np.float32(1.0) - before)
             for i in range(first, at):
@@ -201,25 +219,26 @@ def transmittance_range(begin, end, origin, direction, node, child, leaf, depth,
         while top > 0:
             top -= 1
             item = stack[top]
-            if item >= 0:
-                enter, leave = _boxes(node, item * NODE, side, o, into, out)
-                mask = bits(enter <= leave)
-                while mask != 0:
-                    stack[top] = child[item, first_bit(mask)]
-                    mask &= mask - np.uint32(1)
+            enter, leave = _boxes(node, item * NODE, side, o, into, out)
+            children = bits(enter <= leave)
+            while children != 0:
+                below = child[item, first_bit(children)]
+                children &= children - np.uint32(1)
+                if below >= 0:
+                    stack[top] = below
                     top += 1
-                continue
-            base = (~item) * LEAF
-            t, square, centre = _planes(leaf, base, o, d)
-            met = square & (t > zero)
-            if bits(met) == 0:
-                continue
-            rho = _bell(leaf, base, d, t, centre)
-            met = met & (rho <= load(leaf, base + CUT * 8))
-            if bits(met) == 0:
-                continue
-            left *= product(select(met, one - _alpha(leaf, base, rho), one))
-            if left <= np.float32(TRANSMITTANCE_MIN):
-                left = np.float32(0.0)
-                break
+                    continue
+                base = (~below) * LEAF
+                t, square, centre = _planes(leaf, base, o, d)
+                met = square & (t > zero)
+                if bits(met) == 0:
+                    continue
+                rho = _bell(leaf, base, d, t, centre)
+                met = met & (rho <= load(leaf, base + CUT * 8))
+                if bits(met) == 0:
+                    continue
+                left *= product(select(met, one - _alpha(leaf, base, rho), one))
+                if left <= np.float32(TRANSMITTANCE_MIN):
+                    left, top = np.float32(0.0), 0
+                    break
         through[ray] = left

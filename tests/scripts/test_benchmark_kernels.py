@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two rasterisers that are timed against each other do the same."""
+"""The kernels that are timed against each other do the same."""
 
 import importlib
 import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
@@ -22,7 +23,7 @@ def script():
 def test_vector_and_plain_kernels_agree(script, threads, monkeypatch):
     monkeypatch.setenv("IRGSPP_THREADS", threads)
     splats = script.project(2000, 61, seed=3)
-    difference = script.disagreement(splats)
+    difference = script.disagreement(splats, script.RASTER)
     assert difference["picture"] < 1e-4 and difference["gradient"] < 1e-4
     channels = 8 + script.EXTRAS
     opacity = splats.picture.reshape(channels + 1, splats.columns * 8, splats.columns * 8)[channels - 1]
@@ -30,10 +31,31 @@ def test_vector_and_plain_kernels_agree(script, threads, monkeypatch):
     assert abs(splats.slots).max() > 0
 
 
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_vector_and_plain_traces_agree(script, threads, monkeypatch):
+    monkeypatch.setenv("IRGSPP_THREADS", threads)
+    rays = script.scatter(2000, 5000, seed=3)
+    lists = []
+    for forward, _ in script.TRACE.values():
+        rays.forward(forward)
+        lists.append([a.copy() for a in (*rays.hits, rays.picture)])
+    vector, plain = lists
+    assert 1 < rays.count.mean() < 20
+    same = np.diff(vector[0]) == np.diff(plain[0])
+    assert same.mean() > 0.999  # a ray on a threshold may fall to either side
+    assert np.median(abs(vector[-1] - plain[-1])[same]) < 1e-6
+    assert script.disagreement(rays, script.TRACE)["gradient"] < 1e-3
+    assert abs(rays.slots).max() > 0
+
+
 def test_figures_are_written(script, tmp_path, monkeypatch, capsys):
     path = tmp_path / "figures.json"
-    monkeypatch.setattr(sys, "argv", ["benchmark", "--disks", "500", "--size", "40", "--repetitions", "1", "--json", str(path)])
+    monkeypatch.setattr(
+        sys, "argv", ["benchmark", "--disks", "500", "--size", "40", "--rays", "600", "--repetitions", "1", "--json", str(path)]
+    )
     script.main()
-    (figures,) = json.loads(path.read_text())
-    assert figures["disks"] == 500 and figures["ratio"] > 0
+    raster, trace = json.loads(path.read_text())
+    assert (raster["operator"], trace["operator"]) == ("rasterize", "trace")
+    assert all(figures["disks"] == 500 and figures["ratio"] > 0 for figures in (raster, trace))
+    assert trace["mrays_per_second"]["forward"] > trace["mrays_per_second"]["both"] > 0
     assert "vector" in capsys.readouterr().out
