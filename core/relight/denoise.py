@@ -7,6 +7,7 @@ reflects of it, so that no texture is blurred.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +19,26 @@ from ..shading.brdf import base_reflectance
 from ..shading.split_sum import specular_albedo
 from .primary import Primary
 
-SIGMA = 2.0  # pixels
-REACH = 6  # pixels to each side: three sigma
-NORMAL_DOUBLINGS = 7  # normals' cosine to the power of 128
-DEPTH_EPSILON = 5e-3  # of the scene radius
+REACH = 6  # pixels of margin, as far as any filter reaches
 BLOCKS = 4  # rows are handed out in this many ranges per thread: the object rarely covers them evenly
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Widths: `sigma` in pixels, normals' cosine to the power of 2^`doublings`, depth `epsilon` of the scene radius beside its slope."""
+
+    sigma: float
+    doublings: int
+    epsilon: float = 0.02
+
+    def spatial(self) -> np.ndarray:
+        """(T, T) weights of the neighbours, three sigma to each side."""
+        reach = min(REACH, math.ceil(3 * self.sigma))
+        bell = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * self.sigma**2))
+        return np.outer(bell, bell).astype(np.float32)
+
+
+PICTURE, DIFFUSE, SPECULAR = Filter(2, 7), Filter(2, 5), Filter(1.5, 7)  # diffuse light varies slowly over the surface
 
 
 @dataclass(frozen=True)
@@ -64,22 +80,20 @@ def denoised(diffuse: torch.Tensor, specular: torch.Tensor, surface: Primary, ra
         (P, 3) their sum.
     """
     if mode == "paper":
-        return filtered(diffuse + specular, surface, radius)
+        return filtered(diffuse + specular, surface, radius, PICTURE)
     body = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
     n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
     gloss = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
-    light = filtered(torch.cat([diffuse / body, specular / gloss], 1), surface, radius)
-    return light[:, :3] * body + light[:, 3:] * gloss
+    return filtered(diffuse / body, surface, radius, DIFFUSE) * body + filtered(specular / gloss, surface, radius, SPECULAR) * gloss
 
 
-def filtered(values: torch.Tensor, surface: Primary, radius: float) -> torch.Tensor:
+def filtered(values: torch.Tensor, surface: Primary, radius: float, how: Filter) -> torch.Tensor:
     """(P, C) values at the surface's pixels after the filter; every pixel is a mean of its neighbours, with weights that sum to 1."""
     grid = Grid(surface.camera.width, surface.camera.height)
     index = surface.index.numpy()
     planes, guides = grid.scatter(values.T, index), grid.scatter(_guides(surface), index)
     out = np.zeros_like(planes)
-    bell = np.exp(-(np.arange(-REACH, REACH + 1) ** 2) / (2 * SIGMA**2))
-    numbers = (np.outer(bell, bell).astype(np.float32), np.float32(DEPTH_EPSILON * radius), NORMAL_DOUBLINGS)
+    numbers = (how.spatial(), np.float32(how.epsilon * radius), how.doublings)
     rows = even_ranges(grid.height, BLOCKS * thread_count())
     run_ranges(bilateral_range, rows, planes, guides, *numbers, grid.width, REACH, grid.stride, grid.plane, out)
     return torch.from_numpy(out.reshape(-1, grid.plane)[:, grid.places(index)].T.copy())

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The filter on surfaces made up for it: what is constant stays, edges stay, noise goes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.relight.denoise import PICTURE, Filter, denoised, filtered
+from irgspp.core.relight.primary import Primary
+
+CAMERA = Camera(61, 43, 60.0, 60.0, 30.5, 21.5, np.eye(4))
+
+
+def plane(tilt: float = 0.0, covered=None) -> Primary:
+    """A plane at distance 4, turned about the vertical by `tilt`, in front of CAMERA."""
+    ray = torch.from_numpy(CAMERA.rays()).view(-1, 3)
+    index = torch.arange(len(ray)) if covered is None else torch.nonzero(covered.flatten())[:, 0]
+    ray = ray[index]
+    normal = torch.tensor([np.sin(tilt), 0.0, np.cos(tilt)]).float()
+    depth = torch.tensor(-4.0) * normal[2] / (ray @ normal)
+    n, point = len(index), depth[:, None] * ray
+    view = -torch.nn.functional.normalize(ray, dim=1)
+    materials = (torch.full((n, 3), 0.5), torch.full((n,), 0.6), torch.zeros(n), torch.ones(n))
+    coverage = torch.zeros(43 * 61).index_fill(0, index, 1.0).view(43, 61)
+    return Primary(CAMERA, index, ray, view, point, depth, normal.expand(n, 3).contiguous(), *materials, coverage, point)
+
+
+def noise(surface: Primary, channels: int = 3) -> torch.Tensor:
+    return 1 + 0.3 * torch.randn(len(surface.index), channels, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("mode", ["paper", "demodulated"])
+def test_constant_light_stays_constant(mode):
+    surface = plane(0.4, torch.rand(43, 61, generator=torch.Generator().manual_seed(1)) > 0.3)
+    diffuse, specular = surface.albedo * 2.0, torch.zeros_like(surface.albedo)
+    assert torch.allclose(denoised(diffuse, specular, surface, 1.0, mode), torch.tensor(1.0), atol=1e-5)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.8])
+def test_noise_goes_also_on_a_slope(tilt):
+    surface = plane(tilt)
+    out = filtered(noise(surface), surface, 1.0, PICTURE)
+    assert out.std() < 0.1 and out.mean() == pytest.approx(1, abs=0.02)
+
+
+def test_equals_the_definition():
+    """One pixel's weights, written out."""
+    surface = plane(0.5)
+    tilted = torch.nn.functional.normalize(surface.normal + 0.1 * torch.rand(surface.normal.shape), dim=1)
+    surface = dataclasses.replace(surface, normal=tilted, depth=surface.depth + 0.01 * torch.rand(len(surface.depth)))
+    values, how = noise(surface, 5), Filter(1.5, 3, 0.05)
+    out = filtered(values, surface, 2.0, how)
+    row, column = torch.meshgrid(torch.arange(43), torch.arange(61), indexing="ij")
+    for y, x in ((20, 30), (0, 0), (42, 60), (7, 59)):
+        at = y * 61 + x
+        n, z, ray = surface.normal[at], surface.depth[at], surface.ray[at]
+        slope = torch.stack([-z * (n[0] / 60) / (n @ ray), z * (n[1] / 60) / (n @ ray)])
+        dx, dy = (column - x).flatten(), (row - y).flatten()
+        weight = torch.exp(-(dx**2 + dy**2) / (2 * 1.5**2)) * ((dx.abs() <= 5) & (dy.abs() <= 5))
+        weight = weight * (surface.normal @ n).clamp(0, 1) ** 8
+        weight = weight * torch.exp(-(surface.depth - z).abs() / ((slope[0] * dx + slope[1] * dy).abs() + 0.05 * 2.0))
+        assert torch.allclose(out[at], (weight[:, None] * values).sum(0) / weight.sum(), atol=1e-4)
+
+
+def test_depth_and_normal_edges_stay_sharp():
+    surface = plane()
+    left = surface.index % 61 < 30
+    values = torch.where(left[:, None], 1.0, 3.0).expand(-1, 3).contiguous()
+    step = dataclasses.replace(surface, depth=torch.where(left, surface.depth, surface.depth + 1.0))
+    assert torch.allclose(filtered(values, step, 1.0, PICTURE), values, atol=0.01)
+    turned = torch.where(left[:, None], surface.normal, torch.tensor([0.6, 0.0, 0.8]))
+    crease = dataclasses.replace(surface, normal=turned)
+    assert torch.allclose(filtered(values, crease, 1.0, PICTURE), values, atol=0.01)
+    assert (filtered(values, surface, 1.0, PICTURE) - values).abs().max() > 0.5  # without an edge it is blurred
+
+
+def test_demodulated_keeps_texture():
+    surface = plane()
+    texture = torch.rand(len(surface.index), 3, generator=torch.Generator().manual_seed(2)) * 0.8 + 0.1
+    surface = dataclasses.replace(surface, albedo=texture)
+    nothing = torch.zeros_like(texture)
+    assert torch.allclose(denoised(texture, nothing, surface, 1.0, "demodulated"), texture, atol=1e-4)
+    assert (denoised(texture, nothing, surface, 1.0, "paper") - texture).abs().mean() > 0.05
+
+
+def test_empty_picture():
+    surface = plane(covered=torch.zeros(43, 61))
+    assert denoised(torch.zeros(0, 3), torch.zeros(0, 3), surface, 1.0).shape == (0, 3)

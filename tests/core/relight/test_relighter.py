@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Relit pictures against what energy, geometry and the other backend demand."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.shading.brdf import base_reflectance
+from irgspp.core.shading.lights import studio_light, sunset_light
+from irgspp.core.shading.specular_albedo import specular_albedo
+
+BACKENDS = ("mesh", "gaussian")
+WHITE = prepare(np.ones((16, 32, 3), np.float32))
+BALL = ((np.zeros(3), 1.0),)
+
+
+def pixels(one: Relighter, camera: Camera, light=WHITE):
+    """The surface seen, and the straight colour of its opaque pixels, with their mask."""
+    surface = one.surface(camera)
+    rgba = one.relit(surface, light)
+    solid = surface.alpha > 0.99
+    return surface, rgba.view(-1, 4)[surface.index[solid], :3], solid
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("material", [(0.5, 0.5, 0.5, 0.8, 0.0), (1.0, 0.9, 0.8, 0.3, 1.0)])
+@pytest.mark.parametrize("conserving", [False, True])
+def test_white_furnace(relighter, camera, backend, material, conserving):
+    """A convex body under a white sky sends back its albedo and the lobe's directional albedo: never more than comes, if conserving."""
+    one = relighter(backend, material, BALL, samples=256, conserving=conserving)
+    surface, seen, solid = pixels(one, camera)
+    facing = (surface.normal * surface.view).sum(-1)[solid].clamp_min(1e-3)
+    albedo, roughness, metallic = (getattr(surface, name)[solid] for name in ("albedo", "roughness", "metallic"))
+    lobe = specular_albedo(facing, roughness, base_reflectance(albedo, metallic[:, None]))
+    dielectric = specular_albedo(facing, roughness, base_reflectance(albedo, torch.zeros_like(metallic)[:, None]))
+    body = albedo * (1 - metallic[:, None]) * (1 - dielectric if conserving else 1)
+    inner = facing > 0.3  # near the silhouette mean normals of a pixel are not its mean reflection
+    assert inner.sum() > 500
+    error = (seen - body - lobe).abs()[inner]
+    assert error.mean() < 0.01 and error.quantile(0.99) < 0.05
+    if conserving:
+        assert seen[inner].max() < 1.02
+
+
+@pytest.mark.parametrize("material", [(0.6, 0.4, 0.2, 0.7, 0.0), (0.9, 0.7, 0.3, 0.3, 1.0)])
+def test_backends_agree_on_balls_that_shade_each_other(relighter, camera, material):
+    light = prepare(studio_light(32, 64))
+    _, mesh, solid = pixels(relighter("mesh", material, mesh_normals=0.0), camera, light)
+    _, gaussian, same = pixels(relighter("gaussian", material), camera, light)
+    assert torch.equal(solid, same)
+    assert (mesh - gaussian).abs().mean() < 0.03 * mesh.mean()
+
+
+def test_shadow_and_indirect_light(relighter, camera):
+    """A ball above darkens the one below; light from one to the other is only added."""
+    lamp = np.zeros((32, 64, 3), np.float32)
+    lamp[:4] = 5.0  # overhead
+    light = prepare(lamp)
+    alone = relighter("mesh", balls=BALL).relit(relighter("mesh", balls=BALL).surface(camera), light)
+    lit, dark = (relighter("mesh", indirect=indirect) for indirect in (True, False))
+    both, shadowed = lit.relit(lit.surface(camera), light), dark.relit(dark.surface(camera), light)
+    assert (both[..., :3] - shadowed[..., :3]).min() > -1e-6 and (both - shadowed).max() > 0.01
+    column, rows = 50, slice(29, 34)  # on the large ball, below the small one
+    assert shadowed[rows, column, 1].mean() < 0.8 * alone[rows, column, 1].mean()
+
+
+def test_same_picture_twice_bit_by_bit(relighter, camera):
+    light = prepare(sunset_light(32, 64))
+    first, second = (relighter("gaussian", samples="efficient") for _ in range(2))
+    picture = first.relit(first.surface(camera), light)
+    assert torch.equal(picture, first.relit(first.surface(camera), light))
+    assert torch.equal(picture, second.relit(second.surface(camera), light))
+
+
+def test_strategies_agree_and_mis_is_less_noisy(relighter, camera):
+    light = prepare(sunset_light(32, 64))
+    glossy = (0.9, 0.7, 0.3, 0.3, 1.0)
+    converged, mis, strata, many = (
+        pixels(relighter("mesh", glossy, samples=n, sampling=sampling, denoise="off"), camera, light)[1]
+        for n, sampling in ((1024, "mis"), (32, "mis"), (32, "stratified"), (2048, "stratified"))
+    )
+    assert many.mean() == pytest.approx(float(converged.mean()), rel=0.02)
+    assert mis.mean() == pytest.approx(float(converged.mean()), rel=0.02)
+    assert (mis - converged).square().mean() < 0.2 * (strata - converged).square().mean()
+
+
+def test_albedo_scale_holds_for_what_is_seen_in_reflections_too(relighter, camera):
+    """A matt scene of half the albedo: the same picture by the factor."""
+    whole, half = (relighter("mesh", (a, a, a, 0.9, 0.0)) for a in (0.8, 0.4))
+    reference = half.relit(half.surface(camera), WHITE)
+    scaled = whole.scaled((0.5, 0.5, 0.5))
+    assert torch.allclose(scaled.relit(scaled.surface(camera), WHITE), reference, atol=1e-3)
+    assert scaled.settings == dataclasses.replace(whole.settings, albedo_scale=(0.5, 0.5, 0.5))
+    assert whole.scaled(None) is whole
+
+
+def test_picture_is_linear_in_the_light(relighter, camera):
+    one = relighter("mesh", denoise="off")
+    surface, light = one.surface(camera), sunset_light(32, 64)
+    single, triple = (one.relit(surface, prepare(light * factor)) for factor in (np.float32(1), np.float32(3)))
+    assert torch.allclose(triple[..., :3], 3 * single[..., :3], rtol=2e-3, atol=2e-3)
+    assert torch.equal(triple[..., 3], single[..., 3])
+
+
+@pytest.mark.parametrize("denoise", ["off", "paper", "demodulated"])
+def test_no_light_is_black(relighter, camera, denoise):
+    one = relighter("mesh", denoise=denoise)
+    rgba = one.relit(one.surface(camera), prepare(np.zeros((8, 16, 3), np.float32)))
+    assert not rgba[..., :3].any() and rgba[..., 3].max() == 1
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_cameras_that_see_nothing_and_cameras_inside(relighter, camera, backend):
+    one = relighter(backend)
+    back = camera.to_world.copy()
+    back[:3, 0], back[:3, 2] = -back[:3, 0], -back[:3, 2]
+    assert not one.relit(one.surface(dataclasses.replace(camera, to_world=back)), WHITE).any()
+    inside = camera.to_world.copy()
+    inside[:3, 3] = 0
+    rgba = one.relit(one.surface(dataclasses.replace(camera, to_world=inside)), WHITE)
+    assert torch.isfinite(rgba).all()
+
+
+def test_efficient_takes_fewer_samples_where_most_is_metal(relighter):
+    assert relighter("gaussian", samples="efficient").counts == (16, 8, 8)
+    assert relighter("gaussian", (0.9, 0.9, 0.9, 0.3, 1.0), samples="efficient").counts == (8, 4, 4)
+
+
+def test_light_is_looked_up_at_full_resolution_in_mirrors(relighter, camera):
+    """A lamp narrower than a texel of the prefiltered light still is a sharp highlight on a smooth ball."""
+    lamp = np.full((256, 512, 3), 0.1, np.float32)
+    lamp[60:62, 383:385] = 500.0  # towards -Y, where the camera is, and up
+    one = relighter("mesh", (0.9, 0.9, 0.9, 0.1, 1.0), BALL, samples=256, denoise="off", mesh_normals=1.0)
+    assert isinstance(one.settings, RelightSettings)
+    rgba = one.relit(one.surface(camera), prepare(lamp))
+    assert rgba[..., 0].max() > 20 * rgba[..., 0][rgba[..., 3] > 0.99].median()
