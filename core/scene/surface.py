@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The bare surface of an object: triangles and smooth normals, before anything is baked onto it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles in the world.
+
+    Attributes:
+        vertices: (V, 3) float64. normals: (V, 3) float64 unit, outward. faces: (F, 3), counter-clockwise seen from outside.
+        voxel: side of the grid's cells it was made from, world units: its resolution.
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+    voxel: float
+
+    def samples(self, count: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Points (count, 3) uniform by area, and unit normals there (count, 3), float32."""
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        pick = random.choice(len(area), count, p=area / area.sum())
+        r, s = np.sqrt(random.random(count)), random.random(count)
+        share = np.stack([1 - r, r * (1 - s), r * s], 1)[..., None]
+        normal = (self.normals[self.faces[pick]] * share).sum(1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        return (corners[pick] * share).sum(1).astype(np.float32), normal.astype(np.float32)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the photographs say about single points of the surface: each point seen from many sides, side by side.
+
+Differences between the views of one point are gloss, and gloss shows the light without knowing the albedo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..colour import decode_srgb
+from ..datasets.dataset import View
+from ..kernels.bvh import DiskTree
+from ..kernels.tracing import transmittance
+from .target import SATURATED
+
+FACING = 0.15  # cosine below which a view says more about the silhouette than about the point
+FREE = 0.5  # transmittance towards the camera from which a point is seen
+INSIDE = 0.99  # opacity of the mask around a point: no background in its colour
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """P points and K views of them, those of a point side by side.
+
+    Attributes:
+        position, normal: (P, 3) float32, world; normals unit, outward.
+        point: (K,) int64, ascending. view: (K, 3) unit, towards the camera.
+        colour: (K, 3) linear radiance. saturated: (K, 3) bool, where that is only a lower bound.
+    """
+
+    position: torch.Tensor
+    normal: torch.Tensor
+    point: torch.Tensor
+    view: torch.Tensor
+    colour: torch.Tensor
+    saturated: torch.Tensor
+
+    @property
+    def lengths(self) -> torch.Tensor:
+        """(P,) views of each point."""
+        return torch.bincount(self.point, minlength=len(self.position))
+
+    def part(self, begin: int, end: int) -> Observations:
+        """Points begin..end and their views."""
+        first, last = (int(k) for k in torch.searchsorted(self.point, torch.tensor([begin, end])))
+        views = slice(first, last)
+        point = self.point[views] - begin
+        return Observations(
+            self.position[begin:end], self.normal[begin:end], point, self.view[views], self.colour[views], self.saturated[views]
+        )
+
+    def sums(self, values: torch.Tensor) -> torch.Tensor:
+        """(K, ...) summed over the views of each point: (P, ...), always in the same order."""
+        return torch.segment_reduce(values, "sum", lengths=self.lengths, axis=0, unsafe=True)
+
+
+def observe(
+    position: np.ndarray,
+    normal: np.ndarray,
+    views: Sequence[View],
+    tree: DiskTree,
+    offset: float,
+    random: np.random.Generator,
+    most: int,
+    least: int = 3,
+) -> tuple[Observations, torch.Tensor]:
+    """Look points (P, 3) up in the photographs that see them.
+
+    Args:
+        position, normal: (P, 3) float32, of the surface. views: the photographs. tree: what may stand in the way.
+        offset: world units along the normal that clear the surface's own disks.
+        most: views kept of each point, chosen by `random`. least: points seen by fewer are left out.
+
+    Returns:
+        The observations and which of the points they are of.
+    """
+    found = [_one_view(position, normal, view, tree, offset) for view in views]
+    point, direction, colour, saturated = (np.concatenate(part) for part in zip(*found, strict=True))
+    shuffled = random.permutation(len(point))
+    order = shuffled[np.argsort(point[shuffled], kind="stable")]
+    count = np.bincount(point, minlength=len(position))
+    rank = np.arange(len(point)) - np.repeat(np.cumsum(count) - count, count)
+    kept = order[(rank < most) & (count[point[order]] >= least)]
+    chosen = np.flatnonzero(count >= least)
+    number = np.full(len(position), -1)
+    number[chosen] = np.arange(len(chosen))
+    parts = (position[chosen], normal[chosen], number[point[kept]], direction[kept], colour[kept], saturated[kept])
+    return Observations(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts)), torch.from_numpy(chosen)
+
+
+def _one_view(position, normal, view: View, tree: DiskTree, offset: float) -> tuple[np.ndarray, ...]:
+    """Index, direction, colour and saturation of the points that one photograph shows."""
+    camera = view.camera
+    seen = position @ camera.world_to_cv[:3, :3].T + camera.world_to_cv[:3, 3]
+    depth = np.maximum(seen[:, 2], 1e-9)
+    u, v = camera.fx * seen[:, 0] / depth + camera.cx - 0.5, camera.fy * seen[:, 1] / depth + camera.cy - 0.5
+    direction = camera.centre - position
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    inside = (seen[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < camera.width - 1) & (v < camera.height - 1)
+    index = np.flatnonzero(inside & ((direction * normal).sum(1) > FACING))
+    column, row = u[index].astype(int), v[index].astype(int)
+    if view.alpha is not None:
+        least = np.minimum.reduce([view.alpha[row + i, column + j] for i in (0, 1) for j in (0, 1)])
+        index, column, row = (a[least > INSIDE] for a in (index, column, row))
+    start = torch.from_numpy((position[index] + offset * normal[index]).astype(np.float32))
+    free = transmittance(tree, start, torch.from_numpy(direction[index].astype(np.float32))).numpy() > FREE
+    index, column, row = (a[free] for a in (index, column, row))
+    across, down = (u[index] - column)[:, None], (v[index] - row)[:, None]
+    corners = [(row + i, column + j, (down if i else 1 - down) * (across if j else 1 - across)) for i in (0, 1) for j in (0, 1)]
+    colour = sum(decode_srgb(view.colour[r, c].astype(np.float64)) * share for r, c, share in corners)
+    saturated = np.logical_or.reduce([view.colour[r, c] >= SATURATED for r, c, _ in corners])
+    return index, direction[index].astype(np.float32), np.asarray(colour, np.float32).reshape(-1, 3), saturated.reshape(-1, 3)

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light and material told apart: a bilinear problem, once visibility and indirect light are known.
+
+What view k of point p shows is linear in the light L and, for given roughness and metallic, in the albedo a:
+
+    y_k = a_p c_k + d_k,  c = (1 - m)(1 - E_s) E + m S,  d = 0.04 (1 - m) S + S',
+
+with the irradiance E and both parts S, S' of the specular lobe (core/kernels/lobes.py), each a row times L. Albedo is eliminated
+(variable projection, Golub and Pereyra 1973), the light moves by Gauss-Newton steps in its logarithm, roughness and metallic come
+from a search over a grid, smoothed among neighbours of like colour. "Light first": albedo starts as one constant for all and is let
+go bit by bit, towards few colours; started from the radiance itself it would keep all shading for ever.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ..colour import encode_srgb
+from ..shading.brdf import DIELECTRIC_F0
+from ..shading.specular_albedo import diffuse_share
+from .observations import Observations
+from .transfer import Transfer
+
+STEPS = 24
+CONSTANT = 3  # steps with one albedo for all
+RELEASE = 12  # steps over which the prior of the albedo falls
+MATERIAL_STEPS = (8, 12, 16, 20)  # after which steps roughness and metallic are searched
+PRIOR = (1.0, 0.01)  # weight of the albedo's prior, from ... to
+COLOURS = 0.15  # difference in log albedo below which two points count as of one colour
+SAMPLE = 1000  # points that a point's colour is compared with
+OUTLIER = 0.02  # encoded difference from which a view loses its say (Cauchy)
+SMOOTHNESS = 1e-7  # of the log light, per texel and squared difference
+ROUGHNESS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
+METALLIC = (0.0, 0.5, 1.0)
+HALF_METAL = 0.02  # penalty per view: most things are metal or not
+ALBEDO_RANGE = (0.005, 1.5)  # above 1: the light's scale is not known yet
+NEIGHBOURS = 13
+
+
+class Separation:
+    """The unknowns and how they are found.
+
+    Attributes:
+        light: (T, 3) radiance of the texels. albedo: (P, 3). roughness, metallic: (P,).
+    """
+
+    def __init__(self, seen: Observations, transfer: Transfer, roughness: torch.Tensor, metallic: torch.Tensor, seed: int) -> None:
+        """roughness, metallic: (P,) start."""
+        self.seen, self.transfer = seen, transfer
+        self.generator = torch.Generator().manual_seed(seed)
+        self.roughness, self.metallic = roughness.clone(), metallic.clone()
+        mean = seen.sums(seen.colour) / seen.lengths[:, None]
+        self.light = torch.full((2 * transfer.height**2, 3), 2 * float(mean.mean()))
+        self.albedo = torch.full_like(mean, 0.5)
+        # Slope of the sRGB curve: errors count as they are seen.
+        self.slope = 0.44 / seen.colour.clamp_min(3e-3) ** 0.58
+        self.trust = torch.ones_like(seen.colour)
+        self._smoothness = SMOOTHNESS * _laplacian(transfer.height)
+        self.n_v = (seen.normal[seen.point] * seen.view).sum(1).clamp_min(1e-3)
+        self._neighbours, self._likeness = neighbourhood(seen.position, mean)
+        self._trace_lobes()
+
+    def run(self, step=lambda done: None) -> None:
+        """All steps; `step` is told how many are done and may raise."""
+        for done in range(STEPS):
+            if done in MATERIAL_STEPS:
+                self._search_materials()
+            self._step(done)
+            step(done + 1)
+
+    def error(self) -> float:
+        """Median of the encoded difference between model and photographs."""
+        factor, rest = self._model()
+        return float(((self.albedo[self.seen.point] * factor + rest - self.seen.colour) * self.slope).abs().median())
+
+    def _trace_lobes(self) -> None:
+        self.scaled, self.added, self.rest_scaled, self.rest_added = self.transfer.rows(self.seen, self.roughness)
+        self.share = diffuse_share(self.n_v, self.roughness[self.seen.point])[:, None]
+
+    def _model(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """c and d (K, 3)."""
+        point, metal = self.seen.point, self.metallic[self.seen.point][:, None]
+        irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[point]
+        scaled = self.scaled @ self.light + self.rest_scaled
+        factor = (1 - metal) * self.share * irradiance + metal * scaled
+        return factor, DIELECTRIC_F0 * (1 - metal) * scaled + self.added @ self.light + self.rest_added
+
+    def _step(self, done: int) -> None:
+        """Albedo for this light, then the light for whatever albedo that makes."""
+        seen, y = self.seen, self.seen.colour
+        factor, rest = self._model()
+        error = (self.albedo[seen.point] * factor + rest - y) * self.slope
+        trust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
+        self.trust = torch.where(seen.saturated & (error > 0), 0.0, trust)  # a clipped highlight is a lower bound
+        weight = self.trust * self.slope**2
+        anchor, pull = self._albedo_prior(done)
+        total = seen.sums(weight * factor * factor) + pull
+        self.albedo = ((seen.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
+        residual = self.albedo[seen.point] * factor + rest - y
+        self.light = torch.stack([self._moved(c, weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)], 1)
+
+    def _moved(self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
+        """(T,) one channel of the light after a Gauss-Newton step; the albedo follows the light (Schur complement)."""
+        seen, light = self.seen, self.light[:, channel]
+        metal, albedo = self.metallic[seen.point], self.albedo[seen.point, channel]
+        rows = (albedo * (1 - metal) * self.share[:, 0])[:, None] * self.transfer.irradiance[seen.point]
+        rows += (albedo * metal + DIELECTRIC_F0 * (1 - metal))[:, None] * self.scaled
+        rows += self.added
+        rows *= light
+        coupling = seen.sums(rows * (weight * factor)[:, None])
+        normal = rows.T @ (rows * weight[:, None]) - coupling.T @ (coupling / total[:, None])
+        normal /= len(residual)
+        slope = rows.T @ (weight * residual) / len(residual)
+        log_light = light.log()
+        damped = normal + self._smoothness + torch.diag(1e-3 * normal.diagonal() + 1e-10)
+        step = torch.linalg.solve(damped.double(), (slope + self._smoothness @ log_light).double()).float()
+        return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp()
+
+    def _albedo_prior(self, done: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Where each albedo is drawn to, (P, 3), and how strongly: the mean of those like it (mean shift among few colours)."""
+        if done < CONSTANT:
+            return torch.full_like(self.albedo, 0.5), torch.full_like(self.albedo, 1e3)
+        log_albedo = self.albedo.log()
+        others = log_albedo[torch.randperm(len(log_albedo), generator=self.generator)[:SAMPLE]]
+        like = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
+        share = like.sum(1, keepdim=True)
+        strength = PRIOR[0] * (PRIOR[1] / PRIOR[0]) ** min(1.0, (done - CONSTANT) / RELEASE)
+        pull = strength * share / len(others) / self.albedo.clamp_min(0.02) ** 2 + 1e-6
+        return (like @ others / share).exp(), pull
+
+    def _search_materials(self) -> None:
+        """Roughness and metallic that explain all views of a point and its neighbours best, each candidate with its own best albedo."""
+        knots, metals = torch.tensor(ROUGHNESS), torch.tensor(METALLIC)
+        cost = self._costs(knots, metals)
+        for _ in range(2):
+            cost = torch.einsum("pn,pnmr->pmr", self._likeness, cost[self._neighbours])
+        best, _ = cost.min(2)
+        best = best + (metals % 1 > 0) * HALF_METAL * float(self.seen.lengths.float().mean())
+        metal = best.argmin(1)
+        self.metallic = metals[metal]
+        self.roughness = _vertex(knots, cost[torch.arange(len(cost)), metal])
+        self._trace_lobes()
+
+    def _costs(self, knots: torch.Tensor, metals: torch.Tensor) -> torch.Tensor:
+        """(P, metals, knots) robust error summed over views."""
+        seen = self.seen
+        scaled, added = self.transfer.sums(seen, knots, self.light)
+        irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[seen.point]
+        weight = self.trust * self.slope**2
+        cost = torch.empty(len(seen.position), len(metals), len(knots))
+        for j, knot in enumerate(knots):
+            share = diffuse_share(self.n_v, knot.expand_as(self.n_v))[:, None]
+            for i, metal in enumerate(metals):
+                factor = (1 - metal) * share * irradiance + metal * scaled[:, j]
+                rest = DIELECTRIC_F0 * (1 - metal) * scaled[:, j] + added[:, j]
+                fit = seen.sums(weight * factor * (seen.colour - rest)) / seen.sums(weight * factor * factor).clamp_min(1e-9)
+                error = (fit.clamp(0, 1)[seen.point] * factor + rest - seen.colour) * self.slope
+                error = torch.where(seen.saturated & (error > 0), 0.0, error)
+                cost[:, i, j] = seen.sums(torch.log1p((error / OUTLIER) ** 2).sum(1))
+        return cost
+
+
+def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """The nearest NEIGHBOURS of each point, itself among them, (P, N), and their shares by likeness of colour (P, N), which sum to 1."""
+    _, nearest = KDTree(position.numpy()).query(position.numpy(), k=min(NEIGHBOURS, len(position)))
+    index = torch.from_numpy(np.asarray(nearest).reshape(len(position), -1))
+    hue, shade = colour / (colour.sum(1, keepdim=True) + 0.02), encode_srgb(colour)
+    apart = 15 * (hue[:, None] - hue[index]).abs().sum(-1) + 3 * (shade[:, None] - shade[index]).abs().sum(-1)
+    like = torch.exp(-apart)
+    return index, like / like.sum(1, keepdim=True)
+
+
+def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
+    """(P,) the knot of least cost (P, J), moved to the vertex of the parabola through it and its neighbours."""
+    row, j = torch.arange(len(cost)), cost.argmin(1).clamp(1, len(knots) - 2)
+    below, least, above = cost[row, j - 1], cost[row, j], cost[row, j + 1]
+    shift = ((below - above) / (2 * (below - 2 * least + above)).clamp_min(1e-6)).clamp(-1, 1)
+    return knots[j] + torch.where(shift < 0, shift * (knots[j] - knots[j - 1]), shift * (knots[j + 1] - knots[j]))
+
+
+def _laplacian(height: int) -> torch.Tensor:
+    """(T, T) sum of squared differences between neighbours of a lat-long map of so many rows, as a quadratic form."""
+    index = torch.arange(2 * height * height).view(height, -1)
+    pairs = torch.cat([torch.stack([index, index.roll(-1, 1)], -1).view(-1, 2), torch.stack([index[:-1], index[1:]], -1).view(-1, 2)])
+    form = torch.zeros(2, index.numel(), index.numel())
+    form[0].view(-1).index_add_(0, pairs[:, 0] * index.numel() + pairs[:, 1], torch.ones(len(pairs)))
+    off = form[0] + form[0].T
+    return torch.diag(off.sum(1)) - off

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light transport to single points, traced once and kept: geometry is frozen, so what a point sees never changes.
+
+With it the picture is linear in the light, and no estimate: light, albedo and gloss can be told apart without noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..kernels.lobes import lobe_rows, lobe_sums
+from ..shading.brdf import ggx_alpha
+from ..shading.lightmap import solid_angles
+from .observations import Observations
+from .tracer import Tracer
+
+RAYS = 1 << 18  # at a time
+
+
+def subdivided_directions(height: int, side: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """side x side strata in every texel of a lat-long map: directions (3, D) and solid angles (D,), float32; D runs over texels first."""
+    random, width = np.random.default_rng(seed), 2 * height
+    edges = np.cos(np.arange(height + 1) * (math.pi / height))[:, None]
+    parts = []
+    for i in range(side):
+        for j in range(side):
+            down, across = (i + random.random((height, width))) / side, (j + random.random((height, width))) / side
+            z = edges[:-1] + (edges[1:] - edges[:-1]) * down
+            phi = math.pi - (np.arange(width) + across) * (2 * math.pi / width)
+            r = np.sqrt(1 - z * z)
+            parts.append(np.stack([r * np.cos(phi), r * np.sin(phi), z]).reshape(3, -1))
+    angle = np.repeat(solid_angles(height, width, torch.float64).numpy() / side**2, width)
+    return np.concatenate(parts, 1).astype(np.float32), np.tile(angle, side**2).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """What P points receive from T texels of a light and from each other.
+
+    Attributes:
+        height: rows of the light; T = 2 height^2.
+        fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D), float32, as `core/kernels/lobes.py` wants them.
+        irradiance: (P, T) irradiance / pi per radiance of a texel. indirect: (P, 3) irradiance / pi from the object itself.
+        bounces: False where the object's own light was left out.
+    """
+
+    height: int
+    fixed: tuple[np.ndarray, ...]
+    irradiance: torch.Tensor
+    indirect: torch.Tensor
+    bounces: bool
+
+    def rows(self, seen: Observations, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Specular rows of all views for the points' roughness (P,): see `lobe_rows`."""
+        arrays = (seen.point.numpy(), seen.view.numpy(), seen.normal.numpy(), ggx_alpha(roughness).numpy())
+        return tuple(torch.from_numpy(a) for a in lobe_rows(*arrays, self.fixed, 2 * self.height**2))
+
+    def sums(self, seen: Observations, roughness: torch.Tensor, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Specular integrals (K, J, 3) of all views for J roughness values under a light (T, 3): see `lobe_sums`."""
+        arrays = (seen.point.numpy(), seen.view.numpy(), seen.normal.numpy(), ggx_alpha(roughness).numpy())
+        scaled, added = lobe_sums(*arrays, self.fixed, light.numpy())
+        return torch.from_numpy(scaled), torch.from_numpy(added)
+
+
+def trace_transfer(
+    position: torch.Tensor, normal: torch.Tensor, tracer: Tracer, height: int, side: int, seed: int, indirect: bool
+) -> Transfer:
+    """Trace the hemispheres of P points; `indirect` False leaves out what the object reflects onto itself (it still casts shadows)."""
+    direction, angle = subdivided_directions(height, side, seed)
+    points, count = len(position), direction.shape[1]
+    visible, other = np.zeros((points, count), np.float32), np.zeros((points, 3, count), np.float32)
+    toward, origin = torch.from_numpy(direction), tracer.above(position, normal)
+    cosine = (normal @ toward).clamp_min(0)
+    step = max(1, 2 * RAYS // count)
+    for begin in range(0, points, step):
+        p, d = torch.nonzero(cosine[begin : begin + step] > 0, as_tuple=True)
+        free, radiance = tracer.look(origin[begin + p], toward.T[d].contiguous())
+        visible[begin + p, d] = free.numpy()
+        if indirect:
+            other[begin + p, :, d] = radiance.numpy()
+    weight = cosine.numpy() * angle / np.float32(math.pi)
+    subs, texels = side * side, 2 * height * height
+    rows = (weight * visible).reshape(points, subs, texels).sum(1)
+    own = np.einsum("pd,pcd->pc", weight, other)
+    return Transfer(height, (direction, angle, visible, other), torch.from_numpy(rows), torch.from_numpy(own), indirect)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The second stage: materials and light by the rendering equation, with visibility and indirect light traced through the Gaussians."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ..config import Settings
+from ..datasets.dataset import Dataset
+from ..errors import Cancelled, IrgsppError
+from ..progress import Progress
+from ..scene.reconstruction import Reconstruction
+from ..scene.surface import Surface
+from .observations import observe
+from .painting import paint
+from .separation import STEPS, Separation
+from .tracer import Tracer
+from .transfer import trace_transfer
+
+LEAST_POINTS = 50  # fewer say nothing about a light
+
+
+def solve_transport(
+    reconstruction: Reconstruction, surface: Surface, dataset: Dataset, settings: Settings, progress: Progress
+) -> Reconstruction:
+    """Tell light and material apart: geometry and radiance stay what they are, materials and light are new.
+
+    Raises:
+        Cancelled: the user stopped the work. IrgsppError: too little of the surface is seen, or something is not finite.
+    """
+    separation, tracer = separated(reconstruction, surface, dataset, settings, progress)
+    progress.phase("materials of the Gaussians", 100)
+    materials = paint(reconstruction, surface, dataset.train, tracer, separation, settings.seed, _watch(progress, 100))
+    light = separation.light.T.reshape(1, 3, separation.transfer.height, -1)
+    height = max(settings.transport.light_height, separation.transfer.height)
+    enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")
+    result = reconstruction.relabelled(torch.logit(materials), enlarged[0].permute(1, 2, 0).contiguous())
+    return result
+
+
+def separated(
+    reconstruction: Reconstruction, surface: Surface, dataset: Dataset, settings: Settings, progress: Progress
+) -> tuple[Separation, Tracer]:
+    """Light, and materials at single points of the surface."""
+    transport, random = settings.transport, np.random.default_rng(settings.seed)
+    tracer = Tracer(reconstruction)
+    position, normal = surface.samples(transport.points, random)
+    seen, _ = observe(position, normal, dataset.train, tracer.tree, tracer.offset, random, transport.views)
+    if len(seen.position) < LEAST_POINTS:
+        raise IrgsppError(
+            f"only {len(seen.position)} points of the surface are seen by three photographs: materials can't be told from light"
+        )
+    transfer = trace_transfer(seen.position, seen.normal, tracer, transport.rows, 2, settings.seed, transport.indirect)
+    g = reconstruction.gaussians
+    _, nearest = KDTree(g.position.T.numpy()).query(seen.position.numpy())
+    start = g.materials()[3:, torch.from_numpy(np.asarray(nearest))]
+    separation = Separation(seen, transfer, start[0], (start[1] > 0.5).float(), settings.seed)
+    progress.phase("transport", STEPS)
+    separation.run(_watch(progress, 1))
+    progress.message(f"light and materials explain the photographs to {separation.error():.4f} (median difference, encoded)")
+    return separation, tracer
+
+
+def _watch(progress: Progress, scale: int):
+    def step(done: float) -> None:
+        progress.step(int(done * scale))
+        if progress.cancelled:
+            raise Cancelled("stopped in the second stage")
+
+    return step
