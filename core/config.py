@@ -45,6 +45,17 @@ class ReflectiveSettings:
 
 
 @dataclass(frozen=True)
+class TransportSettings:
+    """Second stage: light and materials told apart, with shadows and what the object reflects onto itself."""
+
+    points: Annotated[int, Range(100, 1_000_000)] = 2500  # of the surface, which the light is found from
+    views: Annotated[int, Range(3, 1000)] = 8  # photographs of each point, at most
+    rows: Annotated[int, Range(4, 32)] = 16  # of the light while it is told from the albedo
+    light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map that comes out
+    indirect: bool = True  # what the object reflects onto itself; it always casts shadows
+
+
+@dataclass(frozen=True)
 class SurfaceSettings:
     """From rendered depth to a mesh with textures."""
 
@@ -74,6 +85,7 @@ class Settings:
     materials: Literal["auto", "low-gloss", "glossy"] = "auto"
     data: DataSettings = field(default_factory=DataSettings)
     reflective: ReflectiveSettings = field(default_factory=ReflectiveSettings)
+    transport: TransportSettings = field(default_factory=TransportSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     export: ExportSettings = field(default_factory=ExportSettings)
 
@@ -83,6 +95,7 @@ PRESETS: dict[str, Settings] = {
         preset="draft",
         data=replace(DataSettings(), resolution=320),
         reflective=replace(ReflectiveSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
+        transport=replace(TransportSettings(), points=1500),
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
     ),
     "balanced": Settings(),
@@ -90,6 +103,7 @@ PRESETS: dict[str, Settings] = {
         preset="paper",
         data=replace(DataSettings(), resolution=800),
         reflective=replace(ReflectiveSettings(), iterations=50_000, gaussians=100_000),
+        transport=replace(TransportSettings(), points=6000, views=12, rows=24, light_height=128),
         surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
     ),
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The main job: photographs -> Gaussians and light -> mesh with materials -> files, one phase after the other."""
+"""The main job: photographs -> Gaussians -> surface -> light and materials -> textured mesh -> files, one phase after the other."""
 
 from __future__ import annotations
 
@@ -17,23 +17,32 @@ from .config import Settings
 from .datasets.dataset import Dataset, View
 from .datasets.load import load_dataset
 from .devices import check_device
-from .errors import Cancelled, IrgsppError
+from .errors import Cancelled, InputError, IrgsppError
 from .evaluation.metrics import on_black, psnr
 from .evaluation.sheet import contact_sheet
 from .export import write_blend
 from .journal import Journal
 from .memory import peak_memory, reset_peak_memory
 from .progress import Progress, Silent
+from .relight.backends import open_relighter
+from .relight.relighter import RelightSettings
 from .rendered_views import RenderedViews
 from .run_folder import RunFolder, check_claim
 from .scene.cameras import save_cameras
 from .scene.glb import save_glb
 from .scene.ply import save_mesh_ply
 from .scene.reconstruction import Reconstruction
+from .scene.surface import Surface
 from .scene.textures import save_textures
 from .stages.reflective import train
 from .stages.render import render_view
-from .surface.extract import extract_surface
+from .stages.transport import solve_transport
+from .surface.geometry import extract_geometry
+from .surface.texturing import textured_mesh
+
+FIRST_STAGE = Path("checkpoint", "first")  # in the run folder: what the first stage found, until the job is done
+GEOMETRY = "geometry"  # checkpoint of the bare surface
+SHEET_SAMPLES = "efficient"
 
 DEMO_DATA = Path(__file__).parent / "demo_data"
 # What 64x64 pictures can carry.
@@ -82,23 +91,33 @@ class Job:
         for warning in self.data.warnings:
             self.progress.message(f"warning: {warning}")
         self._phase("reflective", self.fit)
+        self._phase("geometry", self.shape)
+        self._phase("transport", self.separate)
         self._phase("surface", self.mesh)
         self._phase("scene", self.scene)
         self._phase("contact sheet", self.sheet)
 
     def fit(self) -> None:
-        """First stage: Gaussians, materials and light from the photographs."""
+        """First stage: Gaussians, their radiance and a first guess of materials and light from the photographs."""
         fitted = train(self.data, self.settings, self.progress, self.folder)
-        fitted.save(self.folder.path)
+        fitted.save(self.folder.path / FIRST_STAGE)
         self.folder.state["training"].update(self.progress.figures)
 
-    def mesh(self) -> None:
-        """Gaussians to a mesh with textures."""
-        views = RenderedViews(self.reconstruction, [view.camera for view in self.data.train])
-        samples = self.reconstruction.surface_samples()
-        masks = [view.alpha for view in self.data.train if view.alpha is not None]
+    def shape(self) -> None:
+        """Gaussians to a bare surface."""
+        samples, masks = self.first.surface_samples(), [view.alpha for view in self.data.train if view.alpha is not None]
         known = masks if self.data.has_alpha else None
-        mesh = extract_surface(views, samples, self.reconstruction.bound, self.settings.surface, self.progress, known)
+        surface = extract_geometry(self._views(self.first), samples, self.first.bound, self.settings.surface, self.progress, known)
+        self.folder.save(GEOMETRY, surface.state())
+
+    def separate(self) -> None:
+        """Second stage: materials and light, by all the light that reaches the surface."""
+        solve_transport(self.first, self.surface, self.data, self.settings, self.progress).save(self.folder.path)
+
+    def mesh(self) -> None:
+        """Surface and Gaussians to a mesh with textures."""
+        samples = self.reconstruction.surface_samples()
+        mesh = textured_mesh(self.surface, self._views(self.reconstruction), samples, self.settings.surface, self.progress)
         save_mesh_ply(mesh, self.folder.path / "mesh.ply")
         save_textures(mesh.textures, self.folder.path / "textures")
         save_glb(mesh, self.folder.path / "asset.glb")
@@ -116,12 +135,31 @@ class Job:
         """One picture that shows what came out, and how well the test views are met."""
         if self.data.test:
             self.folder.state["training"]["test_radiance_psnr"] = round(radiance_psnr(self.reconstruction, self.data.test), 3)
-        contact_sheet(self.data, self.reconstruction, self.folder.path / "contact_sheet.png")
+        relighter = open_relighter(self.folder.path, self.reconstruction, "gaussian", RelightSettings(samples=SHEET_SAMPLES))
+        contact_sheet(self.data, relighter, self.folder.path / "contact_sheet.png", self.progress)
+
+    # What the phases left on disk: read back even right after it, so that a resumed run goes on from the very same numbers.
+
+    @cached_property
+    def first(self) -> Reconstruction:
+        """Of the first stage."""
+        return Reconstruction.load(self.folder.path / FIRST_STAGE)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The bare surface."""
+        state = self.folder.load(GEOMETRY)
+        if state is None:
+            raise InputError(self.folder.path / "checkpoint", f"lacks {GEOMETRY}.pt", "start anew with --overwrite")
+        return Surface.restored(state)
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
-        """What the first stage left on disk: read back even right after it, so that a resumed run goes on from the very same numbers."""
+        """Of both stages."""
         return Reconstruction.load(self.folder.path)
+
+    def _views(self, reconstruction: Reconstruction) -> RenderedViews:
+        return RenderedViews(reconstruction, [view.camera for view in self.data.train])
 
     def _phase(self, name: str, work: Callable[[], None]) -> None:
         if self.folder.finished(name):

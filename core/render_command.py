@@ -104,8 +104,8 @@ def _relight_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--denoiser", choices=("demodulated", "paper"), default="demodulated", help="filter light (default) or the picture")
     one.add_argument("--no-denoise", action="store_true", help="leave the noise in")
     one.add_argument("--no-indirect", action="store_true", help="shadows, but no light from one part of the object to another")
-    diffuse = "conserving takes from the diffuse light what a dielectric reflects, as Blender's Principled does"
-    one.add_argument("--diffuse", choices=("lambert", "conserving"), default="lambert", help=diffuse)
+    diffuse = "lambert does not take from the diffuse light what a dielectric reflects, unlike Blender's Principled (default: conserving)"
+    one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
     scale = "multiply the albedo: an unknown light leaves its brightness open, `irgspp evaluate` tells the best factors"
     one.add_argument("--albedo-scale", type=_factor, nargs=3, default=(1.0, 1.0, 1.0), metavar=("R", "G", "B"), help=scale)
 

@@ -22,7 +22,7 @@ from .lock import FileLock
 from .memory import peak_memory, reset_peak_memory
 from .overrides import differences, from_dict, to_dict
 
-RESULTS = ("gaussians.ply", "environment.exr", "background.exr", "reconstruction.json")
+RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
 RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
 FOLDERS = ("checkpoint", "textures", "evaluation", "photographs", "previews")
 NOTES = ("events.jsonl", "log.txt", "cancel", "finish", "run.json")  # run.json last: without it the folder is no run any more

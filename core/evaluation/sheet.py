@@ -11,12 +11,15 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..datasets.dataset import Dataset, View
-from ..scene.reconstruction import Reconstruction
+from ..errors import Cancelled
+from ..progress import Progress
+from ..relight.lighting import PreparedLight, prepare
+from ..relight.relighter import Relighter
 from ..shading.lights import studio_light, sunset_light
-from ..stages.render import render_view, shade_view
+from ..stages.render import render_view
 from . import pictures
 
-COLUMNS = ("photograph", "reconstruction", "albedo", "roughness", "metallic", "normal", "studio light", "sunset light")
+COLUMNS = ("photograph", "radiance", "recovered light", "albedo", "roughness", "metallic", "normal", "studio light", "sunset light")
 LIGHT_SIZE = (64, 128)
 TILE, GAP, HEADER = 224, 6, 40
 PAPER, INK = (24, 25, 28), (226, 226, 222)
@@ -25,11 +28,21 @@ PAPER, INK = (24, 25, 28), (226, 226, 222)
 CHECKER = (0.14, 0.18)
 
 
-def contact_sheet(dataset: Dataset, reconstruction: Reconstruction, path: Path, rows: int = 4) -> None:
-    """Write a PNG with up to `rows` views, test views where there are any, one below the other; see COLUMNS for what stands beside."""
-    lights = [studio_light(*LIGHT_SIZE), sunset_light(*LIGHT_SIZE)]
+def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: Progress, rows: int = 4) -> None:
+    """Write a PNG with up to `rows` views, test views where there are any, one below the other; see COLUMNS for what stands beside.
+
+    Raises Cancelled between two rows.
+    """
+    lights = relighter.reconstruction.environment_map(), studio_light(*LIGHT_SIZE), sunset_light(*LIGHT_SIZE)
+    prepared, tiles = [prepare(light) for light in lights], []
     views = spread(dataset.test or dataset.train, rows)
-    sheet = compose([view_row(view, reconstruction, lights) for view in views], COLUMNS)
+    progress.phase("contact sheet", len(views))
+    for view in views:
+        if progress.cancelled:
+            raise Cancelled("stopped in the contact sheet")
+        tiles.append(view_row(view, relighter, prepared))
+        progress.step(len(tiles))
+    sheet = compose(tiles, COLUMNS)
     partial = path.with_name(path.name + ".part")
     sheet.save(partial, "PNG", optimize=True)
     os.replace(partial, path)
@@ -41,21 +54,23 @@ def spread(views: Sequence[View], count: int) -> list[View]:
     return [views[i] for i in picked]
 
 
-def view_row(view: View, reconstruction: Reconstruction, lights: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The pictures of one row, each (H, W, 4) as in `pictures`."""
+def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) -> list[np.ndarray]:
+    """The pictures of one row, each (H, W, 4) as in `pictures`; the first light is the recovered one."""
     camera, (width, height) = view.camera, fitted(view.camera.width, view.camera.height, TILE)
     if width < camera.width:  # a tile shows no more pixels; but never more than were learnt from
         camera = camera.resized(width, height)
-    buffers = render_view(reconstruction, camera)
+    buffers, surface = render_view(relighter.reconstruction, camera), relighter.surface(camera)
+    own, *others = (pictures.shaded(relighter.relit(surface, light).numpy()) for light in lights)
     photograph = pictures.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
     return [
         photograph,
         pictures.shaded(buffers.picture),
+        own,
         pictures.colour(buffers.albedo, buffers.alpha),
         pictures.grey(buffers.roughness, buffers.alpha),
         pictures.grey(buffers.metallic, buffers.alpha),
         pictures.normal(buffers.normal, buffers.alpha),
-        *(pictures.shaded(shade_view(reconstruction, camera, light)) for light in lights),
+        *others,
     ]
 
 

@@ -48,7 +48,7 @@ class RelightSettings:
     sampling: Literal["mis", "stratified"] = "mis"
     denoise: Literal["demodulated", "paper", "off"] = "demodulated"
     indirect: bool = True
-    conserving: bool = False
+    conserving: bool = True
     mesh_normals: float = 0.5
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 

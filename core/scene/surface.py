@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,15 @@ class Surface:
     normals: np.ndarray
     faces: np.ndarray
     voxel: float
+
+    @classmethod
+    def restored(cls, state: dict[str, Any]) -> Surface:
+        """The inverse of `state`, whose arrays may have become tensors."""
+        return cls(*(np.asarray(state[name]) for name in ("vertices", "normals", "faces")), float(state["voxel"]))
+
+    def state(self) -> dict[str, Any]:
+        """All of it, for a checkpoint."""
+        return {"vertices": self.vertices, "normals": self.normals, "faces": self.faces, "voxel": self.voxel}
 
     def samples(self, count: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Points (count, 3) uniform by area, and unit normals there (count, 3), float32."""

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from ..datasets.camera import Camera
-from ..kernels.rasterize import rasterize
+from ..kernels.rasterize import EXTRA, rasterize
 from ..scene.buffers import ViewBuffers
 from ..scene.reconstruction import Reconstruction
 from ..shading.split_sum import diffuse_light, shade, specular_light
@@ -16,24 +16,29 @@ from .deferred import ALPHA_FLOOR, background_radiance, radiance, surface_pixels
 LIGHT_HEIGHT = 64  # rows a light map is reduced to before it is prefiltered
 
 
-def rasterize_view(reconstruction: Reconstruction, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
-    """Sums (13, H, W) and world rays (3, H, W) of one camera, without gradients."""
+def rasterize_view(
+    reconstruction: Reconstruction, camera: Camera, more: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Sums (13, H, W) and world rays (3, H, W) of one camera, without gradients; `more` channels (E, N) follow the materials."""
     g = reconstruction.gaussians
     with torch.no_grad():
-        inputs = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, g.materials())
+        extra = g.materials() if more is None else torch.cat([g.materials(), more])
+        inputs = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
         picture, _ = rasterize(*inputs, camera, reconstruction.bound.radius)
     return picture, torch.from_numpy(camera.rays()).permute(2, 0, 1)
 
 
 def render_view(reconstruction: Reconstruction, camera: Camera) -> ViewBuffers:
     """All layers of one camera."""
-    picture, rays = rasterize_view(reconstruction, camera)
+    mirrored, kept = reconstruction.mirrored(), reconstruction.reflections
+    picture, rays = rasterize_view(reconstruction, camera, None if kept is None else kept.material)
     with torch.no_grad():
-        shown = radiance(picture, rays, reconstruction.environment if reconstruction.glossy else None)
+        own = picture if kept is None else torch.cat([picture[:EXTRA], picture[EXTRA + len(kept.material) :]])
+        shown = radiance(own, rays, None if mirrored is None else mirrored.environment)
         alpha = picture[-1]
         mean = torch.where(alpha > ALPHA_FLOOR, picture[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
         normal = torch.nn.functional.normalize(mean[3:6], dim=0)
-        pictures = (alpha, mean[11], normal, shown * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
+        pictures = (alpha, mean[-1], normal, shown * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
         behind = None
         if reconstruction.background is not None:
             behind = background_radiance(reconstruction.background, rays).permute(1, 2, 0).contiguous().numpy()

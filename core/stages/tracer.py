@@ -17,15 +17,16 @@ class Tracer:
     """The frozen Gaussians as what casts shadows and reflects light.
 
     Args:
-        reconstruction: of the first stage. Where it is glossy, its SH hold diffuse radiance only, and reflections of its light are added.
+        reconstruction: of the first stage. Where it is glossy, its SH hold diffuse radiance only, and the reflections are added.
     """
 
     def __init__(self, reconstruction: Reconstruction) -> None:
         g = reconstruction.gaussians
         with torch.no_grad():
             self._geometry = tuple(t.detach() for t in (g.position, g.quaternion, g.log_scale, g.opacity))
-            self._sh, self._materials = g.sh.detach(), g.materials().detach()
-            self._stack = specular_light(reconstruction.environment) if reconstruction.glossy else None
+            self._sh, mirrored = g.sh.detach(), reconstruction.mirrored()
+            self._materials = torch.zeros(0, g.count) if mirrored is None else mirrored.material
+            self._stack = None if mirrored is None else specular_light(mirrored.environment)
         self.tree = DiskTree.build(*self._geometry)
         self.offset = OFFSET * reconstruction.bound.radius
 
@@ -36,8 +37,7 @@ class Tracer:
     @torch.no_grad()
     def look(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """What R rays (R, 3) see: the share of the light behind that passes, (R,), and the object's radiance times its opacity, (R, 3)."""
-        extra = self._materials if self._stack is not None else self._materials[:0]
-        sums = trace(*self._geometry, self._sh, extra, origin, direction, self.tree)
+        sums = trace(*self._geometry, self._sh, self._materials, origin, direction, self.tree)
         opacity = sums[:, -1]
         radiance = sums[:, COLOUR].contiguous()
         if self._stack is not None:
