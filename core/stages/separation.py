@@ -18,6 +18,7 @@ import torch
 from scipy.spatial import KDTree
 
 from ..colour import encode_srgb
+from ..kernels.jacobian import jacobian
 from ..shading.brdf import DIELECTRIC_F0
 from ..shading.specular_albedo import diffuse_share
 from .observations import Observations
@@ -59,6 +60,8 @@ class Separation:
         self.trust = torch.ones_like(seen.colour)
         self._smoothness = SMOOTHNESS * _laplacian(transfer.height)
         self.n_v = (seen.normal[seen.point] * seen.view).sum(1).clamp_min(1e-3)
+        self._start = np.concatenate([[0], np.cumsum(seen.lengths.numpy())])
+        self._rows = torch.empty(len(seen.point), len(self.light))
         self._neighbours, self._likeness = neighbourhood(seen.position, mean)
         self._trace_lobes()
 
@@ -76,16 +79,18 @@ class Separation:
         return float(((self.albedo[self.seen.point] * factor + rest - self.seen.colour) * self.slope).abs().median())
 
     def _trace_lobes(self) -> None:
-        self.scaled, self.added, self.rest_scaled, self.rest_added = self.transfer.rows(self.seen, self.roughness)
+        """S and the rows of d, their parts from the object itself, and the coat's share, for the materials as they are."""
+        dielectric = DIELECTRIC_F0 * (1 - self.metallic[self.seen.point][:, None])
+        self.scaled, added, self.scaled_own, added_own = self.transfer.rows(self.seen, self.roughness)
+        self.rest, self.rest_own = added.addcmul_(dielectric, self.scaled), added_own.addcmul_(dielectric, self.scaled_own)
         self.share = diffuse_share(self.n_v, self.roughness[self.seen.point])[:, None]
 
     def _model(self) -> tuple[torch.Tensor, torch.Tensor]:
         """c and d (K, 3)."""
         point, metal = self.seen.point, self.metallic[self.seen.point][:, None]
         irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[point]
-        scaled = self.scaled @ self.light + self.rest_scaled
-        factor = (1 - metal) * self.share * irradiance + metal * scaled
-        return factor, DIELECTRIC_F0 * (1 - metal) * scaled + self.added @ self.light + self.rest_added
+        specular = self.scaled @ self.light + self.scaled_own
+        return (1 - metal) * self.share * irradiance + metal * specular, self.rest @ self.light + self.rest_own
 
     def _step(self, done: int) -> None:
         """Albedo for this light, then the light for whatever albedo that makes."""
@@ -103,20 +108,30 @@ class Separation:
 
     def _moved(self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
         """(T,) one channel of the light after a Gauss-Newton step; the albedo follows the light (Schur complement)."""
-        seen, light = self.seen, self.light[:, channel]
-        metal, albedo = self.metallic[seen.point], self.albedo[seen.point, channel]
-        rows = (albedo * (1 - metal) * self.share[:, 0])[:, None] * self.transfer.irradiance[seen.point]
-        rows += (albedo * metal + DIELECTRIC_F0 * (1 - metal))[:, None] * self.scaled
-        rows += self.added
-        rows *= light
-        coupling = seen.sums(rows * (weight * factor)[:, None])
-        normal = rows.T @ (rows * weight[:, None]) - coupling.T @ (coupling / total[:, None])
-        normal /= len(residual)
-        slope = rows.T @ (weight * residual) / len(residual)
-        log_light = light.log()
+        light = self.light[:, channel]
+        normal, slope = self._equations(channel, weight, factor, total, residual)
+        normal, slope = light[:, None] * normal * light, light * slope  # by the logarithm of the light
         damped = normal + self._smoothness + torch.diag(1e-3 * normal.diagonal() + 1e-10)
+        log_light = light.log()
         step = torch.linalg.solve(damped.double(), (slope + self._smoothness @ log_light).double()).float()
         return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp()
+
+    def _equations(
+        self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Hessian (T, T) and gradient (T,) of the squared error by one channel of the light, albedo eliminated, per view.
+
+        weight, factor, residual: (K,) of the views. total: (P,) curvature of the error by each albedo.
+        """
+        point, albedo = self.seen.point, self.albedo[self.seen.point, channel]
+        metal = self.metallic[point]
+        root = weight.sqrt()
+        views = (root, weight * factor / total.sqrt()[point], albedo * (1 - metal) * self.share[:, 0], albedo * metal)
+        root_array, share, *factors = (v.contiguous().numpy() for v in views)
+        transport = (self.transfer.irradiance.numpy(), self.scaled.numpy(), self.rest.numpy())
+        coupling = jacobian(self._start, root_array, share, (factors[0], factors[1]), transport, self._rows.numpy())
+        normal = gram(self._rows) - gram(torch.from_numpy(coupling))
+        return normal / len(weight), self._rows.T @ (root * residual) / len(weight)
 
     def _albedo_prior(self, done: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Where each albedo is drawn to, (P, 3), and how strongly: the mean of those like it (mean shift among few colours)."""
@@ -170,6 +185,15 @@ def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.T
     apart = 15 * (hue[:, None] - hue[index]).abs().sum(-1) + 3 * (shade[:, None] - shade[index]).abs().sum(-1)
     like = torch.exp(-apart)
     return index, like / like.sum(1, keepdim=True)
+
+
+def gram(rows: torch.Tensor) -> torch.Tensor:
+    """(T, T) rows^T rows of (K, T): upper blocks only, mirrored."""
+    width = rows.shape[1]
+    form, block = rows.new_zeros(width, width), max(64, width // 8)
+    for begin in range(0, width, block):
+        form[begin : begin + block, begin:] = rows[:, begin : begin + block].T @ rows[:, begin:]
+    return form.triu() + form.triu(1).T
 
 
 def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What each view says about each texel of the light, weighted, and what it says about its point's albedo at once: one pass over the rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .jit import kernel
+from .pool import even_ranges, run_ranges, thread_count
+from .simd import load, splat, store
+
+_ZERO = np.float32(0.0)
+
+
+@kernel
+def jacobian_range(begin, end, texels, start, root, share, diffuse, metal, irradiance, scaled, rest, rows, coupling):
+    """Points begin..end: rows of their views, (K, texels) flat, and the coupling of light and albedo, (P, texels) flat."""
+    for p in range(begin, end):
+        for texel in range(0, texels, 8):
+            store(coupling, p * texels + texel, splat(_ZERO))
+        for k in range(start[p], start[p + 1]):
+            for texel in range(0, texels, 8):
+                at, to = k * texels + texel, p * texels + texel
+                row = load(irradiance, to) * diffuse[k] + load(rest, at)
+                if metal[k] > _ZERO:
+                    row = row + load(scaled, at) * metal[k]
+                store(rows, at, row * root[k])
+                store(coupling, to, load(coupling, to) + row * share[k])
+
+
+def jacobian(
+    start: np.ndarray,
+    root: np.ndarray,
+    share: np.ndarray,
+    factors: tuple[np.ndarray, np.ndarray],
+    transport: tuple[np.ndarray, np.ndarray, np.ndarray],
+    rows: np.ndarray,
+) -> np.ndarray:
+    """The weighted derivative of K views by T texels, and its part that the albedo of each of P points can take up.
+
+    Args:
+        start: (P + 1,) int64, point p's views are start[p] : start[p + 1]. root, share: (K,) weight of a view in `rows` and in the result.
+        factors: (K,) each, of the diffuse and the specular rows. transport: irradiance (P, T), specular rows (K, T), and those that
+            no albedo scales (K, T); T a multiple of 8. All float32 and contiguous.
+        rows: (K, T), written: root (factor_0 irradiance + factor_1 specular + rest).
+
+    Returns:
+        (P, T): the sum over a point's views of the same, with `share` for `root`.
+    """
+    coupling = np.empty_like(transport[0])
+    arrays = (start, root, share, *factors, *(t.reshape(-1) for t in transport), rows.reshape(-1), coupling.reshape(-1))
+    run_ranges(jacobian_range, even_ranges(len(start) - 1, 4 * thread_count()), rows.shape[1], *arrays)
+    return coupling
