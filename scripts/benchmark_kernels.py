@@ -135,7 +135,7 @@ class Rays:
         t = self.tree
         scene = t.node, t.child, t.leaf, t.index, t.depth, self.count, self.left
         parts = run_ranges(gather, self.ranges, self.origin, self.direction, *scene)
-        index, weight, distance = (np.concatenate(p) for p in zip(*parts, strict=True))
+        index, weight, distance = (p[0] if len(parts) == 1 else np.concatenate(p) for p in zip(*parts, strict=True))
         start, lit = np.concatenate([[0], np.cumsum(self.count)]), np.empty(len(index), np.uint8)
         sums = start, index, weight, distance, self.left, t.record, self.rows, 16, 0, self.picture, lit
         run_ranges(composite, self.ranges, self.direction, *sums)

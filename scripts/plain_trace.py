@@ -13,17 +13,25 @@ from irgspp.core.kernels.bvh import AXIS_U, AXIS_V, CUT, LEAF, NODE, NORMAL, OPA
 from irgspp.core.kernels.compositing import SH_ROW, spread_basis
 from irgspp.core.kernels.jit import kernel
 from irgspp.core.kernels.raster import ALPHA_MAX, TRANSMITTANCE_MIN
-from irgspp.core.kernels.trace import _EVERYBODY, _NOBODY, _NUMBER, _SOLID, GRAZING, NEAREST, _distance, _grown, _hit
+from irgspp.core.kernels.trace import (
+    _EVERYBODY,
+    _IN,
+    _NOBODY,
+    _NUMBER,
+    _OUT,
+    _SOLID,
+    GRAZING,
+    NEAREST,
+    _distance,
+    _grown,
+    _hit,
+    _insert,
+    _inverse,
+    _push,
+)  # fmt: skip
 
 _ONE, _ZERO, _HALF, _FAR = np.float32(1.0), np.float32(0.0), np.float32(0.5), np.float32(math.inf)
-_TINY, _IN, _OUT = np.float32(1e-12), np.float32(1 - 1e-6), np.float32(1 + 1e-6)
-_CLOSED = np.float32(_SOLID)
 _STOP, _MAX, _GRAZING = np.float32(TRANSMITTANCE_MIN), np.float32(ALPHA_MAX), np.float32(GRAZING)
-
-
-@kernel
-def _inverse(x):
-    return _ONE / (x if abs(x) > _TINY else (-_TINY if x < 0 else _TINY))
 
 
 @kernel
@@ -60,80 +68,66 @@ def _disk(leaf, at, o, d, first, last):
 
 
 @kernel
+def _plain_nearest(o, d, inv, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t):
+    n, behind, furthest = 0, before, _EVERYBODY
+    t_min, t_max = _distance(last), _FAR
+    stack[0], stack_t[0], top = 0, _ZERO, 1
+    while top > 0:
+        top -= 1
+        if stack_t[top] > t_max:
+            continue
+        item, bottom = stack[top], top
+        for lane in range(8):
+            enter, leave = _box(node, item * NODE, lane, o, inv)
+            if not (enter <= leave and enter <= t_max and leave >= t_min):
+                continue
+            below = child[item, lane]
+            if below >= 0:
+                _push(stack, stack_t, bottom, top, below, enter)
+                top += 1
+                continue
+            for disk in range(8):
+                t, alpha = _disk(leaf, ~below * LEAF + disk, o, d, t_min, t_max)
+                if alpha == 0:
+                    continue
+                hit = _hit(t, index[~below * 8 + disk])
+                if last < hit <= furthest:
+                    n, behind = _insert(near, near_alpha, n, hit, alpha, behind)
+                    if n == NEAREST or behind <= _SOLID:
+                        furthest = near[n - 1]
+                        t_max = _distance(furthest)
+    return n
+
+
+@kernel
 def plain_gather_range(begin, end, origin, direction, node, child, leaf, index, depth, count, left):
     """`gather_range`, one box and one disk at a time."""
     capacity = (end - begin) * 6 + NEAREST
     out_index, out_weight, out_t = np.empty(capacity, np.int32), np.empty(capacity, np.float32), np.empty(capacity, np.float32)
-    stack, stack_t = np.empty(7 * depth + 8, np.int32), np.empty(7 * depth + 8, np.float32)
     near, near_alpha = np.empty(NEAREST, np.uint64), np.empty(NEAREST, np.float32)
+    stack, stack_t = np.empty(7 * depth + 8, np.int32), np.empty(7 * depth + 8, np.float32)
     at = 0
     for ray in range(begin, end):
         o = (origin[3 * ray], origin[3 * ray + 1], origin[3 * ray + 2])
         d = (direction[3 * ray], direction[3 * ray + 1], direction[3 * ray + 2])
         inv = (_inverse(d[0]), _inverse(d[1]), _inverse(d[2]))
-        first, before, last_t, last = at, _ONE, _ZERO, _NOBODY
-        while True:
-            n, t_max, furthest, behind = 0, _FAR, _EVERYBODY, before
-            stack[0], stack_t[0], top = 0, _ZERO, 1
-            while top > 0:
-                top -= 1
-                if stack_t[top] > t_max:
-                    continue
-                item, bottom = stack[top], top
-                for lane in range(8):
-                    enter, leave = _box(node, item * NODE, lane, o, inv)
-                    if not (enter <= leave and enter <= t_max and leave >= last_t):
-                        continue
-                    below = child[item, lane]
-                    if below >= 0:
-                        place = top
-                        while place > bottom and stack_t[place - 1] < enter:
-                            stack[place], stack_t[place] = stack[place - 1], stack_t[place - 1]
-                            place -= 1
-                        stack[place], stack_t[place] = below, enter
-                        top += 1
-                        continue
-                    for disk in range(8):
-                        t, alpha = _disk(leaf, ~below * LEAF + disk, o, d, last_t, t_max)
-                        if alpha == 0:
-                            continue
-                        key = _hit(t, index[~below * 8 + disk])
-                        if key > furthest or key <= last:
-                            continue
-                        place = n
-                        if n == NEAREST:
-                            place -= 1
-                            behind /= _ONE - near_alpha[place]
-                        else:
-                            n += 1
-                        while place > 0 and near[place - 1] > key:
-                            near[place], near_alpha[place] = near[place - 1], near_alpha[place - 1]
-                            place -= 1
-                        near[place], near_alpha[place] = key, alpha
-                        behind *= _ONE - alpha
-                        while n > 1 and behind <= _CLOSED * (_ONE - near_alpha[n - 1]):
-                            n -= 1
-                            behind /= _ONE - near_alpha[n]
-                        if n == NEAREST or behind <= _CLOSED:
-                            furthest = near[n - 1]
-                            t_max = _distance(furthest)
+        first, before, last, n = at, _ONE, _NOBODY, NEAREST
+        while n == NEAREST and before > _STOP:
+            n = _plain_nearest(o, d, inv, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t)
             if at + n > len(out_t):
                 out_index, out_weight, out_t = _grown(out_index), _grown(out_weight), _grown(out_t)
-            for i in range(n):
-                out_index[at], out_t[at], out_weight[at] = np.int32(near[i] & _NUMBER), _distance(near[i]), before * near_alpha[i]
-                before *= _ONE - near_alpha[i]
-                at += 1
+            for j in range(n):
                 if before <= _STOP:
                     break
-            if n < NEAREST or before <= _STOP:
-                break
-            last = near[n - 1]
-            last_t = _distance(last)
+                last = near[j]
+                out_index[at], out_t[at], out_weight[at] = np.int32(last & _NUMBER), _distance(last), before * near_alpha[j]
+                before *= _ONE - near_alpha[j]
+                at += 1
         if before <= _STOP:
-            for i in range(first, at):
-                out_weight[i] *= _ONE / (_ONE - before)
+            for hit in range(first, at):
+                out_weight[hit] /= _ONE - before
         count[ray], left[ray] = at - first, before
-    return out_index[:at].copy(), out_weight[:at].copy(), out_t[:at].copy()
+    return out_index[:at], out_weight[:at], out_t[:at]
 
 
 @kernel
@@ -141,12 +135,16 @@ def plain_composite_range(begin, end, direction, start, index, weight, distance,
     """`composite_range`, one number at a time."""
     offset = SH_ROW if coefficients > 0 else 0
     axes, values, spread = np.zeros(24, np.float32), np.zeros(128, np.float32), np.zeros(128, np.float32)
+    block = -1
     for ray in range(begin, end):
-        lane = (ray - begin) % 8
-        if coefficients > 0 and lane == 0:
-            spread_basis(direction, ray, end, coefficients, axes, values, spread)
-        d = (direction[3 * ray], direction[3 * ray + 1], direction[3 * ray + 2])
         out[ray] = _ZERO
+        if start[ray] == start[ray + 1]:
+            continue
+        lane = (ray - begin) % 8
+        if coefficients > 0 and ray - lane != block:
+            block = ray - lane
+            spread_basis(direction, block, end, coefficients, axes, values, spread)
+        d = (direction[3 * ray], direction[3 * ray + 1], direction[3 * ray + 2])
         for hit in range(start[ray], start[ray + 1]):
             g, w = index[hit], weight[hit]
             lit[hit] = 0
@@ -175,10 +173,14 @@ def plain_composite_backward_range(slot, begin, end, direction, start, index, we
     out = slots[slot]
     offset = SH_ROW if coefficients > 0 else 0
     axes, values, spread = np.zeros(24, np.float32), np.zeros(128, np.float32), np.zeros(128, np.float32)
+    block = -1
     for ray in range(begin, end):
+        if start[ray] == start[ray + 1]:
+            continue
         lane = (ray - begin) % 8
-        if coefficients > 0 and lane == 0:
-            spread_basis(direction, ray, end, coefficients, axes, values, spread)
+        if coefficients > 0 and ray - lane != block:
+            block = ray - lane
+            spread_basis(direction, block, end, coefficients, axes, values, spread)
         for hit in range(start[ray], start[ray + 1]):
             g, w = index[hit], weight[hit]
             for channel in range(3):

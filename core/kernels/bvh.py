@@ -222,7 +222,7 @@ def fill_nodes(child, index, boxes, node):
 
 
 def aligned(floats: int) -> np.ndarray:
-    """So many floats that start with a cache line: vectors that straddle two lines take twice the loads."""
+    """So many floats from the start of a cache line on: vectors that lie across two lines are loaded twice."""
     memory = np.empty(floats + 16, np.float32)
     first = -memory.ctypes.data % 64 // 4
     return memory[first : first + floats]

@@ -57,7 +57,7 @@ def unpack_range(begin, end, slots, coefficients, n, g_sh, g_extra):
 
 @kernel
 def spread_basis(direction, ray, end, coefficients, axes, values, spread):
-    """SH basis of up to 8 rays from `ray` on, 16 floats to a ray; uses `axes` (24,) and `values` (128,)."""
+    """SH basis of up to 8 rays from `ray` on, 16 floats to a ray -> spread (128,); leaves directions in `axes` (24,)."""
     for lane in range(8):
         for axis in range(3):
             axes[axis * 8 + lane] = direction[3 * min(ray + lane, end - 1) + axis]
@@ -89,10 +89,15 @@ def composite_range(begin, end, direction, start, index, weight, distance, left,
     axes, values, spread = np.zeros(24, np.float32), np.zeros(128, np.float32), np.zeros(128, np.float32)
     acc = np.empty(max(width - offset, 8), np.float32)
     zero = np.float32(0.0)
+    block = -1  # of 8 rays, the one whose basis is at hand
     for ray in range(begin, end):
+        if start[ray] == start[ray + 1]:
+            out[ray] = zero
+            continue
         lane = (ray - begin) % 8
-        if coefficients > 0 and lane == 0:
-            spread_basis(direction, ray, end, coefficients, axes, values, spread)
+        if coefficients > 0 and ray - lane != block:
+            block = ray - lane
+            spread_basis(direction, block, end, coefficients, axes, values, spread)
         low, high = load(spread, lane * 16), load(spread, lane * 16 + 8)
         dx, dy, dz = direction[3 * ray], direction[3 * ray + 1], direction[3 * ray + 2]
         red, green, blue, nx, ny, nz, depth, opacity = zero, zero, zero, zero, zero, zero, zero, zero
@@ -129,10 +134,14 @@ def composite_backward_range(slot, begin, end, direction, start, index, weight, 
     offset = SH_ROW if coefficients > 0 else 0
     axes, values, spread = np.zeros(24, np.float32), np.zeros(128, np.float32), np.zeros(128, np.float32)
     upstream = np.zeros(max(width - offset, 8), np.float32)
+    block = -1
     for ray in range(begin, end):
+        if start[ray] == start[ray + 1]:
+            continue
         lane = (ray - begin) % 8
-        if coefficients > 0 and lane == 0:
-            spread_basis(direction, ray, end, coefficients, axes, values, spread)
+        if coefficients > 0 and ray - lane != block:
+            block = ray - lane
+            spread_basis(direction, block, end, coefficients, axes, values, spread)
         low, high = load(spread, lane * 16), load(spread, lane * 16 + 8)
         for j in range(extras):
             upstream[j] = gradient[ray, 6 + j]

@@ -17,13 +17,15 @@ from .jit import kernel
 from .raster import ALPHA_MAX, TRANSMITTANCE_MIN
 from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
 
-NEAREST = 32
+NEAREST = 48  # hits gathered in one descent
+GROUP = 4  # nodes opened at once: the processor works on one while it waits for another
 GRAZING = 1e-8  # disks whose normal is this close (cosine squared) to square with the ray are missed
 _TINY = np.float32(1e-12)  # directions' components are kept away from 0 by this
 _IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # boxes are entered this much earlier, and left this much later, than computed
 _NOBODY, _EVERYBODY = np.uint64(2**31 - 1), np.uint64(0x7F800000FFFFFFFF)  # hits in front of and behind all others
-_SOLID = 0.9999 * TRANSMITTANCE_MIN  # `behind`, multiplied and divided many times, is sure to be opaque below this
 _NUMBER = np.uint64(2**32 - 1)
+_SOLID = np.float32(0.9999 * TRANSMITTANCE_MIN)  # a product multiplied and divided many times is sure to be opaque below this
+_OPAQUE, _ZERO, _ONE, _FAR = np.float32(TRANSMITTANCE_MIN), np.float32(0.0), np.float32(1.0), np.float32(math.inf)
 
 
 @kernel
@@ -61,28 +63,44 @@ def _boxes(node, at, side, o, into, out):
     x1 = (load(node, at + 24 - side[0]) - o[0]) * out[0]
     y1 = (load(node, at + 32 - side[1]) - o[1]) * out[1]
     z1 = (load(node, at + 40 - side[2]) - o[2]) * out[2]
-    return maximum(maximum(x0, y0), maximum(z0, splat(np.float32(0.0)))), minimum(minimum(x1, y1), z1)
+    return maximum(maximum(x0, y0), maximum(z0, splat(_ZERO))), minimum(minimum(x1, y1), z1)
 
 
 @kernel
-def _planes(leaf, at, o, d):
-    """Where the ray meets the planes of a leaf's 8 disks: distance, whether squarely enough, and the centres from the origin."""
+def _open(stack, top, node, side, ray, t_min, t_max, group, enters):
+    """Take up to GROUP nodes off the stack: returns its new top and a mask of the children met, 8 bits to a node.
+
+    group: receives the nodes. enters: (8 GROUP,) receives where the ray enters their children.
+    """
+    o, _, into, out = ray
+    children, k = np.uint64(0), 0
+    while top > 0 and k < GROUP:
+        top -= 1
+        group[k] = stack[top]
+        enter, leave = _boxes(node, group[k] * NODE, side, o, into, out)
+        met = np.uint64(bits((enter <= leave) & (enter <= t_max) & (leave >= t_min)))
+        children |= met << np.uint64(8 * k)
+        store(enters, 8 * k, enter)
+        k += 1
+    return top, children
+
+
+@kernel
+def _disks(leaf, at, o, d):
+    """Where the ray meets the planes of a leaf's 8 disks, rho there, and whether that lies on the disk.
+
+    All of it at once: leaving early where no plane is met would be guessed wrongly too often.
+    """
     cx, cy, cz = load(leaf, at) - o[0], load(leaf, at + 8) - o[1], load(leaf, at + 16) - o[2]
     nx, ny, nz = load(leaf, at + NORMAL * 8), load(leaf, at + NORMAL * 8 + 8), load(leaf, at + NORMAL * 8 + 16)
     cosine = nx * d[0] + ny * d[1] + nz * d[2]
-    square = cosine * cosine > GRAZING
-    t = (nx * cx + ny * cy + nz * cz) / select(square, cosine, splat(np.float32(1.0)))
-    return t, square, (cx, cy, cz)
-
-
-@kernel
-def _bell(leaf, at, d, t, c):
-    """rho = u^2 + v^2 of the hits at distances t."""
-    x, y, z = d[0] * t - c[0], d[1] * t - c[1], d[2] * t - c[2]
+    t = (nx * cx + ny * cy + nz * cz) / cosine
+    x, y, z = d[0] * t - cx, d[1] * t - cy, d[2] * t - cz
     at_u, at_v = at + AXIS_U * 8, at + AXIS_V * 8
     u = x * load(leaf, at_u) + y * load(leaf, at_u + 8) + z * load(leaf, at_u + 16)
     v = x * load(leaf, at_v) + y * load(leaf, at_v + 8) + z * load(leaf, at_v + 16)
-    return u * u + v * v
+    rho = u * u + v * v
+    return t, rho, (cosine * cosine > GRAZING) & (rho <= load(leaf, at + CUT * 8))
 
 
 @kernel
@@ -103,10 +121,84 @@ def _distance(hit):
 
 
 @kernel
+def _push(stack, stack_t, bottom, top, item, t):
+    """Put a node on the stack, above those from `bottom` on that the ray enters later."""
+    while top > bottom and stack_t[top - 1] < t:
+        stack[top], stack_t[top] = stack[top - 1], stack_t[top - 1]
+        top -= 1
+    stack[top], stack_t[top] = item, t
+
+
+@kernel
+def _insert(near, near_alpha, n, hit, alpha, behind):
+    """Put a hit among the n nearest; returns their number and the transmittance behind them, without those that nobody sees."""
+    place = n
+    if n == NEAREST:
+        place -= 1
+        behind /= _ONE - near_alpha[place]
+    else:
+        n += 1
+    while place > 0 and near[place - 1] > hit:
+        near[place], near_alpha[place] = near[place - 1], near_alpha[place - 1]
+        place -= 1
+    near[place], near_alpha[place] = hit, alpha
+    behind *= _ONE - alpha
+    while n > 1 and behind <= _SOLID * (_ONE - near_alpha[n - 1]):
+        n -= 1
+        behind /= _ONE - near_alpha[n]
+    return n, behind
+
+
+@kernel
+def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t, group, enters, lane_t, lane_alpha):
+    """The next hits behind the hit `last`, where the transmittance is `before` -> near, near_alpha; returns how many."""
+    o, d, _, _ = ray
+    n, behind, furthest = 0, before, _EVERYBODY
+    t_min, t_max = _distance(last), _FAR
+    stack[0], stack_t[0], top = 0, _ZERO, 1
+    while top > 0:
+        if stack_t[top - 1] > t_max:
+            top -= 1
+            continue
+        bottom, children = _open(stack, top, node, side, ray, t_min, t_max, group, enters)
+        top = bottom
+        while children != 0:
+            lane = first_bit(children)
+            children &= children - np.uint64(1)
+            below = child[group[lane >> 3], lane & 7]
+            if below >= 0:
+                _push(stack, stack_t, bottom, top, below, enters[lane])
+                top += 1
+                continue
+            t, rho, met = _disks(leaf, ~below * LEAF, o, d)
+            mask = bits(met & (t >= t_min) & (t <= t_max))
+            if mask == 0:
+                continue
+            store(lane_t, 0, t)
+            store(lane_alpha, 0, _alpha(leaf, ~below * LEAF, rho))
+            while mask != 0:
+                lane = first_bit(mask)
+                mask &= mask - np.uint32(1)
+                hit = _hit(lane_t[lane], index[~below * 8 + lane])
+                if last < hit <= furthest:
+                    n, behind = _insert(near, near_alpha, n, hit, lane_alpha[lane], behind)
+                    if n == NEAREST or behind <= _SOLID:
+                        furthest = near[n - 1]
+            t_max = _distance(furthest)
+    return n
+
+
+@kernel
 def _grown(array):
     larger = np.empty(2 * len(array), array.dtype)
     larger[: len(array)] = array
     return larger
+
+
+@kernel
+def _stack_size(depth):
+    """Opening groups off the top, each of a tree's levels leaves less than one group's children on the stack."""
+    return 8 * GROUP * (depth + 1)
 
 
 @kernel
@@ -118,127 +210,59 @@ def gather_range(begin, end, origin, direction, node, child, leaf, index, depth,
     """
     capacity = (end - begin) * 6 + NEAREST
     out_index, out_weight, out_t = np.empty(capacity, np.int32), np.empty(capacity, np.float32), np.empty(capacity, np.float32)
-    stack, stack_t = np.empty(7 * depth + 8, np.int32), np.empty(7 * depth + 8, np.float32)
     near, near_alpha = np.empty(NEAREST, np.uint64), np.empty(NEAREST, np.float32)
-    lane_enter, lane_t, lane_alpha = np.empty(8, np.float32), np.empty(8, np.float32), np.empty(8, np.float32)
-    opaque, solid = np.float32(TRANSMITTANCE_MIN), np.float32(_SOLID)
+    stack, stack_t = np.empty(_stack_size(depth), np.int32), np.empty(_stack_size(depth), np.float32)
+    group, enters = np.empty(GROUP, np.int64), np.empty(8 * GROUP, np.float32)
+    lane_t, lane_alpha = np.empty(8, np.float32), np.empty(8, np.float32)
     at = 0
-    for ray in range(begin, end):
-        o, d, into, out = _ray(origin, direction, ray)
-        side = _sides(direction, ray)
-        first, before = at, np.float32(1.0)
-        last_t, last = np.float32(0.0), _NOBODY
-        while True:
-            n, t_max, furthest, behind = 0, np.float32(math.inf), _EVERYBODY, before
-            stack[0], stack_t[0], top = 0, np.float32(0.0), 1
-            while top > 0:
-                top -= 1
-                if stack_t[top] > t_max:
-                    continue
-                item, bottom = stack[top], top
-                enter, leave = _boxes(node, item * NODE, side, o, into, out)
-                children = bits((enter <= leave) & (enter <= t_max) & (leave >= last_t))
-                store(lane_enter, 0, enter)
-                while children != 0:
-                    lane = first_bit(children)
-                    children &= children - np.uint32(1)
-                    t, below = lane_enter[lane], child[item, lane]
-                    if below >= 0:
-                        place = top
-                        while place > bottom and stack_t[place - 1] < t:  # the nearest child comes off first
-                            stack[place], stack_t[place] = stack[place - 1], stack_t[place - 1]
-                            place -= 1
-                        stack[place], stack_t[place] = below, t
-                        top += 1
-                        continue
-                    base = (~below) * LEAF
-                    t8, square, centre = _planes(leaf, base, o, d)
-                    met = square & (t8 >= last_t) & (t8 <= t_max)
-                    if bits(met) == 0:
-                        continue
-                    rho = _bell(leaf, base, d, t8, centre)
-                    mask = bits(met & (rho <= load(leaf, base + CUT * 8)))
-                    if mask == 0:
-                        continue
-                    store(lane_t, 0, t8)
-                    store(lane_alpha, 0, _alpha(leaf, base, rho))
-                    while mask != 0:
-                        lane = first_bit(mask)
-                        mask &= mask - np.uint32(1)
-                        key = _hit(lane_t[lane], index[(~below) * 8 + lane])
-                        if key > furthest or key <= last:
-                            continue
-                        place = n
-                        if n == NEAREST:
-                            place -= 1
-                            behind /= np.float32(1.0) - near_alpha[place]
-                        else:
-                            n += 1
-                        while place > 0 and near[place - 1] > key:
-                            near[place], near_alpha[place] = near[place - 1], near_alpha[place - 1]
-                            place -= 1
-                        near[place], near_alpha[place] = key, lane_alpha[lane]
-                        behind *= np.float32(1.0) - lane_alpha[lane]
-                        while n > 1 and behind <= solid * (np.float32(1.0) - near_alpha[n - 1]):  # nobody sees the last
-                            n -= 1
-                            behind /= np.float32(1.0) - near_alpha[n]
-                        if n == NEAREST or behind <= solid:
-                            furthest = near[n - 1]
-                    t_max = _distance(furthest)
+    for i in range(begin, end):
+        ray, side = _ray(origin, direction, i), _sides(direction, i)
+        first, before, last, n = at, _ONE, _NOBODY, NEAREST
+        while n == NEAREST and before > _OPAQUE:
+            n = _nearest(
+                ray, side, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t, group, enters, lane_t, lane_alpha
+            )  # fmt: skip
             if at + n > len(out_t):
                 out_index, out_weight, out_t = _grown(out_index), _grown(out_weight), _grown(out_t)
-            for i in range(n):
-                weight = before * near_alpha[i]
-                out_index[at], out_t[at], out_weight[at] = np.int32(near[i] & _NUMBER), _distance(near[i]), weight
-                before *= np.float32(1.0) - near_alpha[i]
-                at += 1
-                if before <= opaque:
+            for j in range(n):
+                if before <= _OPAQUE:
                     break
-            if n < NEAREST or before <= opaque:
-                break
-            last = near[n - 1]
-            last_t = _distance(last)
-        if before <= opaque:
-            scale = np.float32(1.0) / (np.float32(1.0) - before)
-            for i in range(first, at):
-                out_weight[i] *= scale
-        count[ray], left[ray] = at - first, before
-    return out_index[:at].copy(), out_weight[:at].copy(), out_t[:at].copy()
+                last = near[j]
+                out_index[at], out_t[at], out_weight[at] = np.int32(last & _NUMBER), _distance(last), before * near_alpha[j]
+                before *= _ONE - near_alpha[j]
+                at += 1
+        if before <= _OPAQUE:
+            for hit in range(first, at):
+                out_weight[hit] /= _ONE - before
+        count[i], left[i] = at - first, before
+    return out_index[:at], out_weight[:at], out_t[:at]
 
 
 @kernel
 def transmittance_range(begin, end, origin, direction, node, child, leaf, depth, through):
     """What passes through along rays begin..end -> through (R,); in any order, and no further than to TRANSMITTANCE_MIN."""
-    stack = np.empty(7 * depth + 8, np.int32)
-    zero, one = splat(np.float32(0.0)), splat(np.float32(1.0))
-    for ray in range(begin, end):
-        o, d, into, out = _ray(origin, direction, ray)
-        side = _sides(direction, ray)
-        left = np.float32(1.0)
-        stack[0], top = 0, 1
+    stack, group, enters = np.empty(_stack_size(depth), np.int32), np.empty(GROUP, np.int64), np.empty(8 * GROUP, np.float32)
+    one = splat(_ONE)
+    for i in range(begin, end):
+        ray, side = _ray(origin, direction, i), _sides(direction, i)
+        o, d, _, _ = ray
+        left, stack[0], top = _ONE, 0, 1
         while top > 0:
-            top -= 1
-            item = stack[top]
-            enter, leave = _boxes(node, item * NODE, side, o, into, out)
-            children = bits(enter <= leave)
+            top, children = _open(stack, top, node, side, ray, _ZERO, _FAR, group, enters)
             while children != 0:
-                below = child[item, first_bit(children)]
-                children &= children - np.uint32(1)
+                lane = first_bit(children)
+                children &= children - np.uint64(1)
+                below = child[group[lane >> 3], lane & 7]
                 if below >= 0:
                     stack[top] = below
                     top += 1
                     continue
-                base = (~below) * LEAF
-                t, square, centre = _planes(leaf, base, o, d)
-                met = square & (t > zero)
+                t, rho, met = _disks(leaf, ~below * LEAF, o, d)
+                met = met & (t > _ZERO)
                 if bits(met) == 0:
                     continue
-                rho = _bell(leaf, base, d, t, centre)
-                met = met & (rho <= load(leaf, base + CUT * 8))
-                if bits(met) == 0:
-                    continue
-                left *= product(select(met, one - _alpha(leaf, base, rho), one))
-                if left <= np.float32(TRANSMITTANCE_MIN):
-                    left, top = np.float32(0.0), 0
+                left *= product(select(met, one - _alpha(leaf, ~below * LEAF, rho), one))
+                if left <= _OPAQUE:
+                    left, top = _ZERO, 0
                     break
-        through[ray] = left
+        through[i] = left

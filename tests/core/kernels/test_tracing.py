@@ -157,7 +157,7 @@ def test_without_sh_colour_is_zero_and_the_rest_the_same():
 
 
 @pytest.mark.parametrize("opacity", [0.01, 0.1, 0.5])
-@pytest.mark.parametrize("n", [NEAREST - 1, NEAREST, NEAREST + 1, 2 * NEAREST, 100])
+@pytest.mark.parametrize("n", [NEAREST - 1, NEAREST, NEAREST + 1, 2 * NEAREST, 3 * NEAREST + 5])
 def test_stacked_disks_come_each_once_and_in_order(n, opacity):
     parameters, order = stack(n, opacity)
     lists = hit_lists(DiskTree.build(*parameters[:4]), *UP)
@@ -170,12 +170,34 @@ def test_stacked_disks_come_each_once_and_in_order(n, opacity):
     assert np.allclose(lists.weight, weight / weight.sum() if opaque else weight, rtol=1e-4)
 
 
-@pytest.mark.parametrize("n", [20, 70])
+@pytest.mark.parametrize("n", [20, 3 * NEAREST])
 def test_disks_at_one_distance_come_by_number(n):
     parameters, _ = stack(n, 0.02)
     parameters[0][2] = torch.where(torch.arange(n) % 2 == 0, 2.0, 1.0)
     lists = hit_lists(DiskTree.build(*parameters[:4]), *UP)
-    assert lists.index.tolist() == [*range(1, n, 2), *range(0, n, 2)]
+    expected = [*range(1, n, 2), *range(0, n, 2)]
+    assert lists.index.tolist() == expected[: len(lists.index)]
+    assert len(lists.index) == min(n, math.ceil(math.log(TRANSMITTANCE_MIN) / math.log(0.98)))
+
+
+def test_faint_disks_in_great_number_are_all_met():
+    _, _, fast, slow = both(cloud(3000, 11, size=0.4, opacity=-4.5), *rays(60, 8))
+    assert (relative(fast, slow) > 1e-4).float().mean() <= 0.02
+    parameters, (origin, direction) = cloud(3000, 11, size=0.4, opacity=-4.5), rays(60, 8)
+    count = np.diff(hit_lists(DiskTree.build(*parameters[:4]), origin, direction).start)
+    assert count.max() > 3 * NEAREST
+
+
+def test_a_tree_as_deep_as_it_gets():
+    n = 90
+    parameters, order = stack(n, 0.03)
+    parameters[0][2] = 1.4 ** (order + 1.0)  # each split of the bins takes few away
+    parameters[2][:] = (0.01 * parameters[0][2]).log()
+    tree = DiskTree.build(*parameters[:4])
+    assert tree.depth > 2  # 90 disks evenly spread need 2
+    lists = hit_lists(tree, *UP)
+    assert order[lists.index].tolist() == list(range(n))
+    assert transmittance(tree, *UP)[0].item() == pytest.approx(0.97**n, rel=1e-4)
 
 
 def test_an_origin_inside_a_disks_bound_sees_it():
