@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What each view says about each texel of the light, weighted, and what it says about its point's albedo at once: one pass over the rows."""
+"""How each view depends on each texel of the light, weighted, and how much of that its point's albedo can take up, in one pass.
+
+As separate operations on matrices of views by texels, memory is the limit.
+"""
 
 from __future__ import annotations
 

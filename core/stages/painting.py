@@ -14,10 +14,9 @@ from ..kernels.reference import sh_basis
 from ..scene.gaussians import Gaussians
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
-from ..shading.brdf import DIELECTRIC_F0
 from ..shading.specular_albedo import diffuse_share
 from .observations import Observations, observe
-from .separation import OUTLIER, Separation
+from .separation import OUTLIER, Separation, encoding_slope, view_terms
 from .tracer import Tracer
 from .transfer import Transfer, trace_transfer
 
@@ -86,10 +85,9 @@ def fitted_albedo(
     point, metal = seen.point, metallic[seen.point][:, None]
     irradiance = (transfer.irradiance @ light + transfer.indirect)[point]
     n_v = (seen.normal[point] * seen.view).sum(1).clamp_min(1e-3)
-    specular = scaled @ light + rest_scaled
-    factor = (1 - metal) * diffuse_share(n_v, roughness[point])[:, None] * irradiance + metal * specular
-    rest = DIELECTRIC_F0 * (1 - metal) * specular + added @ light + rest_added
-    slope = 0.44 / seen.colour.clamp_min(3e-3) ** 0.58
+    share = diffuse_share(n_v, roughness[point])[:, None]
+    factor, rest = view_terms(metal, share, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)
+    slope = encoding_slope(seen.colour)
     trust = torch.ones_like(factor)
     for _ in range(REWEIGHTED):
         weight = trust * slope**2

@@ -55,8 +55,7 @@ class Separation:
         mean = seen.sums(seen.colour) / seen.lengths[:, None]
         self.light = torch.full((2 * transfer.height**2, 3), 2 * float(mean.mean()))
         self.albedo = torch.full_like(mean, 0.5)
-        # Slope of the sRGB curve: errors count as they are seen.
-        self.slope = 0.44 / seen.colour.clamp_min(3e-3) ** 0.58
+        self.slope = encoding_slope(seen.colour)
         self.trust = torch.ones_like(seen.colour)
         self._smoothness = SMOOTHNESS * _laplacian(transfer.height)
         self.n_v = (seen.normal[seen.point] * seen.view).sum(1).clamp_min(1e-3)
@@ -168,13 +167,22 @@ class Separation:
         for j, knot in enumerate(knots):
             share = diffuse_share(self.n_v, knot.expand_as(self.n_v))[:, None]
             for i, metal in enumerate(metals):
-                factor = (1 - metal) * share * irradiance + metal * scaled[:, j]
-                rest = DIELECTRIC_F0 * (1 - metal) * scaled[:, j] + added[:, j]
+                factor, rest = view_terms(metal, share, irradiance, scaled[:, j], added[:, j])
                 fit = seen.sums(weight * factor * (seen.colour - rest)) / seen.sums(weight * factor * factor).clamp_min(1e-9)
                 error = (fit.clamp(0, 1)[seen.point] * factor + rest - seen.colour) * self.slope
                 error = torch.where(seen.saturated & (error > 0), 0.0, error)
                 cost[:, i, j] = seen.sums(torch.log1p((error / OUTLIER) ** 2).sum(1))
         return cost
+
+
+def view_terms(metallic, share, irradiance, scaled, added):
+    """c and d of y = a c + d, (K, 3), from metallic and the coat's share, (K, 1) or scalars, E, S and S', (K, 3)."""
+    return (1 - metallic) * share * irradiance + metallic * scaled, DIELECTRIC_F0 * (1 - metallic) * scaled + added
+
+
+def encoding_slope(colour: torch.Tensor) -> torch.Tensor:
+    """Slope of the sRGB curve at linear colours, about: with it errors count as they are seen."""
+    return 0.44 / colour.clamp_min(3e-3) ** 0.58
 
 
 def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
