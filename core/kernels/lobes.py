@@ -124,6 +124,14 @@ def lobe_sums_range(
                 added[k, j, channel] = total(load(sums, j * 48 + 24 + channel * 8))
 
 
+def _subdivisions(fixed: tuple[np.ndarray, ...], texels: int) -> int:
+    """Directions in each texel; whole vectors of texels, as the kernels don't look where a row ends."""
+    subs, left = divmod(fixed[0].shape[1], texels)
+    if left or texels % 8:
+        raise ValueError(f"{fixed[0].shape[1]} directions are no whole subdivisions of {texels} texels, a multiple of 8")
+    return subs
+
+
 def lobe_rows(
     point: np.ndarray, view: np.ndarray, normal: np.ndarray, alpha: np.ndarray, fixed: tuple[np.ndarray, ...], texels: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -132,12 +140,12 @@ def lobe_rows(
     Args:
         point: (K,) int64. view: (K, 3) unit. normal: (P, 3), alpha: (P,) GGX width.
         fixed: directions (3, D), their solid angles (D,), visible (P, D), indirect (P, 3, D); D = subs x texels. All float32.
-        texels: of the light, a multiple of 8.
+        texels: of the light, a multiple of 8. Raises ValueError where it is none.
 
     Returns:
         The part that F0 scales and the part that Fresnel adds, (K, texels) each, and what both make of the indirect light, (K, 3) each.
     """
-    k, subs = len(point), fixed[0].shape[1] // texels
+    k, subs = len(point), _subdivisions(fixed, texels)
     rows = np.empty((2, k * texels), np.float32)
     rest = np.empty((2, k, 3), np.float32)
     arrays = (point, view, normal, alpha, *(f.reshape(-1) for f in fixed), *rows, *rest)
@@ -153,5 +161,5 @@ def lobe_sums(
     sums = np.empty((2, k, len(alphas), 3), np.float32)
     planes = np.ascontiguousarray(light.T, np.float32).reshape(-1)
     arrays = (point, view, normal, alphas, *(f.reshape(-1) for f in fixed), planes, *sums)
-    run_ranges(lobe_sums_range, even_ranges(k, 4 * thread_count()), texels, fixed[0].shape[1] // texels, *arrays)
+    run_ranges(lobe_sums_range, even_ranges(k, 4 * thread_count()), texels, _subdivisions(fixed, texels), *arrays)
     return sums[0], sums[1]

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The equations' rows against plain numpy."""
+
+import numpy as np
+from irgspp.core.kernels.jacobian import jacobian
+
+TEXELS = 24
+
+
+def test_rows_and_coupling_are_those_of_plain_sums():
+    random = np.random.default_rng(0)
+    lengths = np.array([3, 0, 1, 5, 2])  # a point may have no view at all
+    start, views = np.concatenate([[0], np.cumsum(lengths)]), lengths.sum()
+    point = np.repeat(np.arange(len(lengths)), lengths)
+    root, share, diffuse, metal = random.random((4, views)).astype(np.float32)
+    metal[::2] = 0
+    irradiance = random.random((len(lengths), TEXELS), np.float32)
+    scaled, rest = random.random((2, views, TEXELS), np.float32)
+    rows = np.full((views, TEXELS), np.nan, np.float32)
+    coupling = jacobian(start, root, share, (diffuse, metal), (irradiance, scaled, rest), rows)
+    plain = diffuse[:, None] * irradiance[point] + metal[:, None] * scaled + rest
+    np.testing.assert_allclose(rows, root[:, None] * plain, rtol=1e-6)
+    expected = np.zeros((len(lengths), TEXELS))
+    np.add.at(expected, point, share[:, None] * plain.astype(float))
+    np.testing.assert_allclose(coupling, expected, rtol=1e-6)
+    assert (coupling[1] == 0).all()

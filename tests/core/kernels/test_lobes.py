@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The specular lobe against fixed directions, by the BRDF in float64; both kernels must say the same."""
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.kernels.lobes import lobe_rows, lobe_sums
+from irgspp.core.shading.brdf import specular_lobe
+from irgspp.core.stages.transfer import subdivided_directions
+
+HEIGHT, SIDE, POINTS = 4, 2, 6
+TEXELS = 2 * HEIGHT**2
+ALPHAS = np.float32([0.0025, 0.04, 0.2, 0.5, 1.0, 0.09])  # of the points
+
+
+def unit(rows):
+    return (rows / np.linalg.norm(rows, axis=-1, keepdims=True)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Views of points in random directions, one of them right along a mirrored direction, half-seen texels, indirect light."""
+    random = np.random.default_rng(3)
+    normal = unit(random.normal(size=(POINTS, 3)))
+    point = np.repeat(np.arange(POINTS), 5)
+    view = unit(normal[point] + 0.8 * unit(random.normal(size=(len(point), 3))))
+    direction, angle = subdivided_directions(HEIGHT, SIDE, 0)
+    for k in (0, 5, 25):  # the sharpest lobe must be hit, or float32 proves nothing
+        n, d = normal[point[k]], direction.T[np.argmax(direction.T @ normal[point[k]])]
+        view[k] = 2 * (n @ d) * n - d
+    visible = random.random((POINTS, len(angle)), np.float32)
+    indirect = random.random((POINTS, 3, len(angle)), np.float32)
+    return point, view, normal, (direction, angle, visible, indirect)
+
+
+def reference(point, view, normal, alpha, fixed):
+    """Both parts per direction (K, D), float64, weighted by cosine and solid angle."""
+    direction, angle = (torch.from_numpy(a).double() for a in fixed[:2])
+    view, normal, alpha = (torch.from_numpy(a).double() for a in (view, normal[point], alpha))
+    n_l, value, power = specular_lobe(view, normal, alpha, direction.T.expand(len(point), -1, -1))
+    value = (value * n_l.clamp_min(0) * angle).numpy()
+    return value * (1 - power.numpy()), value * power.numpy()
+
+
+def close(actual, expected):
+    """Within what float32 keeps of the largest of a row."""
+    assert np.abs(actual - expected).max() < 2e-5 * np.abs(expected).max()
+    assert np.abs(actual - expected).sum() < 2e-6 * np.abs(expected).sum()
+
+
+def test_rows_are_the_brdf_summed_over_each_texel(scene):
+    point, view, normal, fixed = scene
+    scaled, added, rest_scaled, rest_added = lobe_rows(point, view, normal, ALPHAS, fixed, TEXELS)
+    parts = reference(point, view, normal, ALPHAS[point], fixed)
+    for row, rest, part in zip((scaled, added), (rest_scaled, rest_added), parts, strict=True):
+        close(row, (part * fixed[2][point]).reshape(len(point), SIDE**2, TEXELS).sum(1))
+        close(rest, np.einsum("kd,kcd->kc", part, fixed[3][point]))
+    assert scaled.max() > 0.1  # of a mirror's row
+
+
+@pytest.mark.parametrize("lit", ["light", "indirect light"])
+def test_sums_for_several_widths_are_the_brdf_under_a_light(scene, lit):
+    point, view, normal, (direction, angle, visible, indirect) = scene
+    visible, indirect = (visible, 0 * indirect) if lit == "light" else (0 * visible, indirect)
+    light = np.random.default_rng(5).random((TEXELS, 3)).astype(np.float32)
+    scaled, added = lobe_sums(point, view, normal, ALPHAS, (direction, angle, visible, indirect), light)
+    incoming = visible[:, None] * np.tile(light.T, SIDE**2) + indirect
+    for j, alpha in enumerate(ALPHAS):
+        parts = reference(point, view, normal, np.full(len(point), alpha), (direction, angle))
+        for actual, part in zip((scaled[:, j], added[:, j]), parts, strict=True):
+            close(actual, np.einsum("kd,kcd->kc", part, incoming[point]))
+
+
+def test_rows_times_light_are_the_sums(scene):
+    point, view, normal, fixed = scene
+    light = np.random.default_rng(6).random((TEXELS, 3)).astype(np.float32)
+    rows = lobe_rows(point, view, normal, ALPHAS, fixed, TEXELS)
+    sums = lobe_sums(point, view, normal, ALPHAS, fixed, light)
+    for row, rest, total in zip(rows[:2], rows[2:], sums, strict=True):
+        own = total[np.arange(len(point)), point]  # point p has width p
+        np.testing.assert_allclose(row @ light + rest, own, rtol=2e-5, atol=1e-7)
+
+
+def test_a_row_of_light_below_the_horizon_is_empty(scene):
+    point, view, normal, fixed = scene
+    below = (fixed[0].T @ normal.T < 0).reshape(SIDE**2, TEXELS, POINTS).all(0).T
+    rows = lobe_rows(point, view, normal, ALPHAS, fixed, TEXELS)
+    assert below[point].any()
+    for row in rows[:2]:
+        assert (row[below[point]] == 0).all() and (row >= 0).all()
+
+
+def test_each_view_stands_for_itself(scene):
+    point, view, normal, fixed = scene
+    whole = lobe_rows(point, view, normal, ALPHAS, fixed, TEXELS)
+    some = np.array([28, 3, 11])
+    for all_of_it, part in zip(whole, lobe_rows(point[some], view[some], normal, ALPHAS, fixed, TEXELS), strict=True):
+        assert np.array_equal(all_of_it[some], part)
+    assert lobe_rows(point[:0], view[:0], normal, ALPHAS, fixed, TEXELS)[0].shape == (0, TEXELS)
+
+
+def test_light_that_is_no_whole_vectors_is_refused(scene):
+    point, view, normal, fixed = scene
+    with pytest.raises(ValueError, match="multiple of 8"):
+        lobe_rows(point, view, normal, ALPHAS, fixed, 50)
+    with pytest.raises(ValueError, match="multiple of 8"):
+        lobe_sums(point, view, normal, ALPHAS, fixed, np.ones((24, 3), np.float32))
