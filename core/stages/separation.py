@@ -13,6 +13,8 @@ go bit by bit, towards few colours; started from the radiance itself it would ke
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from scipy.spatial import KDTree
@@ -21,6 +23,7 @@ from ..colour import encode_srgb
 from ..kernels.jacobian import jacobian
 from ..shading.brdf import DIELECTRIC_F0
 from ..shading.specular_albedo import diffuse_share
+from .finite import require_finite
 from .observations import Observations
 from .transfer import Transfer
 
@@ -64,13 +67,19 @@ class Separation:
         self._neighbours, self._likeness = neighbourhood(seen.position, mean)
         self._trace_lobes()
 
-    def run(self, step=lambda done: None) -> None:
-        """All steps; `step` is told how many are done and may raise."""
+    def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
+        """All steps; `step` is told how many are done, may raise, and ends them early by True.
+
+        Raises IrgsppError where an unknown is not finite any more.
+        """
         for done in range(STEPS):
             if done in MATERIAL_STEPS:
                 self._search_materials()
             self._step(done)
-            step(done + 1)
+            unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
+            require_finite(unknowns, f"after step {done + 1} of the second stage")
+            if step(done + 1):
+                break
 
     def error(self) -> float:
         """Median of the encoded difference between model and photographs."""

@@ -23,7 +23,7 @@ class Tracer:
     def __init__(self, reconstruction: Reconstruction) -> None:
         g = reconstruction.gaussians
         with torch.no_grad():
-            self._geometry = tuple(t.detach() for t in (g.position, g.quaternion, g.log_scale, g.opacity))
+            self._geometry = g.position.detach(), g.quaternion.detach(), g.log_scale.detach(), g.opacity.detach()
             self._sh, mirrored = g.sh.detach(), reconstruction.mirrored()
             self._materials = torch.zeros(0, g.count) if mirrored is None else mirrored.material
             self._stack = None if mirrored is None else specular_light(mirrored.environment)

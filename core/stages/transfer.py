@@ -7,6 +7,7 @@ With it the picture is linear in the light, and no estimate: light, albedo and g
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,21 +68,32 @@ class Transfer:
 
 
 def trace_transfer(
-    position: torch.Tensor, normal: torch.Tensor, tracer: Tracer, height: int, side: int, seed: int, indirect: bool
+    position: torch.Tensor,
+    normal: torch.Tensor,
+    tracer: Tracer,
+    height: int,
+    side: int,
+    seed: int,
+    indirect: bool,
+    step: Callable[[int], object] = lambda done: None,
 ) -> Transfer:
-    """Trace the hemispheres of P points; `indirect` False leaves out what the object reflects onto itself (it still casts shadows)."""
+    """Trace the hemispheres of P points; `indirect` False leaves out what the object reflects onto itself (it still casts shadows).
+
+    `step` is told how many points are done and may raise.
+    """
     direction, angle = subdivided_directions(height, side, seed)
     points, count = len(position), direction.shape[1]
     visible, other = np.zeros((points, count), np.float32), np.zeros((points, 3, count), np.float32)
     toward, origin = torch.from_numpy(direction), tracer.above(position, normal)
     cosine = (normal @ toward).clamp_min(0)
-    step = max(1, 2 * RAYS // count)
-    for begin in range(0, points, step):
-        p, d = torch.nonzero(cosine[begin : begin + step] > 0, as_tuple=True)
+    batch = max(1, 2 * RAYS // count)
+    for begin in range(0, points, batch):
+        p, d = torch.nonzero(cosine[begin : begin + batch] > 0, as_tuple=True)
         free, radiance = tracer.look(origin[begin + p], toward.T[d].contiguous())
         visible[begin + p, d] = free.numpy()
         if indirect:
             other[begin + p, :, d] = radiance.numpy()
+        step(min(begin + batch, points))
     weight = cosine.numpy() * angle / np.float32(math.pi)
     subs, texels = side * side, 2 * height * height
     rows = (weight * visible).reshape(points, subs, texels).sum(1)

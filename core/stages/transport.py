@@ -13,6 +13,7 @@ from ..errors import Cancelled, IrgsppError
 from ..progress import Progress
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
+from .finite import require_finite
 from .observations import observe
 from .painting import paint
 from .separation import STEPS, Separation
@@ -20,6 +21,7 @@ from .tracer import Tracer
 from .transfer import trace_transfer
 
 LEAST_POINTS = 50  # fewer say nothing about a light
+SIDE = 2  # rays through each texel of the light, along a side
 
 
 def solve_transport(
@@ -31,13 +33,14 @@ def solve_transport(
         Cancelled: the user stopped the work. IrgsppError: too little of the surface is seen, or something is not finite.
     """
     separation, tracer = separated(reconstruction, surface, dataset, settings, progress)
-    progress.phase("materials of the Gaussians", 100)
-    materials = paint(reconstruction, surface, dataset.train, tracer, separation, settings.seed, _watch(progress, 100))
+    progress.phase("paint", 100)
+    watch = (settings.seed, lambda share: _step(progress, int(100 * share)))
+    materials = paint(reconstruction, surface, dataset.train, tracer, separation, *watch)
     light = separation.light.T.reshape(1, 3, separation.transfer.height, -1)
     height = max(settings.transport.light_height, separation.transfer.height)
     enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")
-    result = reconstruction.relabelled(torch.logit(materials), enlarged[0].permute(1, 2, 0).contiguous())
-    return result
+    require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
+    return reconstruction.relabelled(torch.logit(materials), enlarged[0].permute(1, 2, 0).contiguous())
 
 
 def separated(
@@ -52,21 +55,21 @@ def separated(
         raise IrgsppError(
             f"only {len(seen.position)} points of the surface are seen by three photographs: materials can't be told from light"
         )
-    transfer = trace_transfer(seen.position, seen.normal, tracer, transport.rows, 2, settings.seed, transport.indirect)
+    progress.phase("trace", len(seen.position))
+    how = (transport.rows, SIDE, settings.seed, transport.indirect)
+    transfer = trace_transfer(seen.position, seen.normal, tracer, *how, lambda done: _step(progress, done))
+    require_finite({"what shines on the surface": transfer.indirect, "a photograph": seen.colour}, "before the second stage")
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.numpy()).query(seen.position.numpy())
     start = g.materials()[3:, torch.from_numpy(np.asarray(nearest))]
     separation = Separation(seen, transfer, start[0], (start[1] > 0.5).float(), settings.seed)
     progress.phase("transport", STEPS)
-    separation.run(_watch(progress, 1))
+    separation.run(lambda done: _step(progress, done) or progress.finish_early)
     progress.message(f"light and materials explain the photographs to {separation.error():.4f} (median difference, encoded)")
     return separation, tracer
 
 
-def _watch(progress: Progress, scale: int):
-    def step(done: float) -> None:
-        progress.step(int(done * scale))
-        if progress.cancelled:
-            raise Cancelled("stopped in the second stage")
-
-    return step
+def _step(progress: Progress, done: int) -> None:
+    progress.step(done)
+    if progress.cancelled:
+        raise Cancelled("stopped in the second stage")

@@ -2,7 +2,7 @@
 """Analytic objects seen by cameras all around: the truth is known everywhere."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -92,3 +92,26 @@ def camera_ring(camera_ring) -> Callable[..., list[Camera]]:
 @pytest.fixture(scope="session")
 def true_colour() -> Callable[[np.ndarray], np.ndarray]:
     return colour_of
+
+
+@dataclass
+class Recorder:
+    """Remembers what it was told."""
+
+    cancelled: bool = False
+    finish_early: bool = False
+    told: list[tuple] = field(default_factory=list)
+
+    def phase(self, name, steps):
+        self.told.append((name, steps))
+
+    def step(self, done, **figures):
+        self.told.append((done,))
+
+    def message(self, text):
+        pass
+
+
+@pytest.fixture(scope="session")
+def recorder() -> type[Recorder]:
+    return Recorder

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a surface to a textured mesh, on solids known analytically."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from irgspp.core.colour import decode_srgb
+from irgspp.core.config import SurfaceSettings
+from irgspp.core.errors import Cancelled
+from irgspp.core.progress import Silent
+from irgspp.core.surface.geometry import extract_geometry
+from irgspp.core.surface.texturing import textured_mesh
+
+SETTINGS = SurfaceSettings(voxels=64, triangles=8000, texture=256)
+
+
+@pytest.fixture(scope="module", params=["sphere", "torus"])
+def made(request, solids, camera_ring, bound):
+    """Solid, surface and mesh."""
+    solid = solids[request.param]
+    views = [solid.view(camera, 0.001, i) for i, camera in enumerate(camera_ring(40))]
+    surface = extract_geometry(views, solid.samples(), bound, SETTINGS, Silent())
+    return solid, surface, textured_mesh(surface, views, solid.samples(), SETTINGS, Silent())
+
+
+@pytest.fixture(scope="module")
+def few(solids, camera_ring, bound):
+    """A small surface with the views and samples it was made from."""
+    solid = solids["sphere"]
+    views = [solid.view(camera, seed=i) for i, camera in enumerate(camera_ring(12, size=48))]
+    return extract_geometry(views, solid.samples(), bound, replace(SETTINGS, voxels=24), Silent()), views, solid.samples()
+
+
+def test_the_mesh_is_the_surface_cut_open(made):
+    _, surface, mesh = made
+    corners = surface.vertices[surface.faces].astype(np.float32)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], corners)
+
+
+def test_vertex_normals_are_those_of_the_solid(made):
+    solid, _, mesh = made
+    cosine = (solid.gradient(mesh.vertices.astype(np.float64)) * mesh.normals).sum(-1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 1
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=-1), 1, atol=1e-5)
+
+
+def test_both_sides_of_a_seam_are_equal(made):
+    _, _, mesh = made
+    _, index, count = np.unique(mesh.vertices, axis=0, return_inverse=True, return_counts=True)
+    index = index.reshape(-1)
+    assert (count > 1).any()  # there are seams
+    rows = np.concatenate([mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None]], -1)
+    first = np.zeros((len(count), rows.shape[1]), np.float32)
+    first[index] = rows
+    np.testing.assert_array_equal(first[index], rows)
+
+
+def test_vertex_materials_are_those_of_the_solid(made, true_colour):
+    _, _, mesh = made
+    colour = true_colour(mesh.vertices)
+    assert np.abs(mesh.albedo - colour).mean() < 0.01
+    assert np.abs(mesh.roughness - colour[:, 1]).mean() < 0.01
+    assert np.abs(mesh.metallic - colour[:, 2]).mean() < 0.01
+
+
+def test_textures_show_the_solid_where_the_uvs_say(made, true_colour):
+    """Looked up at the triangles' centres as a renderer would: v = 0 at the bottom row."""
+    _, _, mesh = made
+    size = SETTINGS.texture
+    centre, uv = mesh.vertices[mesh.faces].mean(1), mesh.uvs[mesh.faces].mean(1)
+    column, row = (uv[:, 0] * size).astype(int), ((1 - uv[:, 1]) * size).astype(int)
+    albedo = decode_srgb(mesh.textures["albedo"][row, column] / 255.0)
+    assert np.abs(albedo - true_colour(centre)).mean() < 0.02
+    assert np.abs(mesh.textures["roughness"][row, column] / 255.0 - true_colour(centre)[:, 1]).mean() < 0.02
+    assert mesh.textures["metallic"].shape == (size, size) and mesh.textures["albedo"].shape == (size, size, 3)
+    assert all(texture.dtype == np.uint8 for texture in mesh.textures.values())
+
+
+def test_normal_texture_of_a_smooth_solid_is_nearly_flat(made):
+    _, _, mesh = made
+    normal = mesh.textures["normal"] / 127.5 - 1
+    assert np.median(np.degrees(np.arccos(np.clip(normal[..., 2], -1, 1)))) < 2
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=0.02)
+
+
+def test_progress_tells_both_phases_and_every_step(few, recorder):
+    told = recorder()
+    textured_mesh(*few, replace(SETTINGS, texture=64), told)
+    assert told.told == [("unwrap", 1), (1,), ("bake", 24), *((i,) for i in range(1, 25))]
+
+
+def test_cancelling_stops(few, recorder):
+    told = recorder(cancelled=True)
+    with pytest.raises(Cancelled):
+        textured_mesh(*few, replace(SETTINGS, texture=64), told)
+    assert told.told == [("unwrap", 1), (1,)]
