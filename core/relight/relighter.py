@@ -39,7 +39,7 @@ class RelightSettings:
         sampling: "mis", or "stratified" for comparison.
         denoise: "demodulated", "paper" or "off".
         indirect: light that other parts of the object reflect; without it they only cast shadows.
-        conserving: the diffuse lobe gets what the specular one leaves (Blender's Principled) instead of all (the paper).
+        conserving: the diffuse lobe gets what the specular one leaves (Blender's Principled); False: all (the paper).
         mesh_normals: how much of the shading normals is the mesh's, 0..1, where a mesh is known.
         albedo_scale: per channel, for all albedo; under an unknown light its brightness can't be known.
     """

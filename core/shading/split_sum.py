@@ -77,11 +77,11 @@ def shade(
     metallic: torch.Tensor,
     diffuse: torch.Tensor,
     stack: torch.Tensor,
-    conserving: bool = False,
+    conserving: bool = True,
 ) -> torch.Tensor:
     """Radiance under a distant light without visibility, (P, 3): (1 - m) a E(n) + specular; `diffuse` from `diffuse_light`.
 
-    `conserving` takes from the diffuse lobe what the specular one reflects, as Blender's Principled does.
+    `conserving` takes from the diffuse lobe what the specular one reflects, as Blender's Principled does; the paper does not.
     """
     body = (1 - metallic[:, None]) * albedo * lookup(diffuse, normal)
     if conserving:

@@ -21,14 +21,14 @@ def reflect_light(
     metallic: torch.Tensor,
     samples: Samples,
     incoming: torch.Tensor,
-    conserving: bool = False,
+    conserving: bool = True,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Monte Carlo estimate of the light that P points send to the eye.
 
     Args:
         view: (P, 3) unit, towards the eye. normal: (P, 3) unit. albedo: (P, 3); roughness, metallic: (P,), all in 0..1.
         samples: from `draw`, constants. incoming: (P, N, 3) linear radiance along them.
-        conserving: take from the diffuse lobe what the specular one reflects, as Blender's Principled does.
+        conserving: take from the diffuse lobe what the specular one reflects, as Blender's Principled does; the paper does not.
 
     Returns:
         Diffuse and specular (P, 3) linear: mean of f L cos / q. Differentiable in materials, normal, view and incoming.

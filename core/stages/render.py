@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A reconstruction seen by a camera: its layers, and its shading under any light."""
+"""A reconstruction seen by a camera: its layers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from ..datasets.camera import Camera
 from ..kernels.rasterize import EXTRA, rasterize
 from ..scene.buffers import ViewBuffers
 from ..scene.reconstruction import Reconstruction
-from ..shading.split_sum import diffuse_light, shade, specular_light
-from .deferred import ALPHA_FLOOR, background_radiance, radiance, surface_pixels
+from .deferred import ALPHA_FLOOR, background_radiance, radiance
 
 LIGHT_HEIGHT = 64  # rows a light map is reduced to before it is prefiltered
 
@@ -52,19 +51,3 @@ def reduced(environment: np.ndarray, height: int = LIGHT_HEIGHT) -> torch.Tensor
     if light.shape[2] > height:
         light = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="area")
     return light[0].permute(1, 2, 0).contiguous()
-
-
-def shade_view(reconstruction: Reconstruction, camera: Camera, environment: np.ndarray | None) -> np.ndarray:
-    """The object under a light, (H, W, 4) float32 linear premultiplied RGBA.
-
-    Deferred split-sum: no shadows and no inter-reflections. environment: (H, W, 3) linear lat-long; None is the recovered light.
-    """
-    picture, rays = rasterize_view(reconstruction, camera)
-    light = reduced(reconstruction.environment_map() if environment is None else environment)
-    with torch.no_grad():
-        p = surface_pixels(picture, rays, ALPHA_FLOOR)
-        colour = shade(p.view, p.normal, p.albedo, p.roughness, p.metallic, diffuse_light(light), specular_light(light))
-        rgba = torch.zeros(4, picture[-1].numel())
-        rgba[:3, p.index] = colour.T * p.alpha
-        rgba[3] = picture[-1].flatten()
-    return rgba.T.reshape(camera.height, camera.width, 4).numpy()

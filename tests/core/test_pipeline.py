@@ -2,6 +2,7 @@
 """The order of the main job, what it leaves after every kind of end, and what a resumed one does again (stages replaced by quick ones)."""
 
 import json
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.rendered_views import RenderedViews
 from irgspp.core.run_folder import read_run
+from irgspp.core.scene.surface import Surface
 
 
 def camera(width=4, height=4):
@@ -27,6 +29,25 @@ def small_dataset(path, settings, progress):
     return Dataset(path, "transforms", [view] * 3, [], Bound((0, 0, 0), 1.0), np.eye(4), warnings=["b.png: truncated, left out"])
 
 
+TRIANGLE = Surface(np.eye(3) / 3, np.eye(3), np.array([[0, 1, 2]]), 0.1)
+
+
+class Result:
+    """Stands for a reconstruction: what is in its file says which stage it is of."""
+
+    bound = Bound((0, 0, 0), 1.0)
+
+    def __init__(self, stage):
+        self.stage = stage
+
+    def save(self, folder):
+        folder.mkdir(exist_ok=True)
+        (folder / "gaussians.ply").write_text(self.stage)
+
+    def surface_samples(self):
+        return self.stage
+
+
 class Stages:
     """Stand-ins for the stages: note that they ran, write a file; `stop` names one that is interrupted, `fail` one that breaks."""
 
@@ -34,13 +55,16 @@ class Stages:
         self.ran, self.stop, self.fail = [], None, None
         monkeypatch.setattr(pipeline, "load_dataset", small_dataset)
         monkeypatch.setattr(pipeline, "train", self.train)
-        monkeypatch.setattr(pipeline, "extract_surface", self.extract)
-        monkeypatch.setattr(pipeline.Reconstruction, "load", staticmethod(lambda folder: self.reconstruction(folder)))
+        monkeypatch.setattr(pipeline, "extract_geometry", self.extract)
+        monkeypatch.setattr(pipeline, "solve_transport", self.transport)
+        monkeypatch.setattr(pipeline, "textured_mesh", self.texture)
+        monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
+        monkeypatch.setattr(pipeline.Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
         monkeypatch.setattr(pipeline, "save_mesh_ply", lambda mesh, path: path.write_text("mesh"))
         monkeypatch.setattr(pipeline, "save_glb", lambda mesh, path: path.write_text("glb"))
         monkeypatch.setattr(pipeline, "save_textures", lambda textures, folder: folder.mkdir(exist_ok=True))
         monkeypatch.setattr(pipeline, "write_blend", self.blend)
-        monkeypatch.setattr(pipeline, "contact_sheet", lambda *args, **kwargs: self.note("contact sheet"))
+        monkeypatch.setattr(pipeline, "contact_sheet", self.sheet)
 
     def note(self, name):
         self.ran.append(name)
@@ -56,26 +80,37 @@ class Stages:
         checkpoint.save("reflective", {"step": 1})
         self.note("train" if begun is None else "train again")
         progress.step(2, loss=0.25, psnr=30.0)
-        return self.reconstruction(None)
-
-    def reconstruction(self, folder):
-        class Result:
-            bound = Bound((0, 0, 0), 1.0)
-
-            def save(self, folder):
-                (folder / "gaussians.ply").write_text("gaussians")
-
-            def surface_samples(self):
-                return None
-
-        assert folder is None or (folder / "gaussians.ply").exists()
-        return Result()
+        return Result("first")
 
     def extract(self, views, samples, bound, settings, progress, masks):
         assert len(views) == 3
+        assert samples == "first"
         assert masks is None  # the pictures have no alpha
+        self.note("geometry")
+        return TRIANGLE
+
+    def transport(self, first, surface, dataset, settings, progress):
+        assert first.stage == "first"
+        self.given(surface)
+        self.note("transport")
+        return Result("second")
+
+    def texture(self, surface, views, samples, settings, progress):
+        assert samples == "second"
+        assert len(views) == 3
+        self.given(surface)
         self.note("surface")
         return SimpleNamespace(textures={})
+
+    def sheet(self, dataset, relighter, path, progress):
+        assert relighter == "second"
+        self.note("contact sheet")
+
+    def given(self, surface):
+        """The very numbers of TRIANGLE."""
+        for name in ("vertices", "normals", "faces"):
+            np.testing.assert_array_equal(getattr(surface, name), getattr(TRIANGLE, name), strict=True)
+        assert surface.voxel == TRIANGLE.voxel
 
     def blend(self, run, target, material, progress):
         assert (run / "mesh.ply").exists()
@@ -89,7 +124,7 @@ def stages(monkeypatch):
     return Stages(monkeypatch)
 
 
-ALL = ["train", "surface", "scene", "contact sheet"]
+ALL = ["train", "geometry", "transport", "surface", "scene", "contact sheet"]
 
 
 def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
@@ -97,7 +132,7 @@ def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
     assert stages.ran == ALL
     state = read_run(run)
     assert state["status"] == "done"
-    assert list(state["phases"]) == ["read", "reflective", "surface", "scene", "contact sheet"]
+    assert list(state["phases"]) == ["read", "reflective", *ALL[1:]]
     assert all(phase["finished"] and phase["peak_memory"] > 0 for phase in state["phases"].values())
     assert state["training"] == {"loss": 0.25, "psnr": 30.0}
     assert "b.png" in (run / "log.txt").read_text()
@@ -105,7 +140,7 @@ def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
     assert {json.loads(line).get("phase") for line in (run / "events.jsonl").read_text().splitlines()} >= {"first stage"}
 
 
-@pytest.mark.parametrize(("stop", "again"), [("train", ["train again", *ALL[1:]]), ("surface", ALL[1:]), ("contact sheet", ALL[3:])])
+@pytest.mark.parametrize(("stop", "again"), [("train", ["train again", *ALL[1:]]), *((ALL[i], ALL[i:]) for i in range(1, len(ALL)))])
 def test_cancelled_run_goes_on_where_it_was(tmp_path, stages, stop, again):
     stages.stop = stop
     with pytest.raises(Cancelled):
@@ -115,6 +150,35 @@ def test_cancelled_run_goes_on_where_it_was(tmp_path, stages, stop, again):
     pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)
     assert stages.ran == again
     assert read_run(tmp_path / "run")["status"] == "done"
+
+
+def test_stop_among_the_files_of_the_second_stage_leaves_those_of_the_first(tmp_path, stages, monkeypatch):
+    """The new file is there, the others are not yet: what the second stage starts from must not be that file."""
+    save = Result.save
+
+    def killed(self, folder):
+        save(self, folder)
+        if self.stage == "second":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Result, "save", killed)
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
+    assert (tmp_path / "run" / "gaussians.ply").read_text() == "second"
+    assert not read_run(tmp_path / "run")["phases"]["transport"]["finished"]
+    monkeypatch.setattr(Result, "save", save)
+    stages.ran[:] = []
+    pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)  # the stand-in looks at what it is given
+    assert stages.ran == ALL[2:]
+
+
+def test_checkpoint_that_is_gone_is_one_clear_line(tmp_path, stages):
+    stages.stop = "transport"
+    with pytest.raises(Cancelled):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
+    os.unlink(tmp_path / "run" / "checkpoint" / "geometry.pt")
+    with pytest.raises(InputError, match=r"geometry\.pt.*--overwrite"):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)
 
 
 def test_failure_is_recorded(tmp_path, stages):

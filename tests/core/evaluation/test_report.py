@@ -34,10 +34,6 @@ def known(demo, monkeypatch):
         (match,) = [p for v, p in zip(dataset.test, predictions, strict=True) if np.allclose(v.camera.to_world, camera.to_world)]
         return match
 
-    def shade(reconstruction, camera, light):
-        names = [name for name, truth in scene.lights.items() if light is not None and np.array_equal(light, truth)]
-        return at(camera).relit[names[0]] if names else at(camera).shaded
-
     class KnowingRelighter:
         """Darker by a third where nobody asked for the albedo scale of 1."""
 
@@ -58,11 +54,10 @@ def known(demo, monkeypatch):
 
     for module in (report, sheet):
         monkeypatch.setattr(module, "render_view", lambda reconstruction, camera: at(camera).buffers)
-    monkeypatch.setattr(sheet, "shade_view", shade)
     monkeypatch.setattr(report, "open_relighter", lambda *_: KnowingRelighter())
     known = Known(scene.lights["sky"])
     monkeypatch.setattr(report.Reconstruction, "load", lambda run: known)
-    return known
+    return KnowingRelighter()
 
 
 def test_report_of_a_perfect_run(demo, known, tmp_path):
@@ -111,18 +106,27 @@ def test_report_that_can_not_be_written(demo, known, tmp_path):
 
 
 def test_contact_sheet_shows_each_view_under_each_heading(demo, known, tmp_path):
-    sheet.contact_sheet(demo[1], known, tmp_path / "sheet.png", rows=3)
+    sheet.contact_sheet(demo[1], known, tmp_path / "sheet.png", Silent(), rows=3)
     with Image.open(tmp_path / "sheet.png") as picture:
         pixels = np.asarray(picture.convert("RGB"), float) / 255
     pitch = sheet.TILE + sheet.GAP
     assert pixels.shape == (sheet.HEADER + 3 * pitch, sheet.GAP + len(sheet.COLUMNS) * pitch, 3)
-    tiles = [[pixels[sheet.HEADER + r * pitch :, sheet.GAP + c * pitch :][: sheet.TILE, : sheet.TILE] for c in range(8)] for r in range(3)]
+    tiles = [[pixels[sheet.HEADER + r * pitch :, sheet.GAP + c * pitch :][: sheet.TILE, : sheet.TILE] for c in range(9)] for r in range(3)]
     for row in tiles:
         assert np.abs(row[0] - row[1]).mean() < 0.01  # photograph and a perfect reconstruction of it
-        assert np.abs(row[0] - row[2]).mean() > 0.02
-        assert np.array_equal(row[3][..., 0], row[3][..., 2])  # roughness is grey
+        assert np.abs(row[0] - row[2]).mean() < 0.01  # and its materials under its light
+        assert np.abs(row[0] - row[3]).mean() > 0.02
+        assert np.array_equal(row[4][..., 0], row[4][..., 2])  # roughness is grey
     assert np.abs(tiles[0][0] - tiles[1][0]).mean() > 0.02
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
+
+
+def test_cancelling_leaves_no_contact_sheet(demo, known, tmp_path):
+    progress = Silent()
+    progress.cancelled = True
+    with pytest.raises(Cancelled):
+        sheet.contact_sheet(demo[1], known, tmp_path / "sheet.png", progress)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("width", "height"), [(64, 64), (1600, 900), (900, 1600), (300, 3000), (5, 3)])

@@ -9,7 +9,7 @@ import torch
 from irgspp.core.datasets.dataset import Bound
 from irgspp.core.errors import InputError
 from irgspp.core.scene.gaussians import Gaussians
-from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.reconstruction import Reconstruction, Reflections
 
 
 def make(background=False, glossy=True):
@@ -65,3 +65,64 @@ def test_unusable_description_is_refused(tmp_path, change):
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(InputError, match=r"reconstruction\.json"):
         Reconstruction.load(tmp_path)
+
+
+def relabelled():
+    given = make()
+    return given, given.relabelled(torch.randn(5, 20, generator=torch.Generator().manual_seed(1)), torch.rand(4, 8, 3))
+
+
+def test_relabelled_keeps_what_the_radiance_reflects(tmp_path):
+    given, new = relabelled()
+    assert new.gaussians.sh is given.gaussians.sh and new.gaussians.material is not given.gaussians.material
+    again = new.relabelled(given.gaussians.material, given.environment)
+    again.save(tmp_path)
+    loaded = Reconstruction.load(tmp_path)
+    for one in (new, again, loaded):
+        mirrored = one.mirrored()
+        assert torch.equal(mirrored.material, given.gaussians.materials())
+        assert torch.equal(mirrored.environment, given.environment)
+    assert not [p for p in tmp_path.iterdir() if ".part" in p.name]
+
+
+def test_nothing_is_reflected_where_the_sh_hold_all_radiance():
+    given = make(glossy=False)
+    new = given.relabelled(given.gaussians.material + 1, given.environment)
+    assert given.mirrored() is None and new.mirrored() is None and new.reflections is None
+
+
+def save_arrays(path, material, environment, **more):
+    np.savez(path, material=material, environment=environment, **more)
+
+
+GOOD = np.full((5, 20), 0.5, np.float32), np.ones((4, 8, 3), np.float32)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda path: path.unlink(),
+        lambda path: path.write_bytes(path.read_bytes()[:100]),
+        lambda path: path.write_bytes(b""),
+        lambda path: np.savez(path, material=GOOD[0]),
+        lambda path: save_arrays(path, GOOD[0][:, :19], GOOD[1]),
+        lambda path: save_arrays(path, GOOD[0] * np.nan, GOOD[1]),
+        lambda path: save_arrays(path, GOOD[0] * 3, GOOD[1]),
+        lambda path: save_arrays(path, GOOD[0], -GOOD[1]),
+        lambda path: save_arrays(path, GOOD[0], GOOD[1] * np.inf),
+        lambda path: save_arrays(path, GOOD[0], GOOD[1][0]),
+        lambda path: save_arrays(path, GOOD[0], np.array([{}], object)),  # would have to be unpickled
+    ],
+)
+def test_unusable_reflections_are_refused(tmp_path, harm):
+    relabelled()[1].save(tmp_path)
+    harm(tmp_path / "reflections.npz")
+    with pytest.raises(InputError, match=r"reflections\.npz"):
+        Reconstruction.load(tmp_path)
+
+
+def test_reflections_come_back(tmp_path):
+    path = tmp_path / "reflections.npz"
+    Reflections(torch.from_numpy(GOOD[0]), torch.from_numpy(GOOD[1])).save(path)
+    loaded = Reflections.load(path, 20)
+    assert np.array_equal(loaded.material, GOOD[0]) and np.array_equal(loaded.environment, GOOD[1])

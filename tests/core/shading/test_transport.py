@@ -46,7 +46,7 @@ def view_at(degrees, name="soft"):
     return math.cos(angle) * NORMAL + math.sin(angle) * across
 
 
-def estimates(light, view, roughness, counts=MIS, points=6000, method="mis", albedo=ALBEDO, metallic=METALLIC, **options):
+def estimates(light, view, roughness, counts=MIS, points=6000, method="mis", albedo=ALBEDO, metallic=METALLIC, conserving=False):
     """Diffuse and specular (points, 3) of independent estimates at like points."""
     single = torch.float32
     view, normal = (t.to(single).expand(points, 3) for t in (view, NORMAL))
@@ -54,7 +54,7 @@ def estimates(light, view, roughness, counts=MIS, points=6000, method="mis", alb
     samples = draw(view, normal, rough, counts, LightDistribution(light), torch.Generator().manual_seed(1), method)
     incoming = lookup(light, samples.direction.reshape(-1, 3)).view_as(samples.direction)
     materials = (torch.tensor(albedo).expand(points, 3), rough, torch.full((points,), metallic))
-    return tuple(t.double() for t in reflect_light(view, normal, *materials, samples, incoming, **options))
+    return tuple(t.double() for t in reflect_light(view, normal, *materials, samples, incoming, conserving))
 
 
 def textbook(light, view, direction, roughness):

@@ -120,7 +120,7 @@ def monte_carlo(tracer, position, view, normal, albedo, roughness, metallic, lig
     u, v = direction_to_uv(direction)
     texel = (v * HEIGHT).long().clamp_max(HEIGHT - 1) * 2 * HEIGHT + (u * 2 * HEIGHT).long().clamp_max(2 * HEIGHT - 1)
     incoming = (light[texel] * free[:, None] + own).view_as(samples.direction)
-    parts = reflect_light(many[1], many[2], *many[3:], samples, incoming)
+    parts = reflect_light(many[1], many[2], *many[3:], samples, incoming, conserving=False)
     return [part.view(3, 64, 3).mean(1) for part in parts]
 
 
