@@ -154,15 +154,17 @@ def _unary(name):
     return function
 
 
-def _binary(name):
+def _choice(sign):
     @intrinsic
     def function(typing, left, right):
-        return f32x8(f32x8, f32x8), lambda context, builder, sig, args: _llvm(builder, f"llvm.{name}.v8f32", _FLOATS, list(args))
+        return f32x8(f32x8, f32x8), lambda context, builder, sig, args: builder.select(builder.fcmp_ordered(sign, *args), *args)
 
     return function
 
 
-sqrt, floor, minimum, maximum = _unary("sqrt"), _unary("floor"), _binary("minnum"), _binary("maxnum")
+sqrt, floor = _unary("sqrt"), _unary("floor")
+# The right one where either is not a number: one instruction, where LLVM's minnum and maxnum take three.
+minimum, maximum = _choice("<"), _choice(">")
 
 
 def _across(combine, doc):

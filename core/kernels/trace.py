@@ -18,7 +18,7 @@ from .raster import ALPHA_MAX, TRANSMITTANCE_MIN
 from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
 
 NEAREST = 48  # hits gathered in one descent
-GROUP = 4  # nodes opened at once: the processor works on one while it waits for another
+GROUP = 6  # nodes opened at once: the processor works on one while it waits for another
 GRAZING = 1e-8  # disks whose normal is this close (cosine squared) to square with the ray are missed
 _TINY = np.float32(1e-12)  # directions' components are kept away from 0 by this
 _IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # boxes are entered this much earlier, and left this much later, than computed
