@@ -34,7 +34,7 @@ from plain_trace import plain_composite_backward_range, plain_composite_range, p
 
 EXTRAS = 4  # with colour, normal, depth and opacity: 12 channels
 MAJOR, MINOR = 1.0, 0.4  # radii of the torus
-OFFSET = 1.0  # where secondary rays start, along themselves, in spacings of the disks
+OFFSET = 0.75  # where secondary rays start, along themselves, in spacings of the disks
 RASTER = {"vector": (rasterize_range, rasterize_backward_range), "plain": (plain_range, plain_backward_range)}
 TRACE = {
     "vector": ((gather_range, composite_range), composite_backward_range),
