@@ -25,7 +25,7 @@ def jacobian_range(begin, end, texels, start, root, share, diffuse, metal, irrad
             for texel in range(0, texels, 8):
                 at, to = k * texels + texel, p * texels + texel
                 row = load(irradiance, to) * diffuse[k] + load(rest, at)
-                if metal[k] > _ZERO:
+                if metal[k] != _ZERO:
                     row = row + load(scaled, at) * metal[k]
                 store(rows, at, row * root[k])
                 store(coupling, to, load(coupling, to) + row * share[k])
