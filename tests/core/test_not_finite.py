@@ -2,16 +2,20 @@
 """A value that is not finite ends the job with status 1 and one line, and keeps the checkpoint before it."""
 
 import math
+import shutil
 
 import pytest
 import torch
 from irgspp.core.cli import main
+from irgspp.core.errors import Cancelled
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
-from irgspp.core.stages import reflective
+from irgspp.core.stages import reflective, transport
 from irgspp.core.stages.reflective import Trainer
+from irgspp.core.stages.separation import Separation
 
 SETTINGS = ["reflective.iterations=8", "reflective.gaussians=600", "reflective.light_height=16", "surface.voxels=32", "surface.texture=64"]
+SETTINGS += ["transport.points=300", "transport.rows=4"]
 FAULT = 5  # the iteration that breaks
 COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
 
@@ -65,3 +69,82 @@ def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, nam
     assert saved["done"] == FAULT - 1
     assert all(torch.isfinite(v).all() for v in saved["optimizer"]["values"].values())
     assert not (run / "gaussians.ply").exists()
+
+
+def bad_light(monkeypatch):
+    """The light becomes NaN in step 3 of the second stage."""
+    step = Separation._step
+
+    def broken(self, done):
+        step(self, done)
+        if done == 2:
+            self.light[11, 1] = math.nan
+
+    monkeypatch.setattr(Separation, "_step", broken)
+
+
+def bad_roughness(monkeypatch):
+    """Roughness comes out of the first search as infinity."""
+    search = Separation._search_materials
+
+    def broken(self):
+        search(self)
+        self.roughness[5] = math.inf
+
+    monkeypatch.setattr(Separation, "_search_materials", broken)
+
+
+def bad_tracing(monkeypatch):
+    trace = transport.trace_transfer
+
+    def broken(*args):
+        transfer = trace(*args)
+        transfer.indirect[7] = math.nan
+        return transfer
+
+    monkeypatch.setattr(transport, "trace_transfer", broken)
+
+
+def bad_painting(monkeypatch):
+    paint = transport.paint
+
+    def broken(*args):
+        materials = paint(*args)
+        materials[2, 9] = math.nan
+        return materials
+
+    monkeypatch.setattr(transport, "paint", broken)
+
+
+@pytest.fixture(scope="module")
+def half_done(tmp_path_factory):
+    """A run that was stopped before its second stage."""
+    run = tmp_path_factory.mktemp("half") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Trainer, "test", lambda self: None)
+        patch.setattr("irgspp.core.pipeline.solve_transport", lambda *_: (_ for _ in ()).throw(Cancelled("here")))
+        arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", "low-gloss", "--set", "reflective.iterations=40"]
+        assert main(arguments) == 130
+    return run
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (bad_tracing, "what shines on the surface is not finite before the second stage (3 of"),
+        (bad_light, "light is not finite after step 3 of the second stage (1 of 96 values)"),
+        (bad_roughness, "roughness is not finite after step 9 of the second stage (1 of"),
+        (bad_painting, "a material is not finite at the end of the second stage (1 of"),
+    ],
+)
+def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path, capsys, fault, told):
+    run = shutil.copytree(half_done, tmp_path / "run")
+    with monkeypatch.context() as patch:
+        fault(patch)
+        assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
+    assert len(lines) == 1 and told in lines[0]
+    state = read_run(run)
+    assert state["status"] == "failed" and told in state["error"]
+    assert (run / "checkpoint" / "first" / "gaussians.ply").exists() and not (run / "gaussians.ply").exists()
+    assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 0
