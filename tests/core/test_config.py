@@ -17,6 +17,7 @@ from irgspp.core.overrides import check, differences, from_dict, to_dict, with_o
         ("seed=7", lambda s: s.seed, 7),
         ("reflective.iterations=600", lambda s: s.reflective.iterations, 600),
         ("data.masks=no", lambda s: s.data.masks, False),
+        ("transport.indirect=off", lambda s: s.transport.indirect, False),
         ("data.masks = TRUE", lambda s: s.data.masks, True),
         ("data.centre=1,-2.5,3e-1", lambda s: s.data.centre, (1.0, -2.5, 0.3)),
         ("data.centre=none", lambda s: s.data.centre, None),
