@@ -23,7 +23,7 @@ from .transfer import Transfer, trace_transfer
 NEAREST = 8  # points asked for roughness and metallic
 VIEWS = 4  # of each Gaussian
 BATCH = 4000  # Gaussians at a time
-REWEIGHTED = 4  # passes that take the say from views that don't fit
+REWEIGHTED = 8  # passes that take the say from views that don't fit
 METAL = 0.5  # share of metal among the nearest points from which a Gaussian is metal
 EDGE = 2e-3  # materials stay this far inside 0..1: their logits are finite
 
@@ -88,7 +88,8 @@ def fitted_albedo(
     share = diffuse_share(n_v, roughness[point])[:, None]
     factor, rest = view_terms(metal, share, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)
     slope = encoding_slope(seen.colour)
-    trust = torch.ones_like(factor)
+    # First all views of a point count alike in linear light: by its slope one that is dark by mistake would have all the say.
+    trust = slope**-2
     for _ in range(REWEIGHTED):
         weight = trust * slope**2
         albedo = seen.sums(weight * factor * (seen.colour - rest)) / seen.sums(weight * factor * factor).clamp_min(1e-9)
