@@ -53,6 +53,18 @@ class TransportSettings:
     rows: Annotated[int, Range(4, 32)] = 16  # of the light while it is told from the albedo
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map that comes out
     indirect: bool = True  # what the object reflects onto itself; it always casts shadows
+    iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement pixel by pixel
+    pixels: Annotated[int, Range(1, 1_000_000)] = 256  # shaded in each
+    samples: Annotated[int, Range(3, 65536)] = 128  # of light at each pixel
+    radiance_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # that fit the radiance to the normals again
+    mesh_normals: Annotated[float, Range(0, 1)] = 0.5  # how far disks are turned to the mesh, whose normals are smoother, beforehand
+    pool: Annotated[int, Range(1000)] = 100_000  # pixels that are kept at hand
+    normal_rate: Annotated[float, Range(0)] = 5e-4  # how fast disks turn; 0 = geometry stays what it is
+    albedo_smoothness: Annotated[float, Range(0)] = 0.02  # among neighbours of like albedo
+    roughness_smoothness: Annotated[float, Range(0)] = 0.05
+    metallic_smoothness: Annotated[float, Range(0)] = 0.05
+    light_smoothness: Annotated[float, Range(0)] = 5e-4
+    white_balance: Annotated[float, Range(0)] = 0.0  # how much coloured light is mistrusted: gloss shows its colour, so not at all
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from scipy.spatial import KDTree
@@ -16,11 +18,16 @@ from ..scene.surface import Surface
 from .finite import require_finite
 from .observations import observe
 from .painting import paint
+from .pixel_pool import pool_pixels
+from .radiance_fit import refit_radiance
+from .refinement import Refinement
 from .separation import STEPS, Separation
 from .tracer import Tracer
 from .transfer import trace_transfer
+from .turning import turned
 
 LEAST_POINTS = 50  # fewer say nothing about a light
+MOSTLY_METAL = 0.5  # share of points from which the object is metal all over
 SIDE = 2  # rays through each texel of the light, along a side
 
 
@@ -32,15 +39,51 @@ def solve_transport(
     Raises:
         Cancelled: the user stopped the work. IrgsppError: too little of the surface is seen, or something is not finite.
     """
+    share = settings.transport.mesh_normals
+    if share > 0:
+        reconstruction = replace(reconstruction, gaussians=turned(reconstruction.gaussians, surface, share))
     separation, tracer = separated(reconstruction, surface, dataset, settings, progress)
     progress.phase("paint", 100)
     watch = (settings.seed, lambda share: _step(progress, int(100 * share)))
     materials = paint(reconstruction, surface, dataset.train, tracer, separation, *watch)
     light = separation.light.T.reshape(1, 3, separation.transfer.height, -1)
     height = max(settings.transport.light_height, separation.transfer.height)
-    enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")
+    enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
-    return reconstruction.relabelled(torch.logit(materials), enlarged[0].permute(1, 2, 0).contiguous())
+    told_apart = reconstruction.relabelled(torch.logit(materials), enlarged)
+    result = refined(told_apart, reconstruction, dataset, tracer, separation, settings, progress)
+    iterations = settings.transport.radiance_iterations
+    if iterations:
+        progress.phase("radiance", iterations)
+        watched = (settings.seed, lambda done: _step(progress, done) or progress.finish_early)
+        result = refit_radiance(result, dataset.train, iterations, *watched)
+    return result
+
+
+def refined(
+    told_apart: Reconstruction,
+    first: Reconstruction,
+    dataset: Dataset,
+    tracer: Tracer,
+    separation: Separation,
+    settings: Settings,
+    progress: Progress,
+) -> Reconstruction:
+    """The better start, judged by views held back, after gradient descent; without it where that did not serve them."""
+    if settings.transport.iterations == 0:
+        return told_apart
+    progress.phase("refine", settings.transport.iterations)
+    pool = pool_pixels(dataset.train, tracer, settings.transport.pool, np.random.default_rng(settings.seed))
+    starts = [told_apart]
+    if first.glossy and float(separation.metallic.mean()) > MOSTLY_METAL:
+        starts.append(first)
+    trials = [Refinement(start, pool, tracer, settings.transport, settings.seed) for start in starts]
+    before = [trial.test() for trial in trials]
+    best = int(np.argmax(before))
+    trials[best].run(lambda done: _step(progress, done) or progress.finish_early)
+    after = trials[best].test()
+    progress.message(f"shaded views held back: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
+    return trials[best].result() if after > before[best] else starts[best]
 
 
 def separated(

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pixels of all training views as surface points, with the Gaussians that make each: frozen geometry, so looked up once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+
+from ..datasets.dataset import View
+from ..kernels.tracing import HitLists, hit_lists
+from .target import SATURATED
+from .tracer import Tracer
+
+INSIDE = 0.99  # opacity of mask and Gaussians from which a pixel shows the object alone
+
+
+@dataclass(frozen=True, eq=False)
+class PixelPool:
+    """B pixels.
+
+    Attributes:
+        lists: the Gaussians along each pixel's ray and their shares.
+        opacity: (B,) of each pixel, above INSIDE. point: (B, 3) where the ray meets them in the mean. view: (B, 3) unit, towards the camera.
+        colour: (B, 3) encoded, of the photograph. saturated: (B, 3) bool, where that is a lower bound. number: (B,) which view.
+    """
+
+    lists: HitLists
+    opacity: torch.Tensor
+    point: torch.Tensor
+    view: torch.Tensor
+    colour: torch.Tensor
+    saturated: torch.Tensor
+    number: torch.Tensor
+
+    @property
+    def count(self) -> int:
+        """B."""
+        return len(self.point)
+
+
+def pool_pixels(views: Sequence[View], tracer: Tracer, count: int, random: np.random.Generator) -> PixelPool:
+    """At most `count` pixels inside the object, as many of each view as of any other."""
+    parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random) for number, view in enumerate(views)]
+    lists = joined([part.lists for part in parts])
+    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:]]
+    return PixelPool(lists, *rest)
+
+
+def _pixels_of(view: View, number: int, tracer: Tracer, count: int, random: np.random.Generator) -> PixelPool:
+    camera = view.camera
+    inside = np.ones((camera.height, camera.width), bool) if view.alpha is None else view.alpha > INSIDE
+    index = np.flatnonzero(inside)
+    index = np.sort(random.permutation(index)[: 2 * count])
+    ray = torch.from_numpy(camera.rays().reshape(-1, 3)[index]).float()
+    direction = torch.nn.functional.normalize(ray, dim=1)
+    origin = torch.from_numpy(camera.centre).float().expand_as(direction).contiguous()
+    lists = hit_lists(tracer.tree, origin, direction)
+    length = np.diff(lists.start)
+    at = np.repeat(np.arange(len(index)), length)
+    opacity = np.bincount(at, lists.weight, len(index))
+    distance = np.bincount(at, lists.weight * lists.distance, len(index)) / np.maximum(opacity, 1e-9)
+    kept = np.flatnonzero(opacity > INSIDE)
+    kept = np.sort(random.permutation(kept)[:count])
+    point = origin[kept] + torch.from_numpy(distance[kept]).float()[:, None] * direction[kept]
+    colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float()
+    solid = torch.from_numpy(opacity[kept]).float()
+    return PixelPool(chosen(lists, kept), solid, point, -direction[kept], colour, colour >= SATURATED, torch.full((len(kept),), number))
+
+
+def chosen(lists: HitLists, rays: np.ndarray) -> HitLists:
+    """The lists of some of the rays, ascending."""
+    length = np.diff(lists.start)
+    kept = np.zeros(lists.rays, bool)
+    kept[rays] = True
+    hits = np.repeat(kept, length)
+    start = np.concatenate([[0], np.cumsum(length[kept])])
+    return HitLists(start, lists.index[hits], lists.weight[hits], lists.distance[hits], lists.left[kept])
+
+
+def joined(parts: Sequence[HitLists]) -> HitLists:
+    """Lists of several sets of rays, one after the other."""
+    offset = np.cumsum([0] + [len(part.index) for part in parts])
+    start = np.concatenate([part.start[:-1] + o for part, o in zip(parts, offset, strict=False)] + [offset[-1:]])
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "weight", "distance", "left")]
+    return HitLists(start, *columns)
