@@ -15,9 +15,7 @@ from .deferred import ALPHA_FLOOR, background_radiance, radiance
 LIGHT_HEIGHT = 64  # rows a light map is reduced to before it is prefiltered
 
 
-def rasterize_view(
-    reconstruction: Reconstruction, camera: Camera, more: torch.Tensor | None = None
-) -> tuple[torch.Tensor, torch.Tensor]:
+def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
     """Sums (13, H, W) and world rays (3, H, W) of one camera, without gradients; `more` channels (E, N) follow the materials."""
     g = reconstruction.gaussians
     with torch.no_grad():

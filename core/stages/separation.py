@@ -13,7 +13,7 @@ go bit by bit, towards few colours; started from the radiance itself it would ke
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -50,9 +50,17 @@ class Separation:
         light: (T, 3) radiance of the texels. albedo: (P, 3). roughness, metallic: (P,).
     """
 
-    def __init__(self, seen: Observations, transfer: Transfer, roughness: torch.Tensor, metallic: torch.Tensor, seed: int) -> None:
-        """roughness, metallic: (P,) start."""
-        self.seen, self.transfer = seen, transfer
+    def __init__(
+        self,
+        seen: Observations,
+        transfer: Transfer,
+        roughness: torch.Tensor,
+        metallic: torch.Tensor,
+        seed: int,
+        metals: Sequence[float] = METALLIC,
+    ) -> None:
+        """roughness, metallic: (P,) start. metals: values of metallic that are searched."""
+        self.seen, self.transfer, self._metals = seen, transfer, torch.tensor(metals)
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = seen.sums(seen.colour) / seen.lengths[:, None]
@@ -155,7 +163,7 @@ class Separation:
 
     def _search_materials(self) -> None:
         """Roughness and metallic that explain all views of a point and its neighbours best, each candidate with its own best albedo."""
-        knots, metals = torch.tensor(ROUGHNESS), torch.tensor(METALLIC)
+        knots, metals = torch.tensor(ROUGHNESS), self._metals
         cost = self._costs(knots, metals)
         for _ in range(2):
             cost = torch.einsum("pn,pnmr->pmr", self._likeness, cost[self._neighbours])

@@ -18,16 +18,22 @@ class Tracer:
 
     Args:
         reconstruction: of the first stage. Where it is glossy, its SH hold diffuse radiance only, and the reflections are added.
+
+    Attributes:
+        tree: all disks, as what hides a point from a camera. Where the photographs had a background, disks outside the bound are a
+            backdrop: part of the light, as for the relighter, which rays from the surface don't meet.
     """
 
     def __init__(self, reconstruction: Reconstruction) -> None:
         g = reconstruction.gaussians
         with torch.no_grad():
-            self._geometry = g.position.detach(), g.quaternion.detach(), g.log_scale.detach(), g.opacity.detach()
-            self._sh, mirrored = g.sh.detach(), reconstruction.mirrored()
-            self._materials = torch.zeros(0, g.count) if mirrored is None else mirrored.material
+            self.tree = DiskTree.build(g.position, g.quaternion, g.log_scale, g.opacity)
+            own, mirrored = inside(reconstruction), reconstruction.mirrored()
+            g = g.select(own)
+            self._geometry, self._sh = (g.position, g.quaternion, g.log_scale, g.opacity), g.sh
+            self._materials = torch.zeros(0, g.count) if mirrored is None else mirrored.material[:, own].contiguous()
             self._stack = None if mirrored is None else specular_light(mirrored.environment)
-        self.tree = DiskTree.build(*self._geometry)
+        self._tree = self.tree if own.all() else DiskTree.build(*self._geometry)
         self.offset = OFFSET * reconstruction.bound.radius
 
     def above(self, position: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
@@ -37,7 +43,7 @@ class Tracer:
     @torch.no_grad()
     def look(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """What R rays (R, 3) see: the share of the light behind that passes, (R,), and the object's radiance times its opacity, (R, 3)."""
-        sums = trace(*self._geometry, self._sh, self._materials, origin, direction, self.tree)
+        sums = trace(*self._geometry, self._sh, self._materials, origin, direction, self._tree)
         opacity = sums[:, -1]
         radiance = sums[:, COLOUR].contiguous()
         if self._stack is not None:
@@ -48,3 +54,11 @@ class Tracer:
             reflected = specular_radiance(-direction[hit], normal, albedo, roughness, metallic, self._stack)
             radiance[hit] = ((1 - metallic[:, None]) * at[:, COLOUR] + reflected) * opacity[hit, None]
         return 1 - opacity, radiance
+
+
+def inside(reconstruction: Reconstruction) -> torch.Tensor:
+    """(N,) bool, which disks are of the object: all where the photographs were masked, else those inside the bound."""
+    g, bound = reconstruction.gaussians, reconstruction.bound
+    if reconstruction.background is None:
+        return torch.ones(g.count, dtype=torch.bool)
+    return (g.position - torch.tensor(bound.centre, dtype=torch.float32)[:, None]).norm(dim=0) <= bound.radius

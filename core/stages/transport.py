@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,14 +17,14 @@ from ..progress import Progress
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
 from .finite import require_finite
-from .observations import observe
+from .observations import Observations, observe
 from .painting import paint
 from .pixel_pool import pool_pixels
 from .radiance_fit import refit_radiance
 from .refinement import Refinement
-from .separation import STEPS, Separation
+from .separation import METALLIC, STEPS, Separation
 from .tracer import Tracer
-from .transfer import trace_transfer
+from .transfer import Transfer, trace_transfer
 from .turning import turned
 
 LEAST_POINTS = 50  # fewer say nothing about a light
@@ -102,14 +103,27 @@ def separated(
     how = (transport.rows, SIDE, settings.seed, transport.indirect)
     transfer = trace_transfer(seen.position, seen.normal, tracer, *how, lambda done: _step(progress, done))
     require_finite({"what shines on the surface": transfer.indirect, "a photograph": seen.colour}, "before the second stage")
+    # Without masks the surroundings, which are no distant light, would pass for reflections on metal.
+    metals = METALLIC if dataset.has_alpha or reconstruction.glossy else METALLIC[:1]
+    separation = _separation(reconstruction, seen, transfer, metals, settings.seed, progress)
+    if not reconstruction.glossy and float(separation.metallic.mean()) > MOSTLY_METAL:
+        progress.message("found to be metal, though the first stage saw no reflections: done again with none of it metal")
+        separation = _separation(reconstruction, seen, transfer, METALLIC[:1], settings.seed, progress)
+    return separation, tracer
+
+
+def _separation(
+    reconstruction: Reconstruction, seen: Observations, transfer: Transfer, metals: Sequence[float], seed: int, progress: Progress
+) -> Separation:
+    """Started from the first stage and run to its end; `metals` are the values of metallic that are tried."""
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.numpy()).query(seen.position.numpy())
-    start = g.materials()[3:, torch.from_numpy(np.asarray(nearest))]
-    separation = Separation(seen, transfer, start[0], (start[1] > 0.5).float(), settings.seed)
+    roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest))]
+    separation = Separation(seen, transfer, roughness, (metallic > 0.5).float(), seed, metals)
     progress.phase("transport", STEPS)
     separation.run(lambda done: _step(progress, done) or progress.finish_early)
     progress.message(f"light and materials explain the photographs to {separation.error():.4f} (median difference, encoded)")
-    return separation, tracer
+    return separation
 
 
 def _step(progress: Progress, done: int) -> None:
