@@ -64,6 +64,8 @@ class Refinement:
         """All steps; `step` is told how many are done, may raise, and ends the run where it returns True."""
         for done in range(self.settings.iterations):
             loss = self._loss()
+            if not loss.isfinite():
+                self.optimizer.check_finite()  # names the parameter where it is one
             require_finite({"the second stage's loss": loss}, f"at iteration {done + 1}")
             loss.backward()
             self.optimizer.step(done / self.settings.iterations)

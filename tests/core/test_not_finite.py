@@ -10,12 +10,13 @@ from irgspp.core.cli import main
 from irgspp.core.errors import Cancelled
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
-from irgspp.core.stages import reflective, transport
+from irgspp.core.stages import radiance_fit, reflective, transport
+from irgspp.core.stages.refinement import Refinement
 from irgspp.core.stages.reflective import Trainer
 from irgspp.core.stages.separation import Separation
 
 SETTINGS = ["reflective.iterations=8", "reflective.gaussians=600", "reflective.light_height=16", "surface.voxels=32", "surface.texture=64"]
-SETTINGS += ["transport.points=300", "transport.rows=4"]
+SETTINGS += ["transport.points=300", "transport.rows=4", "transport.iterations=4", "transport.pool=2000", "transport.radiance_iterations=4"]
 FAULT = 5  # the iteration that breaks
 COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
 
@@ -116,6 +117,24 @@ def bad_painting(monkeypatch):
     monkeypatch.setattr(transport, "paint", broken)
 
 
+def bad_refinement(monkeypatch):
+    """One albedo becomes NaN before the second iteration."""
+    loss = Refinement._loss
+
+    def broken(self):
+        if self.optimizer.iteration == 1:
+            with torch.no_grad():
+                self.optimizer.leaves["material"][1, 5] = math.nan
+        return loss(self)
+
+    monkeypatch.setattr(Refinement, "_loss", broken)
+
+
+def bad_radiance(monkeypatch):
+    """The pictures' loss becomes infinite."""
+    monkeypatch.setattr(radiance_fit, "photometric_loss", lambda picture, photograph: picture.sum() * math.inf)
+
+
 @pytest.fixture(scope="module")
 def half_done(tmp_path_factory):
     """A run that was stopped before its second stage."""
@@ -135,6 +154,8 @@ def half_done(tmp_path_factory):
         (bad_light, "light is not finite after step 3 of the second stage (1 of 96 values)"),
         (bad_roughness, "roughness is not finite after step 9 of the second stage (1 of"),
         (bad_painting, "a material is not finite at the end of the second stage (1 of"),
+        (bad_refinement, "albedo is not finite after iteration 1 (1 of"),
+        (bad_radiance, "the radiance's loss is not finite at iteration 1"),
     ],
 )
 def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path, capsys, fault, told):
