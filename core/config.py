@@ -10,10 +10,11 @@ from .errors import InputError
 
 
 class Range(NamedTuple):
-    """Smallest and largest allowed value of a setting, both included."""
+    """Smallest and largest allowed value of a setting, both included, and what it must be a multiple of (0: of nothing)."""
 
     low: float
     high: float = float("inf")
+    multiple: int = 0
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class TransportSettings:
 
     points: Annotated[int, Range(100, 1_000_000)] = 2500  # of the surface, which the light is found from
     views: Annotated[int, Range(3, 1000)] = 8  # photographs of each point, at most
-    rows: Annotated[int, Range(4, 32)] = 16  # of the light while it is told from the albedo
+    rows: Annotated[int, Range(4, 32, 2)] = 16  # of the light while it is told from the albedo
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map that comes out
     indirect: bool = True  # what the object reflects onto itself; it always casts shadows
     iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement pixel by pixel

@@ -159,3 +159,5 @@ def _check_value(key: str, annotation: Any, value: Any) -> None:
     if limits and not limits.low <= value <= limits.high:
         above = f" and at most {limits.high:g}" if math.isfinite(limits.high) else ""
         raise InputError(f"setting {key}", f"{value!r} is out of range", f"must be at least {limits.low:g}{above}")
+    if limits and limits.multiple and value % limits.multiple:
+        raise InputError(f"setting {key}", f"{value!r} is no multiple of {limits.multiple}")

@@ -26,7 +26,8 @@ class Surface:
     @classmethod
     def restored(cls, state: dict[str, Any]) -> Surface:
         """The inverse of `state`, whose arrays may have become tensors."""
-        return cls(*(np.asarray(state[name]) for name in ("vertices", "normals", "faces")), float(state["voxel"]))
+        vertices, normals, faces = (np.asarray(state[name]) for name in ("vertices", "normals", "faces"))
+        return cls(vertices, normals, faces, float(state["voxel"]))
 
     def state(self) -> dict[str, Any]:
         """All of it, for a checkpoint."""

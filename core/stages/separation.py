@@ -44,7 +44,7 @@ NEIGHBOURS = 13
 
 
 class Separation:
-    """The unknowns and how they are found.
+    """The unknowns and how they are found, from points of which each has at least one view.
 
     Attributes:
         light: (T, 3) radiance of the texels. albedo: (P, 3). roughness, metallic: (P,).
@@ -192,7 +192,9 @@ class Separation:
         return cost
 
 
-def view_terms(metallic, share, irradiance, scaled, added):
+def view_terms(
+    metallic: torch.Tensor, share: torch.Tensor, irradiance: torch.Tensor, scaled: torch.Tensor, added: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """c and d of y = a c + d, (K, 3), from metallic and the coat's share, (K, 1) or scalars, E, S and S', (K, 3)."""
     return (1 - metallic) * share * irradiance + metallic * scaled, DIELECTRIC_F0 * (1 - metallic) * scaled + added
 

@@ -42,6 +42,7 @@ def test_override_is_typed(text, read, expected):
         ("seed=x", "whole number"),
         ("seed=1.5", "whole number"),
         ("seed=-1", "out of range"),
+        ("transport.rows=5", "multiple of 2"),
         ("data.radius=0", "out of range"),
         ("data.radius=nan", "not a number"),
         ("data.radius=inf", "not a number"),

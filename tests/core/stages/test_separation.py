@@ -183,6 +183,13 @@ def test_gloss_is_found(scene, found):
     assert (found.roughness - roughness).abs().max() < 0.05
 
 
+def test_metal_is_found_only_where_it_is_looked_for(scene):
+    transfer, seen, _ = scene
+    separation = Separation(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, (0.0,))
+    separation.run(lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
+    assert (separation.metallic == 0).all() and separation.roughness.std() > 0.05
+
+
 def test_photographs_are_explained(scene, found):
     assert found.error() < 0.003
     transfer, seen, _ = scene

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Secondary rays: what passes, and the radiance of what is in the way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from irgspp.core.datasets.dataset import Bound
+from irgspp.core.kernels.tracing import transmittance
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.specular_albedo import specular_albedo
 from irgspp.core.stages.tracer import OFFSET, Tracer
@@ -74,3 +77,17 @@ def test_rays_start_above_the_disks_by_the_size_of_the_scene(traced):
     np.testing.assert_allclose(tracer.above(position, normal), position * (1 + 1.5 * OFFSET), rtol=1e-6)
     free, _ = tracer.look(tracer.above(position, normal), normal)
     assert (free == 1).all()
+
+
+def test_a_backdrop_hides_points_but_is_part_of_the_light(splat_sphere):
+    """Where the photographs had a background, disks outside the bound are it."""
+    sphere, wall = splat_sphere(6000, opacity=0.999), splat_sphere(6000, opacity=0.999)
+    wall.position *= 4
+    wall.log_scale += np.log(4)
+    scene = Reconstruction(sphere.joined(wall), SKY.expand(8, 16, 3).contiguous(), Bound((0, 0, 0), 1.5), np.eye(4))
+    for background, passes in ((None, 0.0), (scene.environment, 1.0)):
+        tracer = Tracer(replace(scene, background=background))
+        free, radiance = tracer.look(*rays((0, 0, 2, 0, 0, 1), (2, 0, 0, 1, 1, 1)))
+        assert (free == passes).all() and ((radiance == 0).all() or not passes)
+        assert (tracer.look(*rays((0, 0, 2, 0, 0, -1)))[0] == 0).all()
+        assert (transmittance(tracer.tree, *rays((0, 0, 2, 0, 0, 1))) == 0).all()
