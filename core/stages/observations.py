@@ -98,20 +98,24 @@ def _one_view(position, normal, view: View, tree: DiskTree, offset: float) -> tu
     camera = view.camera
     seen = position @ camera.world_to_cv[:3, :3].T + camera.world_to_cv[:3, 3]
     depth = np.maximum(seen[:, 2], 1e-9)
-    u, v = camera.fx * seen[:, 0] / depth + camera.cx - 0.5, camera.fy * seen[:, 1] / depth + camera.cy - 0.5
+    place = np.stack([camera.fy * seen[:, 1] / depth + camera.cy, camera.fx * seen[:, 0] / depth + camera.cx], 1) - 0.5  # row, column
     direction = camera.centre - position
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    inside = (seen[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < camera.width - 1) & (v < camera.height - 1)
+    inside = (seen[:, 2] > 0) & (place >= 0).all(1) & (place < (camera.height - 1, camera.width - 1)).all(1)
     index = np.flatnonzero(inside & ((direction * normal).sum(1) > FACING))
-    column, row = u[index].astype(int), v[index].astype(int)
     if view.alpha is not None:
-        least = np.minimum.reduce([view.alpha[row + i, column + j] for i in (0, 1) for j in (0, 1)])
-        index, column, row = (a[least > INSIDE] for a in (index, column, row))
+        index = index[np.min([view.alpha[at] for at, _ in _corners(place[index])], axis=0) > INSIDE]
     start = torch.from_numpy((position[index] + offset * normal[index]).astype(np.float32))
-    free = transmittance(tree, start, torch.from_numpy(direction[index].astype(np.float32))).numpy() > FREE
-    index, column, row = (a[free] for a in (index, column, row))
-    across, down = (u[index] - column)[:, None], (v[index] - row)[:, None]
-    corners = [(row + i, column + j, (down if i else 1 - down) * (across if j else 1 - across)) for i in (0, 1) for j in (0, 1)]
-    colour = sum(decode_srgb(view.colour[r, c].astype(np.float64)) * share for r, c, share in corners)
-    saturated = np.logical_or.reduce([view.colour[r, c] >= SATURATED for r, c, _ in corners])
-    return index, direction[index].astype(np.float32), np.asarray(colour, np.float32).reshape(-1, 3), saturated.reshape(-1, 3)
+    index = index[transmittance(tree, start, torch.from_numpy(direction[index].astype(np.float32))).numpy() > FREE]
+    corners = _corners(place[index])
+    colour = sum(decode_srgb(view.colour[at].astype(np.float64)) * share[:, None] for at, share in corners)
+    saturated = np.any([view.colour[at] >= SATURATED for at, _ in corners], axis=0)
+    return index, direction[index].astype(np.float32), np.asarray(colour, np.float32), saturated
+
+
+def _corners(place: np.ndarray) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
+    """The four pixels around places (N, 2), counted in pixel centres: their rows and columns, and their bilinear shares (N,)."""
+    whole = place.astype(int)
+    row, column = whole.T
+    down, across = (place - whole).T
+    return [((row + i, column + j), (down if i else 1 - down) * (across if j else 1 - across)) for i in (0, 1) for j in (0, 1)]

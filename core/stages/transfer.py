@@ -82,20 +82,27 @@ def trace_transfer(
     `step` is told how many points are done and may raise.
     """
     direction, angle = subdivided_directions(height, side, seed)
-    points, count = len(position), direction.shape[1]
-    visible, other = np.zeros((points, count), np.float32), np.zeros((points, 3, count), np.float32)
-    toward, origin = torch.from_numpy(direction), tracer.above(position, normal)
-    cosine = (normal @ toward).clamp_min(0)
-    batch = max(1, 2 * RAYS // count)
-    for begin in range(0, points, batch):
-        p, d = torch.nonzero(cosine[begin : begin + batch] > 0, as_tuple=True)
-        free, radiance = tracer.look(origin[begin + p], toward.T[d].contiguous())
-        visible[begin + p, d] = free.numpy()
-        if indirect:
-            other[begin + p, :, d] = radiance.numpy()
-        step(min(begin + batch, points))
+    cosine = (normal @ torch.from_numpy(direction)).clamp_min(0)
+    visible, other = _look_around(tracer.above(position, normal), direction, cosine > 0, tracer, step)
+    if not indirect:
+        other[:] = 0
     weight = cosine.numpy() * angle / np.float32(math.pi)
-    subs, texels = side * side, 2 * height * height
-    rows = (weight * visible).reshape(points, subs, texels).sum(1)
+    rows = (weight * visible).reshape(len(position), side * side, 2 * height * height).sum(1)
     own = np.einsum("pd,pcd->pc", weight, other)
     return Transfer(height, (direction, angle, visible, other), torch.from_numpy(rows), torch.from_numpy(own), indirect)
+
+
+def _look_around(
+    origin: torch.Tensor, direction: np.ndarray, wanted: torch.Tensor, tracer: Tracer, step: Callable[[int], object]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What P origins see in those of the directions (3, D) that are `wanted` (P, D): free (P, D) and radiance (P, 3, D), else 0."""
+    points, count = wanted.shape
+    visible, other = np.zeros((points, count), np.float32), np.zeros((points, 3, count), np.float32)
+    toward, batch = torch.from_numpy(direction.T.copy()), max(1, 2 * RAYS // count)
+    for begin in range(0, points, batch):
+        p, d = torch.nonzero(wanted[begin : begin + batch], as_tuple=True)
+        free, radiance = tracer.look(origin[begin + p], toward[d])
+        visible[begin + p, d] = free.numpy()
+        other[begin + p, :, d] = radiance.numpy()
+        step(min(begin + batch, points))
+    return visible, other
