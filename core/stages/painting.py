@@ -24,6 +24,7 @@ NEAREST = 8  # points asked for roughness and metallic
 VIEWS = 4  # of each Gaussian
 BATCH = 4000  # Gaussians at a time
 REWEIGHTED = 8  # passes that take the say from views that don't fit
+AROUND = 64  # metal Gaussians that are looked at together
 METAL = 0.5  # share of metal among the nearest points from which a Gaussian is metal
 EDGE = 2e-3  # materials stay this far inside 0..1: their logits are finite
 
@@ -54,6 +55,8 @@ def paint(
         transfer = trace_transfer(batch.position, batch.normal, tracer, found.transfer.height, 1, seed, found.transfer.bounces)
         albedo[part] = fitted_albedo(batch, transfer, found.light, roughness[part], metallic[part])
         step(min(1.0, (begin + BATCH) / len(albedo)))
+    metal = metallic > 0
+    albedo[metal] = medians(seen.position[metal], albedo[metal])
     materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(EDGE, 1 - EDGE)
     _, source = KDTree(seen.position.numpy()).query(position)  # a Gaussian that no view sees is like its neighbour
     return materials[torch.from_numpy(np.asarray(source))].T.contiguous()
@@ -96,3 +99,16 @@ def fitted_albedo(
         error = (albedo[point] * factor + rest - seen.colour) * slope
         trust = torch.where(seen.saturated & (error > 0), 0.0, 1 / (1 + (error / OUTLIER) ** 2))
     return albedo
+
+
+def medians(position: torch.Tensor, albedo: torch.Tensor) -> torch.Tensor:
+    """(P, 3) median albedo of AROUND neighbours.
+
+    A metal's is what it reflects divided by what it should: a small error of the normal finds another part of the light, and a single
+    disk's albedo is worth little.
+    """
+    if not len(position):
+        return albedo
+    _, nearest = KDTree(position.numpy()).query(position.numpy(), k=min(AROUND, len(position)))
+    around = torch.from_numpy(np.asarray(nearest).reshape(len(position), -1))
+    return albedo[around].median(1).values
