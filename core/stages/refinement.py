@@ -126,7 +126,9 @@ class Refinement:
         """Differences of materials between neighbours of like albedo."""
         pick = torch.randperm(len(self._likeness), generator=self.generator)[:SMOOTHED]
         materials, around = self.optimizer.gaussians.materials(), self._neighbours[pick]
-        jump = (materials[:, pick, None] - materials[:, around]).abs() * self._likeness[pick]
+        # gather, not [around]: the gradient of an index adds up in whatever order the threads come.
+        others = materials.gather(1, around.reshape(1, -1).expand(len(materials), -1)).view(-1, *around.shape)
+        jump = (materials[:, pick, None] - others).abs() * self._likeness[pick]
         albedo, roughness, metallic = jump.mean((1, 2)).split([3, 1, 1])
         s = self.settings
         return s.albedo_smoothness * albedo.mean() + s.roughness_smoothness * roughness[0] + s.metallic_smoothness * metallic[0]
