@@ -156,7 +156,7 @@ def lobe_rows(
 def lobe_sums(
     point: np.ndarray, view: np.ndarray, normal: np.ndarray, alphas: np.ndarray, fixed: tuple[np.ndarray, ...], light: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Both parts of the lobe integrated over a light (texels, 3) and the indirect light, for J widths: (K, J, 3) each; else as `lobe_rows`."""
+    """Both parts of the lobe over a light (texels, 3) and the indirect light, for J widths: (K, J, 3) each; else as `lobe_rows`."""
     k, texels = len(point), len(light)
     sums = np.empty((2, k, len(alphas), 3), np.float32)
     planes = np.ascontiguousarray(light.T, np.float32).reshape(-1)

@@ -23,7 +23,8 @@ class PixelPool:
 
     Attributes:
         lists: the Gaussians along each pixel's ray and their shares.
-        opacity: (B,) of each pixel, above INSIDE. point: (B, 3) where the ray meets them in the mean. view: (B, 3) unit, towards the camera.
+        opacity: (B,) of each pixel, above INSIDE.
+        point: (B, 3) where the ray meets them in the mean. view: (B, 3) unit, towards the camera.
         colour: (B, 3) encoded, of the photograph. saturated: (B, 3) bool, where that is a lower bound. number: (B,) which view.
     """
 
