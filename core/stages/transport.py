@@ -14,6 +14,7 @@ from ..config import Settings
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
 from ..progress import Progress
+from ..scene.gaussians import METALLIC as METALLIC_ROW
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
 from .finite import require_finite
@@ -28,7 +29,7 @@ from .transfer import Transfer, trace_transfer
 from .turning import turned
 
 LEAST_POINTS = 50  # fewer say nothing about a light
-MOSTLY_METAL = 0.5  # share of points from which the object is metal all over
+MOSTLY_METAL = 0.5  # mean metallic from which the object is metal all over
 SIDE = 2  # rays through each texel of the light, along a side
 
 
@@ -40,8 +41,9 @@ def solve_transport(
     Raises:
         Cancelled: the user stopped the work. IrgsppError: too little of the surface is seen, or something is not finite.
     """
-    share = settings.transport.mesh_normals
-    if share > 0:
+    share, metallic = settings.transport.mesh_normals, float(reconstruction.gaussians.materials()[METALLIC_ROW].mean())
+    # A metal's own normals were found by what they reflect, which tells them better than smooth depth does.
+    if share > 0 and metallic < MOSTLY_METAL:
         reconstruction = replace(reconstruction, gaussians=turned(reconstruction.gaussians, surface, share))
     separation, tracer = separated(reconstruction, surface, dataset, settings, progress)
     progress.phase("paint", 100)
