@@ -60,7 +60,7 @@ class TransportSettings:
     radiance_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # that fit the radiance to the normals again
     mesh_normals: Annotated[float, Range(0, 1)] = 0.5  # how far disks are turned to the mesh, whose normals are smoother, beforehand
     pool: Annotated[int, Range(1000)] = 100_000  # pixels that are kept at hand
-    normal_rate: Annotated[float, Range(0)] = 5e-4  # how fast disks turn; 0 = geometry stays what it is
+    normal_rate: Annotated[float, Range(0)] = 5e-4  # how fast disks turn, except a metal's; 0 = not at all
     albedo_smoothness: Annotated[float, Range(0)] = 0.02  # among neighbours of like albedo
     roughness_smoothness: Annotated[float, Range(0)] = 0.05
     metallic_smoothness: Annotated[float, Range(0)] = 0.05

@@ -31,7 +31,7 @@ HOLD_BACK = 8  # every so many views one is held back
 TEST_PIXELS, TEST_SAMPLES = 3000, (16, 32, 16)
 CORNER = 1e-2  # encoded; below it errors count squared
 SHARES = {"low-gloss": (0.5, 0.25, 0.25), "metal": (0.125, 0.5, 0.375)}  # of cosine, visible-normal and light samples
-METAL_PACE = 3.0  # how much faster normals and light go where all one sees is reflections of the light
+METAL_PACE = 3.0  # how much faster the light goes where all one sees is reflections of the light
 NEIGHBOURS = 4
 LIKE = 8.0  # fall of likeness with the difference in albedo
 SMOOTHED = 8192  # Gaussians whose neighbours are looked at in one step
@@ -47,9 +47,11 @@ class Refinement:
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         metal = float(g.materials()[4].mean()) > 0.5
-        pace = METAL_PACE if metal else 1.0
-        table = {"quaternion": Rate(settings.normal_rate * pace, 0.1), "light": Rate(5e-3 * pace, 0.1)}
-        table |= {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness", "metallic")}
+        table = {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness", "metallic")}
+        table["light"] = Rate(5e-3 * (METAL_PACE if metal else 1.0), 0.1)
+        # A metal's normals were found by what they reflect; noise that sharp would only scatter them.
+        if not metal:
+            table["quaternion"] = Rate(settings.normal_rate, 0.1)
         self.optimizer = GaussianOptimizer(g, table, {"light": self.light})
         self.side = facing_side(g, pool)
         views = int(pool.number.max()) + 1
