@@ -57,6 +57,7 @@ class TransportSettings:
     iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement pixel by pixel
     pixels: Annotated[int, Range(1, 1_000_000)] = 256  # shaded in each
     samples: Annotated[int, Range(3, 65536)] = 128  # of light at each pixel
+    sampling: Literal["mis", "stratified"] = "mis"  # how they are drawn; plain strata of the hemisphere are for comparison
     radiance_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # that fit the radiance to the normals again
     mesh_normals: Annotated[float, Range(0, 1)] = 0.5  # how far disks are turned to the mesh, whose normals are smoother, beforehand
     pool: Annotated[int, Range(1000)] = 100_000  # pixels that are kept at hand

@@ -109,7 +109,8 @@ class Refinement:
         normal = torch.nn.functional.normalize(at[:, :3], dim=1)
         opacity = self.pool.opacity[pixels, None]
         albedo, roughness, metallic = (at[:, 3:] / opacity).split([3, 1, 1], 1)
-        samples = draw(view, normal.detach(), roughness[:, 0].detach(), counts, LightDistribution(light.detach()), generator)
+        distribution = LightDistribution(light.detach())
+        samples = draw(view, normal.detach(), roughness[:, 0].detach(), counts, distribution, generator, self.settings.sampling)
         incoming = self._incoming(self.pool.point[pixels], normal.detach(), samples, light)
         diffuse, specular = reflect_light(view, normal, albedo, roughness[:, 0], metallic[:, 0], samples, incoming, conserving=True)
         return diffuse + specular
