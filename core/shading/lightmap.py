@@ -11,8 +11,6 @@ import math
 import numpy as np
 import torch
 
-from ..scene.light_files import repaired
-
 
 def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """(..., 3) unit directions to u, v (...) in 0..1."""
@@ -68,12 +66,3 @@ def rotate(picture: np.ndarray, degrees: float) -> np.ndarray:
     whole = int(np.floor(shift))
     share = shift - whole
     return (1 - share) * np.roll(picture, -whole, 1) + share * np.roll(picture, -whole - 1, 1)
-
-
-def repaired_light(picture: np.ndarray) -> tuple[np.ndarray, str | None]:
-    """A light map (H, W, 3) that can be used, float32, and one line on what had to be changed in how many texels (None: nothing).
-
-    NaN and negative values become 0, infinite ones as bright as the brightest finite one, a map that is all black a dim grey.
-    """
-    light, remarks = repaired(picture, "light map")
-    return light, "; ".join(remarks) or None

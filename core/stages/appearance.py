@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """First albedo and light: the Gaussians' diffuse radiance explained by a distant light first, by albedo second.
 
-Without shadows or inter-reflections; the second stage, which has both, starts here. "Light first" because an albedo started
-from the radiance itself is a local minimum that nothing leaves.
+Without shadows or inter-reflections. The second stage, which has both, starts from roughness and metallic alone, on metal also from
+this. "Light first" because an albedo started from the radiance itself is a local minimum that nothing leaves.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from ..colour import encode_srgb
 from ..config import TransportSettings
 from ..kernels.tracing import blend
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import METALLIC, Gaussians
 from ..scene.reconstruction import Reconstruction
 from ..shading.lightmap import lookup
 from ..shading.sampling import LightDistribution, Samples, draw
@@ -31,6 +31,7 @@ HOLD_BACK = 8  # every so many views one is held back
 TEST_PIXELS, TEST_SAMPLES = 3000, (16, 32, 16)
 CORNER = 1e-2  # encoded; below it errors count squared
 SHARES = {"low-gloss": (0.5, 0.25, 0.25), "metal": (0.125, 0.5, 0.375)}  # of cosine, visible-normal and light samples
+MOSTLY_METAL = 0.5  # mean metallic above which the object is metal all over
 METAL_PACE = 3.0  # how much faster the light goes where all one sees is reflections of the light
 NEIGHBOURS = 4
 LIKE = 8.0  # fall of likeness with the difference in albedo
@@ -46,7 +47,7 @@ class Refinement:
         self.generator = torch.Generator().manual_seed(seed)
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
-        metal = float(g.materials()[4].mean()) > 0.5
+        metal = is_metal(g)
         table = {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness", "metallic")}
         table["light"] = Rate(5e-3 * (METAL_PACE if metal else 1.0), 0.1)
         # A metal's normals were found by what they reflect; noise that sharp would only scatter them.
@@ -140,6 +141,11 @@ class Refinement:
         """How coloured the light is on the whole."""
         mean = light.mean((0, 1))
         return self.settings.white_balance * (mean - mean.mean()).abs().mean()
+
+
+def is_metal(gaussians: Gaussians) -> bool:
+    """True where most of the disks are metal."""
+    return float(gaussians.materials()[METALLIC].mean()) > MOSTLY_METAL
 
 
 def facing_side(gaussians: Gaussians, pool: PixelPool) -> torch.Tensor:

@@ -235,7 +235,7 @@ def _laplacian(height: int) -> torch.Tensor:
     """(T, T) sum of squared differences between neighbours of a lat-long map of so many rows, as a quadratic form."""
     index = torch.arange(2 * height * height).view(height, -1)
     pairs = torch.cat([torch.stack([index, index.roll(-1, 1)], -1).view(-1, 2), torch.stack([index[:-1], index[1:]], -1).view(-1, 2)])
-    form = torch.zeros(2, index.numel(), index.numel())
-    form[0].view(-1).index_add_(0, pairs[:, 0] * index.numel() + pairs[:, 1], torch.ones(len(pairs)))
-    off = form[0] + form[0].T
+    form = torch.zeros(index.numel(), index.numel())
+    form.view(-1).index_add_(0, pairs[:, 0] * index.numel() + pairs[:, 1], torch.ones(len(pairs)))
+    off = form + form.T
     return torch.diag(off.sum(1)) - off

@@ -14,7 +14,6 @@ from ..config import Settings
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
 from ..progress import Progress
-from ..scene.gaussians import METALLIC as METALLIC_ROW
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
 from .finite import require_finite
@@ -22,28 +21,29 @@ from .observations import Observations, observe
 from .painting import paint
 from .pixel_pool import pool_pixels
 from .radiance_fit import refit_radiance
-from .refinement import Refinement
+from .refinement import MOSTLY_METAL, Refinement, is_metal
 from .separation import METALLIC, STEPS, Separation
 from .tracer import Tracer
 from .transfer import Transfer, trace_transfer
 from .turning import turned
 
 LEAST_POINTS = 50  # fewer say nothing about a light
-MOSTLY_METAL = 0.5  # mean metallic from which the object is metal all over
 SIDE = 2  # rays through each texel of the light, along a side
 
 
 def solve_transport(
     reconstruction: Reconstruction, surface: Surface, dataset: Dataset, settings: Settings, progress: Progress
 ) -> Reconstruction:
-    """Tell light and material apart: geometry and radiance stay what they are, materials and light are new.
+    """Tell light and material apart: materials and light are new, disks turn a little, and their radiance is fitted again to that.
+
+    Positions, sizes and opacities stay what they are.
 
     Raises:
         Cancelled: the user stopped the work. IrgsppError: too little of the surface is seen, or something is not finite.
     """
-    share, metallic = settings.transport.mesh_normals, float(reconstruction.gaussians.materials()[METALLIC_ROW].mean())
+    share = settings.transport.mesh_normals
     # A metal's own normals were found by what they reflect, which tells them better than smooth depth does.
-    if share > 0 and metallic < MOSTLY_METAL:
+    if share > 0 and not is_metal(reconstruction.gaussians):
         reconstruction = replace(reconstruction, gaussians=turned(reconstruction.gaussians, surface, share))
     separation, tracer = separated(reconstruction, surface, dataset, settings, progress)
     progress.phase("paint", 100)
@@ -77,6 +77,9 @@ def refined(
         return told_apart
     progress.phase("refine", settings.transport.iterations)
     pool = pool_pixels(dataset.train, tracer, settings.transport.pool, np.random.default_rng(settings.seed))
+    if not pool.count:
+        progress.message("not refined: no pixel shows the object alone")
+        return told_apart
     starts = [told_apart]
     if first.glossy and float(separation.metallic.mean()) > MOSTLY_METAL:
         starts.append(first)

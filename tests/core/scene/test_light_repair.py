@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.shading.lightmap import repaired_light
+from irgspp.core.scene.light_files import repaired
 
 
 def light_map():
@@ -12,9 +12,9 @@ def light_map():
 
 def test_a_sound_light_is_left_alone():
     light = light_map()
-    repaired, message = repaired_light(light)
-    assert message is None
-    np.testing.assert_array_equal(repaired, light)
+    whole, remarks = repaired(light, "light map")
+    assert not remarks
+    np.testing.assert_array_equal(whole, light)
 
 
 def test_every_fault_is_repaired_and_counted():
@@ -23,18 +23,19 @@ def test_every_fault_is_repaired_and_counted():
     light[0, 2, 0], light[0, 3] = -1, -np.inf
     light[1, 0, 1], light[1, 4] = np.inf, np.inf
     before = light.copy()
-    repaired, message = repaired_light(light)
+    whole, remarks = repaired(light, "light map")
+    message = "; ".join(remarks)
     assert "2 texels are not a number, set to 0" in message
     assert "2 texels are negative, set to 0" in message
     assert f"2 texels are infinite, set to {before[np.isfinite(before)].max():g}" in message
-    assert np.isfinite(repaired).all() and repaired.min() == 0 and repaired.dtype == np.float32
+    assert np.isfinite(whole).all() and whole.min() == 0 and whole.dtype == np.float32
     sound = np.isfinite(before) & (before >= 0)
-    np.testing.assert_array_equal(repaired[sound], before[sound])
+    np.testing.assert_array_equal(whole[sound], before[sound])
     np.testing.assert_array_equal(light, before)  # what was given stays as it was
 
 
 @pytest.mark.parametrize("value", [0.0, -3.0, np.nan, -np.inf, np.inf])
 def test_a_light_without_any_power_becomes_a_dim_grey(value):
-    repaired, message = repaired_light(np.full((4, 8, 3), value, np.float32))
-    np.testing.assert_allclose(repaired, 1e-4)
-    assert "all 32 texels are black, set to a grey of 0.0001" in message
+    whole, remarks = repaired(np.full((4, 8, 3), value, np.float32), "light map")
+    np.testing.assert_allclose(whole, 1e-4)
+    assert "all 32 texels are black, set to a grey of 0.0001" in "; ".join(remarks)
