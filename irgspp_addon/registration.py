@@ -8,10 +8,11 @@ from typing import Any
 import bpy
 
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
+from . import properties
 from .engine import run_engine
 from .preferences import IRGSPP_Preferences
 
-CLASSES = (IRGSPP_Preferences, IRGSPP_OT_import_run)
+CLASSES = (IRGSPP_Preferences, *properties.CLASSES, IRGSPP_OT_import_run)
 
 _commands: list[Any] = []  # handles that Blender wants back
 
@@ -20,6 +21,7 @@ def register() -> None:
     """Classes, menu entries and `blender --command irgspp`."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    properties.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     _commands.append(bpy.utils.register_cli_command("irgspp", run_engine))
 
@@ -29,5 +31,6 @@ def unregister() -> None:
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
+    properties.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
