@@ -13,10 +13,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import torch
+from ground_truth import place_camera
 from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.scene.exr import read_exr, rgb_channels, write_exr
 from irgspp.core.scene.gaussians import SH_COEFFICIENTS, Gaussians, quaternion_to
-from irgspp.irgspp_addon.ground_truth import place_camera
 from irgspp.irgspp_addon.world import node_tree, world_from_map
 
 RADIUS, HEIGHT = 0.5, 0.55  # of the sphere: it floats, so that no ray starts between two touching surfaces

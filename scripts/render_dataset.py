@@ -12,14 +12,14 @@ import sys
 from pathlib import Path
 
 import bpy
+import ground_truth
 import numpy as np
+from demo_scene import build_demo_scene
 from irgspp.core.colour import encode_srgb
 from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.scene.exr import read_exr_rgb, rgb_channels, write_exr
 from irgspp.core.shading.lights import LIGHTS
-from irgspp.irgspp_addon import ground_truth
-from irgspp.irgspp_addon.demo_scene import build_demo_scene
 from irgspp.irgspp_addon.world import bake_world, world_from_map
 from PIL import Image
 

@@ -1,24 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run becomes an ordinary object whose materials Cycles sees with the right values."""
 
-import importlib.util
 import shutil
-from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+import sphere_run
+from blender_side import write_sphere_run
+from cycles_layers import glowing_inputs
 from irgspp.core.errors import InputError
 from irgspp.core.scene.cameras import load_cameras
-from irgspp.core.scene.ply import load_mesh_ply
-from irgspp.irgspp_addon import ground_truth
 from irgspp.irgspp_addon.ply import read_ply
 from irgspp.irgspp_addon.scene_builder import import_run, show_as_photographed
-
-spec = importlib.util.spec_from_file_location("sphere_run", Path(__file__).with_name("conftest.py"))
-assert spec and spec.loader
-sphere_run = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(sphere_run)
 
 
 @pytest.fixture(autouse=True)
@@ -26,8 +20,8 @@ def empty_file():
     bpy.ops.wm.read_homefile(use_empty=True)
 
 
-def test_ply_reader_agrees_with_the_engine(run_folder):
-    elements, mesh = read_ply(run_folder / "mesh.ply"), load_mesh_ply(run_folder / "mesh.ply")
+def test_ply_reader_agrees_with_what_the_engine_wrote(run_folder):
+    elements, mesh = read_ply(run_folder / "mesh.ply"), sphere_run.sphere()
     assert np.array_equal(elements["face"]["vertex_indices"], mesh.faces)
     assert np.array_equal(elements["vertex"]["albedo_g"], mesh.albedo[:, 1])
 
@@ -41,7 +35,7 @@ def test_broken_ply_is_bad_input(run_folder, tmp_path, damage):
 
 def test_mesh_is_welded_and_keeps_uvs_normals_and_attributes(run_folder):
     mesh = import_run(run_folder).mesh.data
-    source = load_mesh_ply(run_folder / "mesh.ply")
+    source = sphere_run.sphere()
     assert not mesh.validate()
     assert len(mesh.polygons) == len(source.faces)
     assert len(mesh.vertices) == len(np.unique(source.vertices, axis=0)) < len(source.vertices)
@@ -61,23 +55,30 @@ def test_mesh_is_welded_and_keeps_uvs_normals_and_attributes(run_folder):
 
 
 @pytest.mark.parametrize("source", ["textures", "attributes"])
-def test_cycles_reads_the_materials_values(run_folder, source):
+def test_cycles_reads_the_materials_values(run_folder, tmp_path, source):
     imported = import_run(run_folder, source)
     scene = bpy.context.scene
     show_as_photographed(scene, imported)
-    ground_truth.prepare(scene, samples=16, seed=0)
+    layers = glowing_inputs(scene, imported.mesh.active_material, tmp_path)
     camera = load_cameras(run_folder / "cameras.json")[0].camera
-    layers = ground_truth.render_picture(scene) | ground_truth.render_geometry(scene, camera)
-    inside = (layers["depth"] > 0) & (layers["rgba"][..., 3] > 0.99)
-    point = camera.centre + layers["depth"][..., None] * camera.rays()
-    point /= np.maximum(np.linalg.norm(point, axis=-1, keepdims=True), 1e-9)  # facets lie below the sphere
+    point, hit = first_hit(camera.centre, camera.rays().astype(float))
+    inside = hit & (layers["Base Color"][..., 3] > 0.99)
     albedo, roughness, metallic = sphere_run.materials(point)
     away = inside & (np.abs(point[..., 2]) > 0.2)  # from the edge between metal and dielectric
     assert inside.sum() > 400
-    assert np.abs(layers["albedo"] - albedo)[inside].mean() < 0.01
-    assert np.abs(layers["material"][..., 0] - roughness)[inside].mean() < 0.01
-    assert np.abs(layers["material"][..., 1] - metallic)[away].max() < 0.02
-    assert ((layers["normal"] * point).sum(-1)[inside] > 0.999).all()
+    assert np.abs(layers["Base Color"][..., :3] - albedo)[inside].mean() < 0.01
+    assert np.abs(layers["Roughness"][..., 0] - roughness)[inside].mean() < 0.01
+    assert np.abs(layers["Metallic"][..., 0] - metallic)[away].max() < 0.02
+    normal = 2 * layers["Normal"][..., :3] - 1
+    assert ((normal * point).sum(-1)[inside] / np.linalg.norm(normal, axis=-1)[inside] > 0.999).all()
+
+
+def first_hit(centre: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays (H, W, 3) first meet the unit sphere (H, W, 3), and whether they do (H, W)."""
+    ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    along = ray @ centre
+    root = along**2 - centre @ centre + 1
+    return centre + (-along - np.sqrt(np.maximum(root, 0)))[..., None] * ray, root > 0
 
 
 def test_colour_spaces_and_principled(run_folder):
@@ -110,8 +111,7 @@ def test_importing_again_reads_the_files_again(run_folder, tmp_path):
     """A run that was made anew in the same folder must not show the old run's packed textures."""
     shutil.copytree(run_folder, tmp_path / "run")
     first = import_run(tmp_path / "run")
-    size = 16
-    sphere_run.save_textures(sphere_run.textures(size), tmp_path / "run" / "textures")
+    write_sphere_run(tmp_path / "run", texture_size=16)
     second = import_run(tmp_path / "run")
     sizes = [
         {tuple(n.image.size) for n in i.mesh.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeTexImage"}

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The scene of the embedded dataset: Blender's monkey in blotchy glaze on a copper ring."""
 
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
 from __future__ import annotations
 
 from math import radians
 
 import bpy
-
-from .world import node_tree
+from irgspp.irgspp_addon.world import node_tree
 
 
 def build_demo_scene() -> list[bpy.types.Object]:

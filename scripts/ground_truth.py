@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures and exact surface layers of a Blender scene, by Cycles."""
 
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
 from __future__ import annotations
 
 import tempfile
@@ -8,11 +11,10 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.scene.exr import read_exr
 from mathutils import Matrix, Vector
 from mathutils.bvhtree import BVHTree
-
-from ..core.datasets.camera import Camera
-from ..core.scene.exr import read_exr
 
 ALBEDO, MATERIAL = "irgspp_albedo", "irgspp_material"
 

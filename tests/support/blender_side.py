@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What tests in Blender's process share: nothing of the engine's libraries is imported here, its work is done by its own Python.
+
+$IRGSPP_PYTHON names that Python, as for the extension; without it this one is taken.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+os.environ.setdefault("BLENDER_USER_RESOURCES", tempfile.mkdtemp(prefix="irgspp-blender-"))  # before bpy is imported
+
+import bpy  # first of all: it makes Blender's other modules importable
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ENGINE = os.environ.get("IRGSPP_PYTHON") or sys.executable
+START = """
+import runpy, sys
+from pathlib import Path
+root, script = Path(sys.argv[1]), sys.argv[2]
+runpy.run_path(str(root / "irgspp_addon" / "launch.py"))["mount"](root)
+sys.argv, sys.path[0] = sys.argv[2:], str(Path(script).parent)
+runpy.run_path(script, run_name="__main__")
+"""
+
+
+def in_engine(script: Path, *arguments: object) -> str:
+    """Run a script with our package in the engine's Python; its output."""
+    words = [ENGINE, "-c", START, str(ROOT), str(script), *map(str, arguments)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def write_sphere_run(folder: Path, texture_size: int = 128) -> Path:
+    """Write the run of `sphere_run` into a folder; photographs come beside it."""
+    in_engine(Path(__file__).with_name("sphere_run.py"), folder, texture_size)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run: mesh, textures, light and cameras with photographs."""
+    return write_sphere_run(tmp_path_factory.mktemp("runs") / "sphere")
+
+
+def read_picture(path: Path, channels: int = 3) -> np.ndarray:
+    """(H, W, channels) float32 as stored in an EXR file (no colour conversion), top row first; by Blender's own reader."""
+    image = bpy.data.images.load(str(path))
+    try:
+        image.colorspace_settings.name = "Non-Color"
+        width, height = image.size
+        pixels = np.empty(height * width * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        return pixels.reshape(height, width, -1)[::-1, :, :channels].copy()
+    finally:
+        bpy.data.images.remove(image)
+
+
+def write_picture(path: Path, pixels: np.ndarray) -> Path:
+    """Write (H, W, 3) linear values, top row first, as a 32-bit EXR by Blender's own writer."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(path.stem, width, height, float_buffer=True)
+    try:
+        image.colorspace_settings.name = "Non-Color"
+        rgba = np.ones((height, width, 4), np.float32)
+        rgba[..., :3] = pixels[::-1]
+        image.pixels.foreach_set(rgba.reshape(-1))
+        image.file_format, image.filepath_raw = "OPEN_EXR", str(path)
+        image.save()
+    finally:
+        bpy.data.images.remove(image)
+    return path

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run folder made from formulas, with numpy alone here; written by the engine's Python: `python sphere_run.py FOLDER [TEXTURE SIZE]`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from irgspp.core.datasets.camera import Camera, look_at
+from irgspp.core.scene.mesh import Mesh
+
+
+def sphere(rows: int = 24, columns: int = 48, size: int = 128) -> Mesh:
+    """A unit sphere with a seam at u = 0: red grows with x, green with y; the lower half is metal; roughness grows with z."""
+    v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
+    theta, phi = (1 - v) * np.pi, u * 2 * np.pi
+    normal = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).round(7)
+    a = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).reshape(-1)
+    b, c, d = a + 1, a + columns + 2, a + columns + 1
+    faces = np.concatenate([np.stack([a, b, c], -1)[columns:], np.stack([a, c, d], -1)[:-columns]])
+    normal[:, -1] = normal[:, 0]  # equal to the last bit on both sides of the seam
+    flat = normal.reshape(-1, 3).astype(np.float32)
+    uvs = np.stack([u, v], -1).reshape(-1, 2).astype(np.float32)
+    return Mesh(flat, flat, uvs, faces.astype(np.int32), *materials(flat), textures(size))
+
+
+def materials(point: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Albedo (..., 3), roughness (...) and metallic (...) at points (..., 3) of the sphere."""
+    albedo = 0.5 + 0.4 * np.stack([point[..., 0], point[..., 1], 0 * point[..., 2]], -1)
+    return albedo.astype(np.float32), (0.5 + 0.3 * point[..., 2]).astype(np.float32), (point[..., 2] < 0).astype(np.float32)
+
+
+def textures(size: int = 128) -> dict[str, np.ndarray]:
+    """As in `Mesh.textures`: (size, size[, 3]) uint8."""
+    v, u = np.meshgrid(1 - (np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
+    theta, phi = (1 - v) * np.pi, u * 2 * np.pi
+    albedo, roughness, metallic = materials(np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1))
+    encoded = np.where(albedo <= 0.0031308, 12.92 * albedo, 1.055 * albedo ** (1 / 2.4) - 0.055)
+    flat = np.broadcast_to(np.array([128, 128, 255], np.uint8), (size, size, 3)).copy()
+    return {"albedo": _bytes(encoded), "roughness": _bytes(roughness), "metallic": _bytes(metallic), "normal": flat}
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
+
+
+def map_directions(height: int, width: int) -> np.ndarray:
+    """(H, W, 3) float64 unit directions of a lat-long map's texel centres: row 0 at +Z, +X in the middle."""
+    phi = (0.5 - (np.arange(width) + 0.5) / width) * 2 * np.pi
+    theta = (np.arange(height)[:, None] + 0.5) / height * np.pi
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0 * phi], -1)
+
+
+def axis_light(height: int = 64) -> np.ndarray:
+    """(H, 2H, 3): smooth, and different along all six half axes."""
+    d = map_directions(height, 2 * height)
+    return (0.5 + 0.5 * d * np.array([0.9, 0.7, 0.5]) + 0.2 * np.roll(d, 1, -1) ** 2).astype(np.float32)
+
+
+def cameras() -> list[Camera]:
+    """Square and stretched pixels, centred and off-centre principal points, wide and tall pictures."""
+    lenses = [(64, 48, 70.0, 70.0, 32.0, 24.0), (48, 64, 60.0, 66.0, 20.5, 35.0), (50, 50, 80.0, 62.0, 30.0, 21.5)]
+    placed = []
+    for (width, height, fx, fy, cx, cy), eye in zip(lenses, [(4.0, 0.5, 1.0), (-2.0, 3.0, 0.7), (0.3, -4.0, -1.2)], strict=True):
+        placed.append(Camera(width, height, fx, fy, cx, cy, look_at(eye, up=(0.1, 0.0, 1.0))))
+    return placed
+
+
+def write_run(folder: Path, size: int = 128) -> None:
+    """Mesh, textures, light and cameras of a finished run, written by the engine's own functions; photographs lie beside it."""
+    from irgspp.core.datasets.dataset import Bound, Dataset, View
+    from irgspp.core.scene.cameras import save_cameras
+    from irgspp.core.scene.exr import rgb_channels, write_exr
+    from irgspp.core.scene.ply import save_mesh_ply
+    from irgspp.core.scene.textures import save_textures
+    from PIL import Image
+
+    photographs = folder.parent / "photographs"
+    for needed in (folder, photographs):
+        needed.mkdir(parents=True, exist_ok=True)
+    mesh, views = sphere(size=size), []
+    save_mesh_ply(mesh, folder / "mesh.ply")
+    save_textures(mesh.textures, folder / "textures")
+    write_exr(folder / "environment.exr", rgb_channels(axis_light()))
+    for i, camera in enumerate(cameras()):
+        picture = photographs / f"view{i}.png"
+        Image.new("RGB", (camera.width, camera.height), (40 * i, 100, 200)).save(picture)
+        views.append(View(f"view{i}", camera, picture, np.zeros((camera.height, camera.width, 3), np.float32), None))
+    save_cameras(folder / "cameras.json", Dataset(photographs, "transforms", views[:2], views[2:], Bound((0, 0, 0), 1), np.eye(4)))
+
+
+if __name__ == "__main__":
+    write_run(Path(sys.argv[1]), *map(int, sys.argv[2:]))
