@@ -18,9 +18,12 @@ from pathlib import Path
 from . import render_command
 from .config import PRESETS, Settings, preset
 from .errors import Cancelled, IrgsppError
+from .journal import JobJournal, JobNotes
 from .overrides import from_dict, with_overrides
 from .run_folder import read_run
 from .terminal import Terminal
+
+JOB_FOLDER = "IRGSPP_JOB"  # variable of the environment
 
 # Heavy imports (torch, numba) stand inside the commands: `irgspp --help` answers at once.
 
@@ -33,10 +36,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     with Terminal().signals() as terminal:
-        return _run(args, words, terminal)
+        return _run(args, words, watched(terminal))
 
 
-def _run(args: argparse.Namespace, words: list[str], terminal: Terminal) -> int:
+def watched(terminal: Terminal) -> Terminal | JobJournal:
+    """Progress as the program that started this process wants it: in the folder $IRGSPP_JOB as well, where it names one."""
+    folder = os.environ.pop(JOB_FOLDER, "")
+    return JobJournal(JobNotes(Path(folder)), terminal) if folder else terminal
+
+
+def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobJournal) -> int:
     try:
         return args.command(args, terminal)
     except Cancelled as error:
@@ -52,7 +61,7 @@ def _run(args: argparse.Namespace, words: list[str], terminal: Terminal) -> int:
         return 1
 
 
-def _complain(terminal: Terminal, line: str) -> None:
+def _complain(terminal: Terminal | JobJournal, line: str) -> None:
     terminal.end_line()
     print(f"irgspp: {line}", file=sys.stderr, flush=True)
 
@@ -95,12 +104,17 @@ def demo(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
     """Print what was understood of a dataset."""
-    from .datasets.inspect import describe
+    from .datasets.inspect import describe, facts
     from .datasets.load import load_dataset
 
-    data = load_dataset(args.dataset, with_overrides(Settings(), args.set).data, terminal)
+    settings = with_overrides(Settings(), args.set).data
+    data = load_dataset(args.dataset, settings, terminal)
+    if args.export is not None:
+        from .scene.dataset_files import save_dataset
+
+        save_dataset(data, settings, args.export, terminal)
     terminal.end_line()
-    print(describe(data))
+    print(json.dumps(facts(data)) if args.json else describe(data))
     return 0
 
 
@@ -167,6 +181,8 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(commands, "inspect", inspect, "print what is understood of a dataset")
     one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of posed photographs")
+    one.add_argument("--json", action="store_true", help="for programs: one JSON object")
+    one.add_argument("--export", metavar="FOLDER", type=Path, help="write cameras, points and undistorted photographs for other programs")
     _set_option(one)
 
     one = _command(commands, "reconstruct", reconstruct, "photographs to mesh, materials, light and a Blender file", resumable=True)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What was understood of a dataset, for people."""
+"""What was understood of a dataset, for people and for programs."""
 
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,41 @@ SHOWN = 5  # lines of one kind before the rest is only counted
 
 def describe(dataset: Dataset) -> str:
     """A compact table: format, views, sizes, cameras, points, masks, object bound, warnings."""
-    rows = [
+    return "\n".join(f"{name:<10}{text}" for name, text in _rows(dataset))
+
+
+def facts(dataset: Dataset) -> dict[str, Any]:
+    """The same as plain values for JSON.
+
+    path, format; train, test: numbers of views; sizes: [[width, height, pictures]], the most common first; kinds: of files; lenses: the
+    real cameras, one line each; distorted: photographs that show lens distortion; masked: training views with a mask; object_share: of
+    their pixels, or None; points: their number, or None; centre, radius: the object's bound in our world; to_world: (4, 4) from the
+    dataset's own frame to it; warnings; rows: [[name, text]] as `describe` puts them.
+    """
+    views = [*dataset.train, *dataset.test]
+    masks = [v.alpha for v in dataset.train if v.alpha is not None]
+    return {
+        "path": str(dataset.path),
+        "format": dataset.format,
+        "train": len(dataset.train),
+        "test": len(dataset.test),
+        "sizes": [[*size, count] for size, count in Counter((v.camera.width, v.camera.height) for v in views).most_common()],
+        "kinds": sorted({v.path.suffix.lower().lstrip(".") for v in views}),
+        "lenses": dataset.lenses,
+        "distorted": sum(v.distorted for v in views),
+        "masked": len(masks),
+        "object_share": _object_share(masks),
+        "points": None if dataset.points is None else len(dataset.points.position),
+        "centre": list(dataset.bound.centre),
+        "radius": dataset.bound.radius,
+        "to_world": dataset.to_world.tolist(),
+        "warnings": dataset.warnings,
+        "rows": [list(row) for row in _rows(dataset)],
+    }
+
+
+def _rows(dataset: Dataset) -> list[tuple[str, str]]:
+    return [
         ("dataset", str(dataset.path)),
         ("format", dataset.format),
         ("views", f"{len(dataset.train)} training, {len(dataset.test)} test"),
@@ -28,7 +63,6 @@ def describe(dataset: Dataset) -> str:
         ("own frame", _frame(dataset)),
         *(("warning", line) for line in _shortened(dataset.warnings)),
     ]
-    return "\n".join(f"{name:<10}{text}" for name, text in rows)
 
 
 def _sizes(views: list[View]) -> str:
@@ -53,8 +87,11 @@ def _masks(views: list[View]) -> str:
     masked = [v.alpha for v in views if v.alpha is not None]
     if not masked:
         return "none"
-    share = 100 * np.mean([float(a.mean()) for a in masked])
-    return f"{len(masked)} of {len(views)} training views, object on {share:.0f} % of the pixels"
+    return f"{len(masked)} of {len(views)} training views, object on {100 * (_object_share(masked) or 0):.0f} % of the pixels"
+
+
+def _object_share(masks: list[np.ndarray]) -> float | None:
+    return float(np.mean([float(mask.mean()) for mask in masks])) if masks else None
 
 
 def _frame(dataset: Dataset) -> str:

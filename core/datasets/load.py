@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +28,7 @@ from .undistort import pinhole, undistort, undistort_mask
 LOOKED_FOR = "looked for transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt"
 OPAQUE = 1 - 1.5 / 255
 SMALLEST_SIDE = 8
+FULL_SIZE = 1 << 20  # a resolution that reduces no picture
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -90,6 +91,26 @@ def load_cameras(
     if not frames:
         raise InputError(capture.source, f"has no {split or 'test'} views")
     return [(s.name, s.camera) for s in _shots(_present(frames) or frames, settings, [])], capture.to_world
+
+
+def full_size_views(dataset: Dataset, settings: DataSettings) -> Iterator[tuple[str, View]]:
+    """(split, view) of a dataset that was read with these settings, in order, with the cameras of the unreduced pictures.
+
+    Only pictures with lens distortion are decoded, one after another: the others fit their cameras as they are, and `colour` is empty.
+    Raises InputError where a picture has gone or changed since.
+    """
+    full = replace(settings, resolution=FULL_SIZE)
+    frames = _read_capture(dataset.path, full).split(settings.holdout)
+    for split, listed, views in zip(("train", "test"), frames, (dataset.train, dataset.test), strict=True):
+        kept = {view.name for view in views}  # the others could not be used, which has been told
+        for shot in _shots(_present(listed), full, []):
+            if shot.name not in kept or shot.frame.picture is None:
+                continue
+            plain = View(shot.name, shot.camera, shot.frame.picture, np.empty((0, 0, 3), np.float32), None)
+            view = _view(shot, masks=False) if shot.frame.lens.distorted else plain
+            if isinstance(view, InputError):
+                raise view
+            yield split, view
 
 
 def _check(settings: DataSettings) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,8 +32,12 @@ def save_cameras(path: Path, dataset: Dataset) -> None:
 
     Photographs with lens distortion don't fit their cameras: undistorted copies are written to `photographs/` beside `path`.
     """
+    save_views(path, [("train", view) for view in dataset.train] + [("test", view) for view in dataset.test])
+
+
+def save_views(path: Path, views: Iterable[tuple[str, View]]) -> None:
+    """The same for (split, view) pairs, which are taken one by one."""
     folder = path.parent.resolve()
-    views = [("train", view) for view in dataset.train] + [("test", view) for view in dataset.test]
     records = [_record(split, view, folder) for split, view in views]
     _replace(path, json.dumps(records, indent=1).encode())
 
