@@ -5,15 +5,24 @@ from __future__ import annotations
 
 import os
 import platform
+import sys
 from typing import Any
 
-from .errors import InputError
+from .errors import InputError, IrgsppError
+from .version import VERSION, problems
 
 SIMD = ("avx512f", "avx2", "fma", "neon", "sve", "sse4.2")
 
 
 def devices() -> dict[str, Any]:
-    """What can be used, ready for JSON: {"cpu": {name, threads, cores, simd}, "cuda": [{index, name, memory}], "notes": [lines]}."""
+    """What can be used, ready for JSON.
+
+    {"irgspp": version, "python": version, "cpu": {name, threads, cores, simd}, "cuda": [{index, name, memory}], "notes": [lines]}
+
+    Raises IrgsppError where a library is missing or too old.
+    """
+    if lacking := problems():
+        raise IrgsppError(f"this Python ({sys.executable}) can't run the engine: {'; '.join(lacking)}")
     import llvmlite.binding as llvm
     import torch
 
@@ -22,6 +31,8 @@ def devices() -> dict[str, Any]:
     features = llvm.get_host_cpu_features()
     notes = ["this version computes on the CPU alone"] if torch.cuda.is_available() else []
     return {
+        "irgspp": VERSION,
+        "python": platform.python_version(),
         "cpu": {
             "name": f"{platform.machine()} {llvm.get_host_cpu_name()}",
             "threads": thread_count(),

@@ -4,16 +4,22 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
+
+import numpy as np
+
+Draw = Callable[[], np.ndarray]  # makes a picture, (H, W, 3) or (H, W, 4) uint8
 
 
 class Progress(Protocol):
     """Receives the progress of a job.
 
     `phase` opens a phase of a known number of steps; `step` reports the number of steps done, with figures such as `loss` and
-    `psnr`; `message` is one line for a person. `cancelled` turns True when the user wants the work to stop: the worker
-    saves what it has and raises `errors.Cancelled`. `finish_early` turns True when the user is content with what is there:
-    an iterative phase stops and the work goes on with the next one.
+    `psnr`; `message` is one line for a person; `picture` offers a picture of what is there, drawn only where one is wanted.
+    `cancelled` turns True when the user wants the work to stop: the worker saves what it has and raises `errors.Cancelled`.
+    `finish_early` turns True when the user is content with what is there: an iterative phase stops and the work goes on with
+    the next one.
     """
 
     @property
@@ -27,6 +33,8 @@ class Progress(Protocol):
     def step(self, done: int, **figures: float) -> None: ...
 
     def message(self, text: str) -> None: ...
+
+    def picture(self, draw: Draw) -> None: ...
 
 
 class Silent:
@@ -43,6 +51,9 @@ class Silent:
 
     def message(self, text: str) -> None:
         """Ignored."""
+
+    def picture(self, draw: Draw) -> None:
+        """Not drawn."""
 
 
 class Checkpoint(Protocol):

@@ -20,6 +20,7 @@ from .config import Settings
 from .errors import Cancelled, InputError
 from .lock import FileLock
 from .memory import peak_memory, reset_peak_memory
+from .notes import Notes
 from .overrides import differences, from_dict, to_dict
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
@@ -66,7 +67,7 @@ def check_claim(path: Path, resume: bool, overwrite: bool) -> None:
         raise InputError(path, "holds another run", "go on with it by --resume, replace it by --overwrite, or name another folder")
 
 
-class RunFolder:
+class RunFolder(Notes):
     """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
 
     `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, versions, dataset, settings, seed,
@@ -74,7 +75,8 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, state: dict[str, Any], lock: FileLock) -> None:
-        self.path, self.state, self._lock = path, state, lock
+        super().__init__(path)
+        self.state, self._lock = state, lock
 
     @classmethod
     def open(cls, path: Path, settings: Settings, dataset: str, *, resume: bool = False, overwrite: bool = False) -> RunFolder:
@@ -113,17 +115,6 @@ class RunFolder:
         write_atomic(self.path / "run.json", (json.dumps(self.state, indent=2, allow_nan=False) + "\n").encode())
 
     # --- what happened
-
-    def event(self, **values: Any) -> None:
-        """Append one JSON object to events.jsonl; values that are not finite become null, as JSON has no word for them."""
-        finite = {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
-        with (self.path / "events.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"time": round(time.time(), 3), **finite}) + "\n")
-
-    def log(self, text: str) -> None:
-        """Append to log.txt, with the time."""
-        with (self.path / "log.txt").open("a", encoding="utf-8") as file:
-            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
     def skip(self, what: str, why: str) -> None:
         """Note that a part of the job was left out."""

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TextIO
 
-from .progress import TimeLeft
+from .progress import Draw, TimeLeft
 
 BAR = 24
 LIVE_SECONDS, PLAIN_SECONDS = 0.1, 5.0
@@ -51,6 +51,9 @@ class Terminal:
         """One line for a person."""
         self.end_line()
         print(text, file=self._stream, flush=True)
+
+    def picture(self, draw: Draw) -> None:
+        """Terminals show none."""
 
     def end_line(self) -> None:
         """Leave the line that is kept up to date, so that others may print."""

@@ -27,6 +27,7 @@ from .hull import initial_gaussians
 from .kind import COATED, KINDS, Kind, candidates, with_pace
 from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
+from .preview import LONGEST, eight_bits
 from .target import Target, make_target
 
 START_RADIANCE = 0.5  # of the light, linear
@@ -134,6 +135,13 @@ class Trainer:
             values.append(-10 * math.log10(max(error.item(), 1e-10)))
         return sum(values) / len(values) if values else None
 
+    def picture(self) -> np.ndarray:
+        """(H, W, 3) uint8: the first training view as it is now, small."""
+        camera = self.targets[0].camera
+        with torch.no_grad():
+            rendered = self.render(make_target(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST)))[0]
+        return eight_bits(rendered.permute(1, 2, 0).numpy())
+
     def run(self, progress: Progress, checkpoint: Checkpoint | None) -> None:
         """To the end of the schedule, or until the user is content; raises Cancelled after a checkpoint."""
         saved = time.monotonic()
@@ -147,6 +155,7 @@ class Trainer:
                 psnr = self.test()
                 figures |= {} if psnr is None else {"psnr": psnr}
             progress.step(self.done, **figures)
+            progress.picture(self.picture)
             if checkpoint is not None and time.monotonic() - saved > CHECKPOINT_SECONDS:
                 checkpoint.save("reflective", self.state())
                 saved = time.monotonic()
@@ -203,6 +212,7 @@ def choose_kind(dataset: Dataset, settings: Settings, gaussians: Gaussians, prog
                 raise Cancelled("stopped while the kind of material was being decided")
             trial.step()
             progress.step(trial.done + i * brief.iterations)
+            progress.picture(trial.picture)
         score[kind] = trial.test() or 0.0
     best = kinds[0]
     for kind in kinds[1:]:

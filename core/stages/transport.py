@@ -18,8 +18,9 @@ from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
 from .finite import require_finite
 from .observations import Observations, observe
-from .painting import paint
+from .painting import either_metal_or_not, paint
 from .pixel_pool import pool_pixels
+from .preview import albedo_picture
 from .radiance_fit import refit_radiance
 from .refinement import MOSTLY_METAL, Refinement, is_metal
 from .separation import METALLIC, STEPS, Separation
@@ -82,11 +83,17 @@ def refined(
         return told_apart
     starts = [told_apart]
     if first.glossy and float(separation.metallic.mean()) > MOSTLY_METAL:
-        starts.append(first)
+        starts.append(replace(first, gaussians=either_metal_or_not(first.gaussians)))
     trials = [Refinement(start, pool, tracer, settings.transport, settings.seed) for start in starts]
     before = [trial.test() for trial in trials]
     best = int(np.argmax(before))
-    trials[best].run(lambda done: _step(progress, done) or progress.finish_early)
+
+    def stepped(done: int) -> bool:
+        _step(progress, done)
+        progress.picture(lambda: albedo_picture(trials[best].result(), dataset.train[0].camera))
+        return progress.finish_early
+
+    trials[best].run(stepped)
     after = trials[best].test()
     progress.message(f"shaded views held back: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
     return trials[best].result() if after > before[best] else starts[best]
