@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from scipy.spatial import KDTree
 
 from ..datasets.dataset import View
 from ..kernels.reference import sh_basis
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import METALLIC, Gaussians
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
 from ..shading.specular_albedo import diffuse_share
@@ -101,14 +102,22 @@ def fitted_albedo(
     return albedo
 
 
-def medians(position: torch.Tensor, albedo: torch.Tensor) -> torch.Tensor:
-    """(P, 3) median albedo of AROUND neighbours.
+def either_metal_or_not(gaussians: Gaussians) -> Gaussians:
+    """Each disk all metal or none of it, as most of those around it are: what lies between explains errors of normals, not a material."""
+    materials, position = gaussians.materials().detach(), gaussians.position.detach().T
+    metallic = medians(position, materials[METALLIC, :, None])[:, 0] > METAL
+    materials = torch.cat([materials[:METALLIC], metallic[None].float().clamp(EDGE, 1 - EDGE)])
+    return replace(gaussians, material=torch.logit(materials))
+
+
+def medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """(P, C) medians of values (P, C), such as albedo, over AROUND neighbours.
 
     A metal's is what it reflects divided by what it should: a small error of the normal finds another part of the light, and a single
     disk's albedo is worth little.
     """
     if not len(position):
-        return albedo
+        return values
     _, nearest = KDTree(position.numpy()).query(position.numpy(), k=min(AROUND, len(position)))
     around = torch.from_numpy(np.asarray(nearest).reshape(len(position), -1))
-    return albedo[around].median(1).values
+    return values[around].median(1).values

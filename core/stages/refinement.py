@@ -48,11 +48,12 @@ class Refinement:
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         metal = is_metal(g)
-        table = {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness", "metallic")}
+        table = {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness")}
         table["light"] = Rate(5e-3 * (METAL_PACE if metal else 1.0), 0.1)
-        # A metal's normals were found by what they reflect; noise that sharp would only scatter them.
+        # A metal's normals were found by what they reflect; noise that sharp would only scatter them, and a metal that is a little less
+        # of one would explain their errors as diffuse light.
         if not metal:
-            table["quaternion"] = Rate(settings.normal_rate, 0.1)
+            table |= {"metallic": Rate(1e-2, 0.1), "quaternion": Rate(settings.normal_rate, 0.1)}
         self.optimizer = GaussianOptimizer(g, table, {"light": self.light})
         self.side = facing_side(g, pool)
         views = int(pool.number.max()) + 1

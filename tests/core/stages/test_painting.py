@@ -13,14 +13,14 @@ from irgspp.core.colour import encode_srgb
 from irgspp.core.datasets.dataset import Bound, View
 from irgspp.core.kernels.bvh import DiskTree
 from irgspp.core.kernels.tracing import COLOUR, trace
-from irgspp.core.scene.gaussians import SH_DC
+from irgspp.core.scene.gaussians import METALLIC, SH_DC
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.shading.brdf import base_reflectance
 from irgspp.core.shading.specular_albedo import diffuse_share, specular_albedo
 from irgspp.core.stages import painting
 from irgspp.core.stages.observations import Observations
-from irgspp.core.stages.painting import EDGE, fitted_albedo, own_radiance, paint, surface_normals, with_colour
+from irgspp.core.stages.painting import EDGE, either_metal_or_not, fitted_albedo, own_radiance, paint, surface_normals, with_colour
 from irgspp.core.stages.tracer import Tracer
 from irgspp.core.stages.transfer import trace_transfer
 
@@ -189,3 +189,18 @@ def test_clipped_views_are_lower_bounds(lit):
     one = torch.arange(250)[:, None] % 5 == 2
     clipped = Observations(seen.position, seen.normal, seen.point, seen.view, torch.where(one, limit, seen.colour), one.expand(-1, 3))
     np.testing.assert_allclose(fitted_albedo(clipped, *problem), albedo, rtol=1e-2, atol=1e-3)
+
+
+def test_disks_become_metal_or_not_as_those_around_them_are(splat_sphere):
+    sphere = splat_sphere(COUNT)
+    top = sphere.position[2] > 0
+    some = torch.rand(COUNT, generator=torch.Generator().manual_seed(0))
+    metallic = torch.where(top, 0.55 + 0.4 * some, 0.4 * some)
+    metallic[::10] = 1 - metallic[::10]  # single ones that are wrong
+    material = sphere.material.clone()
+    material[METALLIC] = torch.logit(metallic)
+    decided = either_metal_or_not(replace(sphere, material=material))
+    torch.testing.assert_close(decided.material[:METALLIC], material[:METALLIC])
+    away = sphere.position[2].abs() > 0.1
+    expected = torch.where(top, 1 - EDGE, EDGE)[away]
+    torch.testing.assert_close(decided.materials()[METALLIC][away], expected)

@@ -8,6 +8,7 @@ import pytest
 import torch
 from irgspp.core.config import TransportSettings
 from irgspp.core.datasets.dataset import Bound
+from irgspp.core.scene.gaussians import METALLIC
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.pixel_pool import pool_pixels
 from irgspp.core.stages.radiance_fit import refit_radiance
@@ -54,12 +55,15 @@ def test_what_was_held_back_is_shown_better_and_the_same_each_time(start, photog
     assert red > blue  # as the photographs are
 
 
-def test_only_what_is_no_metal_turns(start, photographs):
-    for metallic, turns in ((0.02, True), (0.95, False)):
-        first = start(metallic)
-        trial = refinement(first, photographs)
+def test_only_what_is_no_metal_turns_and_may_become_one(start, photographs):
+    for metallic, free in ((0.02, True), (0.95, False)):
+        first = start(metallic).gaussians
+        trial = refinement(start(metallic), photographs)
         trial.run(lambda done: done == 3)
-        assert torch.equal(trial.result().gaussians.quaternion, first.gaussians.quaternion) != turns
+        refined = trial.result().gaussians
+        assert torch.equal(refined.quaternion, first.quaternion) != free
+        assert torch.equal(refined.material[METALLIC], first.material[METALLIC]) != free
+        assert not torch.equal(refined.material[:METALLIC], first.material[:METALLIC])
 
 
 def test_the_step_ends_the_run(start, photographs):
