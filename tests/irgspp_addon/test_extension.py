@@ -11,6 +11,7 @@ from pathlib import Path
 import addon_utils
 import bpy
 import pytest
+from blender_side import ENGINE
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULE = "bl_ext.user_default.irgspp"
@@ -83,7 +84,7 @@ def test_import_operator_reports_a_folder_that_is_no_run(extension, tmp_path):
 
 def test_command_line_runs_the_engine_of_the_extension(extension, capfd, monkeypatch):
     engine = sys.modules[f"{MODULE}.irgspp_addon.engine"]
-    assert engine.engine_python() == sys.executable
+    assert engine.engine_python() == ENGINE
     assert engine.run_engine(["devices", "--json"]) == 0
     assert '"cpu"' in capfd.readouterr().out
     assert engine.run_engine(["inspect", "/no/such/folder"]) == 2
