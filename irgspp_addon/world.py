@@ -48,7 +48,13 @@ def load_image(path: Path, colour_space: str, pack: bool) -> bpy.types.Image:
 
 
 def bake_world(scene: bpy.types.Scene, target: Path, height: int = 128) -> None:
-    """Render the scene's World alone, whatever its nodes, as a lat-long 32-bit EXR in our convention."""
+    """Render the scene's World alone, whatever its nodes, as a lat-long 32-bit EXR in our convention, exactly at the texel centres.
+
+    Uses a scene of its own, removed afterwards; selection, active scene and render result stay. Raises RuntimeError while a render runs,
+    which can't hold another.
+    """
+    if bpy.app.is_job_running("RENDER"):
+        raise RuntimeError("the World can't be rendered while another render runs")
     empty = bpy.data.scenes.new("irgspp world bake")
     data = bpy.data.cameras.new("irgspp world bake")
     camera = bpy.data.objects.new("irgspp world bake", data)
@@ -57,15 +63,20 @@ def bake_world(scene: bpy.types.Scene, target: Path, height: int = 128) -> None:
         empty.world, empty.camera = scene.world, camera
         data.type, data.panorama_type = "PANO", "EQUIRECTANGULAR"
         camera.rotation_euler = (1.5707963267948966, 0.0, -1.5707963267948966)  # +X in the middle of the picture
-        render = empty.render
-        render.engine = "CYCLES"
-        empty.cycles.samples, empty.cycles.use_denoising = 4, False
-        empty.cycles.pixel_filter_type, empty.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
-        render.resolution_x, render.resolution_y, render.resolution_percentage = 2 * height, height, 100
-        settings = render.image_settings
-        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
-        render.filepath = str(target.resolve())
+        _set_render(empty, target, height)
         bpy.ops.render.render(write_still=True, scene=empty.name)
     finally:
         bpy.data.scenes.remove(empty)
         bpy.data.cameras.remove(data)
+
+
+def _set_render(scene: bpy.types.Scene, target: Path, height: int) -> None:
+    render, cycles = scene.render, scene.cycles
+    render.engine = "CYCLES"
+    cycles.device, cycles.use_denoising = "CPU", False
+    cycles.samples, cycles.use_adaptive_sampling = 1, False  # the first sample is the centre of the pixel, later ones are scattered
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 2 * height, height, 100
+    settings = render.image_settings
+    settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
+    render.filepath = str(target.resolve())

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The light of any World: read where it is plain, otherwise rendered by a second Blender while the first goes on."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core.errors import InputError, IrgsppError
+from .light_map import LightMap
+from .plain_world import plain_light
+from .world_print import fingerprint
+
+ROWS = 1024  # of a rendered World: the sun of a Sky Texture is half a degree wide
+PATIENCE = 120.0  # seconds
+CHILD = Path(__file__).with_name("bake_child.py")
+
+_rendered: dict[str, LightMap] = {}  # by fingerprint, the latest few
+
+
+def world_light(scene: bpy.types.Scene, timeout: float = PATIENCE) -> LightMap:
+    """The light of a scene's World, waited for; also right while a render runs. Raises InputError where there is none."""
+    asked = ask_world(scene)
+    if isinstance(asked, LightMap):
+        return asked
+    try:
+        return asked.wait(timeout)
+    finally:
+        asked.close()
+
+
+def ask_world(scene: bpy.types.Scene) -> LightMap | WorldBake:
+    """The light where it is known or easily read, otherwise the started work to find it. Raises InputError where there is none."""
+    light = plain_light(scene.world)
+    if light is not None:
+        return light
+    assert scene.world is not None
+    known = _rendered.get(fingerprint(scene.world))
+    return known or WorldBake(scene.world)
+
+
+class WorldBake:
+    """One World on its way through another Blender; `poll` until it gives the light, `close` in any case."""
+
+    def __init__(self, world: bpy.types.World, rows: int = ROWS) -> None:
+        self.print, self._name = fingerprint(world), world.name
+        self._folder = Path(tempfile.mkdtemp(prefix="irgspp-world-"))
+        blend, self._map = self._folder / "world.blend", self._folder / "map.npy"
+        bpy.data.libraries.write(str(blend), {world}, path_remap="ABSOLUTE", fake_user=True)
+        self._log = self._folder / "log.txt"
+        command = [*blender_command(CHILD), "--", str(blend), str(self._map), str(rows)]
+        with self._log.open("wb") as log:
+            self._child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+
+    def poll(self) -> LightMap | None:
+        """The light when it is there. Raises IrgsppError where it can't be had."""
+        status = self._child.poll()
+        if status is None:
+            return None
+        if status or not self._map.is_file():
+            lines = self._log.read_text(errors="replace").strip().splitlines()
+            raise IrgsppError(f"World {self._name}: could not be rendered ({lines[-1] if lines else f'status {status}'})")
+        light = LightMap(np.maximum(np.nan_to_num(np.load(self._map), nan=0.0, posinf=0.0), 0))
+        while len(_rendered) >= 4:
+            del _rendered[next(iter(_rendered))]
+        _rendered[self.print] = light
+        return light
+
+    def wait(self, timeout: float) -> LightMap:
+        """The light, within so many seconds. Raises IrgsppError where it can't be had."""
+        until = time.monotonic() + timeout
+        while time.monotonic() < until:
+            if (light := self.poll()) is not None:
+                return light
+            time.sleep(0.02)
+        raise IrgsppError(f"World {self._name}: not rendered within {timeout:.0f} seconds")
+
+    def close(self) -> None:
+        """End the other Blender where it still works, and leave no file."""
+        if self._child.poll() is None:
+            self._child.kill()
+        self._child.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def forget() -> None:
+    """Drop what was rendered: another file may hold other pictures under the same names."""
+    _rendered.clear()
+
+
+def blender_command(script: Path) -> list[str]:
+    """The words that run a script in another Blender like this one, up to its own arguments."""
+    if bpy.app.binary_path:
+        return [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(script)]
+    return [sys.executable, str(script)]  # Blender as a module
+
+
+def save_light(light: LightMap, path: Path, rows: int) -> None:
+    """Write a light map in our convention as 32-bit .exr or as .npy; whole or not at all. Raises InputError for other suffixes."""
+    texels = light.picture(rows)
+    partial = path.with_name(f".{path.stem}.part{path.suffix.lower()}")
+    if path.suffix.lower() == ".npy":
+        np.save(partial, texels)
+    elif path.suffix.lower() == ".exr":
+        _save_exr(texels, partial)
+    else:
+        raise InputError(path, "is no light map", "let the name end with .exr or .npy")
+    partial.replace(path)
+
+
+def _save_exr(texels: np.ndarray, path: Path) -> None:
+    """By Blender's own functions: other EXR libraries crash in its process."""
+    rows, columns = texels.shape[:2]
+    image = bpy.data.images.new("irgspp light map", columns, rows, float_buffer=True, is_data=True)
+    try:
+        rgba = np.concatenate([texels[::-1], np.ones((rows, columns, 1), np.float32)], -1)
+        image.pixels.foreach_set(np.ascontiguousarray(rgba, np.float32).reshape(-1))
+        image.file_format, image.filepath_raw = "OPEN_EXR", str(path)
+        image.save()
+    finally:
+        bpy.data.images.remove(image)

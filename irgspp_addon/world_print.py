@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a World looks like, as a word that changes when its light does: so that it is rendered once and not for every picture."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+
+import bpy
+
+LAYOUT = ("location", "location_absolute", "width", "height", "select", "label", "color", "use_custom_color", "show_options")
+LAYOUT += ("show_preview", "hide", "name", "warning_propagation", "show_texture", "bl_")
+
+
+def fingerprint(world: bpy.types.World) -> str:
+    """The same for worlds of the same nodes, values and images; layout of the node editor does not count."""
+    parts = [*_tree(world.node_tree)] if world.node_tree else []
+    return hashlib.sha256("\n".join([repr(tuple(world.color)), *parts]).encode()).hexdigest()
+
+
+def _tree(tree: bpy.types.NodeTree) -> Iterator[str]:
+    for node in tree.nodes:
+        yield f"{node.name} {node.bl_idname} {list(_values(node))}"
+        for socket in node.inputs:
+            yield f"{socket.identifier} {_plain(getattr(socket, 'default_value', None))}"
+        for socket in node.outputs:  # Value and RGB nodes keep what they give there
+            yield f"{socket.identifier} {_plain(getattr(socket, 'default_value', None))}"
+        inner = getattr(node, "node_tree", None)
+        if inner is not None:
+            yield from _tree(inner)
+    for link in tree.links:
+        ends = (link.from_node.name, link.from_socket.identifier, link.to_node.name, link.to_socket.identifier)
+        yield f"{ends} {link.is_muted}"
+
+
+def _values(owner: bpy.types.bpy_struct) -> Iterator[str]:
+    """Properties of a node or of what it holds: ramps, curves, images."""
+    for known in owner.bl_rna.properties:
+        name = known.identifier
+        if name == "rna_type" or name.startswith(LAYOUT) or known.is_hidden:
+            continue
+        value = getattr(owner, name)
+        if isinstance(value, bpy.types.ColorRamp):
+            stops = [(e.position, tuple(e.color)) for e in value.elements]
+            yield f"{value.color_mode} {value.interpolation} {value.hue_interpolation} {stops}"
+        elif isinstance(value, bpy.types.CurveMapping):
+            yield repr([[(*p.location, p.handle_type) for p in curve.points] for curve in value.curves])
+        elif isinstance(value, bpy.types.Image):
+            yield f"{value.name_full} {value.filepath} {tuple(value.size)} {value.colorspace_settings.name} {value.alpha_mode} {value.is_dirty}"
+        elif isinstance(value, bpy.types.Object):
+            yield f"{value.name_full} {[tuple(row) for row in value.matrix_world]}"
+        elif known.type not in ("POINTER", "COLLECTION"):
+            yield f"{name}={_plain(value)}"
+
+
+def _plain(value: object) -> str:
+    return repr(tuple(value)) if hasattr(value, "__len__") and not isinstance(value, str) else repr(value)
