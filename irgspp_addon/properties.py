@@ -10,12 +10,13 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 UP_AXES = [
-    ("AS_IS", "As It Is", "Keep the dataset upright as its cameras say", 0),
+    ("AS_IS", "As It Is", "Upright as the engine found it", 0),
     ("Y_UP", "+Y Up", "The dataset's Y axis becomes Blender's Z", 1),
     ("NEG_Y_UP", "-Y Up", "The dataset's Y axis points down, as in COLMAP", 2),
     ("X_UP", "+X Up", "The dataset's X axis becomes Blender's Z", 3),
     ("NEG_X_UP", "-X Up", "The dataset's X axis points down", 4),
     ("NEG_Z_UP", "-Z Up", "The dataset stands on its head", 5),
+    ("Z_UP", "+Z Up", "The dataset's own axes, unchanged", 6),
 ]
 PRESETS = [
     ("draft", "Draft", "A first look: photographs reduced to 320 pixels, few steps; a minute or two", 0),
