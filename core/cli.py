@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from . import render_command
+from . import render_command, serve_command
 from .config import PRESETS, Settings, preset
 from .errors import Cancelled, IrgsppError
 from .journal import JobJournal, JobNotes
@@ -198,6 +198,10 @@ def parser() -> argparse.ArgumentParser:
     one = _command(commands, "render", render_command.render, "views of a run as pictures and layers")
     _run_argument(one)
     render_command.add_options(one)
+
+    one = _command(commands, "serve", serve_command.serve, "keep a run warm and answer requests for pictures through files")
+    _run_argument(one)
+    serve_command.add_options(one)
 
     one = _command(commands, "evaluate", evaluate, "compare a run with a dataset: every figure its truth allows")
     _run_argument(one)

@@ -46,7 +46,8 @@ def _values(owner: bpy.types.bpy_struct) -> Iterator[str]:
         elif isinstance(value, bpy.types.CurveMapping):
             yield repr([[(*p.location, p.handle_type) for p in curve.points] for curve in value.curves])
         elif isinstance(value, bpy.types.Image):
-            yield f"{value.name_full} {value.filepath} {tuple(value.size)} {value.colorspace_settings.name} {value.alpha_mode} {value.is_dirty}"
+            about = (tuple(value.size), value.colorspace_settings.name, value.alpha_mode, value.is_dirty)
+            yield f"{value.name_full} {value.filepath} {about}"
         elif isinstance(value, bpy.types.Object):
             yield f"{value.name_full} {[tuple(row) for row in value.matrix_world]}"
         elif known.type not in ("POINTER", "COLLECTION"):
