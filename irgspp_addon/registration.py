@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
-from . import properties
+from . import materials, properties
 from .engine import run_engine
 from .preferences import IRGSPP_Preferences
 
@@ -22,6 +22,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     properties.register()
+    materials.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     _commands.append(bpy.utils.register_cli_command("irgspp", run_engine))
 
@@ -31,6 +32,7 @@ def unregister() -> None:
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
+    materials.unregister()
     properties.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

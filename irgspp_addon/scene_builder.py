@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run folder as Blender datablocks: mesh, materials, light and cameras, in one collection."""
+"""A run folder as Blender datablocks: mesh, material, light and cameras, in one collection under one empty."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,46 +11,87 @@ import bpy
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.scene.cameras import PlacedCamera, load_cameras
-from .cameras import look_through, new_camera, set_background
-from .materials import TEXTURES, attribute_material, textured_material
+from ..core.scene.cameras import load_cameras
+from .cameras import look_through, place_cameras
+from .materials import SOURCES, TEXTURES, build_material
+from .ownership import Owner, folder_of, link, put
+from .placement import Placement, place, place_beside
 from .ply import read_ply
-from .world import world_from_map
+from .world import load_image, world_from_map
 
-SOURCES = ("textures", "attributes")
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
+RUN, DATASET = "irgspp_run", "irgspp_dataset"  # custom properties of the empty: the folders it shows
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What `import_run` made."""
+    """What `import_run` made: everything but the World lies below the empty `root`, in the frame that the engine works in."""
 
     collection: bpy.types.Collection
+    root: bpy.types.Object
     mesh: bpy.types.Object
     cameras: list[bpy.types.Object]
     world: bpy.types.World
 
 
-def import_run(run: Path, source: str = "textures", pack: bool = True) -> Imported:
-    """Build everything of a finished run and link it to the current scene; its render settings and World stay as they are.
+def import_run(run: Path, source: str = "textures", pack: bool = True, placement: Placement | None = None) -> Imported:
+    """Build everything of a finished run in the current scene, in place of what an earlier import of the folder made.
 
-    `source` says what the material reads, "textures" or "attributes"; `pack` puts textures and light into the .blend.
-    Raises InputError where the folder is not a finished run.
+    The scene's render settings and World stay as they are. `source` says what the material reads, "textures" or "attributes"; `pack`
+    puts textures and light into the .blend; without `placement` the run lies over its imported dataset, or as the engine found it.
+    Raises InputError where the folder is not a finished run, before anything is made.
     """
     if source not in SOURCES:
         raise InputError(source, "is not a material source", "use textures or attributes")
     cameras, elements = load_cameras(run / "cameras.json"), _read_mesh(run / "mesh.ply")
     for needed in ["environment.exr", *(f"textures/{name}.png" for name in TEXTURES if source == "textures")]:
-        if not (run / needed).is_file():  # all is looked at before anything is made
+        if not (run / needed).is_file():
             raise InputError(run / needed, "is missing", "the run is not finished" if source == "attributes" else "or use the attributes")
-    collection = bpy.data.collections.new(run.resolve().name)
-    bpy.context.scene.collection.children.link(collection)
-    mesh = bpy.data.objects.new(collection.name, _mesh(elements, collection.name))
-    collection.objects.link(mesh)
-    _give_materials(mesh, run / "textures", source, pack)
-    world = world_from_map(run / "environment.exr", f"{collection.name} light", pack)
-    world.use_fake_user = True
-    return Imported(collection, mesh, _place_cameras(cameras, collection), world)
+    to_world, centre = _frame(run)
+    owner = Owner(run)
+    name = owner.folder.name
+    collection = owner.kept(bpy.data.collections, "collection", name)
+    link_to_scene(collection)
+    root = new_root(owner, f"{collection.name} frame", collection)
+    root[RUN] = str(owner.folder)
+    dataset = _dataset_root(run)
+    if placement is None and dataset is not None:
+        place_beside(root, dataset, to_world)
+    else:
+        place(root, placement or Placement(), to_world, centre)
+    mesh = owner.object("mesh", name, owner.exchanged(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
+    put(mesh, collection)
+    mesh.data.materials.append(_material(owner, name, run / "textures", source, pack))
+    placed = place_cameras(owner, cameras, root, collection)
+    world = _light(owner, run / "environment.exr", f"{name} light", pack, root)
+    owner.drop_rest()
+    return Imported(collection, root, mesh, placed, world)
+
+
+def link_to_scene(collection: bpy.types.Collection) -> None:
+    """Show the collection in the current scene, unless a person has put it somewhere in it already."""
+    scene = bpy.context.scene
+    if collection not in scene.collection.children_recursive:
+        link(collection, scene.collection)
+
+
+def new_root(owner: Owner, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """The empty above everything."""
+    root = owner.object("root", name, None, None)
+    put(root, collection)
+    return root
+
+
+def find_roots(folder_property: str) -> list[bpy.types.Object]:
+    """The empties of all imported runs (RUN) or datasets (DATASET) of the current scene."""
+    return [thing for thing in bpy.context.scene.objects if folder_property in thing and thing.type == "EMPTY"]
+
+
+def run_of(thing: bpy.types.Object | None) -> Path | None:
+    """The run folder that an object was imported from."""
+    root = thing.parent or thing if thing is not None else None
+    folder = folder_of(thing)
+    return folder if root is not None and RUN in root else None
 
 
 def show_as_photographed(scene: bpy.types.Scene, imported: Imported) -> None:
@@ -101,26 +143,49 @@ def _columns(vertex: np.ndarray, *names: str) -> np.ndarray:
     return np.stack([vertex[name] for name in names], -1).astype(np.float32)
 
 
-def _give_materials(mesh: bpy.types.Object, textures: Path, source: str, pack: bool) -> None:
-    """Both materials are made where both can be, so that a person may swap them; the chosen one is in the slot."""
-    name = mesh.name
-    materials = {"attributes": attribute_material(f"{name} attributes")}
+def _material(owner: Owner, name: str, textures: Path, source: str, pack: bool) -> bpy.types.Material:
+    """One material that can read either source, where there are textures at all."""
+    images = {}
     if all((textures / f"{texture}.png").is_file() for texture in TEXTURES):
-        materials["textures"] = textured_material(textures, f"{name} textures", pack)
-    for material in materials.values():
-        material.use_fake_user = True
-    mesh.data.materials.append(materials[source])
+        for texture in TEXTURES:
+            image = load_image(textures / f"{texture}.png", "sRGB" if texture == "albedo" else "Non-Color", pack)
+            images[texture] = owner.exchanged(bpy.data.images, f"{texture} texture", image)
+    material = owner.kept(bpy.data.materials, "material", name)
+    build_material(material, images, source)
+    return material
 
 
-def _place_cameras(cameras: list[PlacedCamera], parent: bpy.types.Collection) -> list[bpy.types.Object]:
-    folder = bpy.data.collections.new(f"{parent.name} cameras")
-    parent.children.link(folder)
-    placed = []
-    for record in cameras:
-        camera = new_camera(f"{record.split} {record.name}", record.camera)
-        camera.data.display_size = 0.1
-        if record.picture.is_file():  # photographs may have moved since
-            set_background(camera.data, record.picture)
-        folder.objects.link(camera)
-        placed.append(camera)
-    return placed
+def _light(owner: Owner, path: Path, name: str, pack: bool, root: bpy.types.Object) -> bpy.types.World:
+    """The recovered light as a World, turned like the empty: the object is lit as it was photographed, however it was placed."""
+    fresh = world_from_map(path, name, pack)
+    nodes = {node.bl_idname: node for node in fresh.node_tree.nodes}
+    owner.exchanged(bpy.data.images, "light", nodes["ShaderNodeTexEnvironment"].image)
+    # The Mapping node turns the direction that is looked up: from Blender's world into the engine's frame.
+    turned = root.matrix_world.to_quaternion().inverted()
+    nodes["ShaderNodeMapping"].inputs["Rotation"].default_value = turned.to_euler()
+    world = owner.exchanged(bpy.data.worlds, "world", fresh)
+    world.use_fake_user = True
+    return world
+
+
+def _frame(run: Path) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """(4, 4) from the dataset's own frame to the run's, and the object's middle in it."""
+    path = run / "reconstruction.json"
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+        x, y, z = map(float, about["bound"]["centre"])
+        return np.array(about["to_world"], float).reshape(4, 4), (x, y, z)
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})", "the run is not finished") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(path, f"does not tell the run's frame ({error!r})") from error
+
+
+def _dataset_root(run: Path) -> bpy.types.Object | None:
+    """The empty of the dataset that the run was made from, where that has been imported too."""
+    try:
+        dataset = json.loads((run / "run.json").read_text(encoding="utf-8"))["dataset"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None  # the run may have been given on without its notes
+    roots = find_roots(DATASET)
+    return next((root for root in roots if Path(root[DATASET]) == Path(dataset).resolve()), None)

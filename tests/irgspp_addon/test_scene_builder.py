@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run becomes an ordinary object whose materials Cycles sees with the right values."""
 
+import json
 import shutil
 
 import bpy
@@ -11,8 +12,11 @@ from blender_side import write_sphere_run
 from cycles_layers import glowing_inputs
 from irgspp.core.errors import InputError
 from irgspp.core.scene.cameras import load_cameras
+from irgspp.irgspp_addon.materials import available_sources, source_of, use_source
+from irgspp.irgspp_addon.placement import Placement
 from irgspp.irgspp_addon.ply import read_ply
-from irgspp.irgspp_addon.scene_builder import import_run, show_as_photographed
+from irgspp.irgspp_addon.scene_builder import import_run, run_of, show_as_photographed
+from mathutils import Euler
 
 
 @pytest.fixture(autouse=True)
@@ -94,12 +98,16 @@ def test_colour_spaces_and_principled(run_folder):
 
 
 def test_run_without_textures(run_folder, tmp_path):
-    for name in ("mesh.ply", "environment.exr", "cameras.json"):
+    for name in ("mesh.ply", "environment.exr", "cameras.json", "reconstruction.json"):
         (tmp_path / name).write_bytes((run_folder / name).read_bytes())
     with pytest.raises(InputError, match=r"albedo\.png"):
         import_run(tmp_path, "textures")
     assert not bpy.data.objects  # nothing half-made stays behind
-    assert import_run(tmp_path, "attributes").mesh.active_material.name.endswith("attributes")
+    material = import_run(tmp_path, "attributes").mesh.active_material
+    assert source_of(material) == "attributes" and available_sources(material) == ["attributes"]
+    with pytest.raises(InputError, match="no nodes for textures"):
+        use_source(material, "textures")
+    assert source_of(material) == "attributes"
 
 
 def test_folder_that_is_no_run(tmp_path):
@@ -107,15 +115,92 @@ def test_folder_that_is_no_run(tmp_path):
         import_run(tmp_path)
 
 
-def test_importing_again_reads_the_files_again(run_folder, tmp_path):
-    """A run that was made anew in the same folder must not show the old run's packed textures."""
+def test_switch_links_the_one_or_the_other(run_folder):
+    material = import_run(run_folder, "textures").mesh.active_material
+    principled = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    for source, inputs in (("attributes", 3), ("textures", 4), ("attributes", 3)):
+        use_source(material, source)
+        assert source_of(material) == source
+        assert sum(socket.is_linked for socket in principled.inputs) == inputs
+    frames = {n.name: n.label for n in material.node_tree.nodes if n.bl_idname == "NodeFrame"}
+    assert set(frames) == {"textures", "attributes"} and all("IRGS++" in label for label in frames.values())
+
+
+def counts() -> dict[str, int]:
+    names = ("objects", "meshes", "materials", "images", "worlds", "cameras", "collections", "node_groups")
+    return {name: len(getattr(bpy.data, name)) for name in names}
+
+
+def test_importing_again_replaces(run_folder, tmp_path):
+    """Nothing is there twice, files are read again, and what a person did with the objects stays."""
     shutil.copytree(run_folder, tmp_path / "run")
     first = import_run(tmp_path / "run")
+    show_as_photographed(bpy.context.scene, first)
+    before, material, camera = counts(), first.mesh.active_material, first.cameras[0]
+    first.mesh.name = "mine"
+    first.mesh.modifiers.new("soft", "SUBSURF")
+    first.root.location.x = 5.0
     write_sphere_run(tmp_path / "run", texture_size=16)
-    second = import_run(tmp_path / "run")
-    sizes = [
-        {tuple(n.image.size) for n in i.mesh.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeTexImage"}
-        for i in (first, second)
-    ]
-    assert sizes == [{(128, 128)}, {(16, 16)}]
-    assert first.mesh is not second.mesh and first.world is not second.world
+    second = import_run(tmp_path / "run", "attributes")
+    assert counts() == before
+    assert second.mesh.name == "mine" and "soft" in second.mesh.modifiers and len(second.mesh.material_slots) == 1
+    assert second.root.location.x == 5.0
+    assert second.mesh.active_material == material and source_of(material) == "attributes"
+    assert bpy.context.scene.world == second.world and bpy.context.scene.camera == camera
+    sizes = {tuple(n.image.size) for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeTexImage"}
+    assert sizes == {(16, 16)}
+
+
+def test_what_is_not_in_the_run_any_more_goes(run_folder, tmp_path):
+    shutil.copytree(run_folder, tmp_path / "run")
+    import_run(tmp_path / "run")
+    records = json.loads((tmp_path / "run" / "cameras.json").read_text())
+    (tmp_path / "run" / "cameras.json").write_text(json.dumps(records[1:]))
+    bpy.data.objects.new("a person's own", None)
+    import_run(tmp_path / "run")
+    names = sorted(thing.name for thing in bpy.data.objects)
+    assert names == ["a person's own", "run", "run frame", *sorted(f"{r['split']} {r['name']}" for r in records[1:])]
+    assert len(bpy.data.cameras) == 2
+
+
+def test_two_runs_stay_apart(run_folder, tmp_path):
+    shutil.copytree(run_folder, tmp_path / "sphere")
+    first, second = import_run(run_folder), import_run(tmp_path / "sphere")
+    assert first.mesh != second.mesh and first.mesh.active_material != second.mesh.active_material and first.world != second.world
+    assert run_of(first.mesh) == run_folder.resolve() and run_of(second.cameras[0]) == (tmp_path / "sphere").resolve()
+
+
+def test_saved_and_loaded_again_all_is_there(run_folder, tmp_path):
+    shutil.copytree(run_folder, tmp_path / "run")
+    show_as_photographed(bpy.context.scene, import_run(tmp_path / "run"))
+    before = counts()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    assert counts() == before
+    mesh, light = bpy.data.objects["run"], bpy.context.scene.world.name
+    assert source_of(mesh.active_material) == "textures" and mesh.parent.name == "run frame"
+    assert all(n.image.has_data or n.image.packed_file for n in mesh.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeTexImage")
+    again = import_run(tmp_path / "run")  # and it is recognised
+    assert again.mesh == mesh and counts() == before and bpy.context.scene.world.name == light
+
+
+def test_light_turns_with_the_placement(run_folder):
+    imported = import_run(run_folder, placement=Placement("Y_UP", 2.0, False))
+    mapping = next(n for n in imported.world.node_tree.nodes if n.bl_idname == "ShaderNodeMapping")
+    turned = Euler(mapping.inputs["Rotation"].default_value).to_matrix()
+    assert np.allclose(turned @ imported.root.matrix_world.to_quaternion().to_matrix(), np.eye(3), atol=1e-6)
+
+
+def test_undo_takes_back_the_import_and_its_repetition(run_folder):
+    bpy.ops.ed.undo_push(message="empty")
+    first = counts()
+    import_run(run_folder)
+    bpy.ops.ed.undo_push(message="import")
+    second = counts()
+    import_run(run_folder, "attributes")
+    bpy.ops.ed.undo_push(message="again")
+    bpy.ops.ed.undo()
+    assert counts() == second and source_of(bpy.data.objects["sphere"].active_material) == "textures"
+    bpy.ops.ed.undo()
+    assert counts() == first

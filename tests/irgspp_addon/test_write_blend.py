@@ -7,6 +7,7 @@ from irgspp.core import export as exporting
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.export import export, write_blend
 from irgspp.core.progress import Silent
+from irgspp.irgspp_addon.materials import available_sources, source_of
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +25,8 @@ def test_blend_opens_with_light_cameras_and_packed_textures(blend):
     assert scene.camera.name == "train view0"
     assert len([o for o in scene.objects if o.type == "CAMERA"]) == 3
     (mesh,) = [o for o in scene.objects if o.type == "MESH"]
-    assert mesh.active_material.name == "sphere textures"
-    assert "sphere attributes" in bpy.data.materials  # the other choice is there to be picked
+    assert source_of(mesh.active_material) == "textures"
+    assert available_sources(mesh.active_material) == ["textures", "attributes"]  # the other choice is there to be picked
     assert [n.bl_idname for n in scene.world.node_tree.nodes].count("ShaderNodeTexEnvironment") == 1
     packed = {image.name: image.packed_file is not None for image in bpy.data.images}
     assert packed == {"albedo.png": True, "roughness.png": True, "metallic.png": True, "normal.png": True, "environment.exr": True} | {
@@ -46,7 +47,7 @@ def test_export_by_suffix(run_folder, tmp_path):
     assert (tmp_path / "light.exr").read_bytes() == (run_folder / "environment.exr").read_bytes()
     export(run_folder, tmp_path / "scene.blend", "attributes")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
-    assert [o.active_material.name for o in bpy.data.objects if o.type == "MESH"] == ["sphere attributes"]
+    assert [source_of(o.active_material) for o in bpy.data.objects if o.type == "MESH"] == ["attributes"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["light.exr", "scene.blend"]
 
 

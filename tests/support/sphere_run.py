@@ -69,6 +69,8 @@ def cameras() -> list[Camera]:
 
 def write_run(folder: Path, size: int = 128) -> None:
     """Mesh, textures, light and cameras of a finished run, written by the engine's own functions; photographs lie beside it."""
+    import json
+
     from irgspp.core.datasets.dataset import Bound, Dataset, View
     from irgspp.core.scene.cameras import save_cameras
     from irgspp.core.scene.exr import rgb_channels, write_exr
@@ -87,6 +89,8 @@ def write_run(folder: Path, size: int = 128) -> None:
         picture = photographs / f"view{i}.png"
         Image.new("RGB", (camera.width, camera.height), (40 * i, 100, 200)).save(picture)
         views.append(View(f"view{i}", camera, picture, np.zeros((camera.height, camera.width, 3), np.float32), None))
+    frame = {"bound": {"centre": [0, 0, 0], "radius": 1}, "to_world": np.eye(4).tolist()}
+    (folder / "reconstruction.json").write_text(json.dumps(frame))
     save_cameras(folder / "cameras.json", Dataset(photographs, "transforms", views[:2], views[2:], Bound((0, 0, 0), 1), np.eye(4)))
 
 
