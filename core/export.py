@@ -15,6 +15,7 @@ from .errors import Cancelled, InputError, IrgsppError
 from .progress import Progress, Silent
 
 LAUNCHER = Path(__file__).resolve().parent.parent / "irgspp_addon" / "launch.py"
+BLENDER = "IRGSPP_BLENDER"  # the environment variable that names a Blender executable; the extension sets it to the one it runs in
 COPIES = {".glb": "asset.glb", ".ply": "gaussians.ply", ".exr": "environment.exr"}
 
 
@@ -36,17 +37,35 @@ def export(run: Path, target: Path, material: str = "textures", progress: Progre
         _copy(run / COPIES[suffix], target)
 
 
-def write_blend(run: Path, target: Path, material: str, progress: Progress) -> None:
-    """Write the run as a .blend in a process of its own, since Blender as a module can't share one with the engine.
+class NoBlender(IrgsppError):
+    """There is no Blender that could write a .blend."""
 
-    `material` says what the material reads: "textures" or "attributes". Raises InputError, Cancelled, or IrgsppError where
-    Blender's module is not installed or fails.
+
+def blender_command() -> list[str]:
+    """What runs launch.py in a Blender: the executable that $IRGSPP_BLENDER names, or this Python where it has the module bpy.
+
+    The named one goes first: a .blend is then of the version that its user has. Raises NoBlender where there is neither.
+    """
+    named = os.environ.get(BLENDER, "")
+    if named:
+        executable = shutil.which(named)
+        if executable is None:
+            raise NoBlender(f"${BLENDER} names {named}, which is no program")
+        return [executable, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(LAUNCHER), "--"]
+    if importlib.util.find_spec("bpy") is None:
+        raise NoBlender(f"Blender's Python module (bpy) is not installed, and ${BLENDER} names no Blender")
+    return [sys.executable, str(LAUNCHER)]
+
+
+def write_blend(run: Path, target: Path, material: str, progress: Progress) -> None:
+    """Write the run as a .blend in a Blender of its own (`blender_command`), since the engine can't share a process with one.
+
+    `material` says what the material reads: "textures" or "attributes". Raises InputError, Cancelled, NoBlender, or IrgsppError
+    where Blender fails.
     """
     if not (run / "mesh.ply").is_file():
         raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
-    if importlib.util.find_spec("bpy") is None:
-        raise IrgsppError("Blender's Python module is not installed, so that no .blend can be written; install the package bpy")
-    command = [sys.executable, str(LAUNCHER), "irgspp_addon.write_blend", str(run), str(target), "--material", material]
+    command = [*blender_command(), "irgspp_addon.write_blend", str(run.resolve()), str(target.resolve()), "--material", material]
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
         child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
         status = _wait(child, progress)

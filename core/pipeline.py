@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from .devices import check_device
 from .errors import Cancelled, InputError, IrgsppError
 from .evaluation.metrics import on_black, psnr
 from .evaluation.sheet import contact_sheet
-from .export import write_blend
+from .export import NoBlender, write_blend
 from .journal import Journal
 from .memory import peak_memory, reset_peak_memory
 from .progress import Progress, Silent
@@ -125,11 +124,12 @@ class Job:
     def scene(self) -> None:
         """The Blender file: object, light, cameras with their photographs."""
         save_cameras(self.folder.path / "cameras.json", self.data)
-        if importlib.util.find_spec("bpy") is None:
-            self.folder.skip("scene.blend", "Blender's Python module (bpy) is not installed")
-            return
         self.progress.phase("scene", 0)
-        write_blend(self.folder.path, self.folder.path / "scene.blend", self.settings.export.material, self.progress)
+        try:
+            write_blend(self.folder.path, self.folder.path / "scene.blend", self.settings.export.material, self.progress)
+        except NoBlender as error:
+            self.folder.skip("scene.blend", str(error))
+            self.progress.message(f"no scene.blend: {error}")
 
     def sheet(self) -> None:
         """One picture that shows what came out, and how well the test views are met."""

@@ -3,6 +3,7 @@
 
 python launch.py __main__ ARGUMENTS                  the command line
 python launch.py irgspp_addon.write_blend ARGUMENTS  one of its modules
+blender --background --python launch.py -- irgspp_addon.write_blend ARGUMENTS
 """
 
 import importlib.util
@@ -21,6 +22,11 @@ def mount(folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    if sys.version_info < (3, 11):
+        print(f"irgspp: this is Python {sys.version_info[0]}.{sys.version_info[1]}, 3.11 or newer is needed", file=sys.stderr)
+        sys.exit(2)
+    if Path(sys.argv[0]).name != Path(__file__).name:  # a Blender runs this, and left its own words here
+        sys.argv = [__file__, *sys.argv[sys.argv.index("--") + 1 :]]
     here = Path(__file__).resolve().parent
     if sys.path and Path(sys.path[0]).resolve() == here:
         del sys.path[0]  # our modules must not be found under their bare names

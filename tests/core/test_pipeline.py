@@ -13,6 +13,7 @@ from irgspp.core.config import Settings
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
+from irgspp.core.export import NoBlender
 from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.rendered_views import RenderedViews
@@ -211,10 +212,14 @@ def test_cancel_between_phases(tmp_path, stages):
 
 
 def test_without_blender_the_scene_is_skipped_and_said(tmp_path, stages, monkeypatch):
-    monkeypatch.setattr(pipeline.importlib.util, "find_spec", lambda name: None)
+    def missing(*_):
+        raise NoBlender("no Blender here")
+
+    monkeypatch.setattr(pipeline, "write_blend", missing)
     run = pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
-    assert "scene" not in stages.ran
-    assert read_run(run)["skipped"][0]["what"] == "scene.blend"
+    assert read_run(run)["skipped"] == [{"what": "scene.blend", "why": "no Blender here"}]
+    assert read_run(run)["status"] == "done"
+    assert stages.ran[-1] == "contact sheet"
 
 
 def test_bad_dataset_leaves_nothing_and_keeps_the_old_run(tmp_path, stages, monkeypatch):
