@@ -10,13 +10,17 @@ import os
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 
 os.environ.setdefault("BLENDER_USER_RESOURCES", tempfile.mkdtemp(prefix="irgspp-blender-"))  # before bpy is imported
 
-import bpy  # first of all: it makes Blender's other modules importable
 import numpy as np
 import pytest
+
+# First of all, as it makes Blender's other modules importable; not kept by a name: pytest holds fixtures' modules to the very end,
+# and Blender 4.2 crashes there where its module is not let go before.
+import_module("bpy")
 
 ROOT = Path(__file__).resolve().parents[2]
 ENGINE = os.environ.get("IRGSPP_PYTHON") or sys.executable
@@ -52,6 +56,8 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def read_picture(path: Path, channels: int = 3) -> np.ndarray:
     """(H, W, channels) float32 as stored in an EXR file (no colour conversion), top row first; by Blender's own reader."""
+    import bpy
+
     image = bpy.data.images.load(str(path))
     try:
         image.colorspace_settings.name = "Non-Color"
@@ -65,6 +71,8 @@ def read_picture(path: Path, channels: int = 3) -> np.ndarray:
 
 def write_picture(path: Path, pixels: np.ndarray) -> Path:
     """Write (H, W, 3) linear values, top row first, as a 32-bit EXR by Blender's own writer."""
+    import bpy
+
     height, width = pixels.shape[:2]
     image = bpy.data.images.new(path.stem, width, height, float_buffer=True)
     try:
