@@ -11,6 +11,7 @@ from irgspp.core import export as exporting
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.export import BLENDER, NoBlender, blender_command, write_blend
 from irgspp.core.progress import Silent
+from irgspp.irgspp_addon.materials import source_of
 
 # Stands in for Blender: notes its words, then runs the script that follows --python with all of them in sys.argv, as Blender does.
 FAKE = """#!{python}
@@ -40,7 +41,7 @@ def test_named_blender_writes_the_scene(run_folder, tmp_path, blender):
     words = (tmp_path / "words").read_text().split()
     assert words[:5] == ["--background", "--factory-startup", "--python-exit-code", "1", "--python"]
     bpy.ops.wm.open_mainfile(filepath=str(target))
-    assert [thing.active_material.name.split()[-1] for thing in bpy.data.objects if thing.type == "MESH"] == ["attributes"]
+    assert [source_of(thing.active_material) for thing in bpy.data.objects if thing.type == "MESH"] == ["attributes"]
 
 
 def test_its_complaint_is_passed_on(run_folder, tmp_path, blender):
