@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where the photographs are, what was found in them, and how they come into the scene."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from typing import Any
+
+import bpy
+
+from .sidebar import SidebarPanel, button, say, settings_column
+
+SHOWN = ("format", "views", "pictures", "masks", "points")  # of all that an inspection says, what a person wants to know first
+
+
+class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
+    """Photographs with known cameras"""
+
+    bl_label = "Dataset"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.irgspp
+        layout.prop(settings, "dataset", text="")
+        if not settings.dataset:
+            draw_guide(layout, context)
+            return
+        row = layout.row(align=True)
+        button(row, "irgspp.inspect_dataset", "Look at It", "VIEWZOOM", directory=settings.dataset)
+        button(
+            row,
+            "irgspp.import_dataset",
+            "Import Cameras",
+            "CAMERA_DATA",
+            directory=settings.dataset,
+            up_axis=settings.up_axis,
+            scale=settings.scale,
+            recentre=settings.recentre,
+            photographs=settings.with_photographs,
+            points=settings.with_points,
+        )
+        draw_found(layout, context, settings.inspected)
+
+
+class IRGSPP_PT_import_options(SidebarPanel, bpy.types.Panel):
+    """How cameras and points come into the scene"""
+
+    bl_label = "Import Options"
+    bl_parent_id = "IRGSPP_PT_dataset"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(context.scene.irgspp.dataset)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = settings_column(self.layout)
+        for name in ("up_axis", "scale", "recentre", "with_photographs", "with_points"):
+            column.prop(context.scene.irgspp, name)
+
+
+def draw_guide(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The first steps, for a person who is here for the first time."""
+    box = layout.box()
+    say(box, context, "From photographs of one object to an object that can be relit:")
+    say(box, context, "Choose a folder of photographs with known cameras: transforms.json or COLMAP.", "FILE_FOLDER")
+    say(box, context, "Press Reconstruct and go on working meanwhile.", "PLAY")
+    say(box, context, "Relight the object with any World.", "WORLD")
+    column = layout.column()
+    column.scale_y = 1.3
+    button(column, "irgspp.demo", "Try the Demo", "MONKEY")
+
+
+def draw_found(layout: bpy.types.UILayout, context: bpy.types.Context, inspected: str) -> None:
+    """What was understood of the dataset, and its problems in words."""
+    facts = parsed(inspected)
+    if not facts:
+        return
+    box = layout.box()
+    column = box.column(align=True)
+    column.scale_y = 0.8
+    for name, text in facts["rows"]:
+        if name in SHOWN:
+            row = column.split(factor=0.27)
+            row.label(text=name.capitalize())
+            say(row, context, text, width=0.73)
+    for warning in facts["warnings"]:
+        say(box, context, warning, icon="ERROR")
+
+
+@lru_cache(maxsize=4)
+def parsed(inspected: str) -> dict[str, Any]:
+    """The facts of an inspection; empty where there was none."""
+    return json.loads(inspected) if inspected else {}
+
+
+CLASSES = (IRGSPP_PT_dataset, IRGSPP_PT_import_options)

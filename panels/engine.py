@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Above all else while there is no engine: what is missing and where to get it."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..irgspp_addon import engine
+from ..irgspp_addon.preferences import EXTENSION
+from .sidebar import SidebarPanel, button, say
+
+
+class IRGSPP_PT_engine(SidebarPanel, bpy.types.Panel):
+    """Shown until an engine answers"""
+
+    bl_label = "Engine"
+    bl_order = 0
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return engine.status().state != "ok"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        status, layout = engine.status(), self.layout
+        if status.state == "unknown":
+            say(layout, context, status.text or "The engine was not looked for yet.", icon="TIME")
+        else:
+            column = layout.column()
+            column.alert = True
+            say(column, context, status.text, icon="ERROR")
+            say(layout, context, "The engine computes in a Python environment of its own. Set it up once in the preferences.")
+        column = layout.column(align=True)
+        column.scale_y = 1.3
+        button(column, "preferences.addon_show", "Set Up Engine", "PREFERENCES", module=EXTENSION)
+        button(layout, "irgspp.check_engine", "Look Again", "FILE_REFRESH")
+
+
+CLASSES = (IRGSPP_PT_engine,)

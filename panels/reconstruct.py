@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The reconstruction: what is asked for, the button, and how far it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..irgspp_addon import jobs
+from ..irgspp_addon.job import Job
+from .job_card import RECONSTRUCTIONS, draw_job
+from .run_state import run_state
+from .sidebar import SidebarPanel, button, say, settings_column
+
+
+class IRGSPP_PT_reconstruct(SidebarPanel, bpy.types.Panel):
+    """Photographs to an object with materials"""
+
+    bl_label = "Reconstruct"
+    bl_order = 2
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.irgspp
+        column = settings_column(layout)
+        for name in ("preset", "materials", "device"):
+            column.prop(settings, name)
+        job = present_job(settings.run_path())
+        draw_start(layout, context, job)
+        if job is not None:
+            draw_job(layout.box(), context, job)
+
+
+class IRGSPP_PT_reconstruct_more(SidebarPanel, bpy.types.Panel):
+    """Where the run is written, and single settings"""
+
+    bl_label = "More"
+    bl_parent_id = "IRGSPP_PT_reconstruct"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = settings_column(self.layout)
+        for name in ("run", "seed", "overrides", "import_result"):
+            column.prop(context.scene.irgspp, name)
+
+
+def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
+    """The button; where it can't be pressed, words say why."""
+    settings = context.scene.irgspp
+    busy = job is not None and not job.finished
+    status = run_state(settings.run_path()).status
+    column = layout.column()
+    column.scale_y = 1.5
+    column.enabled = bool(settings.dataset) and not busy
+    button(
+        column,
+        "irgspp.reconstruct",
+        "Reconstruct Again" if status == "done" else "Reconstruct",
+        "PLAY",
+        dataset=settings.dataset,
+        run=str(settings.run_path() or ""),
+        preset=settings.preset,
+        materials=settings.materials,
+        device=settings.device,
+        seed=settings.seed,
+        settings=settings.overrides,
+        import_result=settings.import_result,
+        overwrite=status != "",
+    )
+    if not settings.dataset:
+        say(layout, context, "Choose photographs above first.", icon="INFO")
+    elif status and not busy:
+        say(layout, context, "Replaces the run that is in the folder.", icon="INFO")
+
+
+def present_job(run: Path | None) -> Job | None:
+    """The reconstruction that is under way, or else the last one of this run folder."""
+    reconstructions = [job for job in jobs.all_jobs() if job.kind in RECONSTRUCTIONS]
+    under_way = [job for job in reconstructions if not job.finished]
+    of_this_run = [job for job in reconstructions if run is not None and job.folder.resolve() == run]
+    return next(iter([*reversed(under_way), *of_this_run]), None)
+
+
+CLASSES = (IRGSPP_PT_reconstruct, IRGSPP_PT_reconstruct_more)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What came out: the object, what its material reads, other texture sizes, other files."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+
+from ..irgspp_addon.materials import available_sources
+from ..irgspp_addon.ownership import KEY
+from ..irgspp_addon.scene_builder import run_of
+from .run_state import RunState, run_state
+from .sidebar import SidebarPanel, button, say, settings_column
+
+
+class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
+    """The object that was made"""
+
+    bl_label = "Result"
+    bl_order = 3
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, run = self.layout, shown_run(context)
+        state = run_state(run)
+        if run is None or state.status == "":
+            say(layout, context, "Reconstruct something, or open a run folder that is finished.", icon="INFO")
+            button(layout, "irgspp.import_run", "Open a Run", "FILE_FOLDER")
+            return
+        if state.status != "done":
+            say(layout, context, UNFINISHED[state.status], icon="INFO")
+            return
+        thing = object_of_run(context.scene, run)
+        draw_object(layout, context, run, thing)
+        draw_quality(layout, context, state)
+
+
+class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
+    """Textures of another size, on this mesh or on an edited one"""
+
+    bl_label = "Bake Again"
+    bl_parent_id = "IRGSPP_PT_result"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return run_state(shown_run(context)).status == "done"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        settings, run = context.scene.irgspp, shown_run(context)
+        column = settings_column(self.layout)
+        column.prop(settings, "texture_size")
+        column.prop(settings, "triangles")
+        button(
+            self.layout, "irgspp.bake", "Bake Textures", "TEXTURE", run=str(run), size=settings.texture_size, triangles=settings.triangles
+        )
+
+
+class IRGSPP_PT_export(SidebarPanel, bpy.types.Panel):
+    """The result as one file"""
+
+    bl_label = "Export"
+    bl_parent_id = "IRGSPP_PT_result"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return run_state(shown_run(context)).status == "done"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        run = shown_run(context)
+        column = self.layout.column(align=True)
+        for text, icon, suffix in FILES:
+            button(column, "irgspp.export", text, icon, run=str(run), filepath=str(run / f"{run.name}{suffix}") if run else "")
+
+
+UNFINISHED = {
+    "running": "Not finished yet.",
+    "failed": "The reconstruction failed; see above.",
+    "cancelled": "The reconstruction was cancelled; it can go on.",
+    "broken": "The run folder can't be read.",
+}
+FILES = (
+    ("Asset for Other Programs (.glb)", "FILE_3D", ".glb"),
+    ("Blender File (.blend)", "FILE_BLEND", ".blend"),
+    ("Gaussians (.ply)", "POINTCLOUD_DATA", ".ply"),
+    ("Recovered Light (.exr)", "WORLD", ".exr"),
+)
+
+
+def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Path, thing: bpy.types.Object | None) -> None:
+    """The object in the scene, or the button that brings it there."""
+    settings = context.scene.irgspp
+    if thing is not None:
+        row = layout.row(align=True)
+        row.prop(thing, "name", text="", icon="OUTLINER_OB_MESH")
+        row.prop(thing, "hide_viewport", text="", emboss=True)
+        layout.label(text=f"{len(thing.data.polygons):,} triangles, {texture_text(thing)}")
+        material = thing.active_material
+        if material is not None and len(available_sources(material)) > 1:
+            column = settings_column(layout)
+            column.row().prop(material, "irgspp_source", expand=True)
+    button(
+        layout,
+        "irgspp.import_run",
+        "Import Again" if thing else "Import Result",
+        "IMPORT",
+        directory=str(run),
+        material=settings.source,
+        pack=settings.pack,
+    )
+
+
+def texture_text(thing: bpy.types.Object) -> str:
+    """ "textures 1024" of the object's material."""
+    tree = thing.active_material.node_tree if thing.active_material else None
+    pictures = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
+    return f"textures {pictures[0].size[0]}" if pictures else "no textures"
+
+
+def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: RunState) -> None:
+    """How well the photographs are met, and what is not there."""
+    known = state.training.get("test_radiance_psnr"), state.training.get("psnr")
+    if known[0] is not None:
+        layout.label(text=f"Views held back: {known[0]:.1f} dB PSNR")
+    elif known[1] is not None:
+        layout.label(text=f"Photographs: {known[1]:.1f} dB PSNR")
+    for line in state.skipped:
+        say(layout, context, line, icon="INFO")
+
+
+def shown_run(context: bpy.types.Context) -> Path | None:
+    """The run of the active object, or else the one that the scene's settings name."""
+    return run_of(context.object) or resolved(context.scene.irgspp.run_path())
+
+
+@lru_cache(maxsize=16)
+def resolved(path: Path | None) -> Path | None:
+    """As datablocks name their folder; kept, since a panel draws often."""
+    return path.resolve() if path is not None else None
+
+
+def object_of_run(scene: bpy.types.Scene, run: Path) -> bpy.types.Object | None:
+    """The mesh object of a run in the scene."""
+    key = f"{run}#mesh"
+    return next((thing for thing in scene.objects if thing.type == "MESH" and thing.get(KEY) == key), None)
+
+
+CLASSES = (IRGSPP_PT_result, IRGSPP_PT_bake, IRGSPP_PT_export)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Drive the extension in a real Blender window, by real clicks, and take pictures at each step.
+
+    python scripts/build_extension.py -o dist
+    python scripts/window/run.py --zip dist/irgspp-0.1.0.zip --engine .venv/bin/python -o pictures
+
+Needs Linux with Blender, xdotool and ImageMagick (`import`); where there is no screen, Xvfb (`xvfb-run`) gives one. Blender starts with
+settings of its own in a temporary folder. Exit status: 0 done, 1 a step failed, 2 bad usage, 3 Blender ended or took too long.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+STORIES = sorted(path.stem for path in HERE.glob("story_*.py"))
+
+
+def main() -> int:
+    args = arguments()
+    for tool in ("xdotool", "import", *([] if os.environ.get("DISPLAY") else ["xvfb-run"])):
+        if shutil.which(tool) is None:
+            print(f"window: {tool} is not installed", file=sys.stderr)
+            return 2
+    args.output.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="irgspp-window-") as user:
+        os.environ["BLENDER_USER_RESOURCES"] = user
+        blender(args, "--command", "extension", "install-file", "-r", "user_default", "--enable", str(args.zip.resolve()))
+        blender(args, "--background", "--python-exit-code", "1", "--python-expr", PREFERENCES)
+        return drive(args)
+
+
+PREFERENCES = (
+    "import bpy; view = bpy.context.preferences.view; view.show_splash = False; view.show_developer_ui = False; "
+    "bpy.context.preferences.use_preferences_save = False; bpy.ops.wm.save_userpref()"
+)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--zip", type=Path, required=True, help="the extension")
+    parser.add_argument("--engine", default=os.environ.get("IRGSPP_PYTHON", ""), help="Python with the engine (default: $IRGSPP_PYTHON)")
+    parser.add_argument("-o", dest="output", type=Path, required=True, help="folder for the pictures")
+    parser.add_argument("--story", choices=STORIES, default="story_first_day", help="what is done (default: story_first_day)")
+    parser.add_argument("--blender", default="blender", help="Blender's executable")
+    parser.add_argument("--size", default="1600x1000", help="of the window (default: 1600x1000)")
+    parser.add_argument("--timeout", type=float, default=900.0, help="seconds (default: 900)")
+    return parser.parse_args()
+
+
+def blender(args: argparse.Namespace, *words: str) -> None:
+    """One command in the background; what it says is shown where it fails."""
+    done = subprocess.run([args.blender, *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"window: blender {words[0]} failed: {(done.stdout + done.stderr).strip()}")
+
+
+def drive(args: argparse.Namespace) -> int:
+    """The window, until the story is told."""
+    end = args.output / "end.json"
+    end.unlink(missing_ok=True)
+    width, height = args.size.split("x")
+    command = [args.blender, "--window-geometry", "0", "0", width, height, "--python", str(HERE / f"{args.story}.py")]
+    command += ["--", str(args.output.resolve()), args.engine]
+    if not os.environ.get("DISPLAY"):
+        command = ["xvfb-run", "-a", "-s", f"-screen 0 {args.size}x24 +extension GLX", *command]
+    with (args.output / "blender.log").open("w") as log:
+        child = subprocess.Popen(
+            command, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, "PYTHONUNBUFFERED": "1"}, start_new_session=True
+        )
+        deadline = time.monotonic() + args.timeout
+        while child.poll() is None and not end.exists() and time.monotonic() < deadline:
+            time.sleep(0.5)
+        try:
+            child.wait(timeout=20.0)  # the story ends by quitting Blender
+        except subprocess.TimeoutExpired:
+            os.killpg(child.pid, 9)
+            child.wait()
+    if not end.exists():
+        print(f"window: Blender ended or took too long; see {args.output / 'blender.log'}", file=sys.stderr)
+        return 3
+    error = json.loads(end.read_text())["error"]
+    print(error or f"window: pictures in {args.output}", file=sys.stderr if error else sys.stdout)
+    return 1 if error else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

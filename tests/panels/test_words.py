@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Times, phases and figures in words; lines that fit the sidebar."""
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from irgspp.irgspp_addon.job import Job
+from irgspp.panels import run_state
+from irgspp.panels.job_card import figures_text, progress_text
+from irgspp.panels.jobs import job_when
+from irgspp.panels.phases import NUMBERS, STEPS, phase_in_words
+from irgspp.panels.sidebar import letters, say, seconds_in_words
+from recording_layout import RecordingLayout
+
+CORE = Path(__file__).resolve().parents[2] / "core"
+
+
+def job(**values):
+    return Job("1", "reconstruct", "spot", Path("run"), Path("notes"), **values)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.2, "0 s"), (59.4, "59 s"), (59.6, "1:00 min"), (185, "3:05 min"), (3599.6, "1:00 h"), (7620, "2:07 h")]
+)
+def test_seconds(seconds, text):
+    assert seconds_in_words(seconds) == text
+
+
+def test_every_phase_that_a_reconstruction_names_has_words():
+    said = {
+        line.split('.phase("')[1].split('"')[0]
+        for folder in ("stages", "surface", "datasets")
+        for path in (CORE / folder).glob("*.py")
+        for line in path.read_text().splitlines()
+        if '.phase("' in line
+    } | {"scene", "contact sheet"}
+    assert said == set(NUMBERS)
+    assert phase_in_words("reconstruct", "refine") == f"Step 5 of {len(STEPS)}: {STEPS[4][0]}"
+    assert phase_in_words("install", "download torch") == "Download torch"
+    assert phase_in_words("reconstruct", "") == "Starting"
+
+
+def test_progress_and_figures():
+    assert progress_text(job(step=23, of=50, eta=80.0)) == "46 %, 1:20 min left"
+    assert progress_text(job(step=1, of=4)) == "25 %"
+    assert progress_text(job()) == "Working"
+    assert figures_text(job(figures={"loss": 0.01234, "psnr": 31.26})) == "Loss 0.0123   PSNR 31.3 dB"
+    assert figures_text(job(figures={"gaussians": 3.0})) == ""
+
+
+def test_when_a_job_was():
+    assert job_when(job(state="running", step=1, of=3)) == "33 %"
+    assert job_when(job(state="queued")) == ""
+    now = time.time()
+    assert job_when(job(state="done", ended=now)) == time.strftime("%H:%M", time.localtime(now))
+    assert job_when(job(state="done", ended=now - 3 * 86400)) == time.strftime("%d %b", time.localtime(now - 3 * 86400))
+
+
+@pytest.mark.parametrize("width", [120, 280, 600])
+def test_words_are_broken_to_the_width_and_none_is_lost(width):
+    context = SimpleNamespace(region=SimpleNamespace(width=width), preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)))
+    text = "What was understood of the dataset, and its problems in words that are long enough for several lines."
+    layout = RecordingLayout()
+    say(layout, context, text, icon="INFO")
+    lines = [entry[1] for entry in layout.drawn]
+    assert " ".join(lines) == text
+    assert max(map(len, lines)) <= max(letters(context, with_icon=True), max(map(len, text.split())))
+    assert [entry[2] for entry in layout.drawn] == ["INFO"] + ["BLANK1"] * (len(lines) - 1)
+
+
+def test_run_state_reads_the_folder_at_most_twice_a_second(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(run_state.time, "monotonic", lambda: now[0])
+    look = lambda: run_state.run_state(tmp_path).status  # noqa: E731
+    assert look() == "" and run_state.run_state(None).status == ""
+    (tmp_path / "run.json").write_text(
+        '{"status": "done", "training": {"psnr": 30.0}, "skipped": [{"what": "scene.blend", "why": "no bpy"}]}'
+    )
+    now[0] += 0.4
+    assert look() == ""
+    now[0] += 0.2
+    assert look() == "done"
+    assert run_state.run_state(tmp_path).skipped == ("scene.blend: no bpy",)
+    (tmp_path / "run.json").write_text("{")
+    now[0] += 1
+    assert look() == "broken"

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A stand-in for Blender's UILayout, which exists in a window alone: it writes down what is drawn, and refuses what Blender would."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+
+
+class Button:
+    """What `layout.operator` returns: takes the properties that the operator really has."""
+
+    def __init__(self, idname: str) -> None:
+        module, name = idname.split(".")
+        kind = getattr(getattr(bpy.ops, module), name).get_rna_type()  # raises where there is no such operator
+        self.__dict__.update(idname=idname, values={}, known=set(kind.properties.keys()))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        assert name in self.known, f"{self.idname} has no property {name}"
+        self.values[name] = value
+
+
+class RecordingLayout:
+    """All layouts made from one share `drawn`: tuples (kind, ...) in order; `enabled` is what a person could press."""
+
+    def __init__(self, parent: RecordingLayout | None = None) -> None:
+        self.drawn: list[tuple] = parent.drawn if parent else []
+        self._parent = parent
+        self.enabled, self.alert, self.scale_y, self.alignment = True, False, 1.0, "EXPAND"
+        self.use_property_split = self.use_property_decorate = False
+
+    @property
+    def live(self) -> bool:
+        return self.enabled and (self._parent is None or self._parent.live)
+
+    def _child(self, **_: Any) -> RecordingLayout:
+        return RecordingLayout(self)
+
+    row = column = box = split = grid_flow = _child
+
+    def label(self, text: str = "", icon: str = "NONE") -> None:
+        assert icon in known_icons(), icon
+        self.drawn.append(("label", text, icon))
+
+    def separator(self, **_: Any) -> None:
+        self.drawn.append(("separator",))
+
+    def prop(self, data: Any, name: str, text: str | None = None, icon: str = "NONE", **_: Any) -> None:
+        assert name in data.bl_rna.properties, f"{data} has no property {name}"
+        assert icon in known_icons(), icon
+        self.drawn.append(("prop", name, self.live))
+
+    def operator(self, idname: str, text: str = "", icon: str = "NONE", **_: Any) -> Button:
+        assert icon in known_icons(), icon
+        button = Button(idname)
+        self.drawn.append(("operator", idname, text, button.values, self.live))
+        return button
+
+    def progress(self, factor: float = 0.0, text: str = "", type: str = "BAR") -> None:
+        assert 0.0 <= factor <= 1.0
+        self.drawn.append(("progress", factor, text))
+
+    def template_icon(self, icon_value: int, scale: float) -> None:
+        self.drawn.append(("picture", icon_value, scale))
+
+    def template_ID(self, data: Any, name: str, new: str = "") -> None:
+        assert name in data.bl_rna.properties
+        self.drawn.append(("prop", name, self.live))
+
+    def template_list(self, kind: str, _: str, data: Any, name: str, active: Any, active_name: str, **__: Any) -> None:
+        assert hasattr(bpy.types, kind) and hasattr(data, name) and hasattr(active, active_name)
+        self.drawn.append(("list", len(getattr(data, name))))
+
+    # --- what was drawn
+
+    @property
+    def words(self) -> str:
+        """All texts, wrapped lines joined."""
+        return " ".join(entry[1] for entry in self.drawn if entry[0] == "label")
+
+    def buttons(self, idname: str) -> list[SimpleNamespace]:
+        """The buttons of an operator."""
+        found = [entry for entry in self.drawn if entry[:2] == ("operator", idname)]
+        return [SimpleNamespace(text=text, values=values, live=live) for _, _, text, values, live in found]
+
+    @property
+    def properties(self) -> list[str]:
+        return [entry[1] for entry in self.drawn if entry[0] == "prop"]
+
+
+def known_icons() -> set[str]:
+    return set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items.keys())
+
+
+def draw(panel: type, context: Any = None) -> RecordingLayout:
+    """What a panel draws in the present context."""
+    layout = RecordingLayout()
+    panel.draw(SimpleNamespace(layout=layout), context or bpy.context)
+    return layout
