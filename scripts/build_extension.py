@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build the extension as a zip that Blender installs, and validate it, with the tool that comes with Blender's Python module."""
+"""Build the extension as a zip that Blender installs, and validate it, with the tool that comes with Blender's Python module.
+
+`--repository` writes the list of a static repository beside it: a folder for any web server (or a file:// address), whose index.json
+is what one gives to Blender under Preferences > Get Extensions > Repositories > Add Remote Repository.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,14 @@ import argparse
 import importlib.util
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+# All that the zip may hold at its top; the last two are what the managed engine is installed from.
+CONTENT = {"blender_manifest.toml", "__init__.py", "__main__.py", "LICENSE", "core", "irgspp_addon", "operators", "panels"}
+CONTENT |= {"requirements.lock", "pyproject.toml"}
+LARGEST = 2_000_000  # bytes; nothing that is compiled or trained belongs into it
 
 
 def blender_tool() -> tuple[Path, Path]:
@@ -26,15 +35,37 @@ def blender_tool() -> tuple[Path, Path]:
 
 
 def build(output: Path) -> Path:
-    """Validate the sources, write the zip into the folder `output`, validate the zip; returns its path."""
+    """Validate the sources, write the zip into the folder `output`, check and validate the zip; returns its path."""
     tool, tags = blender_tool()
     output.mkdir(parents=True, exist_ok=True)
     before = {path: path.stat().st_mtime_ns for path in output.glob("*.zip")}
     run(tool, "validate", f"--valid-tags={tags}", str(ROOT))
     run(tool, "build", "--source-dir", str(ROOT), "--output-dir", str(output), f"--valid-tags={tags}")
     (archive,) = [path for path in output.glob("*.zip") if before.get(path) != path.stat().st_mtime_ns]
+    wrong = trouble(archive)
+    if wrong:
+        archive.unlink()
+        raise SystemExit(f"build_extension: {wrong}")
     run(tool, "validate", f"--valid-tags={tags}", str(archive))
     return archive
+
+
+def trouble(archive: Path) -> str | None:
+    """What in a zip does not belong there, or lacks, in words; None where all is well."""
+    found = {name.split("/")[0] for name in zipfile.ZipFile(archive).namelist()}
+    if found - CONTENT:
+        return f"{', '.join(sorted(found - CONTENT))} in {ROOT} would get into the zip; remove it, or exclude it in blender_manifest.toml"
+    if CONTENT - found:
+        return f"the zip lacks {', '.join(sorted(CONTENT - found))}"
+    if archive.stat().st_size > LARGEST:
+        return f"the zip has {archive.stat().st_size} bytes, more than {LARGEST}"
+    return None
+
+
+def index(folder: Path) -> Path:
+    """Write index.json, which Blender reads, and index.html, which people read, of all the zips in a folder; returns the first."""
+    run(blender_tool()[0], "server-generate", "--repo-dir", str(folder), "--html")
+    return folder / "index.json"
 
 
 def run(tool: Path, *arguments: str) -> None:
@@ -45,9 +76,13 @@ def run(tool: Path, *arguments: str) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist", help="folder for the zip (default: dist)")
-    print(build(parser.parse_args().output))
+    parser.add_argument("--repository", action="store_true", help="make the folder a static repository: index.json and index.html")
+    args = parser.parse_args()
+    print(build(args.output))
+    if args.repository:
+        print(index(args.output))
     return 0
 
 
