@@ -19,7 +19,7 @@ LIBRARIES = {
     "trimesh": ("trimesh", "4"),
     "xatlas": ("xatlas", "0.0.9"),
 }
-OLDEST_PYTHON = (3, 11)
+NEWER = "or newer is needed"  # by which callers know complaints about a version
 
 
 def problems() -> list[str]:
@@ -36,7 +36,7 @@ def problems() -> list[str]:
         except metadata.PackageNotFoundError:
             continue  # put there by other means: a distribution's own package, a build of its own
         if numbers(version) < numbers(oldest):
-            found.append(f"{name} is {version}, {oldest} or newer is needed")
+            found.append(f"{name} is {version}, {oldest} {NEWER}")
     return found
 
 

@@ -7,12 +7,30 @@ from typing import Any
 
 import bpy
 
+from ..operators import engine as engine_operators
+from ..operators import jobs as job_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
-from . import materials, properties
+from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
+from . import job_timer, jobs, materials, properties
 from .engine import run_engine
 from .preferences import IRGSPP_Preferences
 
-CLASSES = (IRGSPP_Preferences, *properties.CLASSES, IRGSPP_OT_import_run)
+CLASSES = (
+    IRGSPP_Preferences,
+    *properties.CLASSES,
+    engine_operators.IRGSPP_OT_check_engine,
+    engine_operators.IRGSPP_OT_install_engine,
+    engine_operators.IRGSPP_OT_remove_engine,
+    engine_operators.IRGSPP_OT_open_engine_folder,
+    IRGSPP_OT_reconstruct,
+    IRGSPP_OT_demo,
+    job_operators.IRGSPP_OT_job_cancel,
+    job_operators.IRGSPP_OT_job_finish,
+    job_operators.IRGSPP_OT_job_resume,
+    job_operators.IRGSPP_OT_job_forget,
+    job_operators.IRGSPP_OT_job_log,
+    IRGSPP_OT_import_run,
+)
 
 _commands: list[Any] = []  # handles that Blender wants back
 
@@ -23,6 +41,8 @@ def register() -> None:
         bpy.utils.register_class(cls)
     properties.register()
     materials.register()
+    jobs.CHANGED.append(properties.show_jobs)
+    job_timer.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     _commands.append(bpy.utils.register_cli_command("irgspp", run_engine))
 
@@ -32,6 +52,8 @@ def unregister() -> None:
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
+    job_timer.unregister()
+    jobs.CHANGED.remove(properties.show_jobs)
     materials.unregister()
     properties.unregister()
     for cls in reversed(CLASSES):

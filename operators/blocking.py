@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What operators share: errors in words, and waiting for a job as scripts do."""
+
+import sys
+
+import bpy
+
+from ..irgspp_addon import jobs
+from ..irgspp_addon.job import Job
+
+
+def refuse(operator: bpy.types.Operator, error: Exception | str) -> set[str]:
+    """Report an error, which scripts get as RuntimeError."""
+    operator.report({"ERROR"}, str(error))
+    return {"CANCELLED"}
+
+
+def run_to_end(operator: bpy.types.Operator, job: Job) -> set[str]:
+    """Block until the job has ended, its progress on stderr; a bad end is an error."""
+    told = ""
+
+    def show(job: Job) -> None:
+        nonlocal told
+        line = f"irgspp: {job.title}: {job.phase}" + (f" ({job.of} steps)" if job.of else "")
+        if job.phase and line != told:
+            told = line
+            print(line, file=sys.stderr, flush=True)
+
+    jobs.wait(job, watch=show)
+    if job.state != "done":
+        return refuse(operator, f"{job.title}: {job.error or job.state}")
+    return {"FINISHED"}

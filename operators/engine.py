@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Check, install, open and remove the engine."""
+
+# pyright: reportInvalidTypeForm=false
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, StringProperty
+
+from ..core.errors import IrgsppError
+from ..irgspp_addon import engine, engine_check, jobs, managed_engine
+from ..irgspp_addon.preferences import DEVICES, preferences
+from .blocking import refuse, run_to_end
+
+
+class IRGSPP_OT_check_engine(bpy.types.Operator):
+    """Start the engine and ask its version and what it can compute on"""
+
+    bl_idname = "irgspp.check_engine"
+    bl_label = "Check Engine"
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if bpy.app.background:
+            return self.execute(context)
+        try:
+            job = engine_check.check_in_background()
+        except IrgsppError as error:
+            return refuse(self, error)
+        self.report({"INFO"} if job else {"WARNING"}, "Checking the engine" if job else engine.status().text)
+        return {"FINISHED"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        found = engine.check()
+        if found.state != "ok":
+            return refuse(self, found.text)
+        self.report({"INFO"}, found.text)
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_install_engine(bpy.types.Operator):
+    """Install the engine's libraries into a folder of this extension; about 1 GB for the CPU, several for CUDA"""
+
+    bl_idname = "irgspp.install_engine"
+    bl_label = "Install Engine"
+
+    device: EnumProperty(name="For", description="What the engine shall compute on", items=DEVICES, options={"SKIP_SAVE"})
+    wheels: StringProperty(
+        name="Wheels",
+        description="Folder of Python wheels to install from without the network; empty: download them",
+        subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+    )
+    wait: BoolProperty(
+        name="Wait", description="Return only once it is done, as scripts want", default=True, options={"SKIP_SAVE", "HIDDEN"}
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.wait = bpy.app.background
+        return self.execute(context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        chosen = preferences()
+        given = self.properties.is_property_set
+        device = self.device if given("device") or chosen is None else chosen.install_device
+        folder = self.wheels if given("wheels") or chosen is None else chosen.wheels_folder
+        wheels = Path(bpy.path.abspath(folder)) if folder else None
+        try:
+            if any(job.kind == "install" and not job.finished for job in jobs.all_jobs()):
+                return refuse(self, "The engine is being installed already")
+            index = chosen.package_index if chosen is not None else ""
+            arguments = managed_engine.install_arguments(device, wheels, index, bpy.app.online_access)
+            place = managed_engine.folder()
+            job = jobs.start("install", "Install engine", place, arguments, program=str(managed_engine.INSTALLER))
+            if chosen is not None:
+                chosen.engine_kind = "MANAGED"
+            return run_to_end(self, job) if self.wait else {"FINISHED"}
+        except IrgsppError as error:
+            return refuse(self, error)
+
+
+class IRGSPP_OT_remove_engine(bpy.types.Operator):
+    """Delete the engine that this extension has installed"""
+
+    bl_idname = "irgspp.remove_engine"
+    bl_label = "Remove"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not managed_engine.folder().exists():
+            cls.poll_message_set("No engine is installed by this extension")
+            return False
+        if jobs.unfinished():
+            cls.poll_message_set("Jobs are running or waiting")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            managed_engine.remove()
+        except IrgsppError as error:
+            return refuse(self, error)
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_open_engine_folder(bpy.types.Operator):
+    """Show the folder of the installed engine"""
+
+    bl_idname = "irgspp.open_engine_folder"
+    bl_label = "Open Folder"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("No engine is installed by this extension")
+        return managed_engine.folder().exists()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return bpy.ops.wm.path_open(filepath=str(managed_engine.folder()))

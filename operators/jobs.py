@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Wishes about jobs: cancel, finish early, resume, forget, log."""
+
+# pyright: reportInvalidTypeForm=false
+
+from collections.abc import Callable
+
+import bpy
+from bpy.props import StringProperty
+
+from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon import job_timer, jobs
+from ..irgspp_addon.job import Job
+from .blocking import refuse
+
+NAMED = {"name": "Job", "description": "Id of the job, as the list of jobs has it", "options": {"SKIP_SAVE"}}
+
+
+def _do(operator: bpy.types.Operator, work: Callable[[Job], object]) -> set[str]:
+    try:
+        job = jobs.find(operator.job)
+        if job is None:
+            raise InputError(f"job {operator.job!r}", "there is none of that id")
+        work(job)
+    except IrgsppError as error:
+        return refuse(operator, error)
+    job_timer.redraw()
+    return {"FINISHED"}
+
+
+class IRGSPP_OT_job_cancel(bpy.types.Operator):
+    """Stop the job; what it has done is saved, so that it can be resumed. Pressed again, it is ended at once"""
+
+    bl_idname = "irgspp.job_cancel"
+    bl_label = "Cancel"
+
+    job: StringProperty(**NAMED)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return _do(self, jobs.cancel)
+
+
+class IRGSPP_OT_job_finish(bpy.types.Operator):
+    """Stop optimising and go on with what is there, to the mesh and its materials"""
+
+    bl_idname = "irgspp.job_finish"
+    bl_label = "Finish Early"
+
+    job: StringProperty(**NAMED)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return _do(self, jobs.finish_early)
+
+
+class IRGSPP_OT_job_resume(bpy.types.Operator):
+    """Go on with a reconstruction that was stopped or has failed, from where it was"""
+
+    bl_idname = "irgspp.job_resume"
+    bl_label = "Resume"
+
+    job: StringProperty(**NAMED)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return _do(self, jobs.resume)
+
+
+class IRGSPP_OT_job_forget(bpy.types.Operator):
+    """Take a finished job off the list; its results stay where they are"""
+
+    bl_idname = "irgspp.job_forget"
+    bl_label = "Forget"
+
+    job: StringProperty(**NAMED)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return _do(self, jobs.forget)
+
+
+class IRGSPP_OT_job_log(bpy.types.Operator):
+    """Open the log with everything that the job said"""
+
+    bl_idname = "irgspp.job_log"
+    bl_label = "Open Log"
+
+    job: StringProperty(**NAMED)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return _do(self, _open_log)
+
+
+def _open_log(job: Job) -> None:
+    if not job.log.is_file():
+        raise InputError(job.title, "has no log")
+    if bpy.app.background:
+        print("\n".join(job.log_tail()))
+    else:
+        bpy.ops.wm.path_open(filepath=str(job.log))
