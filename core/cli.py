@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: `irgspp demo|inspect|reconstruct|render|evaluate|export|devices`."""
+"""The command line: `irgspp demo|inspect|reconstruct|render|evaluate|export|bake|devices`."""
 
 from __future__ import annotations
 
@@ -158,6 +158,16 @@ def export(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
+def bake(args: argparse.Namespace, terminal: Terminal | JobJournal) -> int:
+    """Mesh and textures of a finished run once more."""
+    from .baking import bake
+
+    bake(args.run, terminal, size=args.size, triangles=args.triangles, edited=args.mesh)
+    terminal.end_line()
+    print(args.run)
+    return 0
+
+
 def devices(args: argparse.Namespace, terminal: Terminal) -> int:
     """Print what can be used to compute on."""
     from .devices import describe
@@ -212,6 +222,12 @@ def parser() -> argparse.ArgumentParser:
     _run_argument(one)
     one.add_argument("-o", dest="out", metavar="FILE", type=Path, required=True, help="ends with .glb, .blend, .ply or .exr")
     one.add_argument("--material", choices=("textures", "attributes"), help="what the material in a .blend reads")
+
+    one = _command(commands, "bake", bake, "textures of a finished run at another size, with other triangles, or on an edited mesh")
+    _run_argument(one)
+    one.add_argument("--size", type=int, metavar="N", help="texels along a side (default: as before)")
+    one.add_argument("--triangles", type=int, metavar="N", help="make a new mesh of at most so many")
+    one.add_argument("--mesh", metavar="FILE", type=Path, help="a PLY in the run's frame that takes the mesh's place; its UVs are kept")
 
     one = _command(commands, "devices", devices, "print what can be used to compute on")
     one.add_argument("--json", action="store_true")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -48,18 +48,57 @@ def textured_mesh(
         roughness=fused.roughness[source],
         metallic=fused.metallic[source],
     )
-    mesh.textures.update(_textures(mesh, views, samples, surface.voxel, settings, progress))
+    step = lambda done: progress.step(len(views) + done)  # noqa: E731 (the second half of the phase)
+    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, step))
     return mesh
 
 
-def _textures(
-    mesh: Mesh, views: Sequence[ViewBuffers], samples: SurfaceSamples, voxel: float, settings: SurfaceSettings, progress: Progress
+def painted_mesh(
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    uvs: np.ndarray,
+    faces: np.ndarray,
+    views: Sequence[ViewBuffers],
+    samples: SurfaceSamples,
+    voxel: float,
+    settings: SurfaceSettings,
+    progress: Progress,
+) -> Mesh:
+    """A mesh that is all there (shapes as in `Mesh`) with materials at its vertices and in textures; geometry and UVs stay as they are.
+
+    Args:
+        voxel: resolution of the surface that the views agree on, world units: how far from it the mesh may lie and still be seen.
+    """
+    progress.phase("bake", 2 * len(views))
+    fused = fuse_attributes(vertices, normals, views, samples, voxel, progress.step)
+    mesh = Mesh(
+        vertices=vertices.astype(np.float32),
+        normals=normals.astype(np.float32),
+        uvs=uvs,
+        faces=faces.astype(np.int32),
+        albedo=fused.albedo,
+        roughness=fused.roughness,
+        metallic=fused.metallic,
+    )
+    step = lambda done: progress.step(len(views) + done)  # noqa: E731 (the second half of the phase)
+    mesh.textures.update(baked_textures(mesh, views, samples, voxel, settings, step))
+    return mesh
+
+
+def baked_textures(
+    mesh: Mesh,
+    views: Sequence[ViewBuffers],
+    samples: SurfaceSamples,
+    voxel: float,
+    settings: SurfaceSettings,
+    step: Callable[[int], None] = lambda done: None,
 ) -> dict[str, np.ndarray]:
+    """`Mesh.textures` for a mesh with UVs and normals; `step` is told the number of views done."""
     texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
     frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
     points = texels.interpolate(mesh.vertices, mesh.faces)
     normal = meshing.unit(texels.interpolate(mesh.normals, mesh.faces))
-    fused = fuse_attributes(points, normal, views, samples, voxel, lambda done: progress.step(len(views) + done))
+    fused = fuse_attributes(points, normal, views, samples, voxel, step)
     side = frames[mesh.faces[texels.face, 0], 3]
     tangent = texels.interpolate(frames[:, :3], mesh.faces)
     tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)

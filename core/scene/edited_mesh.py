@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh that comes back from a modelling program: a PLY of any polygons, with or without UVs and normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyParseError
+
+from ..errors import InputError
+
+UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))  # as Blender and others write them
+
+
+@dataclass(frozen=True, eq=False)
+class EditedMesh:
+    """Triangles in the world of a run.
+
+    Attributes:
+        vertices: (V, 3) float64. faces: (F, 3) int64, counter-clockwise seen from outside.
+        uvs: (V, 2) float32 in 0..1, v = 0 at the bottom, or None. normals: (V, 3) float64 unit, or None.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uvs: np.ndarray | None
+    normals: np.ndarray | None
+
+
+def load_edited_mesh(path: Path) -> EditedMesh:
+    """Read a PLY; polygons are cut into triangles, vertices that agree in everything become one.
+
+    Raises InputError where the file is missing or broken, has no faces, or UVs that leave the square.
+    """
+    vertex, polygons = _read(path)
+    names = vertex.dtype.names or ()
+    position = _columns(vertex, ("x", "y", "z"), path)
+    uv_names = next((pair for pair in UV_NAMES if set(pair) <= set(names)), None)
+    parts = [position]
+    if uv_names:
+        uvs = _columns(vertex, uv_names, path)
+        if uvs.min() < -1e-4 or uvs.max() > 1 + 1e-4:
+            raise InputError(path, "has UVs outside of 0..1", "unwrap it into one square")
+        parts.append(np.clip(uvs, 0, 1))
+    if {"nx", "ny", "nz"} <= set(names):
+        parts.append(_columns(vertex, ("nx", "ny", "nz"), path))
+    faces = _triangles(polygons, len(vertex), path)
+    # A program that writes each face's corners separately tears the surface apart: sew it together again.
+    rows, welded = np.unique(np.concatenate(parts, -1).astype(np.float32), axis=0, return_inverse=True)
+    faces = welded.reshape(-1)[faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    if not len(faces):
+        raise InputError(path, "has no faces")
+    kept, faces = np.unique(faces, return_inverse=True)
+    columns = np.split(rows[kept], np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
+    normals = _unit(columns[-1]) if len(parts) == 2 + bool(uv_names) else None
+    return EditedMesh(columns[0].astype(np.float64), faces.reshape(-1, 3), columns[1] if uv_names else None, normals)
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        ply = PlyData.read(str(path))
+        face = ply["face"].data
+        index = next(name for name in ("vertex_indices", "vertex_index") if name in (face.dtype.names or ()))
+        return ply["vertex"].data, face[index]
+    except FileNotFoundError as error:
+        raise InputError(path, "no such file") from error
+    except (OSError, PlyParseError, ValueError, MemoryError, UnicodeDecodeError, KeyError, StopIteration) as error:
+        raise InputError(path, f"not a readable PLY with vertices and faces ({error or 'no vertex indices'})") from error
+
+
+def _columns(vertex: np.ndarray, names: tuple[str, ...], path: Path) -> np.ndarray:
+    if missing := [name for name in names if name not in (vertex.dtype.names or ())]:
+        raise InputError(path, f"its vertices lack {', '.join(missing)}")
+    values = np.stack([vertex[name] for name in names], -1).astype(np.float64)
+    if not len(values) or not np.isfinite(values).all():
+        raise InputError(path, "has no vertices, or such that are not finite")
+    return values
+
+
+def _triangles(polygons: np.ndarray, vertices: int, path: Path) -> np.ndarray:
+    """(F, 3) the polygons as fans."""
+    by_corners: dict[int, list[np.ndarray]] = {}
+    for polygon in polygons:
+        by_corners.setdefault(len(polygon), []).append(np.asarray(polygon, np.int64))
+    fans = [
+        np.stack([p[:, 0], p[:, k], p[:, k + 1]], -1)
+        for corners, p in ((n, np.stack(same)) for n, same in by_corners.items())
+        for k in range(1, corners - 1)
+    ]
+    faces = np.concatenate(fans) if fans else np.empty((0, 3), np.int64)
+    if len(faces) and (faces.min() < 0 or faces.max() >= vertices):
+        raise InputError(path, f"has faces with vertices beyond the {vertices} there are")
+    return faces
+
+
+def _unit(normals: np.ndarray) -> np.ndarray | None:
+    """Unit normals; None where one has no length, as nothing is known of it then."""
+    length = np.linalg.norm(normals.astype(np.float64), axis=-1, keepdims=True)
+    return normals / length if (length > 1e-6).all() else None
