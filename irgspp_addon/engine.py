@@ -130,7 +130,7 @@ def status() -> Status:
     try:
         key = _key(python)
     except OSError:
-        return Status("missing", f"No engine: {python} does not exist; {HOW_TO_GET_ONE}")
+        return Status("missing", f"{python}: can't be started, as it does not exist; {HOW_TO_GET_ONE}")
     if key not in _known:
         _known.update(_remembered())
     return _known.get(key, Status("unknown", f"Not checked yet: {python}"))
