@@ -20,7 +20,8 @@ def check_in_background() -> Job | None:
 def take_check(job: Job) -> None:
     """Remember what a check found; nobody wants to see that job afterwards."""
     if job.data.get("python") == engine.engine_python():  # else another engine was chosen meanwhile
-        engine.remember(engine.judged(0 if job.state == "done" else 1, job.output(), "\n".join(job.log_tail())))
+        said = "\n".join(job.log_tail()) or job.error or ""
+        engine.remember(engine.judged(0 if job.state == "done" else 1, job.output(), said))
     jobs.forget(job)
 
 

@@ -17,7 +17,7 @@ TAIL_BYTES = 65536  # of the events, from which the present state is read again 
 LOG_LINES = 12
 
 
-@dataclass
+@dataclass(eq=False)
 class Job:
     """A job of the engine.
 

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Nothing of the engine's libraries enters Blender's process, whatever of the extension is imported."""
+
+import subprocess
+import sys
+
+from blender_side import ROOT
+
+CODE = """
+import sys
+HEAVY = {"torch", "numba", "llvmlite", "scipy", "cv2", "PIL", "embreex", "warp", "OpenEXR", "plyfile", "trimesh", "skimage", "xatlas",
+         "fast_simplification", "sklearn", "pandas"}
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in HEAVY:
+            raise ImportError(f"{name} must not enter Blender's process")
+
+sys.meta_path.insert(0, Refuse())
+import bpy, importlib, pathlib, pkgutil, runpy
+root = pathlib.Path(sys.argv[1])
+runpy.run_path(str(root / "irgspp_addon" / "launch.py"))["mount"](root)
+count = 0
+for package in ("irgspp_addon", "operators", "panels"):
+    package = importlib.import_module(f"irgspp.{package}")
+    for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+        importlib.import_module(module.name)
+        count += 1
+import irgspp, os, traceback
+try:
+    irgspp.register()
+    irgspp.unregister()
+except BaseException:
+    traceback.print_exc()
+    os._exit(1)  # Blender as a module hangs at its end where something is left registered
+print(count, sorted(HEAVY & set(sys.modules)))
+"""
+
+
+def test_every_module_imports_and_registers_without_the_engines_libraries():
+    done = subprocess.run([sys.executable, "-c", CODE, str(ROOT)], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    count, found = done.stdout.strip().splitlines()[-1].split(maxsplit=1)
+    assert int(count) > 20 and found == "[]"

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs for tests: settings so small that the whole reconstruction takes seconds, scripts that stand for the engine, a registry of one's own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import blender_side
+import pytest
+
+DATASET = blender_side.ROOT / "core" / "demo_data"
+TINY = {
+    "data.resolution": 32,
+    "reflective.iterations": 20,
+    "reflective.gaussians": 1000,
+    "transport.points": 300,
+    "transport.iterations": 5,
+    "transport.radiance_iterations": 5,
+    "surface.voxels": 24,
+    "surface.triangles": 500,
+    "surface.texture": 64,
+}
+ENDLESS = {"reflective.iterations": 1_000_000}  # until somebody stops it
+
+# A stand-in for the engine: the same files, no libraries. It counts steps until told to stop, or to its end.
+COUNTER = """
+import json, os, sys, time
+folder, steps = os.environ["IRGSPP_JOB"], int(sys.argv[1])
+print("starting", file=sys.stderr, flush=True)
+for step in range(1, steps + 1):
+    with open(os.path.join(folder, "events.jsonl"), "a") as file:
+        file.write(json.dumps({"time": time.time(), "phase": "count", "step": step, "of": steps, "loss": 1 / step}) + "\\n")
+    if os.path.exists(os.path.join(folder, "cancel")):
+        sys.exit(130)
+    time.sleep(0.02)
+print("counted", steps)
+"""
+
+
+def settings(**more: object) -> list[str]:
+    """Words for --set; names with two underscores for the dot."""
+    chosen = TINY | {key.replace("__", "."): value for key, value in more.items()}
+    return [word for key, value in chosen.items() for word in ("--set", f"{key}={value}")]
+
+
+def reconstruction(run: Path, **more: object) -> list[str]:
+    """Words of a `reconstruct` of the embedded dataset that takes seconds."""
+    return ["reconstruct", str(DATASET), "-o", str(run), "--preset", "draft", "--materials", "low-gloss", *settings(**more)]
+
+
+def until(what: Callable[[], object], seconds: float = 120.0) -> None:
+    """Poll the jobs until something is true, as Blender's timer does."""
+    from irgspp.irgspp_addon import jobs
+
+    end = time.monotonic() + seconds
+    while not what():
+        jobs.poll()
+        assert time.monotonic() < end, [(job.title, job.state, job.error, job.log_tail()) for job in jobs.all_jobs()]
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty registry of jobs in a folder of the test, whose processes are ended with it."""
+    from irgspp.irgspp_addon import engine, job_process, jobs, managed_engine, session, user_folder
+
+    folder = tmp_path / "user"
+
+    def place(name: str = "") -> Path:
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        return folder / name
+
+    for module in (user_folder, jobs, session, engine, managed_engine):
+        monkeypatch.setattr(module, "user_folder", place)
+    jobs.clear()
+    session.end_session()
+    engine._known.clear()
+    yield folder
+    for job in jobs.all_jobs():
+        job_process.kill(job)
+    jobs.clear()
+    session.end_session()
+    engine._known.clear()
