@@ -71,8 +71,11 @@ def _texel(x, y, z, height, width):
 
 
 @kernel
-def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points_e, rows, columns, edges, light, direction, density):
+def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points_e, first, rows, columns, edges, light, direction, density):
     """Points begin..end: `direction` (P, N, 3) and `density` (P, N) of cosine, visible-normal and light samples, in this order.
+
+    Of all samples those from number `first` on are made.
+
 
     frame: (P, 3, 3), columns tangent, bitangent, normal. view: (P, 3) local. points_*: (n, 2) in [0, 1). rows, columns, edges,
     light: the light's tables, cumulated over rows, cumulated within each row, cosines of the rows' edges, density per texel.
@@ -89,7 +92,7 @@ def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points
         a = float(alpha[p])
         a2 = a * a
         masked = 0.5 / (vz + math.sqrt(a2 + (1 - a2) * vz * vz))
-        for i in range(count):
+        for i in range(first, count):
             if i < n_c + n_g:
                 if i < n_c:
                     u0, u1 = _wrapped(points_c[i, 0], shift[p, 0]), _wrapped(points_c[i, 1], shift[p, 1])
@@ -111,5 +114,6 @@ def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points
                 flat2 = hx * hx + hy * hy
                 k = a2 + flat2 / max(flat2 + hz * hz, 1e-14) * (1 - a2)
                 q += n_g * masked * a2 / (math.pi * k * k)
-            direction[p, i, 0], direction[p, i, 1], direction[p, i, 2] = x, y, z
-            density[p, i] = q / count
+            to = i - first
+            direction[p, to, 0], direction[p, to, 1], direction[p, to, 2] = x, y, z
+            density[p, to] = q / count

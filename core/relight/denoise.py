@@ -2,7 +2,7 @@
 """What takes the last noise out of a picture of few samples: the cross-bilateral filter, guided by depth and normals.
 
 Mode `paper` filters the final colour. Mode `demodulated` filters diffuse and specular light apart, each divided by what the surface
-reflects of it, so that no texture is blurred.
+reflects of it, so that no texture is blurred, and only as far as there is noise: the estimate's two halves of samples tell how much.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from ..kernels.bilateral import bilateral_range
 from ..kernels.pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
 from ..shading.split_sum import specular_albedo
+from .estimate import Estimate
 from .primary import Primary
 
 REACH = 6  # pixels of margin, as far as any filter reaches
@@ -39,6 +40,7 @@ class Filter:
 
 
 PICTURE, DIFFUSE, SPECULAR = Filter(2, 7), Filter(2, 5), Filter(1.5, 7)  # diffuse light varies slowly over the surface
+CHANCE = 2.0  # relative error of diffuse light from few samples that agree by chance, times their number
 
 
 @dataclass(frozen=True)
@@ -69,22 +71,37 @@ class Grid:
         return planes.reshape(-1)
 
 
-def denoised(diffuse: torch.Tensor, specular: torch.Tensor, surface: Primary, radius: float, mode: str = "demodulated") -> torch.Tensor:
-    """Filtered reflected light.
+def denoised(estimate: Estimate, surface: Primary, radius: float, mode: str = "demodulated") -> torch.Tensor:
+    """(P, 3) reflected light of the surface's points, filtered as `mode` says: "paper", "demodulated" or "off".
 
-    Args:
-        diffuse, specular: (P, 3) light that the surface points reflect. surface: those points. radius: of the scene.
-        mode: "paper" or "demodulated".
-
-    Returns:
-        (P, 3) their sum.
+    radius: of the scene.
     """
+    if mode == "off":
+        return estimate.diffuse + estimate.specular
     if mode == "paper":
-        return filtered(diffuse + specular, surface, radius, PICTURE)
+        return filtered(estimate.diffuse + estimate.specular, surface, radius, PICTURE)
     body = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
     n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
     gloss = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
-    return filtered(diffuse / body, surface, radius, DIFFUSE) * body + filtered(specular / gloss, surface, radius, SPECULAR) * gloss
+    chance = (CHANCE / estimate.samples) ** 2
+    even = corrected(estimate.diffuse / body, estimate.diffuse_split / body, chance, surface, radius, DIFFUSE)
+    sharp = corrected(estimate.specular / gloss, estimate.specular_split / gloss, 0.0, surface, radius, SPECULAR)
+    return even * body + sharp * gloss
+
+
+def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, surface: Primary, radius: float, how: Filter) -> torch.Tensor:
+    """Filtered (P, 3) values, drawn back to the unfiltered ones where the filter changes them by more than their noise.
+
+    split: (P, 3), see `Estimate`. chance: squared relative error that is assumed even where both halves agree: they may have missed the
+    same lamp. With x the value and f the filtered one, f + k (x - f) errs least with k = 1 - var(x) / E[(x - f)^2] (James and Stein
+    1961), both means over the filter's neighbourhood. So edges stay, and with many samples the picture converges.
+    """
+    smooth = filtered(torch.cat([values, split.square().mean(1, keepdim=True)], 1), surface, radius, how)
+    smooth, variance = smooth[:, :3], smooth[:, 3:]
+    variance = variance + chance * smooth.square().mean(1, keepdim=True)
+    change = filtered((values - smooth).square().mean(1, keepdim=True), surface, radius, how)
+    keep = (1 - variance / change.clamp_min(1e-20)).clamp(0, 1)
+    return smooth + keep * (values - smooth)
 
 
 def filtered(values: torch.Tensor, surface: Primary, radius: float, how: Filter) -> torch.Tensor:

@@ -10,17 +10,18 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 
 from ..datasets.camera import Camera
 from ..scene.reconstruction import Reconstruction
-from ..shading.lightmap import lookup
+from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
-from ..shading.split_sum import shade
-from ..shading.transport import reflect_light
 from .denoise import denoised
+from .estimate import estimated
+from .gathering import SecondaryRays, gather, trace_samples
 from .lighting import PreparedLight
 from .mesh_query import MeshQuery
 from .primary import Primary, primary_surface
@@ -28,6 +29,7 @@ from .query import SurfaceQuery
 from .samples import pixel_shifts, sample_counts
 
 RAYS = 1 << 17  # at a time: few enough for the cache, enough for every thread
+KEPT_BYTES = 1 << 29  # of secondary rays that are kept from light to light
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class Relighter:
         self.reconstruction, self.query, self.settings, self._mesh = reconstruction, query, settings, mesh
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
         self._scale = torch.tensor(settings.albedo_scale)
+        self._kept: WeakKeyDictionary[Primary, dict[int, SecondaryRays]] = WeakKeyDictionary()
 
     def scaled(self, albedo_scale: Sequence[float] | np.ndarray | None) -> Relighter:
         """The same with another factor (3,) of the albedo; None: as it is."""
@@ -83,43 +86,52 @@ class Relighter:
         return dataclasses.replace(surface, origin=self.query.origins(surface))
 
     def relit(self, surface: Primary, light: PreparedLight) -> torch.Tensor:
-        """(H, W, 4) linear premultiplied RGBA of a surface under a light."""
-        diffuse, specular = torch.zeros(2, len(surface.index), 3)
-        if light.distribution is not None:
-            step = max(1, RAYS // sum(self.counts))
-            for begin in range(0, len(surface.index), step):
-                part = slice(begin, begin + step)
-                diffuse[part], specular[part] = self._reflected(surface, part, light)
-        if self.settings.denoise == "off":
-            return surface.composite(diffuse + specular)
-        radius = self.reconstruction.bound.radius
-        return surface.composite(denoised(diffuse, specular, surface, radius, self.settings.denoise))
+        """(H, W, 4) linear premultiplied RGBA of a surface under a light. Another light on the same surface is cheaper than the first."""
+        if light.distribution is None:
+            return surface.composite(torch.zeros(len(surface.index), 3))
+        with torch.no_grad():
+            sums = torch.cat([self._gathered(surface, part, light) for part in self._parts(surface)])
+            estimate = estimated(sums, sum(self.counts), surface, light, self.settings.conserving)
+            return surface.composite(denoised(estimate, surface, self.reconstruction.bound.radius, self.settings.denoise))
 
-    @torch.no_grad()
-    def _reflected(self, surface: Primary, part: slice, light: PreparedLight) -> tuple[torch.Tensor, torch.Tensor]:
-        """Diffuse and specular (P, 3) of some of the points."""
-        view, normal, roughness = surface.view[part], surface.normal[part], surface.roughness[part]
-        shift = pixel_shifts(surface.index[part], surface.camera.width)
+    def _parts(self, surface: Primary) -> list[slice]:
+        """Of the surface's points, one at least."""
+        count, step = len(surface.index), max(1, RAYS // sum(self.counts))
+        return [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
+
+    def _gathered(self, surface: Primary, part: slice, light: PreparedLight) -> torch.Tensor:
+        """(P, 2, 12) sums over all samples of some of the points, see `gather`."""
         assert light.distribution is not None
-        samples = draw(view, normal, roughness, self.counts, light.distribution, shift, self.settings.sampling)
-        incoming = self._incoming(surface.origin[part], normal, samples, light)
-        materials = (surface.albedo[part], roughness, surface.metallic[part])
-        return reflect_light(view, normal, *materials, samples, incoming, self.settings.conserving)
+        points, shift = (surface.view[part], surface.normal[part], surface.roughness[part]), self._shift(surface, part)
+        by_light = self.counts[2] if self.settings.sampling == "mis" else 0
+        sums = gather(*points, self._lasting(surface, part, light.distribution), light, by_light)
+        if by_light:
+            samples = draw(*points, self.counts, light.distribution, shift, light_only=True)
+            sums += gather(*points, self._traced(surface, part, samples, sum(self.counts)), light, 0)
+        return sums
 
-    def _incoming(self, origin: torch.Tensor, normal: torch.Tensor, samples: Samples, light: PreparedLight) -> torch.Tensor:
-        """(P, N, 3) radiance along the samples; 0 below the horizon, where it would not count."""
-        direction = samples.direction
-        above = torch.nonzero((direction @ normal[..., None])[..., 0].flatten() > 0)[:, 0]
-        rays = direction.view(-1, 3)[above]
-        radiance = lookup(light.radiance, rays)
-        hit = self.query.hits(origin[above // direction.shape[1]], rays)
-        behind = radiance[hit.ray] * (1 - hit.opacity[:, None])
-        if self.settings.indirect:
-            materials = (hit.albedo * self._scale, hit.roughness, hit.metallic)
-            shaded = shade(-rays[hit.ray], hit.normal, *materials, light.diffuse, light.specular, self.settings.conserving)
-            behind = behind + shaded * hit.opacity[:, None]
-        radiance[hit.ray] = behind
-        return torch.zeros(direction.numel() // 3, 3).index_copy(0, above, radiance).view_as(direction)
+    def _lasting(self, surface: Primary, part: slice, distribution: LightDistribution) -> SecondaryRays:
+        """The rays that no light has a say in; kept for the next light where memory allows."""
+        kept = self._kept.setdefault(surface, {})
+        if part.start in kept:
+            return kept[part.start]
+        points, shift = (surface.view[part], surface.normal[part], surface.roughness[part]), self._shift(surface, part)
+        mis = self.settings.sampling == "mis"
+        counts = (*self.counts[:2], 0) if mis else self.counts
+        rays = self._traced(surface, part, draw(*points, counts, distribution, shift, self.settings.sampling), sum(counts))
+        if rays.size + sum(other.size for parts in self._kept.values() for other in parts.values()) <= KEPT_BYTES:
+            kept[part.start] = rays
+        return rays
+
+    def _traced(self, surface: Primary, part: slice, samples: Samples, count: int) -> SecondaryRays:
+        """Samples with what they meet; the density is for `count` of them together."""
+        samples = Samples(samples.direction, samples.density * count)
+        how = (self._scale if self.settings.indirect else None, self.settings.conserving)
+        return trace_samples(self.query, surface.origin[part], surface.normal[part], samples, *how)
+
+    @staticmethod
+    def _shift(surface: Primary, part: slice) -> torch.Tensor:
+        return pixel_shifts(surface.index[part], surface.camera.width)
 
 
 def is_glossy(reconstruction: Reconstruction) -> bool:

@@ -8,28 +8,24 @@ import torch
 from ..errors import InputError
 
 Counts = tuple[int, int, int]  # cosine, GGX visible normals, light map
-HQ: Counts = (256, 128, 128)
-EFFICIENT: Counts = (16, 8, 8)
-EFFICIENT_GLOSSY: Counts = (8, 4, 4)
+MATT, GLOSSY = (2, 1, 1), (1, 4, 3)  # in what proportion; metal has no diffuse lobe for cosine samples to find
+HQ, EFFICIENT, EFFICIENT_GLOSSY = 512, 32, 16  # altogether; light comes to a glossy object from few directions, and fewer do
 MOST = 1 << 16
 
 
 def sample_counts(samples: str | int, glossy: bool) -> Counts:
-    """Samples of each strategy: "hq", "efficient" (fewer where the object is glossy: its light comes from few directions), or a number,
-    half of it cosine and a quarter each of the others. Raises InputError for anything else.
-    """
-    if samples == "hq":
-        return HQ
-    if samples == "efficient":
-        return EFFICIENT_GLOSSY if glossy else EFFICIENT
+    """Samples of each strategy for "hq", "efficient" or a number of them altogether. Raises InputError for anything else."""
+    named = {"hq": HQ, "efficient": EFFICIENT_GLOSSY if glossy else EFFICIENT}
     try:
-        total = int(samples)
+        total = named[samples] if samples in named else int(samples)
     except ValueError:
         total = 0
     if not 1 <= total <= MOST:
         raise InputError("--samples", f"{samples} is no number of samples", f"use hq, efficient, or 1 to {MOST}")
-    quarter = total // 4
-    return (total - 2 * quarter, quarter, quarter)
+    cosine, normal, light = GLOSSY if glossy else MATT
+    parts = cosine + normal + light
+    by_normal, by_light = total * normal // parts, total * light // parts
+    return (total - by_normal - by_light, by_normal, by_light)
 
 
 def pixel_shifts(index: torch.Tensor, width: int) -> torch.Tensor:

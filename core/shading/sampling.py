@@ -60,6 +60,7 @@ def draw(
     light: LightDistribution,
     shift: torch.Tensor | torch.Generator,
     method: str = "mis",
+    light_only: bool = False,
 ) -> Samples:
     """Directions to gather light from at P surface points.
 
@@ -69,6 +70,7 @@ def draw(
         light: the light's distribution, made of the map as it is now.
         shift: (P, 2) in [0, 1), by which each point's sets are shifted on the torus (Cranley and Patterson 1976), or what draws it.
         method: "mis", or "stratified": N strata of the hemisphere, uniform, light and lobe unheeded.
+        light_only: of the N samples make the last ones, those by the light map; their density is that of the whole mixture all the same.
 
     Returns:
         Samples. Those below the horizon count in N and bring nothing.
@@ -86,19 +88,21 @@ def draw(
             return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
         local_view = facing(view, normal)[:, None] @ frame
         plain = view.dtype == torch.float32 and view.device.type == "cpu"
-        return (_mixture if plain else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, light, shift)
+        first = counts[0] + counts[1] if light_only else 0
+        return (_mixture if plain else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, first, light, shift)
 
 
-def _mixture(local_view, frame, alpha, counts, light: LightDistribution, shift) -> Samples:
+def _mixture(local_view, frame, alpha, counts, first: int, light: LightDistribution, shift) -> Samples:
     """One pass of a kernel; float32 on the CPU."""
-    direction, density = torch.empty(len(frame), sum(counts), 3), torch.empty(len(frame), sum(counts))
-    inputs = (frame, local_view[:, 0], alpha, shift, *map(point_set, counts), light.rows, light.columns, light.edges, light.texels)
-    arrays = [t.contiguous().numpy() for t in (*inputs, direction, density)]
-    run_ranges(draw_range, even_ranges(len(frame), 4 * thread_count()), *arrays)
+    made = sum(counts) - first
+    direction, density = torch.empty(len(frame), made, 3), torch.empty(len(frame), made)
+    points = [t.contiguous().numpy() for t in (frame, local_view[:, 0], alpha, shift, *map(point_set, counts))]
+    lights = [t.contiguous().numpy() for t in (light.rows, light.columns, light.edges, light.texels, direction, density)]
+    run_ranges(draw_range, even_ranges(len(frame), 4 * thread_count()), *points, first, *lights)
     return Samples(direction, density.clamp_(min=DENSITY_FLOOR))
 
 
-def _mixture_reference(local_view, frame, alpha, counts, light: LightDistribution, shift) -> Samples:
+def _mixture_reference(local_view, frame, alpha, counts, first: int, light: LightDistribution, shift) -> Samples:
     """The twin in plain operations, for any floating type and device; local_view: (P, 1, 3)."""
     n_c, n_g, n_e = counts
     alpha = alpha[:, None]
@@ -106,7 +110,7 @@ def _mixture_reference(local_view, frame, alpha, counts, light: LightDistributio
     mirrored = 2 * (local_view * half).sum(-1, keepdim=True) * half - local_view
     local = torch.cat([_cosine(_shifted(n_c, shift)), mirrored], 1)
     direction = torch.cat([local @ frame.mT, light.sample(_shifted(n_e, shift))], 1)
-    direction = torch.nn.functional.normalize(direction, dim=-1)
+    direction = torch.nn.functional.normalize(direction[:, first:], dim=-1)
     local = direction @ frame
     density = n_e * light.density(direction)
     density += (n_c / math.pi) * local[..., 2].clamp_min(0)

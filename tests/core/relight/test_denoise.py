@@ -8,6 +8,7 @@ import pytest
 import torch
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.relight.denoise import PICTURE, Filter, denoised, filtered
+from irgspp.core.relight.estimate import Estimate
 from irgspp.core.relight.primary import Primary
 
 CAMERA = Camera(61, 43, 60.0, 60.0, 30.5, 21.5, np.eye(4))
@@ -31,11 +32,17 @@ def noise(surface: Primary, channels: int = 3) -> torch.Tensor:
     return 1 + 0.3 * torch.randn(len(surface.index), channels, generator=torch.Generator().manual_seed(0))
 
 
-@pytest.mark.parametrize("mode", ["paper", "demodulated"])
+def estimate(diffuse: torch.Tensor, split: float | torch.Tensor = 0.0, specular: torch.Tensor | None = None, samples: int = 64) -> Estimate:
+    """Diffuse light, or specular alone, whose halves of samples differ by `split`."""
+    nothing = torch.zeros_like(diffuse)
+    spread = nothing + split
+    return Estimate(diffuse, nothing if specular is None else specular, spread, spread, samples)
+
+
+@pytest.mark.parametrize("mode", ["paper", "demodulated", "off"])
 def test_constant_light_stays_constant(mode):
     surface = plane(0.4, torch.rand(43, 61, generator=torch.Generator().manual_seed(1)) > 0.3)
-    diffuse, specular = surface.albedo * 2.0, torch.zeros_like(surface.albedo)
-    assert torch.allclose(denoised(diffuse, specular, surface, 1.0, mode), torch.tensor(1.0), atol=1e-5)
+    assert torch.allclose(denoised(estimate(surface.albedo * 2.0, 1.0), surface, 1.0, mode), torch.tensor(1.0), atol=1e-5)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.8])
@@ -80,11 +87,35 @@ def test_demodulated_keeps_texture():
     surface = plane()
     texture = torch.rand(len(surface.index), 3, generator=torch.Generator().manual_seed(2)) * 0.8 + 0.1
     surface = dataclasses.replace(surface, albedo=texture)
-    nothing = torch.zeros_like(texture)
-    assert torch.allclose(denoised(texture, nothing, surface, 1.0, "demodulated"), texture, atol=1e-4)
-    assert (denoised(texture, nothing, surface, 1.0, "paper") - texture).abs().mean() > 0.05
+    assert torch.allclose(denoised(estimate(texture, 0.5), surface, 1.0, "demodulated"), texture, atol=1e-4)
+    assert (denoised(estimate(texture), surface, 1.0, "paper") - texture).abs().mean() > 0.05
+
+
+@pytest.mark.parametrize("lobe", ["diffuse", "specular"])
+def test_noise_goes_as_far_as_the_halves_tell_of_it(lobe):
+    surface = plane()
+    true = torch.where(surface.index % 61 < 30, 0.2, 0.4)[:, None].expand(-1, 3)  # an edge of light that no guide shows
+    random = torch.Generator().manual_seed(3)
+    for sigma in (0.1, 0.01, 0.001, 0.0):
+        halves = true + sigma * 2**0.5 * torch.randn(2, *true.shape, generator=random)
+        seen, split = halves.mean(0), (halves[0] - halves[1]) / 2
+        given = estimate(seen, split, samples=1024)
+        if lobe == "specular":
+            given = estimate(torch.zeros_like(seen), split, seen)
+        error = (denoised(given, surface, 1.0) - true).square().mean().sqrt()
+        assert error <= 0.8 * sigma + 1e-4
+    blurred = filtered(true.contiguous(), surface, 1.0, PICTURE)
+    assert (blurred - true).square().mean().sqrt() > 0.015  # which the last ones are far below
+
+
+def test_few_samples_that_agree_are_not_believed():
+    surface = plane()
+    lucky = torch.ones(len(surface.index), 3)
+    lucky[20 * 61 + 30] = 1.5
+    few, many = (denoised(estimate(lucky, samples=n), surface, 1.0)[20 * 61 + 30, 0] for n in (4, 4096))
+    assert few < 1.1 and many > 1.45
 
 
 def test_empty_picture():
     surface = plane(covered=torch.zeros(43, 61))
-    assert denoised(torch.zeros(0, 3), torch.zeros(0, 3), surface, 1.0).shape == (0, 3)
+    assert denoised(estimate(torch.zeros(0, 3)), surface, 1.0).shape == (0, 3)

@@ -11,11 +11,12 @@ from irgspp.core.relight.samples import pixel_shifts, sample_counts
     ("samples", "glossy", "counts"),
     [
         ("hq", False, (256, 128, 128)),
-        ("hq", True, (256, 128, 128)),
+        ("hq", True, (64, 256, 192)),
         ("efficient", False, (16, 8, 8)),
-        ("efficient", True, (8, 4, 4)),
+        ("efficient", True, (2, 8, 6)),
         ("64", False, (32, 16, 16)),
-        (30, True, (16, 7, 7)),
+        (30, False, (16, 7, 7)),
+        (30, True, (4, 15, 11)),
         (1, False, (1, 0, 0)),
     ],
 )
