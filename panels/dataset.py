@@ -5,10 +5,14 @@ from __future__ import annotations
 
 import json
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import bpy
 
+from ..irgspp_addon import jobs
+from ..irgspp_addon.job import Job
+from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
 
 SHOWN = ("format", "views", "pictures", "masks", "points")  # of all that an inspection says, what a person wants to know first
@@ -40,6 +44,7 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
             photographs=settings.with_photographs,
             points=settings.with_points,
         )
+        draw_look(layout, context, last_look(settings.dataset_path()))
         draw_found(layout, context, settings.inspected)
 
 
@@ -70,6 +75,24 @@ def draw_guide(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column = layout.column()
     column.scale_y = 1.3
     button(column, "irgspp.demo", "Try the Demo", "MONKEY")
+
+
+def draw_look(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
+    """While the engine reads the dataset, and where it could not."""
+    if job is None:
+        return
+    if not job.finished:
+        layout.progress(factor=job.fraction, text="Reading the photographs")
+    elif job.error:
+        column = layout.column()
+        column.alert = True
+        say(column, context, job.error, icon="ERROR")
+
+
+def last_look(dataset: Path | None) -> Job | None:
+    """The last job that read this dataset for the panel or for import."""
+    wanted = str(resolved(dataset))
+    return next((job for job in jobs.all_jobs() if job.kind == "inspect" and job.data.get("dataset") == wanted), None)
 
 
 def draw_found(layout: bpy.types.UILayout, context: bpy.types.Context, inspected: str) -> None:

@@ -17,7 +17,16 @@ from .sidebar import SidebarPanel, button, say
 class IRGSPP_UL_jobs(bpy.types.UIList):
     """Title, and how far it is or when it ended."""
 
-    def draw_item(self, context: bpy.types.Context, layout: bpy.types.UILayout, data: Any, item: Any, *rest: Any) -> None:
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: Any,
+        item: Any,
+        icon: int,
+        active_data: Any,
+        active_property: str,
+    ) -> None:
         job = jobs.find(item.name)
         if job is None:  # forgotten by another window; the list follows in a moment
             return

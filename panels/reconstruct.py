@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import bpy
@@ -10,8 +11,11 @@ import bpy
 from ..irgspp_addon import jobs
 from ..irgspp_addon.job import Job
 from .job_card import RECONSTRUCTIONS, draw_job
-from .run_state import run_state
+from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
+
+BEGAN = time.time()  # this session of Blender
+STOPPED = ("running", "failed", "cancelled")  # states of a run folder that can be gone on with; "running" where nothing runs any more
 
 
 class IRGSPP_PT_reconstruct(SidebarPanel, bpy.types.Panel):
@@ -45,40 +49,31 @@ class IRGSPP_PT_reconstruct_more(SidebarPanel, bpy.types.Panel):
 
 
 def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
-    """The button; where it can't be pressed, words say why."""
+    """The buttons; where they can't be pressed, words say why."""
     settings = context.scene.irgspp
     busy = job is not None and not job.finished
-    status = run_state(settings.run_path()).status
-    column = layout.column()
-    column.scale_y = 1.5
-    column.enabled = bool(settings.dataset) and not busy
-    button(
-        column,
-        "irgspp.reconstruct",
-        "Reconstruct Again" if status == "done" else "Reconstruct",
-        "PLAY",
-        dataset=settings.dataset,
-        run=str(settings.run_path() or ""),
-        preset=settings.preset,
-        materials=settings.materials,
-        device=settings.device,
-        seed=settings.seed,
-        settings=settings.overrides,
-        import_result=settings.import_result,
-        overwrite=status != "",
-    )
+    status = run_state(settings.run_path()).status if settings.dataset else ""
+    row = layout.row(align=True)
+    row.scale_y = 1.5
+    row.enabled = bool(settings.dataset) and not busy
+    if status in STOPPED and not (job and job.resumable):  # else the job itself offers it
+        button(row, "irgspp.reconstruct", "Go On", "FILE_REFRESH", resume=True)
+    button(row, "irgspp.reconstruct", "Reconstruct Again" if status else "Reconstruct", "PLAY", overwrite=bool(status))
     if not settings.dataset:
         say(layout, context, "Choose photographs above first.", icon="INFO")
     elif status and not busy:
-        say(layout, context, "Replaces the run that is in the folder.", icon="INFO")
+        say(layout, context, "Once more replaces the run in the folder.", icon="INFO")
 
 
 def present_job(run: Path | None) -> Job | None:
-    """The reconstruction that is under way, or else the last one of this run folder."""
+    """The reconstruction that is under way, or else the last one of this run folder; without one, a demonstration of this session."""
     reconstructions = [job for job in jobs.all_jobs() if job.kind in RECONSTRUCTIONS]
     under_way = [job for job in reconstructions if not job.finished]
-    of_this_run = [job for job in reconstructions if run is not None and job.folder.resolve() == run]
-    return next(iter([*reversed(under_way), *of_this_run]), None)
+    if run is None:
+        last = [job for job in reconstructions if job.kind == "demo" and job.made > BEGAN]
+    else:
+        last = [job for job in reconstructions if resolved(job.folder) == resolved(run)]
+    return next(iter([*reversed(under_way), *last]), None)
 
 
 CLASSES = (IRGSPP_PT_reconstruct, IRGSPP_PT_reconstruct_more)

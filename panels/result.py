@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import bpy
@@ -11,7 +10,7 @@ import bpy
 from ..irgspp_addon.materials import available_sources
 from ..irgspp_addon.ownership import KEY
 from ..irgspp_addon.scene_builder import run_of
-from .run_state import RunState, run_state
+from .run_state import RunState, resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
 
@@ -133,12 +132,6 @@ def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: 
 def shown_run(context: bpy.types.Context) -> Path | None:
     """The run of the active object, or else the one that the scene's settings name."""
     return run_of(context.object) or resolved(context.scene.irgspp.run_path())
-
-
-@lru_cache(maxsize=16)
-def resolved(path: Path | None) -> Path | None:
-    """As datablocks name their folder; kept, since a panel draws often."""
-    return path.resolve() if path is not None else None
 
 
 def object_of_run(scene: bpy.types.Scene, run: Path) -> bpy.types.Object | None:

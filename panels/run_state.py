@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,12 @@ def run_state(path: Path | None) -> RunState:
         state = _read(path / "run.json")
         _known[path] = (now, state)
     return state
+
+
+@lru_cache(maxsize=256)
+def resolved(path: Path | None) -> Path | None:
+    """A path as datablocks name their folder; kept, since panels ask often and it is looked up link by link."""
+    return path.resolve() if path is not None else None
 
 
 def _read(path: Path) -> RunState:

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every panel in every state draws what exists, and says why something can't be pressed."""
+
+import json
+import time
+from pathlib import Path
+
+import bpy
+import irgspp
+import pytest
+from irgspp.irgspp_addon import engine, jobs
+from irgspp.irgspp_addon.job import Job
+from irgspp.irgspp_addon.properties import show_jobs
+from irgspp.panels import dataset, pictures, reconstruct, relight, result, run_state
+from irgspp.panels import engine as engine_panel
+from irgspp.panels import jobs as jobs_panel
+from recording_layout import draw
+
+ROWS = [["dataset", "/p"], ["format", "transforms"], ["views", "40 training, 6 test"], ["pictures", "64x64, png"], ["masks", "none"]]
+
+
+@pytest.fixture
+def settings():
+    """The panel's settings in a fresh scene, with the extension registered."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irgspp.register()
+    run_state._known.clear()
+    jobs.clear()
+    yield bpy.context.scene.irgspp
+    irgspp.unregister()
+
+
+def add_job(tmp_path: Path, **values) -> Job:
+    """A job that is shown, as if it had been started."""
+    job = Job(**{"id": "j1", "kind": "reconstruct", "title": "Reconstruct spot", "folder": tmp_path, "notes": tmp_path} | values)
+    jobs._jobs[job.id] = job
+    show_jobs([one.id for one in jobs.all_jobs()])
+    return job
+
+
+def finished_run(folder: Path, **state) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "run.json").write_text(json.dumps({"status": "done", "training": {"psnr": 31.5}, "skipped": []} | state))
+    return folder
+
+
+def all_panels():
+    return [
+        cls
+        for module in (engine_panel, dataset, reconstruct, result, relight, jobs_panel)
+        for cls in module.CLASSES
+        if cls.bl_rna.base.name == "Panel"
+    ]
+
+
+def test_panels_stand_in_the_order_of_work(settings):
+    tops = [cls for cls in all_panels() if not hasattr(cls, "bl_parent_id")]
+    assert [cls.bl_label for cls in sorted(tops, key=lambda cls: cls.bl_order)] == [
+        "Engine", "Dataset", "Reconstruct", "Result", "Relight", "Jobs",
+    ]  # fmt: skip
+    assert {(cls.bl_space_type, cls.bl_region_type, cls.bl_category) for cls in all_panels()} == {("VIEW_3D", "UI", "IRGS++")}
+    registered = {cls.__name__ for cls in bpy.types.Panel.__subclasses__()}
+    assert {cls.__name__ for cls in all_panels()} <= registered
+
+
+def test_everything_draws_in_an_empty_scene(settings):
+    for panel in all_panels():
+        draw(panel)
+
+
+def test_a_first_visit_is_guided(settings):
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert "Choose a folder of photographs" in drawn.words
+    assert drawn.buttons("irgspp.demo")[0].live
+    start = draw(reconstruct.IRGSPP_PT_reconstruct)
+    assert not start.buttons("irgspp.reconstruct")[0].live
+    assert "Choose photographs above first" in start.words
+    assert "finished" in draw(relight.IRGSPP_PT_relight).words
+
+
+def test_without_an_engine_the_way_to_one_stands_above_all(settings, monkeypatch):
+    monkeypatch.setattr(engine, "status", lambda: engine.Status("missing", "No engine: choose one"))
+    assert engine_panel.IRGSPP_PT_engine.poll(bpy.context)
+    drawn = draw(engine_panel.IRGSPP_PT_engine)
+    assert "No engine: choose one" in drawn.words
+    assert drawn.buttons("preferences.addon_show")[0].values["module"] == engine_panel.EXTENSION
+    monkeypatch.setattr(engine, "status", lambda: engine.Status("ok", "Engine 1"))
+    assert not engine_panel.IRGSPP_PT_engine.poll(bpy.context)
+
+
+def test_what_was_found_and_its_problems(settings, tmp_path):
+    settings.dataset = str(tmp_path)
+    settings.inspected = json.dumps({"rows": ROWS, "warnings": ["3 photographs are missing"]})
+    words = draw(dataset.IRGSPP_PT_dataset).words
+    assert "Views 40 training, 6 test" in words and "3 photographs are missing" in words and "/p" not in words
+    button = draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.import_dataset")[0]
+    assert button.values["photographs"] is True and button.values["up_axis"] == "AS_IS"
+    settings.dataset = str(tmp_path / "other")
+    assert settings.inspected == "" and "40 training" not in draw(dataset.IRGSPP_PT_dataset).words
+
+
+def test_a_dataset_that_can_not_be_read_says_so(settings, tmp_path):
+    settings.dataset = str(tmp_path)
+    add_job(tmp_path, kind="inspect", state="failed", error="transforms.json: no such file", data={"dataset": str(tmp_path.resolve())})
+    assert "transforms.json: no such file" in draw(dataset.IRGSPP_PT_dataset).words
+
+
+def test_a_running_reconstruction(settings, tmp_path):
+    settings.dataset = str(tmp_path / "photos")
+    add_job(
+        tmp_path,
+        state="running",
+        phase="reflective",
+        step=100,
+        of=400,
+        eta=65.0,
+        figures={"loss": 0.02, "psnr": 28.0},
+        message="a word",
+        made=time.time(),
+    )
+    drawn = draw(reconstruct.IRGSPP_PT_reconstruct)
+    assert ("progress", 0.25, "25 %, 1:05 min left") in drawn.drawn
+    assert "Fitting shape and radiance" in drawn.words and "PSNR 28.0 dB" in drawn.words and "a word" in drawn.words
+    assert drawn.buttons("irgspp.job_finish")[0].values == {"job": "j1"}
+    assert drawn.buttons("irgspp.job_cancel")[0].live
+    assert not drawn.buttons("irgspp.reconstruct")[0].live
+
+
+@pytest.mark.parametrize("state", ["failed", "cancelled", "lost"])
+def test_a_stopped_reconstruction_can_go_on(settings, tmp_path, state):
+    settings.run = str(tmp_path)
+    settings.dataset = str(tmp_path)
+    finished_run(tmp_path, status="failed")
+    add_job(tmp_path, state=state, error="disk full", began=10.0, ended=75.0)
+    drawn = draw(reconstruct.IRGSPP_PT_reconstruct)
+    assert "after 1:05 min" in drawn.words and "disk full" in drawn.words
+    assert drawn.buttons("irgspp.job_resume")[0].values == drawn.buttons("irgspp.job_log")[0].values == {"job": "j1"}
+    assert [button.values for button in drawn.buttons("irgspp.reconstruct")] == [{"overwrite": True}]
+    jobs.clear()  # started elsewhere: the folder alone says it
+    assert {"resume": True} in [button.values for button in draw(reconstruct.IRGSPP_PT_reconstruct).buttons("irgspp.reconstruct")]
+
+
+def test_a_job_of_another_run_is_not_shown(settings, tmp_path):
+    settings.run = str(tmp_path / "mine")
+    add_job(tmp_path / "other", state="done")
+    assert reconstruct.present_job(settings.run_path()) is None
+    add_job(tmp_path / "other", id="j2", state="running")
+    assert reconstruct.present_job(settings.run_path()).id == "j2"  # but what is under way is
+
+
+def test_the_result_is_offered_then_shown(settings, run_folder):
+    finished_run(run_folder)
+    settings.run = str(run_folder)
+    drawn = draw(result.IRGSPP_PT_result)
+    assert drawn.buttons("irgspp.import_run")[0].values["directory"] == str(run_folder.resolve())
+    assert "31.5 dB" in drawn.words
+    assert bpy.ops.irgspp.import_run(directory=str(run_folder)) == {"FINISHED"}
+    drawn = draw(result.IRGSPP_PT_result)
+    assert "irgspp_source" in drawn.properties and "triangles, textures 128" in drawn.words
+    settings.run = ""  # the selected object knows where it is from
+    assert "irgspp_source" in draw(result.IRGSPP_PT_result).properties
+    for panel in (result.IRGSPP_PT_bake, result.IRGSPP_PT_export, relight.IRGSPP_PT_relight):
+        assert not hasattr(panel, "poll") or panel.poll(bpy.context)
+        draw(panel)
+    bpy.data.objects.remove(bpy.context.object)
+    draw(result.IRGSPP_PT_result)
+
+
+@pytest.mark.parametrize("status", ["running", "failed", "cancelled", "broken"])
+def test_a_run_that_is_not_finished(settings, tmp_path, status):
+    settings.run = str(finished_run(tmp_path / "run", status=status))
+    drawn = draw(result.IRGSPP_PT_result)
+    assert drawn.words == result.UNFINISHED[status]
+    assert not result.IRGSPP_PT_bake.poll(bpy.context) and not drawn.buttons("irgspp.import_run")
+
+
+def test_list_of_jobs(settings, tmp_path):
+    assert "Nothing was started" in draw(jobs_panel.IRGSPP_PT_jobs).words
+    add_job(tmp_path, state="done", made=1.0)
+    add_job(tmp_path, id="j2", title="Bake", kind="bake", state="running", made=2.0)
+    drawn = draw(jobs_panel.IRGSPP_PT_jobs)
+    assert ("list", 2) in drawn.drawn and not drawn.buttons("irgspp.job_forget")  # the newest is chosen, and it runs
+    bpy.context.window_manager.irgspp_job_index = 1
+    assert draw(jobs_panel.IRGSPP_PT_jobs).buttons("irgspp.job_forget")[0].values == {"job": "j1"}
+    add_job(tmp_path, id="j3", state="queued", made=3.0)
+    assert jobs_panel.chosen_job(bpy.context.window_manager).id == "j3"
+    show_jobs(["j2", "j1"])
+    assert jobs_panel.chosen_job(bpy.context.window_manager).id == "j2"
+
+
+def test_a_preview_is_shown_while_it_is_there(settings, tmp_path, monkeypatch):
+    now = [50.0]
+    monkeypatch.setattr(pictures.time, "monotonic", lambda: now[0])
+    picture = tmp_path / "latest.png"
+    job = add_job(tmp_path, state="running", preview=picture)
+    drawn = lambda: [e for e in draw(reconstruct.IRGSPP_PT_reconstruct).drawn if e[0] == "picture"]  # noqa: E731
+    assert drawn() == []
+    image = bpy.data.images.new("p", 8, 8)
+    image.filepath_raw, image.file_format = str(picture), "PNG"
+    image.save()
+    now[0] += 1
+    assert len(drawn()) == 1
+    picture.unlink()
+    now[0] += 1
+    assert drawn() == [] and job.preview == picture
+
+
+def test_defaults_are_those_of_the_engine(settings):
+    from irgspp.core.config import PRESETS, Settings
+
+    defaults = Settings()
+    for name in ("preset", "materials", "device", "seed"):
+        assert getattr(settings, name) == getattr(defaults, name)
+    assert {item.identifier for item in settings.bl_rna.properties["preset"].enum_items} == set(PRESETS)
+    assert settings.source == defaults.export.material and settings.texture_size == defaults.surface.texture
+    without = [p.identifier for p in settings.bl_rna.properties if not p.description and p.identifier not in ("name", "rna_type")]
+    assert not without  # every property has its tooltip
+
+
+def test_run_folder_is_beside_the_photographs(settings, tmp_path):
+    assert settings.run_path() is None and settings.dataset_path() is None
+    settings.dataset = f"{tmp_path}/spot/"
+    assert settings.run_path() == tmp_path / "spot_irgspp"
+    settings.run = str(tmp_path / "elsewhere")
+    assert settings.run_path() == tmp_path / "elsewhere"
