@@ -116,7 +116,7 @@ def run(command: list, report: Report, hear=lambda line: None) -> None:
         hear(line)
     if process.wait():
         errors = [line.removeprefix("ERROR: ") for line in said if line.startswith("ERROR: ")]
-        raise Failed((errors or said or [f"status {process.returncode}"])[-1])
+        raise Failed(errors[0] if errors else said[-1] if said else f"{command[0]} ended with status {process.returncode}")
 
 
 def install(args, report: Report) -> None:

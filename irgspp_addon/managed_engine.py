@@ -15,7 +15,8 @@ from ..core.errors import InputError, IrgsppError
 from .user_folder import user_folder
 
 ROOT = Path(__file__).resolve().parent.parent
-LOCK = ROOT / "requirements.lock"
+LOCK, PROJECT = ROOT / "requirements.lock", ROOT / "pyproject.toml"
+LAUNCHER = Path(__file__).with_name("launch.py")
 INSTALLER = Path(__file__).with_name("install_engine.py")
 MARKER = "irgspp-engine.json"  # in the environment once it is complete
 DELETE = "import shutil, sys; shutil.rmtree(sys.argv[1], ignore_errors=True)"
@@ -68,7 +69,7 @@ def install_arguments(device: str, wheels: Path | None, index: str, online: bool
         raise InputError("install engine", "Blender may not use the network", fix)
     if wheels is not None and not (wheels.is_dir() and any(wheels.glob("*.whl"))):
         raise InputError(wheels, "is not a folder with wheels (*.whl)")
-    words = [str(folder()), str(LOCK), str(ROOT / "pyproject.toml"), str(Path(__file__).with_name("launch.py")), "--device", device]
+    words = [*map(str, (folder(), LOCK, PROJECT, LAUNCHER)), "--device", device]
     words += ["--wheels", str(wheels)] if wheels is not None else []
     return words + (["--index", index] if index else [])
 
