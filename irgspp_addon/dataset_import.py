@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import subprocess
 import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
 from ..core.scene.cameras import load_cameras
-from . import engine
 from .cameras import place_cameras
 from .ownership import Owner
 from .placement import Placement, place
@@ -42,12 +39,13 @@ class ImportedDataset:
     facts: dict[str, Any]
 
 
-def checked(dataset: Path) -> Path:
-    """The dataset's absolute path. Raises InputError where nothing is there."""
-    if not dataset.name:
+def checked(path: str) -> Path:
+    """The absolute path of a dataset that a person named. Raises InputError where nothing is there."""
+    if not path:
         raise InputError("dataset", "none is chosen", "choose the folder of photographs")
+    dataset = Path(bpy.path.abspath(path))
     if not dataset.exists():
-        raise InputError(dataset, "no such file or folder", "was the dataset moved?")
+        raise InputError(dataset, "no such file or folder", "it may have been moved; choose it again")
     return dataset.resolve()
 
 
@@ -74,21 +72,15 @@ def is_fresh(dataset: Path, folder: Path) -> bool:
         return False
 
 
-def read_facts(dataset: Path) -> dict[str, Any]:
-    """What the engine says of a dataset (`irgspp inspect --json`); waits for it. Raises InputError or IrgsppError with its words."""
-    return json.loads(_ask(["inspect", str(checked(dataset)), "--json"]).splitlines()[-1])
-
-
-def import_dataset(dataset: Path, placement: Placement, photographs: bool = True, points: bool = True) -> ImportedDataset:
-    """Have the engine read a dataset, wait for it, and build what it found in the current scene."""
-    folder = export_folder(checked(dataset))
-    if not is_fresh(dataset, folder):
-        _ask(export_arguments(checked(dataset), folder))
-    return build_dataset(dataset, folder, placement, photographs, points)
-
-
-def build_dataset(dataset: Path, folder: Path, placement: Placement, photographs: bool = True, points: bool = True) -> ImportedDataset:
-    """Build what the engine left in `folder`, in place of what an earlier import of the dataset made.
+def build_dataset(
+    dataset: Path,
+    folder: Path,
+    placement: Placement,
+    photographs: bool = True,
+    points: bool = True,
+    scene: bpy.types.Scene | None = None,
+) -> ImportedDataset:
+    """Build what the engine left in `folder`, in place of what an earlier import of the dataset made, in a scene (default: the current).
 
     Raises InputError where the folder does not hold it, before anything is made.
     """
@@ -96,7 +88,7 @@ def build_dataset(dataset: Path, folder: Path, placement: Placement, photographs
     owner = Owner(dataset)
     name = dataset.stem or dataset.resolve().name
     collection = owner.kept(bpy.data.collections, "collection", name)
-    link_to_scene(collection)
+    link_to_scene(collection, scene or bpy.context.scene)
     root = new_root(owner, f"{collection.name} frame", collection)
     root[DATASET] = str(owner.folder)
     place(root, placement, np.array(facts["to_world"]), facts["centre"])
@@ -129,18 +121,3 @@ def _points(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
             return data["position"].astype(np.float32), data["colour"].astype(np.float32) / 255
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(path, f"can't be read ({error})", "read the dataset again") from error
-
-
-def _ask(arguments: Sequence[str]) -> str:
-    """What a command of the engine prints; it is waited for. Its own words become the error."""
-    engine.require_engine()
-    command = engine.engine_command(*arguments)
-    try:
-        environment = engine.engine_environment()
-        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", env=environment, check=False)
-    except OSError as error:
-        raise InputError(command[0], f"can't be started ({error.strerror})", "set the engine in the preferences") from error
-    if done.returncode == 0:
-        return done.stdout
-    words = [line.removeprefix("irgspp: ") for line in done.stderr.splitlines() if line.startswith("irgspp: ")]
-    raise IrgsppError(words[-1] if words else f"the engine ended with status {done.returncode}")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -50,3 +51,20 @@ def _elements(head: str, path: Path) -> list[tuple[str, int, list[tuple]]]:
     except (IndexError, KeyError, ValueError) as error:
         raise InputError(path, f"has a broken header ({error!r})") from error
     return elements
+
+
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, uvs: np.ndarray | None) -> None:
+    """Write triangles (F, 3) over vertices (V, 3) with normals (V, 3) and UVs (V, 2), whole or not at all."""
+    columns = {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "nx": normals[:, 0], "ny": normals[:, 1], "nz": normals[:, 2]}
+    if uvs is not None:
+        columns |= {"s": uvs[:, 0], "t": uvs[:, 1]}
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}", *(f"property float {name}" for name in columns)]
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    face = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    face["count"], face["corners"] = 3, faces
+    partial = path.with_name(path.name + ".part")
+    try:
+        partial.write_bytes("\n".join(lines).encode() + np.stack([*columns.values()], -1).astype("<f4").tobytes() + face.tobytes())
+        os.replace(partial, path)
+    except OSError as error:
+        raise InputError(path, f"can't be written ({error.strerror})") from error

@@ -7,8 +7,11 @@ from typing import Any
 
 import bpy
 
+from .. import panels
 from ..operators import engine as engine_operators
+from ..operators import import_dataset
 from ..operators import jobs as job_operators
+from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
 from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
 from . import job_timer, jobs, materials, properties
@@ -30,6 +33,9 @@ CLASSES = (
     job_operators.IRGSPP_OT_job_forget,
     job_operators.IRGSPP_OT_job_log,
     IRGSPP_OT_import_run,
+    *import_dataset.CLASSES,
+    *result_operators.CLASSES,
+    *panels.CLASSES,
 )
 
 _commands: list[Any] = []  # handles that Blender wants back
@@ -43,7 +49,10 @@ def register() -> None:
     materials.register()
     jobs.CHANGED.append(properties.show_jobs)
     job_timer.register()
+    panels.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
+    import_dataset.register()
+    result_operators.register()
     _commands.append(bpy.utils.register_cli_command("irgspp", run_engine))
 
 
@@ -51,7 +60,10 @@ def unregister() -> None:
     """Leave nothing behind."""
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
+    result_operators.unregister()
+    import_dataset.unregister()
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
+    panels.unregister()
     job_timer.unregister()
     jobs.CHANGED.remove(properties.show_jobs)
     materials.unregister()

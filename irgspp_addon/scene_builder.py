@@ -34,8 +34,14 @@ class Imported:
     world: bpy.types.World
 
 
-def import_run(run: Path, source: str = "textures", pack: bool = True, placement: Placement | None = None) -> Imported:
-    """Build everything of a finished run in the current scene, in place of what an earlier import of the folder made.
+def import_run(
+    run: Path,
+    source: str = "textures",
+    pack: bool = True,
+    placement: Placement | None = None,
+    scene: bpy.types.Scene | None = None,
+) -> Imported:
+    """Build everything of a finished run in a scene (default: the current), in place of what an earlier import of the folder made.
 
     The scene's render settings and World stay as they are. `source` says what the material reads, "textures" or "attributes"; `pack`
     puts textures and light into the .blend; without `placement` the run lies over its imported dataset, or as the engine found it.
@@ -49,12 +55,16 @@ def import_run(run: Path, source: str = "textures", pack: bool = True, placement
             raise InputError(run / needed, "is missing", "the run is not finished" if source == "attributes" else "or use the attributes")
     to_world, centre = _frame(run)
     owner = Owner(run)
+    edited = owner.find(bpy.data.objects, "mesh")
+    if edited is not None and edited.mode == "EDIT":
+        raise InputError(edited.name, "is being edited", "leave Edit Mode and import again")
     name = owner.folder.name
     collection = owner.kept(bpy.data.collections, "collection", name)
-    link_to_scene(collection)
+    scene = scene or bpy.context.scene
+    link_to_scene(collection, scene)
     root = new_root(owner, f"{collection.name} frame", collection)
     root[RUN] = str(owner.folder)
-    dataset = _dataset_root(run)
+    dataset = _dataset_root(run, scene)
     if placement is None and dataset is not None:
         place_beside(root, dataset, to_world)
     else:
@@ -68,9 +78,8 @@ def import_run(run: Path, source: str = "textures", pack: bool = True, placement
     return Imported(collection, root, mesh, placed, world)
 
 
-def link_to_scene(collection: bpy.types.Collection) -> None:
-    """Show the collection in the current scene, unless a person has put it somewhere in it already."""
-    scene = bpy.context.scene
+def link_to_scene(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    """Show the collection in the scene, unless a person has put it somewhere in it already."""
     if collection not in scene.collection.children_recursive:
         link(collection, scene.collection)
 
@@ -82,9 +91,9 @@ def new_root(owner: Owner, name: str, collection: bpy.types.Collection) -> bpy.t
     return root
 
 
-def find_roots(folder_property: str) -> list[bpy.types.Object]:
-    """The empties of all imported runs (RUN) or datasets (DATASET) of the current scene."""
-    return [thing for thing in bpy.context.scene.objects if folder_property in thing and thing.type == "EMPTY"]
+def find_roots(scene: bpy.types.Scene, folder_property: str) -> list[bpy.types.Object]:
+    """The empties of all imported runs (RUN) or datasets (DATASET) of a scene."""
+    return [thing for thing in scene.objects if folder_property in thing and thing.type == "EMPTY"]
 
 
 def run_of(thing: bpy.types.Object | None) -> Path | None:
@@ -181,11 +190,11 @@ def _frame(run: Path) -> tuple[np.ndarray, tuple[float, float, float]]:
         raise InputError(path, f"does not tell the run's frame ({error!r})") from error
 
 
-def _dataset_root(run: Path) -> bpy.types.Object | None:
+def _dataset_root(run: Path, scene: bpy.types.Scene) -> bpy.types.Object | None:
     """The empty of the dataset that the run was made from, where that has been imported too."""
     try:
         dataset = json.loads((run / "run.json").read_text(encoding="utf-8"))["dataset"]
     except (OSError, ValueError, KeyError, TypeError):
         return None  # the run may have been given on without its notes
-    roots = find_roots(DATASET)
+    roots = find_roots(scene, DATASET)
     return next((root for root in roots if Path(root[DATASET]) == Path(dataset).resolve()), None)

@@ -6,49 +6,65 @@
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..core.errors import IrgsppError
+from ..irgspp_addon.placement import Placement
+from ..irgspp_addon.properties import SOURCES, UP_AXES
 from ..irgspp_addon.scene_builder import import_run, show_as_photographed
+from .blocking import refuse
 
 
 class IRGSPP_OT_import_run(bpy.types.Operator):
-    """Import the object, materials, light and cameras of a finished reconstruction"""
+    """Import the object, material, light and cameras of a finished reconstruction, in place of its last import"""
 
     bl_idname = "irgspp.import_run"
     bl_label = "Import IRGS++ Run"
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
+    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012 (Blender wants a plain set)
 
-    directory: StringProperty(name="Run Folder", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    directory: StringProperty(name="Run Folder", subtype="DIR_PATH", options={"SKIP_SAVE", "SKIP_PRESET"})
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-    material: EnumProperty(
-        name="Material Reads",
-        items=[("textures", "Textures", "Pictures through the UV map", 0), ("attributes", "Attributes", "Values at the vertices", 1)],
-    )
+    material: EnumProperty(name="Material Reads", description="Where the material has its values from", items=SOURCES)
     pack: BoolProperty(name="Pack Textures", description="Put textures and light into the .blend", default=True)
     as_photographed: BoolProperty(
         name="Show as Photographed",
         description="Light the scene by the recovered light and look through the first camera, without tone mapping",
         default=False,
     )
+    up_axis: EnumProperty(name="Up", description="Which way the dataset's up is turned to Blender's Z", items=UP_AXES)
+    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's units", default=1.0, min=1e-6, max=1e6)
+    recentre: BoolProperty(name="Recentre", description="Move the object's middle to Blender's origin", default=False)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.directory:
+            return self.execute(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            imported = import_run(Path(bpy.path.abspath(self.directory)), self.material, self.pack)
+            self._import(context)
+            return {"FINISHED"}
         except IrgsppError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        for thing in context.selected_objects:
-            thing.select_set(False)
-        imported.mesh.select_set(True)
-        context.view_layer.objects.active = imported.mesh
+            return refuse(self, error)
+
+    def _import(self, context: bpy.types.Context) -> None:
+        chosen = any(self.properties.is_property_set(name) for name in ("up_axis", "scale", "recentre"))
+        placement = Placement(self.up_axis, self.scale, self.recentre) if chosen else None
+        imported = import_run(Path(bpy.path.abspath(self.directory)), self.material, self.pack, placement, context.scene)
+        select(context, imported.mesh)
         if self.as_photographed:
             show_as_photographed(context.scene, imported)
-        return {"FINISHED"}
+
+
+def select(context: bpy.types.Context, thing: bpy.types.Object) -> None:
+    """Make the object the only selected one, where the view layer shows it."""
+    shown = context.view_layer.objects
+    for other in [other for other in shown if other.select_get(view_layer=context.view_layer)]:
+        other.select_set(False, view_layer=context.view_layer)
+    if thing.name in shown:
+        thing.select_set(True, view_layer=context.view_layer)
+        shown.active = thing
 
 
 def draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Look at a dataset; bring its cameras and points into the scene; the same for what is dropped into a 3D View."""
+
+# pyright: reportInvalidTypeForm=false
+
+import json
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+
+from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon import jobs, result_import
+from ..irgspp_addon.dataset_import import build_dataset, checked, export_arguments, export_folder, is_fresh
+from ..irgspp_addon.job import Job
+from ..irgspp_addon.placement import Placement
+from ..irgspp_addon.properties import UP_AXES
+from .blocking import refuse, run_to_end
+from .import_run import select
+
+OPTIONS = ("directory", "up_axis", "scale", "recentre", "photographs", "points")
+WAIT = {
+    "name": "Wait",
+    "description": "Return only once it is done, as scripts want; otherwise it is queued as a job",
+    "default": True,
+    "options": {"SKIP_SAVE", "HIDDEN"},
+}
+
+
+class IRGSPP_OT_inspect_dataset(bpy.types.Operator):
+    """See what the engine understands of the photographs and their cameras, and what is wrong with them"""
+
+    bl_idname = "irgspp.inspect_dataset"
+    bl_label = "Look at Dataset"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    directory: StringProperty(name="Dataset", description="Folder of photographs with known cameras", subtype="DIR_PATH")
+    wait: BoolProperty(**WAIT)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.wait = bpy.app.background
+        return self.execute(context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            dataset = checked(self.directory)
+            data = {**result_import.place_of(context.scene), "dataset": str(dataset)}
+            words = ["inspect", str(dataset), "--json"]
+            job = jobs.start("inspect", f"Look at {dataset.name}", None, words, None if self.wait else "show_inspection", data)
+            ended = run_to_end(self, job) if self.wait else {"FINISHED"}
+            if self.wait and ended == {"FINISHED"}:
+                show_inspection(job)
+            return ended
+        except IrgsppError as error:
+            return refuse(self, error)
+
+
+def show_inspection(job: Job) -> None:
+    """Keep what the engine said in the scene that asked, as the panel shows it."""
+    with result_import.started_from(job, "look at the dataset again there") as scene:
+        said = job.output().strip().splitlines()
+        if not said:
+            raise IrgsppError("the engine said nothing of the dataset")
+        _tell(scene, Path(job.data["dataset"]), json.loads(said[-1]))
+
+
+def _tell(scene: bpy.types.Scene, dataset: Path, facts: dict) -> None:
+    settings = scene.irgspp
+    chosen = settings.dataset_path()
+    if chosen is None:
+        settings.dataset = str(dataset)
+    if chosen is None or chosen.resolve() == dataset:  # else a person has chosen another one meanwhile
+        settings.inspected = json.dumps(facts)
+
+
+class IRGSPP_OT_import_dataset(bpy.types.Operator):
+    """Import the cameras, photographs and points of a dataset, in place of its last import"""
+
+    bl_idname = "irgspp.import_dataset"
+    bl_label = "Import IRGS++ Dataset"
+    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012 (Blender wants a plain set)
+
+    directory: StringProperty(name="Dataset", subtype="DIR_PATH", options={"SKIP_SAVE", "SKIP_PRESET"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+    up_axis: EnumProperty(name="Up", description="Which way the dataset's up is turned to Blender's Z", items=UP_AXES)
+    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's units", default=1.0, min=1e-6, max=1e6)
+    recentre: BoolProperty(name="Recentre", description="Move the object's middle to Blender's origin", default=False)
+    photographs: BoolProperty(name="Photographs", description="Each camera shows its photograph behind the scene", default=True)
+    points: BoolProperty(name="Point Cloud", description="Import the points that the dataset knows of", default=True)
+    wait: BoolProperty(**WAIT)
+    was_read: BoolProperty(description="The engine has just read the dataset for this import", options={"SKIP_SAVE", "HIDDEN"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.wait = bpy.app.background
+        if self.directory:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            dataset = checked(self.directory)
+            folder = export_folder(dataset)
+            if not self.was_read and not is_fresh(dataset, folder):
+                data = {**result_import.place_of(context.scene), "options": {name: getattr(self, name) for name in OPTIONS}}
+                wish = None if self.wait else "import_dataset"
+                job = jobs.start("inspect", f"Import {dataset.name}", None, export_arguments(dataset, folder), wish, data)
+                ended = run_to_end(self, job) if self.wait else None
+                if ended != {"FINISHED"}:
+                    return ended or {"FINISHED"}
+            self._build(context, dataset, folder)
+            return {"FINISHED"}
+        except IrgsppError as error:
+            return refuse(self, error)
+
+    def _build(self, context: bpy.types.Context, dataset: Path, folder: Path) -> None:
+        placement = Placement(self.up_axis, self.scale, self.recentre)
+        imported = build_dataset(dataset, folder, placement, self.photographs, self.points, context.scene)
+        _tell(context.scene, dataset, imported.facts)
+        select(context, imported.root)
+
+
+def import_when_read(job: Job) -> None:
+    """The end of a job that read a dataset for import."""
+    with result_import.started_from(job, "import the dataset again there"):
+        bpy.ops.irgspp.import_dataset("EXEC_DEFAULT", True, was_read=True, **job.data["options"])
+
+
+class IRGSPP_OT_import_dropped(bpy.types.Operator):
+    """Import what was dropped: a dataset (transforms.json, a COLMAP model's cameras.bin) or a finished run (run.json)"""
+
+    bl_idname = "irgspp.import_dropped"
+    bl_label = "Import into IRGS++"
+    bl_options = {"REGISTER", "INTERNAL"}  # noqa: RUF012 (Blender wants a plain set)
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self._import("INVOKE_DEFAULT")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self._import("EXEC_DEFAULT")
+
+    def _import(self, how: str) -> set[str]:
+        file = Path(bpy.path.abspath(self.filepath))
+        try:
+            if file.name == "run.json":
+                return bpy.ops.irgspp.import_run(how, directory=str(file.parent))
+            return bpy.ops.irgspp.import_dataset(how, directory=str(dataset_of(file)))
+        except (InputError, RuntimeError) as error:  # the latter is what the other operator reported
+            return refuse(self, str(error).removeprefix("Error: ").strip())
+
+
+def dataset_of(file: Path) -> Path:
+    """The dataset that a file stands for. Raises InputError for one that is not known."""
+    if file.suffix.lower() == ".json" and file.name.startswith("transforms"):
+        complete = file.name in ("transforms_train.json", "transforms_test.json", "transforms_val.json")
+        return file.parent if complete and (file.parent / "transforms_train.json").is_file() else file
+    if file.name in ("cameras.bin", "images.bin", "points3D.bin"):
+        return file.parent
+    raise InputError(file, "is no dataset and no run", "drop a transforms.json, a COLMAP model's cameras.bin, or a run.json")
+
+
+class IRGSPP_FH_dropped(bpy.types.FileHandler):
+    """Datasets and runs can be dropped into a 3D View or the Outliner"""
+
+    bl_idname = "IRGSPP_FH_dropped"
+    bl_label = "IRGS++ dataset or run"
+    bl_import_operator = "irgspp.import_dropped"
+    bl_file_extensions = ".json;.bin"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+
+def draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """The entry in File > Import."""
+    self.layout.operator(IRGSPP_OT_import_dataset.bl_idname, text="IRGS++ Dataset (folder of posed photographs)")
+
+
+CLASSES = (IRGSPP_OT_inspect_dataset, IRGSPP_OT_import_dataset, IRGSPP_OT_import_dropped, IRGSPP_FH_dropped)
+
+
+def register() -> None:
+    """The menu entry, and what jobs do at their end."""
+    bpy.types.TOPBAR_MT_file_import.append(draw_import)
+    jobs.ON_DONE.update(show_inspection=show_inspection, import_dataset=import_when_read)
+
+
+def unregister() -> None:
+    """Take them back."""
+    for name in ("show_inspection", "import_dataset"):
+        jobs.ON_DONE.pop(name, None)
+    bpy.types.TOPBAR_MT_file_import.remove(draw_import)

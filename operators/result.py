@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is done with a finished run: its textures baked again, its parts as files."""
+
+# pyright: reportInvalidTypeForm=false
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, IntProperty, StringProperty
+from mathutils import Matrix
+
+from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon import jobs, result_import
+from ..irgspp_addon.edited_mesh import save_edited
+from ..irgspp_addon.job import Job
+from ..irgspp_addon.materials import source_of
+from ..irgspp_addon.ownership import Owner
+from ..irgspp_addon.scene_builder import run_of
+from .blocking import refuse, run_to_end
+from .import_dataset import WAIT
+
+RUN = {"name": "Run Folder", "description": "Empty: that of the active object, or of the panel", "subtype": "DIR_PATH"}
+
+
+class IRGSPP_OT_bake(bpy.types.Operator):
+    """Make the textures of a finished run anew: of another size, for another number of triangles, or on a mesh that you edited"""
+
+    bl_idname = "irgspp.bake"
+    bl_label = "Bake Again"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    run: StringProperty(**RUN, options={"SKIP_SAVE"})
+    size: IntProperty(name="Texture Size", description="Texels along a side; 0: as before", default=0, min=0, max=16384)
+    triangles: IntProperty(name="Triangles", description="A new mesh of at most so many; 0: keep the mesh", default=0, min=0)
+    mesh: StringProperty(
+        name="Edited Mesh",
+        description="Name of a mesh object, edited or made anew, that takes the place of the run's mesh; its UVs are kept",
+        options={"SKIP_SAVE"},
+    )
+    import_result: BoolProperty(name="Import When Done", description="Bring the scene's object up to date", default=True)
+    wait: BoolProperty(**WAIT)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.wait = bpy.app.background
+        return self.execute(context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            run = chosen_run(context, self.run)
+            words, data = self._words(context, run), self._data(context, run)
+            wish = "import_bake" if self.import_result and not self.wait else None
+            job = jobs.start("bake", f"Bake {run.name}", run, words, wish, data)
+            ended = run_to_end(self, job) if self.wait else {"FINISHED"}
+            if self.wait and self.import_result and ended == {"FINISHED"}:
+                import_bake(job)
+            return ended
+        except (IrgsppError, RuntimeError) as error:
+            return refuse(self, str(error).removeprefix("Error: ").strip())
+
+    def _words(self, context: bpy.types.Context, run: Path) -> list[str]:
+        words = ["bake", str(run)]
+        words += ["--size", str(self.size)] if self.size else []
+        words += ["--triangles", str(self.triangles)] if self.triangles else []
+        if self.mesh:
+            thing = context.scene.objects.get(self.mesh)
+            if thing is None:
+                raise InputError(self.mesh, "no such object in the scene", "name a mesh object")
+            words += ["--mesh", str(save_edited(context, thing, run))]
+        return words
+
+    def _data(self, context: bpy.types.Context, run: Path) -> dict:
+        panel, own = context.scene.irgspp, Owner(run).find(bpy.data.objects, "mesh")
+        source = source_of(own.active_material) if own is not None and own.active_material else None
+        return {**result_import.place_of(context.scene, source or panel.source, panel.pack), "mesh": self.mesh}
+
+
+def import_bake(job: Job) -> None:
+    """Bring the run's object up to date; an edited mesh has come into it with its modifiers and its place."""
+    with result_import.started_from(job, f"get the result by File > Import > IRGS++ Run from {job.folder}") as scene:
+        own, edited = Owner(job.folder).find(bpy.data.objects, "mesh"), scene.objects.get(job.data["mesh"])
+        if own is not None and own == edited:
+            own.modifiers.clear()
+            own.matrix_parent_inverse = own.matrix_basis = Matrix()
+        result_import.import_result(job)
+        if edited is not None and edited != own and edited.data.uv_layers and not edited.data.materials:
+            edited.data.materials.append(Owner(job.folder).find(bpy.data.materials, "material"))
+
+
+class IRGSPP_OT_export(bpy.types.Operator):
+    """Write a finished run's asset (.glb), Blender scene (.blend), Gaussians (.ply) or light (.exr) as one file"""
+
+    bl_idname = "irgspp.export"
+    bl_label = "Export IRGS++ Result"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    run: StringProperty(**RUN, options={"SKIP_SAVE"})
+    filepath: StringProperty(name="File", description="Ends with .glb, .blend, .ply or .exr", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: StringProperty(default="*.glb;*.blend;*.ply;*.exr", options={"HIDDEN"})
+    check_existing: BoolProperty(default=True, options={"HIDDEN"})
+    wait: BoolProperty(**WAIT)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.wait = bpy.app.background
+        try:
+            run = chosen_run(context, self.run)
+        except IrgsppError as error:
+            return refuse(self, error)
+        self.run, self.filepath = str(run), self.filepath or str(run / f"{run.name}.glb")
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            run = chosen_run(context, self.run)
+            if not self.filepath:
+                raise InputError("filepath", "no file is named", "name a file that ends with .glb, .blend, .ply or .exr")
+            target = Path(bpy.path.abspath(self.filepath)).absolute()
+            words = ["export", str(run), "-o", str(target), "--material", context.scene.irgspp.source]
+            job = jobs.start("export", f"Export {target.name}", run, words, data={"file": str(target)})
+            return run_to_end(self, job) if self.wait else {"FINISHED"}
+        except IrgsppError as error:
+            return refuse(self, error)
+
+
+def chosen_run(context: bpy.types.Context, path: str) -> Path:
+    """The run folder that is meant: the named one, else the active object's, else the panel's. Raises InputError where there is none."""
+    run = Path(bpy.path.abspath(path)) if path else run_of(context.object) or context.scene.irgspp.run_path()
+    if run is None:
+        raise InputError("run", "none is chosen", "select the imported object, or give run=")
+    if not (run / "run.json").is_file():
+        raise InputError(run, "is not a run folder (no run.json in it)", "it may have been moved; choose it again")
+    return run.resolve()
+
+
+CLASSES = (IRGSPP_OT_bake, IRGSPP_OT_export)
+
+
+def register() -> None:
+    """What a job does at its end."""
+    jobs.ON_DONE["import_bake"] = import_bake
+
+
+def unregister() -> None:
+    """Take it back."""
+    jobs.ON_DONE.pop("import_bake", None)
