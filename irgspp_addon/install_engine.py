@@ -112,11 +112,19 @@ def run(command: list, report: Report, hear=lambda line: None) -> None:
         except queue.Empty:
             continue
         print(line, file=sys.stderr, flush=True)
-        said = [*said[-20:], line] if line else said
+        said = [*said[-30:], line.strip()] if line.strip() else said
         hear(line)
     if process.wait():
-        errors = [line.removeprefix("ERROR: ") for line in said if line.startswith("ERROR: ")]
-        raise Failed(errors[0] if errors else said[-1] if said else f"{command[0]} ended with status {process.returncode}")
+        raise Failed(reason(said) or f"{command[0]} ended with status {process.returncode}")
+
+
+def reason(said: list) -> str:
+    """pip's first error, or what it says of versions that don't go together, which is also how it tells of missing ones."""
+    conflict = [line for line in said if " depends on " in line or "(constraint)" in line]
+    if conflict:
+        return "no packages go together: " + ", ".join(conflict[:4])
+    errors = [line.removeprefix("ERROR: ") for line in said if line.startswith("ERROR: ")]
+    return (errors or said[-1:] or [""])[0].strip()
 
 
 def install(args, report: Report) -> None:
