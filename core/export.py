@@ -3,19 +3,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 
-from .errors import Cancelled, InputError, IrgsppError
+from .blender import run_in_blender
+from .errors import InputError, IrgsppError
 from .progress import Progress, Silent
 
-LAUNCHER = Path(__file__).resolve().parent.parent / "irgspp_addon" / "launch.py"
-BLENDER = "IRGSPP_BLENDER"  # the environment variable that names a Blender executable; the extension sets it to the one it runs in
 COPIES = {".glb": "asset.glb", ".ply": "gaussians.ply", ".exr": "environment.exr"}
 
 
@@ -37,55 +32,20 @@ def export(run: Path, target: Path, material: str = "textures", progress: Progre
         _copy(run / COPIES[suffix], target)
 
 
-class NoBlender(IrgsppError):
-    """There is no Blender that could write a .blend."""
-
-
-def blender_command() -> list[str]:
-    """What runs launch.py in a Blender: the executable that $IRGSPP_BLENDER names, or this Python where it has the module bpy.
-
-    The named one goes first: a .blend is then of the version that its user has. Raises NoBlender where there is neither.
-    """
-    named = os.environ.get(BLENDER, "")
-    if named:
-        executable = shutil.which(named)
-        if executable is None:
-            raise NoBlender(f"${BLENDER} names {named}, which is no program")
-        return [executable, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(LAUNCHER), "--"]
-    if importlib.util.find_spec("bpy") is None:
-        raise NoBlender(f"Blender's Python module (bpy) is not installed, and ${BLENDER} names no Blender")
-    return [sys.executable, str(LAUNCHER)]
-
-
 def write_blend(run: Path, target: Path, material: str, progress: Progress) -> None:
-    """Write the run as a .blend in a Blender of its own (`blender_command`), since the engine can't share a process with one.
+    """Write the run as a .blend in a Blender of its own.
 
     `material` says what the material reads: "textures" or "attributes". Raises InputError, Cancelled, NoBlender, or IrgsppError
     where Blender fails.
     """
     if not (run / "mesh.ply").is_file():
         raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
-    command = [*blender_command(), "irgspp_addon.write_blend", str(run.resolve()), str(target.resolve()), "--material", material]
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
-        status = _wait(child, progress)
-        errors.seek(0)
-        said = [line.strip() for line in errors if line.strip() and "not freed memory" not in line.lower()]
+    arguments = [str(run.resolve()), str(target.resolve()), "--material", material]
+    status, said = run_in_blender("irgspp_addon.write_blend", arguments, progress)
     if status == InputError.exit_status:
-        raise InputError(target, f"not written: {said[-1] if said else 'bad input'}")
+        raise InputError(target, f"not written: {said}")
     if status or not target.is_file():
-        raise IrgsppError(f"{target}: Blender ended with status {status}: {said[-1] if said else 'no message'}")
-
-
-def _wait(child: subprocess.Popen, progress: Progress) -> int:
-    while True:
-        try:
-            return child.wait(timeout=0.2)
-        except subprocess.TimeoutExpired:
-            if progress.cancelled:
-                child.terminate()
-                child.wait()
-                raise Cancelled("stopped while writing the .blend") from None
+        raise IrgsppError(f"{target}: Blender ended with status {status}: {said}")
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from . import overrides
+from .blender import NoBlender
 from .config import Settings
 from .datasets.dataset import Dataset, View
 from .datasets.load import load_dataset
@@ -19,7 +20,7 @@ from .devices import check_device
 from .errors import Cancelled, InputError, IrgsppError
 from .evaluation.metrics import on_black, psnr
 from .evaluation.sheet import contact_sheet
-from .export import NoBlender, write_blend
+from .export import write_blend
 from .journal import Journal
 from .memory import peak_memory, reset_peak_memory
 from .progress import Progress, Silent

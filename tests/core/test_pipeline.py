@@ -13,7 +13,7 @@ from irgspp.core.config import Settings
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
-from irgspp.core.export import NoBlender
+from irgspp.core.blender import NoBlender
 from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.rendered_views import RenderedViews

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import bpy
 import pytest
-from irgspp.core import export as exporting
+from irgspp.core import blender as blending
+from irgspp.core.blender import BLENDER, NoBlender, blender_command
 from irgspp.core.errors import InputError, IrgsppError
-from irgspp.core.export import BLENDER, NoBlender, blender_command, write_blend
+from irgspp.core.export import write_blend
 from irgspp.core.progress import Silent
 from irgspp.irgspp_addon.materials import source_of
 
@@ -64,7 +65,7 @@ def test_named_blender_goes_before_the_module(blender):
 
 def test_neither_executable_nor_module(run_folder, tmp_path, monkeypatch):
     monkeypatch.delenv(BLENDER, raising=False)
-    monkeypatch.setattr(exporting.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(blending.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(NoBlender, match=r"bpy.*not installed.*IRGSPP_BLENDER"):
         write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())
 

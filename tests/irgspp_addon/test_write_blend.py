@@ -3,7 +3,7 @@
 
 import bpy
 import pytest
-from irgspp.core import export as exporting
+from irgspp.core import blender as blending
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.export import export, write_blend
 from irgspp.core.progress import Silent
@@ -75,13 +75,13 @@ def test_cancelling_stops_the_process(run_folder, tmp_path):
 
 
 def test_without_blender(run_folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(exporting.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(blending.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(IrgsppError, match="bpy"):
         write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())
 
 
 def test_failing_process_is_an_error(run_folder, tmp_path, monkeypatch):
     (tmp_path / "launch.py").write_text("raise SystemExit('out of luck')")
-    monkeypatch.setattr(exporting, "LAUNCHER", tmp_path / "launch.py")
+    monkeypatch.setattr(blending, "LAUNCHER", tmp_path / "launch.py")
     with pytest.raises(IrgsppError, match=r"status 1: out of luck"):
         write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())
