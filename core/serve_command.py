@@ -31,7 +31,7 @@ from .errors import InputError, IrgsppError
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from .warm_run import Request, WarmRun
+    from .warm_run import LightSource, Request, WarmRun
 
 IDLE = 0.01  # seconds between looks for requests
 NOTE = 0.2  # seconds between notes on how much is done
@@ -68,8 +68,11 @@ def _when_to_end(session: Path, terminal: Terminal) -> Callable[[], bool]:
     closed, parent = threading.Event(), os.getppid()
 
     def watch() -> None:
-        while sys.stdin is not None and sys.stdin.buffer.read1(1 << 16):  # type: ignore[attr-defined]
-            pass
+        try:
+            while os.read(0, 1 << 16):  # not sys.stdin, whose lock would be held when the process ends
+                continue
+        except OSError:
+            return  # there never was one
         closed.set()
 
     threading.Thread(target=watch, daemon=True, name="stdin").start()
@@ -219,16 +222,17 @@ class Desk:
 
 
 def read_request(values: Any, session: Path) -> Request:
-    """A request from its JSON: {"number", "camera": {width, height, fx, fy, cx, cy, to_world (4 x 4)}, "light": file name in the session
-    or null, "samples", "denoise", "indirect", "backend", "albedo_scale": [r, g, b], "progressive"}. Raises InputError.
+    """A request from its JSON: {"number", "camera": {width, height, fx, fy, cx, cy, to_world (4 x 4)}, "light": null or {"map": .npy in the
+    session, "turn": 9 numbers, "strength"}, "backdrop", "samples", "denoise", "indirect", "backend", "albedo_scale": [r, g, b],
+    "progressive"}. Raises InputError.
     """
     from .warm_run import Request
 
     try:
         camera = _camera(values["camera"])
-        light = session / Path(values["light"]).name if values.get("light") else None
+        light = _light(values["light"], session) if values.get("light") else None
         scale = tuple(float(factor) for factor in values.get("albedo_scale", (1, 1, 1)))
-        options = {name: bool(values[name]) for name in ("denoise", "indirect", "progressive") if name in values}
+        options = {name: bool(values[name]) for name in ("denoise", "indirect", "progressive", "backdrop") if name in values}
         samples, backend = values.get("samples", 32), values.get("backend", "mesh")
     except (KeyError, TypeError, ValueError) as error:
         raise InputError("request", f"can't be understood ({error!r})") from error
@@ -237,7 +241,7 @@ def read_request(values: Any, session: Path) -> Request:
     from .relight.samples import sample_counts
 
     sample_counts(samples, glossy=False)
-    return Request(camera, light, samples, backend=backend, albedo_scale=scale, **options)
+    return Request(camera, light, samples=samples, backend=backend, albedo_scale=scale, **options)
 
 
 def _camera(values: dict[str, Any]) -> Camera:
@@ -249,6 +253,16 @@ def _camera(values: dict[str, Any]) -> Camera:
     if width < 1 or height < 1 or width * height > PIXELS or numbers[0] <= 0 or numbers[1] <= 0:
         raise ValueError(f"camera: a picture of {width} x {height} with focal lengths {numbers[:2]}")
     return Camera(width, height, numbers[0], numbers[1], numbers[2], numbers[3], to_world)
+
+
+def _light(values: dict[str, Any], session: Path) -> LightSource:
+    from .warm_run import LightSource
+
+    turn, strength = tuple(float(x) for x in values["turn"]), float(values["strength"])
+    rows = np.array(turn).reshape(3, 3)
+    if not np.allclose(rows @ rows.T, np.eye(3), atol=1e-3) or not 0 <= strength < float("inf"):
+        raise ValueError(f"light: turn {turn} is no rotation, or strength {strength} is none")
+    return LightSource(session / Path(values["map"]).name, turn, strength)
 
 
 def _rays(samples: str | int) -> int:

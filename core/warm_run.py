@@ -24,14 +24,25 @@ from .relight.query import Hits, SurfaceQuery
 from .relight.relighter import RAYS, Relighter, RelightSettings
 from .scene.cameras import load_cameras
 from .scene.light_files import repaired
+from .scene.light_map import LightMap
 from .scene.ply import load_mesh_ply
 from .scene.reconstruction import Reconstruction
 
 QUICK = 8  # samples of a first picture
 SMALL = 1 / 4  # its size
+LIGHT_ROWS = 256  # of the map that lights the object; backdrops are sharper
 SMALLEST = 96  # pixels; shorter sides are not reduced
 
 Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class LightSource:
+    """An .npy of texels, turned and scaled as in `LightMap`; in the run's frame. A file's name stands for what it holds."""
+
+    file: Path
+    turn: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    strength: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +50,14 @@ class Request:
     """A picture that is wanted.
 
     Attributes:
-        camera: in the run's frame. light: an .npy file of a light map (H, W, 3) in the run's frame; None: the recovered light.
+        camera: in the run's frame. light: None is the recovered one. backdrop: show the light behind the object as well.
         samples, denoise, indirect, albedo_scale: see `RelightSettings`. backend: "mesh" or "gaussian".
         progressive: pictures of lower quality first.
     """
 
     camera: Camera
-    light: Path | None = None
+    light: LightSource | None = None
+    backdrop: bool = False
     samples: str | int = 32
     denoise: bool = True
     indirect: bool = True
@@ -102,7 +114,7 @@ class WarmRun:
         file = run / "mesh.ply"
         self._mesh = MeshQuery(load_mesh_ply(file), self.reconstruction.bound.radius) if file.is_file() else None
         self._gaussians: GaussianQuery | None = None
-        self._lights, self._surfaces, self._relighters = Latest(3), Latest(6), Latest(6)
+        self._maps, self._lights, self._surfaces, self._relighters = Latest(2), Latest(3), Latest(6), Latest(4)
 
     def picture(self, request: Request, camera: Camera, samples: str | int) -> np.ndarray:
         """(H, W, 4) float32 linear premultiplied. Raises InputError where the light can't be read or the mesh is missing."""
@@ -112,8 +124,11 @@ class WarmRun:
         surface = self._surface(relighter, request, camera)
         counted = relighter.query
         assert isinstance(counted, Counted)
-        counted.begin(math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
-        return relighter.relit(surface, light).numpy()
+        counted.begin(2 * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
+        picture = relighter.relit(surface, light).numpy()
+        if request.backdrop and request.light is not None:
+            picture = self._with_backdrop(picture, camera, request.light)
+        return picture
 
     def warm_up(self) -> None:
         """One small picture, so that the first that is asked for finds every kernel compiled."""
@@ -140,11 +155,20 @@ class WarmRun:
         lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world.tobytes())
         return self._surfaces.get((*lens, request.backend, request.albedo_scale), lambda: relighter.surface(camera))
 
-    def _light(self, file: Path | None) -> PreparedLight:
-        """A file's name stands for its content."""
-        if file is None:
+    def _light(self, source: LightSource | None) -> PreparedLight:
+        if source is None:
             return self._lights.get(None, lambda: prepare(self.reconstruction.environment_map()))
-        return self._lights.get(file, lambda: prepare(_read_map(file)))
+        return self._lights.get(source, lambda: prepare(self._map(source).picture(LIGHT_ROWS)))
+
+    def _map(self, source: LightSource) -> LightMap:
+        texels = self._maps.get(source.file, lambda: _read_map(source.file))
+        return LightMap(texels, np.array(source.turn).reshape(3, 3), source.strength)
+
+    def _with_backdrop(self, picture: np.ndarray, camera: Camera, source: LightSource) -> np.ndarray:
+        """The light itself where the object lets it through; opaque."""
+        behind = self._map(source).radiance(camera.rays())
+        colour = picture[..., :3] + (1 - picture[..., 3:]) * behind
+        return np.concatenate([colour, np.ones_like(picture[..., 3:])], -1).astype(np.float32)
 
 
 class Counted:

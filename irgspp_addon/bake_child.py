@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders the one World of a .blend as a light map: a Blender of its own, so that the artist's is not disturbed.
 
-blender --background --factory-startup --python bake_child.py -- WORLD.blend MAP.npy ROWS    or    python bake_child.py -- ...
+blender --background --factory-startup --python bake_child.py -- WORLD.blend MAP.npy ROWS FRAME    or    python bake_child.py -- ...
 """
 
 import importlib.util
@@ -23,13 +23,14 @@ def _world_module():
     return module
 
 
-def bake(blend: str, target: str, rows: int) -> None:
+def bake(blend: str, target: str, rows: int, frame: int) -> None:
     """Append the World, render it, write (rows, 2 rows, 3) float32."""
     with bpy.data.libraries.load(blend) as (source, wanted):
         wanted.worlds = source.worlds[:1]
     world = bpy.context.scene.world = wanted.worlds[0]
     if hasattr(world, "cycles_visibility"):
         world.cycles_visibility.camera = True  # a light that the camera does not see is a light all the same
+    bpy.context.scene.frame_set(frame)
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "world.exr"
         _world_module().bake_world(bpy.context.scene, picture, rows)
@@ -44,4 +45,4 @@ def bake(blend: str, target: str, rows: int) -> None:
 
 if __name__ == "__main__":
     given = sys.argv[sys.argv.index("--") + 1 :]
-    bake(given[0], given[1], int(given[2]))
+    bake(given[0], given[1], int(given[2]), int(given[3]))

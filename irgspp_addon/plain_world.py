@@ -8,10 +8,12 @@ import numpy as np
 from mathutils import Euler
 
 from ..core.errors import InputError
-from .light_map import LightMap, reduced
+from ..core.scene.light_map import LightMap, reduced
 
 LINEAR = ("Linear Rec.709", "Non-Color", "Linear", "Raw", "scene_linear")
 MOST_ROWS = 2048  # larger pictures are reduced once; a light needs no more
+
+_read: dict[tuple, np.ndarray | None] = {}  # the picture read last
 
 
 def plain_light(world: bpy.types.World | None) -> LightMap | None:
@@ -47,7 +49,7 @@ def _background(world: bpy.types.World, node: bpy.types.Node) -> LightMap | None
     if turn is None or texture.projection != "EQUIRECTANGULAR" or texture.interpolation != "Linear":
         return None
     texels = _picture(world, texture.image)
-    return None if texels is None else LightMap(_sane(texels * np.float32(strength.default_value)), turn)
+    return None if texels is None else LightMap(texels, turn, max(0.0, strength.default_value))
 
 
 def _feeding(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
@@ -90,15 +92,29 @@ def _picture(world: bpy.types.World, image: bpy.types.Image | None) -> np.ndarra
     name = image.colorspace_settings.name
     if name not in LINEAR and (image.is_float or name != "sRGB"):
         return None
+    key = (image.name_full, image.as_pointer(), image.filepath, width, height, name)
+    if key not in _read or image.is_dirty:
+        _read.clear()
+        _read[key] = _texels(image, name == "sRGB")
+    return _read[key]
+
+
+def _texels(image: bpy.types.Image, encoded: bool) -> np.ndarray | None:
+    width, height = image.size
     pixels = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
     pixels = pixels.reshape(height, width, image.channels)[::-1]
     if image.channels == 2 or (image.channels == 4 and pixels[..., 3].min() < 1):
         return None
     colour = np.repeat(pixels, 3, -1) if image.channels == 1 else pixels[..., :3]
-    if name == "sRGB":
+    if encoded:
         colour = np.where(colour <= 0.04045, colour / 12.92, ((np.maximum(colour, 0.04045) + 0.055) / 1.055) ** 2.4)
-    return reduced(colour, -(-height // MOST_ROWS))
+    return _sane(reduced(colour, -(-height // MOST_ROWS)))
+
+
+def forget_pictures() -> None:
+    """Read pictures anew: they may have changed without a word, as when another file was opened."""
+    _read.clear()
 
 
 def _colour(colour) -> LightMap:

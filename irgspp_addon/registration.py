@@ -11,10 +11,11 @@ from .. import panels
 from ..operators import engine as engine_operators
 from ..operators import import_dataset
 from ..operators import jobs as job_operators
+from ..operators import relight as relight_operators
 from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
 from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
-from . import job_timer, jobs, materials, properties
+from . import job_timer, jobs, materials, properties, relight_follow, relight_session, render_engine
 from .engine import run_engine
 from .preferences import IRGSPP_Preferences
 
@@ -35,6 +36,8 @@ CLASSES = (
     IRGSPP_OT_import_run,
     *import_dataset.CLASSES,
     *result_operators.CLASSES,
+    *relight_operators.CLASSES,
+    render_engine.IRGSPP_RenderEngine,
     *panels.CLASSES,
 )
 
@@ -53,6 +56,9 @@ def register() -> None:
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     import_dataset.register()
     result_operators.register()
+    relight_session.register()
+    relight_follow.register()
+    render_engine.register()
     _commands.append(bpy.utils.register_cli_command("irgspp", run_engine))
 
 
@@ -60,6 +66,9 @@ def unregister() -> None:
     """Leave nothing behind."""
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
+    render_engine.unregister()
+    relight_follow.unregister()
+    relight_session.unregister()
     result_operators.unregister()
     import_dataset.unregister()
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)

@@ -61,6 +61,7 @@ def bake_world(scene: bpy.types.Scene, target: Path, height: int = 128) -> None:
     try:
         empty.collection.objects.link(camera)
         empty.world, empty.camera = scene.world, camera
+        empty.frame_set(scene.frame_current)
         data.type, data.panorama_type = "PANO", "EQUIRECTANGULAR"
         camera.rotation_euler = (1.5707963267948966, 0.0, -1.5707963267948966)  # +X in the middle of the picture
         _set_render(empty, target, height)

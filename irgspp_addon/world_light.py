@@ -14,8 +14,8 @@ import bpy
 import numpy as np
 
 from ..core.errors import InputError, IrgsppError
-from .light_map import LightMap
-from .plain_world import plain_light
+from ..core.scene.light_map import LightMap
+from .plain_world import forget_pictures, plain_light
 from .world_print import fingerprint
 
 ROWS = 1024  # of a rendered World: the sun of a Sky Texture is half a degree wide
@@ -25,9 +25,9 @@ CHILD = Path(__file__).with_name("bake_child.py")
 _rendered: dict[str, LightMap] = {}  # by fingerprint, the latest few
 
 
-def world_light(scene: bpy.types.Scene, timeout: float = PATIENCE) -> LightMap:
-    """The light of a scene's World, waited for; also right while a render runs. Raises InputError where there is none."""
-    asked = ask_world(scene)
+def world_light(world: bpy.types.World | None, frame: int = 1, timeout: float = PATIENCE) -> LightMap:
+    """The light of a World at a frame, waited for; also right while a render runs. Raises InputError where there is none."""
+    asked = ask_world(world, frame)
     if isinstance(asked, LightMap):
         return asked
     try:
@@ -36,28 +36,37 @@ def world_light(scene: bpy.types.Scene, timeout: float = PATIENCE) -> LightMap:
         asked.close()
 
 
-def ask_world(scene: bpy.types.Scene) -> LightMap | WorldBake:
+def ask_world(world: bpy.types.World | None, frame: int = 1) -> LightMap | WorldBake:
     """The light where it is known or easily read, otherwise the started work to find it. Raises InputError where there is none."""
-    light = plain_light(scene.world)
+    light = plain_light(world)
     if light is not None:
         return light
-    assert scene.world is not None
-    known = _rendered.get(fingerprint(scene.world))
-    return known or WorldBake(scene.world)
+    assert world is not None
+    return _rendered.get(_key(world, frame)) or WorldBake(world, frame)
+
+
+def _key(world: bpy.types.World, frame: int) -> str:
+    """Where it may be animated, every frame has another light."""
+    moving = world.animation_data is not None or (world.node_tree is not None and world.node_tree.animation_data is not None)
+    return f"{fingerprint(world)} {frame if moving else ''}"
 
 
 class WorldBake:
     """One World on its way through another Blender; `poll` until it gives the light, `close` in any case."""
 
-    def __init__(self, world: bpy.types.World, rows: int = ROWS) -> None:
-        self.print, self._name = fingerprint(world), world.name
+    def __init__(self, world: bpy.types.World, frame: int = 1, rows: int = ROWS) -> None:
+        self._key, self._name = _key(world, frame), world.name
         self._folder = Path(tempfile.mkdtemp(prefix="irgspp-world-"))
         blend, self._map = self._folder / "world.blend", self._folder / "map.npy"
-        bpy.data.libraries.write(str(blend), {world}, path_remap="ABSOLUTE", fake_user=True)
+        bpy.data.libraries.write(str(blend), {world.original}, path_remap="ABSOLUTE", fake_user=True)
         self._log = self._folder / "log.txt"
-        command = [*blender_command(CHILD), "--", str(blend), str(self._map), str(rows)]
+        command = [*blender_command(CHILD), "--", str(blend), str(self._map), str(rows), str(frame)]
         with self._log.open("wb") as log:
             self._child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+
+    def shows(self, world: bpy.types.World | None, frame: int) -> bool:
+        """True where this is the World's present look."""
+        return world is not None and self._key == _key(world, frame)
 
     def poll(self) -> LightMap | None:
         """The light when it is there. Raises IrgsppError where it can't be had."""
@@ -70,7 +79,7 @@ class WorldBake:
         light = LightMap(np.maximum(np.nan_to_num(np.load(self._map), nan=0.0, posinf=0.0), 0))
         while len(_rendered) >= 4:
             del _rendered[next(iter(_rendered))]
-        _rendered[self.print] = light
+        _rendered[self._key] = light
         return light
 
     def wait(self, timeout: float) -> LightMap:
@@ -93,6 +102,7 @@ class WorldBake:
 def forget() -> None:
     """Drop what was rendered: another file may hold other pictures under the same names."""
     _rendered.clear()
+    forget_pictures()
 
 
 def blender_command(script: Path) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from typing import Any
 
 import bpy
 
@@ -54,5 +55,5 @@ def _values(owner: bpy.types.bpy_struct) -> Iterator[str]:
             yield f"{name}={_plain(value)}"
 
 
-def _plain(value: object) -> str:
+def _plain(value: Any) -> str:
     return repr(tuple(value)) if hasattr(value, "__len__") and not isinstance(value, str) else repr(value)

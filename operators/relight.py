@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The object in another light: a picture that follows the scene, the World as a light map, views as files."""
+
+# pyright: reportInvalidTypeForm=false
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+
+from ..core.errors import InputError, IrgsppError
+from ..core.run_folder import read_run
+from ..irgspp_addon import jobs, preview
+from ..irgspp_addon.properties import BACKENDS, EYES
+from ..irgspp_addon.relight_session import session_of
+from ..irgspp_addon.run_frame import chosen_run, frame_of, run_object
+from ..irgspp_addon.world_light import save_light, world_light
+from .blocking import refuse, run_to_end
+
+RUN = {"name": "Run Folder", "description": "Empty: that of the active object, or of the panel", "subtype": "DIR_PATH"}
+SKIP = {"SKIP_SAVE"}
+MAP_ROWS = 256
+
+
+class IRGSPP_OT_relight_preview(bpy.types.Operator):
+    """Show the object under this scene's World as the image "IRGS++ Relight", and keep it up to date while you work. Scripts get one
+    finished picture. What is not given is taken from the scene's IRGS++ panel"""
+
+    bl_idname = "irgspp.relight_preview"
+    bl_label = "Relight Preview"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    run: StringProperty(**RUN, options=SKIP)
+    samples: IntProperty(name="Samples", description="Rays of light per pixel", min=1, max=65536, default=32, options=SKIP)
+    denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples", default=True, options=SKIP)
+    backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
+    eye: EnumProperty(name="Seen From", description="Where the picture is taken from", items=EYES, options=SKIP)
+    use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
+    resolution: IntProperty(name="Resolution", description="Longest side in pixels", min=16, max=16384, default=256, options=SKIP)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if bpy.app.background:
+            return self.execute(context)
+        try:
+            self._start(context)
+            preview.show_image(context)
+        except IrgsppError as error:
+            return refuse(self, error)
+        return {"FINISHED"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            follower = self._start(context)
+            try:
+                follower.finish()
+            finally:
+                preview.stop_preview()
+        except IrgsppError as error:
+            return refuse(self, error)
+        return {"FINISHED"}
+
+    def _start(self, context: bpy.types.Context):
+        scene = context.scene
+        run = _run(context, self.run)
+        session_of(run)  # tells at once where the engine is missing
+        given, said = self.properties.is_property_set, preview.settings_of(scene)
+        # A value that the panel has too follows the panel from now on.
+        how: dict[str, Any] = {name: getattr(self, name) for name in said if given(name) and getattr(self, name) != said[name]}
+        eye = self.eye if given("eye") else scene.irgspp.relight_eye
+        area = _area(context) if eye == "view" else None
+        if eye == "view" and area is None:
+            raise InputError("preview", "there is no 3D View to look from", "look from the camera: eye='camera'")
+        resolution = self.resolution if given("resolution") else scene.irgspp.preview_resolution
+        return preview.start_preview(scene, run, how, resolution, area)
+
+
+class IRGSPP_OT_relight_stop(bpy.types.Operator):
+    """Stop keeping the picture up to date; what it shows stays"""
+
+    bl_idname = "irgspp.relight_stop"
+    bl_label = "Stop Preview"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not preview.preview_running():
+            cls.poll_message_set("No preview is running")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        preview.stop_preview()
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_world_to_map(bpy.types.Operator):
+    """Save the World's light, whatever its nodes, as a lat-long light map that `irgspp render --environment` reads (.exr or .npy)"""
+
+    bl_idname = "irgspp.world_to_map"
+    bl_label = "World to Light Map"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options=SKIP)
+    height: IntProperty(name="Height", description="Rows of the map, which is twice as wide", default=MAP_ROWS, min=2, max=8192)
+    filter_glob: StringProperty(default="*.exr;*.npy", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.world is None:
+            cls.poll_message_set("The scene has no World")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.filepath = self.filepath or "//light.exr"
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            if not self.filepath:
+                raise InputError("world_to_map", "no file is named", "give filepath=")
+            path = Path(bpy.path.abspath(self.filepath)).absolute()
+            save_light(world_light(context.scene.world, context.scene.frame_current), path, self.height)
+        except IrgsppError as error:
+            return refuse(self, error)
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_render_views(bpy.types.Operator):
+    """Render views of a run as picture files, under this scene's World or the recovered light"""
+
+    bl_idname = "irgspp.render_views"
+    bl_label = "Render Views"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    run: StringProperty(**RUN, options=SKIP)
+    views: StringProperty(
+        name="Views",
+        description="DATASET or DATASET:train|test|all, or a number: so many on a circle. Empty: the run's dataset",
+        options=SKIP,
+    )
+    output: StringProperty(name="Output", description="Folder; empty: `relit` in the run", subtype="DIR_PATH", options=SKIP)
+    samples: StringProperty(name="Samples", description="hq, efficient or a number", default="hq", options=SKIP)
+    denoise: BoolProperty(name="Denoise", default=True, options=SKIP)
+    backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
+    use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
+    wait: BoolProperty(name="Wait", default=True, options={"SKIP_SAVE", "HIDDEN"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.wait = bpy.app.background
+        return self.execute(context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            run = _run(context, self.run)
+            output = Path(bpy.path.abspath(self.output)).absolute() if self.output else run / "relit"
+            job = jobs.start("render", f"Render {run.name}", output, self._words(context, run, output))
+            return run_to_end(self, job) if self.wait else {"FINISHED"}
+        except IrgsppError as error:
+            return refuse(self, error)
+
+    def _words(self, context: bpy.types.Context, run: Path, output: Path) -> list[str]:
+        words = ["render", str(run), "-o", str(output), "--samples", self.samples, "--backend", self.backend]
+        if self.views.isdecimal():
+            words += ["--orbit", self.views]
+        else:
+            views = bpy.path.abspath(self.views) if self.views else read_run(run).get("dataset", "")
+            if not views:
+                raise InputError(run, "does not say which photographs it is made from", "give views=")
+            words += ["--views", views]
+        words += [] if self.denoise else ["--no-denoise"]
+        if self.use_world:
+            words += ["--environment", str(self._map(context, run, output)), "--name", "world", "--layers", "rgba"]
+        return words
+
+    def _map(self, context: bpy.types.Context, run: Path, output: Path) -> Path:
+        """The World as the run's frame sees it, kept beside the pictures."""
+        frame = frame_of(run_object(context.scene, run))
+        light = world_light(context.scene.world, context.scene.frame_current).turned(frame.rotation)
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(output, f"can't be made ({error.strerror})") from error
+        save_light(light, output / "world.exr", MAP_ROWS)
+        return output / "world.exr"
+
+
+CLASSES = (IRGSPP_OT_relight_preview, IRGSPP_OT_relight_stop, IRGSPP_OT_world_to_map, IRGSPP_OT_render_views)
+
+
+def _run(context: bpy.types.Context, named: str) -> Path:
+    """The run that is meant. Raises InputError where it is none."""
+    run = Path(bpy.path.abspath(named)).absolute() if named else chosen_run(context.scene)
+    if not (run / "gaussians.ply").is_file():
+        raise InputError(run, "is not a finished run folder (no gaussians.ply in it)", "it may have been moved; choose it again")
+    return run.resolve()
+
+
+def _area(context: bpy.types.Context) -> bpy.types.Area | None:
+    """The 3D View that the operator was called from, or the largest there is."""
+    if context.area is not None and context.area.type == "VIEW_3D":
+        return context.area
+    windows = context.window_manager.windows
+    areas = [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
+    return max(areas, key=lambda area: area.width * area.height, default=None)
