@@ -102,9 +102,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         if (run / "run.json").is_file() and not self.overwrite:
             raise InputError(run, "holds another run", "resume it, overwrite it, or name another folder")
         words += ["--preset", self.preset, "--materials", self.materials, "--device", self.device, "--seed", str(self.seed)]
-        for setting in shlex.split(self.settings):
-            words += ["--set", setting]
-        return words + (["--overwrite"] if self.overwrite else [])
+        return words + set_words(self.settings) + (["--overwrite"] if self.overwrite else [])
 
 
 class IRGSPP_OT_demo(bpy.types.Operator):
@@ -126,9 +124,7 @@ class IRGSPP_OT_demo(bpy.types.Operator):
         panel = context.scene.irgspp
         try:
             run = Path(bpy.path.abspath(self.folder)).absolute() if self.folder else demo_folder()
-            words = ["demo", "-o", str(run)]
-            for setting in shlex.split(self.settings):
-                words += ["--set", setting]
+            words = ["demo", "-o", str(run), *set_words(self.settings)]
             wish = "import_result" if self.import_result and not self.wait else None
             place = result_import.place_of(context.scene, panel.source, panel.pack)
             job = jobs.start("demo", "Demonstration", run, words, wish, place)
@@ -140,6 +136,14 @@ class IRGSPP_OT_demo(bpy.types.Operator):
             return ended
         except (IrgsppError, RuntimeError) as error:
             return refuse(self, str(error).removeprefix("Error: ").strip())
+
+
+def set_words(settings: str) -> list[str]:
+    """The command line's words for `key=value key=value`. Raises InputError where quotation marks don't match."""
+    try:
+        return [word for setting in shlex.split(settings) for word in ("--set", setting)]
+    except ValueError as error:
+        raise InputError(f"settings {settings!r}", f"can't be read ({error})", "write key=value, with spaces between") from error
 
 
 def demo_folder() -> Path:

@@ -28,7 +28,8 @@ PROJECT = '[project]\nname = "x"\n[project.optional-dependencies]\ncuda = ["tiny
 LAUNCHER = f"""
 import importlib.util, json, tinylib
 assert tinylib.DEP == 34
-print(json.dumps({{"irgspp": {VERSION!r}, "python": "3", "cpu": {{"name": "c"}}, "cuda": [{{"name": str(importlib.util.find_spec("tinycuda"))}}]}}))
+cuda = [{{"name": str(importlib.util.find_spec("tinycuda"))}}]
+print(json.dumps({{"irgspp": {VERSION!r}, "python": "3", "cpu": {{"name": "c"}}, "cuda": cuda}}))
 """
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs for tests: settings so small that the whole reconstruction takes seconds, scripts that stand for the engine, a registry of one's own."""
+"""Jobs for tests: settings so small that all takes seconds, a script that stands for the engine, a registry of the test's own."""
 
 from __future__ import annotations
 

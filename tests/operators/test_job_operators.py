@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The operators of engine and jobs by keywords: to the end in scripts, with errors as exceptions; as jobs on request."""
+
+import json
+
+import bpy
+import pytest
+from blender_side import ENGINE
+from engine_jobs import COUNTER, DATASET, TINY, until
+from engine_jobs import registry as registry
+from irgspp.core.errors import IrgsppError
+from irgspp.core.version import VERSION
+from irgspp.irgspp_addon import engine, jobs, managed_engine, properties, registration, result_import
+
+SETTINGS = " ".join(f"{key}={value}" for key, value in TINY.items())
+
+
+@pytest.fixture(autouse=True)
+def extension(registry, monkeypatch):
+    monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    registration.register()
+    yield
+    registration.unregister()
+
+
+@pytest.fixture
+def counter(tmp_path):
+    script = tmp_path / "counter.py"
+    script.write_text(COUNTER)
+    return lambda steps=1000, kind="reconstruct", **options: jobs.start(
+        kind, "count", tmp_path / "run", [str(steps)], program=str(script), **options
+    )
+
+
+def meshes():
+    return [thing for thing in bpy.context.scene.objects if thing.type == "MESH"]
+
+
+def test_reconstruct_to_the_end_and_into_the_scene(tmp_path):
+    run = str(tmp_path / "run")
+    words = {"dataset": str(DATASET), "run": run, "preset": "draft", "materials": "low-gloss", "seed": 3, "settings": SETTINGS}
+    assert bpy.ops.irgspp.reconstruct(**words) == {"FINISHED"}
+    noted = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert (noted["status"], noted["seed"], noted["settings"]["materials"]) == ("done", 3, "low-gloss")
+    assert len(meshes()) == 1
+    with pytest.raises(RuntimeError, match="holds another run"):
+        bpy.ops.irgspp.reconstruct(**words)
+    assert bpy.ops.irgspp.reconstruct(dataset=str(DATASET), run=run, resume=True, import_result=False) == {"FINISHED"}  # with its settings
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["seed"] == 3
+
+
+def test_reconstruct_as_a_job_with_the_panels_settings(tmp_path):
+    panel = bpy.context.scene.irgspp
+    panel.dataset, panel.run, panel.preset, panel.seed, panel.overrides = str(DATASET), str(tmp_path / "run"), "draft", 5, SETTINGS
+    assert bpy.ops.irgspp.reconstruct(wait=False) == {"FINISHED"}
+    (job,) = jobs.all_jobs()
+    assert [item.name for item in bpy.context.window_manager.irgspp_jobs] == [job.id]
+    assert job.state == "running" and job.on_done == "import_result"
+    until(lambda: job.phase)
+    with pytest.raises(RuntimeError, match="Reconstruct demo_data is running for this folder"):
+        bpy.ops.irgspp.reconstruct(wait=False)
+    assert bpy.ops.irgspp.job_cancel(job=job.id) == {"FINISHED"}
+    until(lambda: job.finished)
+    assert job.state == "cancelled" and not meshes()
+    assert bpy.ops.irgspp.job_resume(job=job.id) == {"FINISHED"}
+    until(lambda: job.finished)
+    assert (job.state, job.error) == ("done", None), job.log_tail()
+    assert "5" in job.arguments and len(meshes()) == 1  # imported by itself
+    assert bpy.ops.irgspp.job_log(job=job.id) == {"FINISHED"}
+    assert bpy.ops.irgspp.job_forget(job=job.id) == {"FINISHED"}
+    assert jobs.all_jobs() == [] and len(bpy.context.window_manager.irgspp_jobs) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({}, "no folder is chosen"),
+        ({"dataset": "/no/such/folder"}, "/no/such/folder: no such folder"),
+        ({"dataset": str(DATASET), "settings": "nonsense=1"}, "nonsense"),
+        ({"dataset": str(DATASET), "settings": "surface.texture=-5"}, "surface.texture"),
+        ({"dataset": str(DATASET), "settings": "data.masks='"}, "[Qq]uot"),
+    ],
+)
+def test_bad_words_are_exceptions_of_one_line(tmp_path, words, message):
+    with pytest.raises(RuntimeError, match=message) as caught:
+        bpy.ops.irgspp.reconstruct(**({"run": str(tmp_path / "run")} | words))
+    assert "Traceback" not in str(caught.value) and len(str(caught.value).strip().splitlines()) == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_run_folder_beside_the_photographs(tmp_path, monkeypatch):
+    def start(kind, title, folder, *_, **__):
+        raise IrgsppError(f"would write {folder}")
+
+    monkeypatch.setattr(jobs, "start", start)
+    (tmp_path / "photos").mkdir()
+    with pytest.raises(RuntimeError, match=r"would write .*photos_irgspp"):
+        bpy.ops.irgspp.reconstruct(dataset=str(tmp_path / "photos"), wait=False)
+
+
+def test_demo_as_a_job(tmp_path):
+    assert bpy.ops.irgspp.demo(folder=str(tmp_path / "demo"), wait=False, settings=SETTINGS) == {"FINISHED"}
+    (job,) = jobs.all_jobs()
+    until(lambda: job.phase == "reflective" or job.finished)
+    assert job.state == "running", job.log_tail()
+    bpy.ops.irgspp.job_cancel(job=job.id)
+    until(lambda: job.finished)
+
+
+def test_result_does_not_go_into_another_file(tmp_path, counter):
+    place = result_import.place_of(bpy.context.scene, "textures", True)
+    job = counter(20, on_done="import_result", data=place)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    until(lambda: job.finished)
+    assert job.state == "done" and "another file is open" in job.error and str(job.folder) in job.error
+    assert not meshes()
+
+
+def test_result_that_is_none_is_told(counter):
+    job = counter(1, on_done="import_result", data=result_import.place_of(bpy.context.scene, "textures", True))
+    until(lambda: job.finished)
+    assert job.state == "done" and "done, but" in job.error
+
+
+@pytest.mark.parametrize("name", ["cancel", "finish", "resume", "forget", "log"])
+def test_unknown_job_is_an_exception(name):
+    with pytest.raises(RuntimeError, match="none of that id"):
+        getattr(bpy.ops.irgspp, f"job_{name}")(job="nonsense")
+
+
+def test_wishes_that_do_not_fit_the_state(counter):
+    job = counter(1)
+    until(lambda: job.finished)
+    for name, message in (("finish", "not optimising"), ("resume", "is done, which can't be resumed")):
+        with pytest.raises(RuntimeError, match=message):
+            getattr(bpy.ops.irgspp, f"job_{name}")(job=job.id)
+
+
+def test_engine_operators(tmp_path, monkeypatch):
+    assert bpy.ops.irgspp.check_engine() == {"FINISHED"}
+    assert VERSION in engine.status().text
+    assert not bpy.ops.irgspp.remove_engine.poll() and not bpy.ops.irgspp.open_engine_folder.poll()
+    with pytest.raises(RuntimeError, match=r"\*\.whl"):
+        bpy.ops.irgspp.install_engine(device="cpu", wheels=str(tmp_path))
+    managed_engine.folder().mkdir(parents=True)
+    assert bpy.ops.irgspp.remove_engine() == {"FINISHED"} and not managed_engine.folder().exists()
+    monkeypatch.setenv("IRGSPP_PYTHON", str(tmp_path / "none"))
+    with pytest.raises(RuntimeError, match="does not exist"):
+        bpy.ops.irgspp.check_engine()
+    with pytest.raises(RuntimeError, match="does not exist"):
+        bpy.ops.irgspp.reconstruct(dataset=str(DATASET), run=str(tmp_path / "run"))
+    with pytest.raises(RuntimeError, match="does not exist"):
+        bpy.ops.irgspp.demo(folder=str(tmp_path / "run"))
+
+
+def test_every_operator_says_what_it_does():
+    for cls in registration.CLASSES:
+        if issubclass(cls, bpy.types.Operator):
+            told = getattr(bpy.ops.irgspp, cls.bl_idname.split(".")[1]).get_rna_type()
+            assert told.description, cls
+            shown = [p for p in told.properties if not p.is_hidden and p.identifier not in ("rna_type", "directory", "filepath")]
+            assert not [p.identifier for p in shown if not p.description], cls
+
+
+def test_registering_twice_leaves_nothing_behind():
+    for _ in range(2):
+        registration.unregister()
+        assert not bpy.app.timers.is_registered(registration.job_timer._tick)
+        assert not [f for f in bpy.app.handlers.load_post if "irgspp" in f.__module__]
+        assert properties.show_jobs not in jobs.CHANGED
+        registration.register()
+    assert jobs.CHANGED.count(properties.show_jobs) == 1
