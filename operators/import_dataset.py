@@ -18,6 +18,8 @@ from ..irgspp_addon.properties import UP_AXES
 from .blocking import refuse, run_to_end
 from .import_run import select
 
+SPLIT_FILES = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
+MODEL_FILES = ("cameras.bin", "images.bin", "points3D.bin")
 OPTIONS = ("directory", "up_axis", "scale", "recentre", "photographs", "points")
 WAIT = {
     "name": "Wait",
@@ -152,12 +154,16 @@ class IRGSPP_OT_import_dropped(bpy.types.Operator):
 
 
 def dataset_of(file: Path) -> Path:
-    """The dataset that a file stands for. Raises InputError for one that is not known."""
+    """The dataset that a file stands for: its whole folder, where that means no other. Raises InputError for a file that is not known."""
+    folder = file.parent
     if file.suffix.lower() == ".json" and file.name.startswith("transforms"):
-        complete = file.name in ("transforms_train.json", "transforms_test.json", "transforms_val.json")
-        return file.parent if complete and (file.parent / "transforms_train.json").is_file() else file
-    if file.name in ("cameras.bin", "images.bin", "points3D.bin"):
-        return file.parent
+        if (folder / "transforms_train.json").is_file():
+            return folder if file.name in SPLIT_FILES else file
+        others = any((folder / name).exists() for name in ("sparse", "colmap", "cameras.bin", "cameras.txt"))
+        return folder if file.name == "transforms.json" and not others else file
+    if file.name in MODEL_FILES:
+        root = folder.parent.parent
+        return root if folder.parent.name == "sparse" and not (root / "transforms_train.json").exists() else folder
     raise InputError(file, "is no dataset and no run", "drop a transforms.json, a COLMAP model's cameras.bin, or a run.json")
 
 
