@@ -17,6 +17,7 @@ import bpy
 from ..core.errors import InputError
 from ..core.version import NEWER, VERSION
 from . import managed_engine
+from .foreground import run_here
 from .preferences import DEFAULT_KIND, preferences
 from .user_folder import user_folder
 
@@ -104,12 +105,8 @@ def run_engine(arguments: Sequence[str]) -> int:
     if not found.usable:
         print(f"irgspp: {found.text}", file=sys.stderr)
         return 2
-    process = None
     try:
-        process = subprocess.Popen(engine_command(*arguments), env=engine_environment())
-        return process.wait()
-    except KeyboardInterrupt:  # the terminal sent Ctrl-C to the engine as well, which saves what it has
-        return process.wait() if process is not None else 130
+        return run_here(engine_command(*arguments), engine_environment())
     except OSError as error:
         print(f"irgspp: {engine_python()}: can't be started ({error.strerror}); {HOW_TO_GET_ONE}", file=sys.stderr)
         return 2

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The engine before torch, as it settles how torch's threads wait; cameras all around."""
 
+import os
+import sys
 from collections.abc import Callable
 
 import irgspp.core  # noqa: F401
@@ -20,3 +22,18 @@ def ring(count: int, size: int = 64, distance: float = 4.0, lowest: float = -0.9
 @pytest.fixture(scope="session")
 def camera_ring() -> Callable[..., list[Camera]]:
     return ring
+
+
+_ended: list[int] = []  # pytest's exit status, once it is known
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    _ended.append(int(exitstatus))
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """A failed test's traceback keeps Blender's module to the very end, where it hangs (4.5) or crashes (4.2): leave before that."""
+    if "bpy" in sys.modules and _ended and _ended[-1]:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(_ended[-1])
