@@ -102,11 +102,10 @@ def draw_found(layout: bpy.types.UILayout, context: bpy.types.Context, inspected
         return
     box = layout.box()
     column = box.column(align=True)
-    column.scale_y = 0.8
     for name, text in facts["rows"]:
         if name in SHOWN:
             row = column.split(factor=0.27)
-            row.label(text=name.capitalize())
+            say(row, context, name.capitalize())
             say(row, context, text, width=0.73)
     for warning in facts["warnings"]:
         say(box, context, warning, icon="ERROR")

@@ -30,7 +30,8 @@ class IRGSPP_PT_reconstruct(SidebarPanel, bpy.types.Panel):
         for name in ("preset", "materials", "device"):
             column.prop(settings, name)
         job = present_job(settings.run_path())
-        draw_start(layout, context, job)
+        if job is None or job.finished:  # else all there is to do is in the job's box
+            draw_start(layout, context, job)
         if job is not None:
             draw_job(layout.box(), context, job)
 
@@ -51,18 +52,17 @@ class IRGSPP_PT_reconstruct_more(SidebarPanel, bpy.types.Panel):
 def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
     """The buttons; where they can't be pressed, words say why."""
     settings = context.scene.irgspp
-    busy = job is not None and not job.finished
     status = run_state(settings.run_path()).status if settings.dataset else ""
     row = layout.row(align=True)
     row.scale_y = 1.5
-    row.enabled = bool(settings.dataset) and not busy
+    row.enabled = bool(settings.dataset)
     if status in STOPPED and not (job and job.resumable):  # else the job itself offers it
         button(row, "irgspp.reconstruct", "Go On", "FILE_REFRESH", resume=True)
     button(row, "irgspp.reconstruct", "Reconstruct Again" if status else "Reconstruct", "PLAY", overwrite=bool(status))
     if not settings.dataset:
         say(layout, context, "Choose photographs above first.", icon="INFO")
-    elif status and not busy:
-        say(layout, context, "Once more replaces the run in the folder.", icon="INFO")
+    elif status:
+        say(layout, context, "Starting anew replaces the run in the folder.", icon="INFO")
 
 
 def present_job(run: Path | None) -> Job | None:

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object under the scene's World: a picture that follows what is changed."""
+"""The object under the scene's World: a picture that follows what is changed, renders, and files."""
 
 from __future__ import annotations
 
 import bpy
 
+from ..irgspp_addon import preview
+from ..irgspp_addon.relight_follow import follower_of
+from ..irgspp_addon.render_engine import ENGINE
 from .result import shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -17,27 +20,75 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
     bl_order = 4
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings, run = self.layout, context.scene.irgspp, shown_run(context)
-        if run_state(run).status != "done":
+        layout, settings = self.layout, context.scene.irgspp
+        if not can_relight(context):
             say(layout, context, "Needs a finished reconstruction.", icon="INFO")
             return
-        layout.template_ID(context.scene, "world", new="world.new")
+        row = layout.row()
+        row.enabled = settings.use_world
+        row.template_ID(context.scene, "world", new="world.new")
         column = settings_column(layout)
-        for name in ("use_world", "relight_eye", "relight_samples", "preview_resolution", "relight_denoise", "relight_backend"):
+        for name in ("use_world", "relight_eye", "preview_resolution", "relight_samples", "relight_denoise", "relight_backend"):
             column.prop(settings, name)
-        column = layout.column()
-        column.scale_y = 1.3
+        draw_preview(layout, context)
+        draw_engine(layout, context)
+
+
+class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
+    """Pictures and light maps as files"""
+
+    bl_label = "Files"
+    bl_parent_id = "IRGSPP_PT_relight"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return can_relight(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column, settings = self.layout.column(align=True), context.scene.irgspp
         button(
             column,
-            "irgspp.relight_preview",
-            "Preview",
-            "SHADING_RENDERED",
-            run=str(run),
-            samples=settings.relight_samples,
+            "irgspp.render_views",
+            "Photographed Views, Relit",
+            "RENDER_RESULT",
+            run=str(shown_run(context)),
+            samples=str(settings.relight_samples),
             denoise=settings.relight_denoise,
             backend=settings.relight_backend,
-            resolution=settings.preview_resolution,
+            use_world=settings.use_world,
         )
+        button(column, "irgspp.world_to_map", "World as Light Map", "WORLD")
 
 
-CLASSES = (IRGSPP_PT_relight,)
+def can_relight(context: bpy.types.Context) -> bool:
+    """True where there is a finished run."""
+    return run_state(shown_run(context)).status == "done"
+
+
+def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Start, or how far it is and stop; what went wrong."""
+    follower = follower_of(preview.CHANNEL)
+    if follower is None or follower.ended:
+        column = layout.column()
+        column.scale_y = 1.3
+        button(column, "irgspp.relight_preview", "Preview", "SHADING_RENDERED")
+    else:
+        if not follower.failed:
+            layout.progress(factor=1.0 if follower.done else follower.share, text="Up to date" if follower.done else follower.message)
+        button(layout, "irgspp.relight_stop", "Stop Preview", "X")
+    if follower is not None and follower.failed:
+        column = layout.column()
+        column.alert = True
+        say(column, context, follower.message, icon="ERROR")
+
+
+def draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Renders and the Rendered view by the same light transport."""
+    if context.scene.render.engine == ENGINE:
+        say(layout, context, "F12 and Rendered shading use IRGS++.", icon="CHECKMARK")
+    else:
+        button(layout, "wm.context_set_enum", "Use for F12 and Rendered View", "SCENE", data_path="scene.render.engine", value=ENGINE)
+
+
+CLASSES = (IRGSPP_PT_relight, IRGSPP_PT_relight_files)

@@ -24,7 +24,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
         layout, run = self.layout, shown_run(context)
         state = run_state(run)
         if run is None or state.status == "":
-            say(layout, context, "Reconstruct something, or open a run folder that is finished.", icon="INFO")
+            say(layout, context, "Reconstruct photographs, or open a finished run.", icon="INFO")
             button(layout, "irgspp.import_run", "Open a Run", "FILE_FOLDER")
             return
         if state.status != "done":

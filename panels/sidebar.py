@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-LETTER = 7.0  # pixels of an average letter at a scale of 1: lines are rather broken too early than cut off
+LETTER = 6.3  # pixels of an average letter at a scale of 1: lines are rather broken too early than cut off
 
 
 class SidebarPanel:
@@ -33,7 +33,7 @@ def letters(context: bpy.types.Context, with_icon: bool = False) -> int:
     if region is None:
         return 40
     scale = context.preferences.system.ui_scale
-    return max(16, int((region.width / scale - (84 if with_icon else 60)) / LETTER))
+    return max(16, int((region.width / scale - (104 if with_icon else 78)) / LETTER))
 
 
 def button(layout: bpy.types.UILayout, operator: str, text: str | None = None, icon: str = "NONE", **properties: Any) -> None:

@@ -84,7 +84,7 @@ def sidebar_shot(name: str) -> Path:
     return shot(name, (part.x, window().height - part.y - part.height, part.width, part.height))
 
 
-def open_sidebar(tab: str, width: int | None = None) -> Iterator[float]:
+def open_sidebar(tab: str) -> Iterator[float]:
     """Show the 3D View's sidebar at a tab."""
     view3d().spaces[0].show_region_ui = True
     for _ in range(20):
@@ -95,7 +95,8 @@ def open_sidebar(tab: str, width: int | None = None) -> Iterator[float]:
         except TypeError:  # its tabs are known once it was drawn
             continue
         if region().active_panel_category == tab:
-            yield 0.5
+            redraw()
+            yield 1.0
             return
     raise RuntimeError(f"the sidebar has no tab {tab}")
 

@@ -123,7 +123,7 @@ def test_a_running_reconstruction(settings, tmp_path):
     assert "Fitting shape and radiance" in drawn.words and "PSNR 28.0 dB" in drawn.words and "a word" in drawn.words
     assert drawn.buttons("irgspp.job_finish")[0].values == {"job": "j1"}
     assert drawn.buttons("irgspp.job_cancel")[0].live
-    assert not drawn.buttons("irgspp.reconstruct")[0].live
+    assert not drawn.buttons("irgspp.reconstruct")  # one at a time
 
 
 @pytest.mark.parametrize("state", ["failed", "cancelled", "lost"])

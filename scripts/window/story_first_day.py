@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A person's first day: set up the engine, look at photographs, reconstruct them, relight the object by an HDRI that turns."""
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+
+import bpy
+import hands
+
+MODULE = "bl_ext.user_default.irgspp"
+# A small part of the work, so that the story ends in a minute or two; the pictures are of 64x64 pixels anyway.
+SETTINGS = "reflective.iterations=300 reflective.trial_iterations=60 reflective.gaussians=8000 surface.voxels=96 surface.triangles=8000"
+
+
+def story() -> Iterator[float]:
+    work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
+    demo = Path(sys.modules[MODULE].__file__).parent / "core" / "demo_data"
+    photographs = Path(shutil.copytree(demo, work / "monkey"))
+    for name in ("Cube", "Light", "Camera"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    hands.view3d().spaces[0].overlay.show_relationship_lines = False
+    yield from hands.open_sidebar("IRGS++")
+    yield from set_up_engine()
+    yield from look_at(photographs)
+    yield from reconstruct(work / "monkey_irgspp")
+    yield from show_result()
+    yield from relight(photographs / "envs" / "sunset.exr")
+    yield from see_jobs()
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def set_up_engine() -> Iterator[float]:
+    """Without an engine the panel leads to the preferences."""
+    hands.sidebar_shot("01_no_engine")
+    yield from hands.find("preferences.addon_show")
+    preferences = bpy.context.preferences.addons[MODULE].preferences
+    preferences.engine_python = hands.ENGINE
+    yield 1.0
+    hands.sidebar_shot("02_engine_unchecked")
+    yield from hands.click("irgspp.check_engine")
+    engine = sys.modules[f"{MODULE}.irgspp_addon.engine"]
+    yield from hands.wait(lambda: engine.status().state == "ok", 120)
+    yield 1.0
+    hands.shot("03_start")
+    hands.sidebar_shot("03_start_sidebar")
+
+
+def look_at(photographs: Path) -> Iterator[float]:
+    """What is in a folder, and its cameras in the scene."""
+    settings = bpy.context.scene.irgspp
+    settings.dataset = str(photographs)
+    yield 1.0
+    hands.sidebar_shot("04_chosen")
+    yield from hands.click("irgspp.inspect_dataset", across=0.25)
+    yield from hands.wait(lambda: settings.inspected, 60)
+    yield 1.0
+    hands.sidebar_shot("05_inspected")
+    yield from hands.click("irgspp.import_dataset", across=0.7)
+    yield from hands.wait(lambda: any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects), 60)
+    yield from frame_all()
+    hands.shot("06_cameras")
+
+
+def reconstruct(run: Path) -> Iterator[float]:
+    """A real click on the button; progress, then the object."""
+    settings = bpy.context.scene.irgspp
+    settings.preset, settings.overrides = "draft", SETTINGS
+    assert settings.run_path() == run
+    jobs = sys.modules[f"{MODULE}.irgspp_addon.jobs"]
+    yield from hands.click("irgspp.reconstruct")
+    yield from hands.wait(lambda: jobs.running(), 30)
+    job = jobs.running()[0]
+    yield from hands.wait(lambda: job.finished or (job.phase == "reflective" and job.step > 20 and job.preview), 300)
+    yield 1.0
+    hands.shot("07_running")
+    hands.sidebar_shot("07_running_sidebar")
+    yield from hands.wait(lambda: job.finished, 600)
+    yield 2.0
+    hands.shot("08_done")
+    assert job.state == "done" and not job.error, (job.state, job.error)
+
+
+def show_result() -> Iterator[float]:
+    """The object, selected and in view."""
+    yield from frame_selected()
+    hands.view3d().spaces[0].shading.type = "MATERIAL"
+    yield 40.0  # shaders are compiled
+    hands.shot("09_result")
+    hands.sidebar_shot("09_result_sidebar")
+    hands.view3d().spaces[0].shading.type = "SOLID"
+
+
+def relight(hdri: Path) -> Iterator[float]:
+    """The World as light, then turned."""
+    mapping = sunset_world(hdri)
+    open_image_editor()
+    yield 1.0
+    yield from frame_selected()
+    yield from scroll_to_end()
+    yield from hands.click("irgspp.relight_preview")
+    preview = sys.modules[f"{MODULE}.irgspp_addon.preview"]
+    follow = sys.modules[f"{MODULE}.irgspp_addon.relight_follow"]
+    follower = follow.follower_of(preview.CHANNEL)
+    yield from hands.wait(lambda: follower.done or follower.failed, 120)
+    assert not follower.failed, follower.message
+    yield 1.0
+    hands.shot("10_relit")
+    mapping.inputs["Rotation"].default_value[2] = 2.0
+    yield 0.5
+    yield from hands.wait(lambda: follower.done, 60)
+    yield 1.0
+    hands.shot("11_turned")
+    hands.sidebar_shot("11_turned_sidebar")
+    yield from hands.click("irgspp.relight_stop")
+    assert not preview.preview_running()
+
+
+def sunset_world(hdri: Path) -> bpy.types.Node:
+    """A World lit by an HDRI; the node that turns it."""
+    world = bpy.data.worlds.new("Sunset")
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    coordinates, mapping, texture = (nodes.new(f"ShaderNode{name}") for name in ("TexCoord", "Mapping", "TexEnvironment"))
+    texture.image = bpy.data.images.load(str(hdri))
+    background = next(node for node in nodes if node.bl_idname == "ShaderNodeBackground")
+    links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
+    links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
+    links.new(texture.outputs["Color"], background.inputs["Color"])
+    bpy.context.scene.world = world
+    return mapping
+
+
+def open_image_editor() -> None:
+    """Beside the 3D View, in a part of its area."""
+    before = {area.as_pointer() for area in hands.window().screen.areas}
+    with hands.override():
+        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
+    new = next(area for area in hands.window().screen.areas if area.as_pointer() not in before)
+    new.ui_type = "IMAGE_EDITOR"
+
+
+def see_jobs() -> Iterator[float]:
+    """The list of what was done."""
+    yield from hands.click("IRGSPP_PT_jobs", across=0.3)
+    yield from scroll_to_end()
+    hands.shot("12_jobs")
+    hands.sidebar_shot("12_jobs_sidebar")
+
+
+def scroll_to_end() -> Iterator[float]:
+    with hands.override("UI"):
+        for _ in range(40):
+            bpy.ops.view2d.scroll_down()
+    yield 1.0
+
+
+def frame_all() -> Iterator[float]:
+    with hands.override():
+        bpy.ops.view3d.view_all(use_all_regions=False)
+    yield 1.0
+
+
+def frame_selected() -> Iterator[float]:
+    with hands.override():
+        bpy.ops.view3d.view_selected()
+    yield 1.0
+
+
+hands.tell(story)
