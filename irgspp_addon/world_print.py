@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 
 LAYOUT = ("location", "location_absolute", "width", "height", "select", "label", "color", "use_custom_color", "show_options")
-LAYOUT += ("show_preview", "hide", "name", "warning_propagation", "show_texture", "bl_")
+LAYOUT += ("show_preview", "hide", "name", "warning_propagation", "show_texture", "dimensions", "rna_type")
 
 
 def fingerprint(world: bpy.types.World) -> str:
@@ -38,7 +38,7 @@ def _values(owner: bpy.types.bpy_struct) -> Iterator[str]:
     """Properties of a node or of what it holds: ramps, curves, images."""
     for known in owner.bl_rna.properties:
         name = known.identifier
-        if name == "rna_type" or name.startswith(LAYOUT) or known.is_hidden:
+        if name in LAYOUT or name.startswith("bl_") or known.is_hidden:
             continue
         value = getattr(owner, name)
         if isinstance(value, bpy.types.ColorRamp):

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A distant light as Blender and the engine both see it: a lat-long picture, looked up after a rotation.
+
+Row 0 is +Z; u = 0.5 - atan2(y, x) / 2 pi, v = acos(z) / pi, texel centres at +0.5. numpy alone: it runs in Blender's
+process as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class LightMap:
+    """Radiance from every direction of a world.
+
+    Attributes:
+        texels: (H, W, 3) float32 linear radiance, finite and >= 0; (1, 1, 3) is one colour all around.
+        turn: (3, 3) rotation; direction d sees the texel of turn @ d.
+        strength: factor of it all, >= 0.
+    """
+
+    texels: np.ndarray
+    turn: np.ndarray = field(default_factory=lambda: np.eye(3))
+    strength: float = 1.0
+
+    def radiance(self, directions: np.ndarray) -> np.ndarray:
+        """(..., 3) bilinear radiance along (..., 3) directions of any length but 0."""
+        if self.texels.shape[:2] == (1, 1):
+            return np.broadcast_to(self.texels[0, 0] * np.float32(self.strength), directions.shape).copy()
+        seen = _bilinear(self.texels, directions.reshape(-1, 3) @ self.turn.T)
+        return (seen * np.float32(self.strength)).reshape(directions.shape)
+
+    def turned(self, rotation: np.ndarray) -> LightMap:
+        """What a frame sees whose directions become the world's by `rotation` (3, 3)."""
+        return replace(self, turn=self.turn @ rotation)
+
+    def picture(self, height: int) -> np.ndarray:
+        """(height, 2 height, 3) float32 in our convention, no rotation left; means over texels, so that no light is lost."""
+        if self.texels.shape[:2] == (1, 1):
+            return np.broadcast_to(self.texels[0, 0] * np.float32(self.strength), (height, 2 * height, 3)).copy()
+        small = replace(self, texels=reduced(self.texels, self.texels.shape[0] // (2 * height)))
+        rows, columns = small.texels.shape[:2]
+        finer = max(1, round(rows / height))
+        if (rows, columns) == (finer * height, 2 * finer * height) and np.allclose(self.turn, np.eye(3), atol=1e-9):
+            return reduced(small.texels, finer) * np.float32(self.strength)
+        return reduced(small.radiance(texel_directions(finer * height)), finer)
+
+
+def reduced(texels: np.ndarray, factor: int) -> np.ndarray:
+    """(H, W, C) as means of factor x factor texels by their solid angle, float32; as it is where the size is no multiple."""
+    height, width, channels = texels.shape
+    if factor <= 1 or height % factor or width % factor:
+        return np.ascontiguousarray(texels, np.float32)
+    blocks = texels.reshape(height // factor, factor, width // factor, factor, channels).mean(3, dtype=np.float64)
+    edges = np.cos(np.arange(height + 1) * (np.pi / height))
+    angle = (edges[:-1] - edges[1:]).reshape(-1, factor, 1, 1)
+    return ((blocks * angle).sum(1) / angle.sum(1)).astype(np.float32)
+
+
+def texel_directions(height: int) -> np.ndarray:
+    """(height, 2 height, 3) unit directions of the texel centres."""
+    theta = (np.arange(height) + 0.5) * (np.pi / height)
+    phi = np.pi - (np.arange(2 * height) + 0.5) * (np.pi / height)
+    sine = np.sin(theta)[:, None]
+    up = np.broadcast_to(np.cos(theta)[:, None], (height, 2 * height))
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), up], -1)
+
+
+def _bilinear(texels: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(N, 3) between texel centres, wrapped around both ways, as Cycles does it; directions: (N, 3)."""
+    height, width = texels.shape[:2]
+    x, y, z = directions.T
+    u = 0.5 - np.arctan2(y, x) / (2 * np.pi)
+    v = np.arctan2(np.hypot(x, y), z) / np.pi
+    column, row = u * width - 0.5, v * height - 0.5
+    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
+    s, t = (column - left)[:, None].astype(np.float32), (row - top)[:, None].astype(np.float32)
+    flat = texels.reshape(-1, 3)
+    rows, columns = (top % height * width, (top + 1) % height * width), (left % width, (left + 1) % width)
+    upper = flat[rows[0] + columns[0]] * (1 - s) + flat[rows[0] + columns[1]] * s
+    lower = flat[rows[1] + columns[0]] * (1 - s) + flat[rows[1] + columns[1]] * s
+    return upper * (1 - t) + lower * t
