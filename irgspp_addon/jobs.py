@@ -12,6 +12,7 @@ from typing import Any
 from ..core.errors import InputError, IrgsppError
 from ..core.lock import FileLock
 from .engine import keep_running, require_engine
+from .interrupts import on_interrupt
 from .job import Job, load_job, new_job
 from .job_process import finish, is_alive, kill, spawn
 from .session import ENDING, is_held, session_file
@@ -145,18 +146,19 @@ def forget(job: Job) -> None:
 
 
 def wait(job: Job, timeout: float | None = None, watch: Callable[[Job], None] | None = None) -> Job:
-    """Block until the job has ended, for scripts; `watch` is called after every look. Ctrl-C cancels it. Raises TimeoutError."""
+    """Block until the job has ended, for scripts; `watch` is called after every look. Raises TimeoutError.
+
+    The first Ctrl-C or SIGTERM cancels the job, the second ends it at once.
+    """
     began = time.monotonic()
-    while not job.finished:
-        try:
+    with on_interrupt(lambda: cancel(job)):
+        while not job.finished:
             poll()
             if watch is not None:
                 watch(job)
+            if timeout is not None and time.monotonic() - began > timeout:
+                raise TimeoutError(f"{job.title} has not ended after {timeout:g} s")
             time.sleep(0.05)
-        except KeyboardInterrupt:
-            cancel(job)
-        if timeout is not None and time.monotonic() - began > timeout:
-            raise TimeoutError(f"{job.title} has not ended after {timeout:g} s")
     return job
 
 

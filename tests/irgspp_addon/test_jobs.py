@@ -384,3 +384,16 @@ def test_worker_that_vanished_unseen_is_lost(counter):
     process.wait()
     until(lambda: job.finished)
     assert job.state == "lost" and "without saying how" in job.error
+
+
+@POSIX
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_script_that_waits_is_interrupted(counter, kind):
+    job, before = counter(), signal.getsignal(kind)
+
+    def interrupt(job):
+        if job.step > 2 and not job.stopping:
+            os.kill(os.getpid(), kind)
+
+    jobs.wait(job, 30, watch=interrupt)
+    assert job.state == "cancelled" and signal.getsignal(kind) is before
