@@ -29,7 +29,7 @@ from .scene.textures import save_textures
 from .surface.geometry import extract_geometry
 from .surface.grid import make_grid
 from .surface.meshing import Triangles, vertex_normals
-from .surface.texturing import baked_textures, painted_mesh, textured_mesh
+from .surface.texturing import baked_textures, painted_mesh, stoppable, textured_mesh
 
 PARTIAL = "bake.part"  # folder in the run folder that is filled before anything is replaced
 
@@ -91,7 +91,7 @@ def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: P
     if given is None:
         mesh = load_mesh_ply(run / "mesh.ply")
         progress.phase("bake", len(views))
-        textures = baked_textures(mesh, views, samples, voxel, settings, progress.step)
+        textures = baked_textures(mesh, views, samples, voxel, settings, stoppable(progress))
         return dataclasses.replace(mesh, textures=textures)
     normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
     if given.uvs is None:

@@ -37,7 +37,7 @@ def textured_mesh(
     if progress.cancelled:
         raise Cancelled("stopped while the surface was being unwrapped")
     progress.phase("bake", 2 * len(views))
-    fused = fuse_attributes(surface.vertices, surface.normals, views, samples, surface.voxel, progress.step)
+    fused = fuse_attributes(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
     normals = detailed(surface.normals, fused.normal, fused.weight > 0, settings.detail)
     mesh = Mesh(
         vertices=surface.vertices[source].astype(np.float32),
@@ -48,9 +48,19 @@ def textured_mesh(
         roughness=fused.roughness[source],
         metallic=fused.metallic[source],
     )
-    step = lambda done: progress.step(len(views) + done)  # noqa: E731 (the second half of the phase)
-    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, step))
+    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
     return mesh
+
+
+def stoppable(progress: Progress, before: int = 0) -> Callable[[int], None]:
+    """Tells how many steps of a phase are done, those `before` included; raises Cancelled where the user stopped the work."""
+
+    def step(done: int) -> None:
+        progress.step(before + done)
+        if progress.cancelled:
+            raise Cancelled("stopped while materials were being baked")
+
+    return step
 
 
 def painted_mesh(
@@ -70,7 +80,7 @@ def painted_mesh(
         voxel: resolution of the surface that the views agree on, world units: how far from it the mesh may lie and still be seen.
     """
     progress.phase("bake", 2 * len(views))
-    fused = fuse_attributes(vertices, normals, views, samples, voxel, progress.step)
+    fused = fuse_attributes(vertices, normals, views, samples, voxel, stoppable(progress))
     mesh = Mesh(
         vertices=vertices.astype(np.float32),
         normals=normals.astype(np.float32),
@@ -80,8 +90,7 @@ def painted_mesh(
         roughness=fused.roughness,
         metallic=fused.metallic,
     )
-    step = lambda done: progress.step(len(views) + done)  # noqa: E731 (the second half of the phase)
-    mesh.textures.update(baked_textures(mesh, views, samples, voxel, settings, step))
+    mesh.textures.update(baked_textures(mesh, views, samples, voxel, settings, stoppable(progress, len(views))))
     return mesh
 
 
