@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The operators and keywords that the documents name exist."""
+
+import ast
+import re
+from pathlib import Path
+
+import bpy
+import pytest
+from irgspp.irgspp_addon import registration
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+OPERATORS = {cls.bl_idname.removeprefix("irgspp."): cls for cls in registration.CLASSES if issubclass(cls, bpy.types.Operator)}
+
+
+def properties(cls: type) -> set[str]:
+    return {name for base in cls.__mro__ for name in getattr(base, "__annotations__", {})}
+
+
+def code_blocks(text: str) -> list[str]:
+    """Runs of lines that are indented by four, without the indentation."""
+    blocks = re.findall(r"(?:^    .*\n|^\n(?=    ))+", text, re.MULTILINE)
+    return ["\n".join(line[4:] for line in block.strip("\n").split("\n")) for block in blocks]
+
+
+def calls(page: Path) -> list[tuple[str, list[str]]]:
+    """(operator, keywords) of every call of ours in a page, be it in a block of Python or in words."""
+    found = []
+    for call in re.findall(r"bpy\.ops\.irgspp\.\w+\([^()]*\)", page.read_text("utf-8")):
+        node = ast.parse(call.replace("...", "None"), mode="eval").body
+        assert isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+        found.append((node.func.attr, [str(word.arg) for word in node.keywords]))
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_calls_name_operators_and_keywords_that_exist(page):
+    for operator, keywords in calls(page):
+        assert operator in OPERATORS, f"{page.name}: {operator}"
+        assert set(keywords) <= properties(OPERATORS[operator]), f"{page.name}: {operator}({', '.join(keywords)})"
+
+
+def test_table_of_operators_is_whole():
+    """Every operator that a script may want stands in the table, with every keyword."""
+    rows = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \| (.*) \|$", (ROOT / "docs" / "scripting.md").read_text("utf-8"), re.MULTILINE)
+    told = {name: words for names, words in rows for name in re.findall(r"`(\w+)`", names)}
+    internal = {"import_dropped", "relight_stop", "open_engine_folder"}
+    assert set(told) == {name for name in OPERATORS if name not in internal and not name.startswith(("panel_", "choose_"))}
+    hidden = {"wait", "was_read", "check_existing", "filter_glob", "filter_folder"}
+    for name, words in told.items():
+        assert properties(OPERATORS[name]) - hidden <= set(re.findall(r"\w+", words)), name
+
+
+def test_python_in_the_documents_is_python():
+    blocks = [block for page in PAGES for block in code_blocks(page.read_text("utf-8"))]
+    python = [block for block in blocks if re.match(r"(#.*\n)?(import|from|try)\b", block)]
+    assert len(python) >= 6
+    for block in python:
+        ast.parse(block)
