@@ -51,6 +51,10 @@ def _forget_inspection(settings: "IRGSPP_SceneSettings", context: bpy.types.Cont
     settings.inspected = ""  # it was said of another folder
 
 
+def _is_mesh(settings: "IRGSPP_SceneSettings", thing: bpy.types.Object) -> bool:
+    return thing.type == "MESH"
+
+
 class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     """Stored in the .blend as `scene.irgspp`; what belongs to the machine is in the preferences."""
 
@@ -122,6 +126,12 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         min=0,
         max=100_000_000,
         soft_max=200_000,
+    )
+    edited_mesh: PointerProperty(
+        name="Edited Mesh",
+        description="A mesh that you edited or made anew, to bake onto. Empty: the run's own mesh",
+        type=bpy.types.Object,
+        poll=_is_mesh,
     )
 
     # Relight

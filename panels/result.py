@@ -47,12 +47,22 @@ class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
         return run_state(shown_run(context)).status == "done"
 
     def draw(self, context: bpy.types.Context) -> None:
-        settings, run = context.scene.irgspp, shown_run(context)
+        settings, edited = context.scene.irgspp, context.scene.irgspp.edited_mesh
         column = settings_column(self.layout)
         column.prop(settings, "texture_size")
-        column.prop(settings, "triangles")
+        row = column.row()
+        row.enabled = edited is None  # an edited mesh is baked as it is
+        row.prop(settings, "triangles")
+        column.prop(settings, "edited_mesh")
         button(
-            self.layout, "irgspp.bake", "Bake Textures", "TEXTURE", run=str(run), size=settings.texture_size, triangles=settings.triangles
+            self.layout,
+            "irgspp.bake",
+            "Bake",
+            "TEXTURE",
+            run=str(shown_run(context)),
+            size=settings.texture_size,
+            triangles=0 if edited else settings.triangles,
+            mesh=edited.name if edited else "",
         )
 
 

@@ -116,6 +116,14 @@ def move(x: float, y: float) -> None:
     subprocess.Popen(["xdotool", "mousemove", f"{x - 2:.0f}", f"{top - 1:.0f}", "sleep", "0.03", "mousemove", f"{x:.0f}", f"{top:.0f}"])
 
 
+def click_at(x: float, y: float) -> Iterator[float]:
+    """A real click at a place in the window."""
+    move(x, y)
+    yield 0.5
+    click_here()
+    yield 1.0
+
+
 def click_here(button: int = 1) -> None:
     subprocess.Popen(["xdotool", "mousedown", str(button), "sleep", "0.15", "mouseup", str(button)])
 

@@ -99,7 +99,7 @@ def show_result() -> Iterator[float]:
 def relight(hdri: Path) -> Iterator[float]:
     """The World as light, then turned."""
     mapping = sunset_world(hdri)
-    open_image_editor()
+    editor = open_image_editor()
     yield 1.0
     yield from frame_selected()
     yield from scroll_to_end()
@@ -109,6 +109,8 @@ def relight(hdri: Path) -> Iterator[float]:
     follower = follow.follower_of(preview.CHANNEL)
     yield from hands.wait(lambda: follower.done or follower.failed, 120)
     assert not follower.failed, follower.message
+    with hands.override(area=editor):
+        bpy.ops.image.view_all(fit_view=True)
     yield 1.0
     hands.shot("10_relit")
     mapping.inputs["Rotation"].default_value[2] = 2.0
@@ -137,18 +139,21 @@ def sunset_world(hdri: Path) -> bpy.types.Node:
     return mapping
 
 
-def open_image_editor() -> None:
+def open_image_editor() -> bpy.types.Area:
     """Beside the 3D View, in a part of its area."""
     before = {area.as_pointer() for area in hands.window().screen.areas}
     with hands.override():
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
     new = next(area for area in hands.window().screen.areas if area.as_pointer() not in before)
     new.ui_type = "IMAGE_EDITOR"
+    return new
 
 
 def see_jobs() -> Iterator[float]:
     """The list of what was done."""
-    yield from hands.click("IRGSPP_PT_jobs", across=0.3)
+    yield from scroll_to_end()
+    part = hands.region()
+    yield from hands.click_at(part.x + 60, part.y + 14)  # the last panel is closed at first; its header is the last row
     yield from scroll_to_end()
     hands.shot("12_jobs")
     hands.sidebar_shot("12_jobs_sidebar")
