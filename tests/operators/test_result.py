@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A finished run baked again and exported from Blender, with the real engine on the embedded dataset."""
+
+import json
+import shutil
+import subprocess
+
+import bpy
+import irgspp
+import numpy as np
+import pytest
+from blender_side import ENGINE, ROOT
+from engine_jobs import reconstruction
+from irgspp.irgspp_addon import jobs
+from irgspp.irgspp_addon.edited_mesh import save_edited
+from irgspp.irgspp_addon.materials import source_of
+from irgspp.irgspp_addon.ply import read_ply
+from mathutils import Matrix
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run that took seconds."""
+    run = tmp_path_factory.mktemp("finished") / "tiny"
+    command = [ENGINE, str(ROOT / "irgspp_addon" / "launch.py"), "__main__", *reconstruction(run)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    assert done.returncode == 0, done.stderr
+    return run
+
+
+@pytest.fixture
+def run(finished, tmp_path, monkeypatch):
+    """A copy of it, imported by the registered extension into an empty file."""
+    monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
+    run = shutil.copytree(finished, tmp_path / "tiny").resolve()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irgspp.register()
+    bpy.ops.irgspp.import_run(directory=str(run))
+    yield run
+    irgspp.unregister()
+
+
+def texture_size() -> int:
+    (size,) = {node.image.size[0] for node in bpy.data.materials["tiny"].node_tree.nodes if node.bl_idname == "ShaderNodeTexImage"}
+    return size
+
+
+def triangles(thing) -> int:
+    return sum(len(polygon.vertices) - 2 for polygon in thing.data.polygons)
+
+
+def test_other_size_comes_into_the_scene(run):
+    thing, blocks = bpy.data.objects["tiny"], len(bpy.data.images)
+    bpy.data.materials["tiny"].irgspp_source = "attributes"
+    assert texture_size() == 64
+    assert bpy.ops.irgspp.bake(size=32) == {"FINISHED"}  # of the active object's run
+    assert texture_size() == 32 and len(bpy.data.images) == blocks
+    assert bpy.data.objects["tiny"] == thing and source_of(thing.active_material) == "attributes"
+    assert json.loads((run / "run.json").read_text())["baked"]["texture"] == 32
+
+
+def test_fewer_triangles_as_a_job(run):
+    assert bpy.ops.irgspp.bake(run=str(run), triangles=200, wait=False) == {"FINISHED"}
+    job = jobs.wait(jobs.all_jobs()[0], timeout=300)
+    assert (job.kind, job.state, job.error) == ("bake", "done", None)
+    assert triangles(bpy.data.objects["tiny"]) <= 200
+
+
+def test_edited_object_becomes_the_result(run):
+    """Modifiers and the object's own transform come into the mesh once, the empty's not at all."""
+    thing = bpy.data.objects["tiny"]
+    thing.parent.matrix_world = Matrix.Translation((5, 0, 0)) @ Matrix.Rotation(1.0, 4, "X") @ Matrix.Scale(3, 4)
+    thing.location.z = 0.02
+    thing.modifiers.new("fewer", "DECIMATE").ratio = 0.5
+    bpy.context.view_layer.update()
+    shown = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    count, before = len(shown.data.polygons), bounds(shown)
+    assert bpy.ops.irgspp.bake(mesh="tiny") == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert triangles(thing) == count and not thing.modifiers
+    assert np.allclose(bounds(thing), before, atol=1e-4)
+    assert thing.matrix_basis == Matrix() and texture_size() == 64
+
+
+def bounds(thing) -> np.ndarray:
+    corners = np.array([thing.matrix_world @ vertex.co for vertex in thing.data.vertices])
+    return np.stack([corners.min(0), corners.max(0)])
+
+
+def test_object_made_anew_gives_the_run_its_shape(run):
+    thing = bpy.data.objects["tiny"]
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=1.2, segments=16, ring_count=8)
+    ball = bpy.context.object
+    assert bpy.ops.irgspp.bake(run=str(run), mesh=ball.name, size=64) == {"FINISHED"}
+    assert triangles(thing) == triangles(ball) == 16 * 8 * 2 - 32
+    assert ball.active_material == thing.active_material
+    assert len(ball.data.vertices) == len(thing.data.vertices)  # sewn together again
+
+
+def test_saved_mesh_is_in_the_runs_frame_and_right_side_out(run):
+    bpy.data.objects["tiny"].parent.location = (1, 2, 3)
+    bpy.ops.mesh.primitive_cube_add(size=2, location=(1, 2, 3))
+    cube = bpy.context.object
+    cube.scale.x = -2
+    elements = read_ply(save_edited(bpy.context, cube, run))
+    vertex = elements["vertex"]
+    place = np.stack([vertex[name] for name in "xyz"], -1)
+    assert np.allclose(place.min(0), (-2, -1, -1)) and np.allclose(place.max(0), (2, 1, 1))
+    corner = place[elements["face"]["vertex_indices"]]
+    facing = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    assert ((facing * corner.mean(1)).sum(-1) > 0).all()
+    normal = np.stack([vertex[name] for name in ("nx", "ny", "nz")], -1)[elements["face"]["vertex_indices"][:, 0]]
+    assert np.allclose(np.linalg.norm(normal, axis=-1), 1, atol=1e-4) and ((normal * facing).sum(-1) > 0).all()
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".ply", ".exr", ".blend"])
+def test_export(run, tmp_path, suffix):
+    target = tmp_path / f"out{suffix}"
+    assert bpy.ops.irgspp.export(run=str(run), filepath=str(target)) == {"FINISHED"}
+    assert target.stat().st_size > 1000
+
+
+def test_bad_wishes_are_told_in_words(run, tmp_path):
+    bpy.data.objects.new("nothing", None)
+    bpy.ops.object.empty_add()
+    for call, words in [
+        (lambda: bpy.ops.irgspp.bake(run=str(tmp_path)), "is not a run folder"),
+        (lambda: bpy.ops.irgspp.bake(run=str(run), mesh="none"), "no such object in the scene"),
+        (lambda: bpy.ops.irgspp.bake(run=str(run), mesh=bpy.context.object.name), "is not a mesh"),
+        (lambda: bpy.ops.irgspp.bake(run=str(run), size=3), "surface.texture"),
+        (lambda: bpy.ops.irgspp.export(run=str(run)), "no file is named"),
+        (lambda: bpy.ops.irgspp.export(run=str(run), filepath=str(tmp_path / "a.obj")), "can't export to .obj"),
+        (lambda: bpy.ops.irgspp.export(filepath=str(tmp_path / "a.glb")), "select the imported object"),
+    ]:
+        with pytest.raises(RuntimeError, match=words) as caught:
+            call()
+        assert str(caught.value).count("\n") == 1
+    shutil.rmtree(run)
+    bpy.context.view_layer.objects.active = bpy.data.objects["tiny"]
+    with pytest.raises(RuntimeError, match="it may have been moved"):
+        bpy.ops.irgspp.bake()
