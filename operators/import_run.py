@@ -59,6 +59,7 @@ class IRGSPP_OT_import_run(bpy.types.Operator):
 
 def select(context: bpy.types.Context, thing: bpy.types.Object) -> None:
     """Make the object the only selected one, where the view layer shows it."""
+    context.view_layer.update()  # from Blender 5.0 it learns only then of what was just linked
     shown = context.view_layer.objects
     for other in [other for other in shown if other.select_get(view_layer=context.view_layer)]:
         other.select_set(False, view_layer=context.view_layer)
