@@ -56,6 +56,9 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.wait = bpy.app.background
+        if self.overwrite and not self.wait:
+            words = {"title": "Reconstruct again?", "message": "The run in the folder is replaced", "confirm_text": "Replace"}
+            return context.window_manager.invoke_confirm(self, event, icon="WARNING", **words)
         return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from ..irgspp_addon import jobs
+from ..irgspp_addon import engine, jobs
 from ..irgspp_addon.job import Job
 from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -31,6 +31,7 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
             draw_guide(layout, context)
             return
         row = layout.row(align=True)
+        row.enabled = engine.status().usable
         button(row, "irgspp.inspect_dataset", "Look at It", "VIEWZOOM", directory=settings.dataset)
         button(
             row,
@@ -74,6 +75,7 @@ def draw_guide(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     say(box, context, "Relight the object with any World.", "WORLD")
     column = layout.column()
     column.scale_y = 1.3
+    column.enabled = engine.status().usable  # else the panel above says what to do
     button(column, "irgspp.demo", "Try the Demo", "MONKEY")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from ..irgspp_addon import jobs
+from ..irgspp_addon import engine, jobs
 from ..irgspp_addon.job import Job
 from .job_card import RECONSTRUCTIONS, draw_job
 from .run_state import resolved, run_state
@@ -55,12 +55,14 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
     status = run_state(settings.run_path()).status if settings.dataset else ""
     row = layout.row(align=True)
     row.scale_y = 1.5
-    row.enabled = bool(settings.dataset)
+    row.enabled = bool(settings.dataset) and engine.status().usable
     if status in STOPPED and not (job and job.resumable):  # else the job itself offers it
         button(row, "irgspp.reconstruct", "Go On", "FILE_REFRESH", resume=True)
     button(row, "irgspp.reconstruct", "Reconstruct Again" if status else "Reconstruct", "PLAY", overwrite=bool(status))
     if not settings.dataset:
         say(layout, context, "Choose photographs above first.", icon="INFO")
+    elif not engine.status().usable:
+        say(layout, context, "Set up the engine above first.", icon="INFO")
     elif status:
         say(layout, context, "Starting anew replaces the run in the folder.", icon="INFO")
 

@@ -33,7 +33,7 @@ def letters(context: bpy.types.Context, with_icon: bool = False) -> int:
     if region is None:
         return 40
     scale = context.preferences.system.ui_scale
-    return max(16, int((region.width / scale - (104 if with_icon else 78)) / LETTER))
+    return max(16, int((region.width / scale - (98 if with_icon else 72)) / LETTER))
 
 
 def button(layout: bpy.types.UILayout, operator: str, text: str | None = None, icon: str = "NONE", **properties: Any) -> None:

@@ -87,9 +87,11 @@ def drive(args: argparse.Namespace) -> int:
     if not end.exists():
         print(f"window: Blender ended or took too long; see {args.output / 'blender.log'}", file=sys.stderr)
         return 3
-    error = json.loads(end.read_text())["error"]
-    print(error or f"window: pictures in {args.output}", file=sys.stderr if error else sys.stdout)
-    return 1 if error else 0
+    told = json.loads(end.read_text())
+    print(told["error"] or f"window: pictures in {args.output}", file=sys.stderr if told["error"] else sys.stdout)
+    for name, time_taken in told["slowest"].items():
+        print(f"  slowest {name}: {time_taken}")
+    return 1 if told["error"] else 0
 
 
 if __name__ == "__main__":

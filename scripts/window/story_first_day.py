@@ -25,6 +25,7 @@ def story() -> Iterator[float]:
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
     hands.view3d().spaces[0].overlay.show_relationship_lines = False
+    time_everything()
     yield from hands.open_sidebar("IRGS++")
     yield from set_up_engine()
     yield from look_at(photographs)
@@ -33,6 +34,16 @@ def story() -> Iterator[float]:
     yield from relight(photographs / "envs" / "sunset.exr")
     yield from see_jobs()
     shutil.rmtree(work, ignore_errors=True)
+
+
+def time_everything() -> None:
+    """Every panel's drawing, every operator's start, and what looks after the jobs."""
+    for cls in sys.modules[f"{MODULE}.irgspp_addon.registration"].CLASSES:
+        for name in ("draw", "invoke"):
+            if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
+                hands.time_calls(cls, name, f"{cls.__name__}.{name}")
+    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.jobs"], "poll", "jobs.poll")
+    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.relight_follow"], "beat", "relight_follow.beat")
 
 
 def set_up_engine() -> Iterator[float]:
@@ -114,7 +125,7 @@ def relight(hdri: Path) -> Iterator[float]:
     yield 1.0
     hands.shot("10_relit")
     mapping.inputs["Rotation"].default_value[2] = 2.0
-    yield 0.5
+    yield from hands.wait(lambda: not follower.done, 10, step=0.02)
     yield from hands.wait(lambda: follower.done, 60)
     yield 1.0
     hands.shot("11_turned")

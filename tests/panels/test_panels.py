@@ -4,6 +4,7 @@
 import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import irgspp
@@ -84,6 +85,11 @@ def test_without_an_engine_the_way_to_one_stands_above_all(settings, monkeypatch
     drawn = draw(engine_panel.IRGSPP_PT_engine)
     assert "No engine: choose one" in drawn.words
     assert drawn.buttons("preferences.addon_show")[0].values["module"] == engine_panel.EXTENSION
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.demo")[0].live
+    settings.dataset = "/photographs"
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.import_dataset")[0].live
+    start = draw(reconstruct.IRGSPP_PT_reconstruct)
+    assert "Set up the engine" in start.words and not start.buttons("irgspp.reconstruct")[0].live
     monkeypatch.setattr(engine, "status", lambda: engine.Status("ok", "Engine 1"))
     assert not engine_panel.IRGSPP_PT_engine.poll(bpy.context)
 
@@ -223,3 +229,32 @@ def test_run_folder_is_beside_the_photographs(settings, tmp_path):
     assert settings.run_path() == tmp_path / "spot_irgspp"
     settings.run = str(tmp_path / "elsewhere")
     assert settings.run_path() == tmp_path / "elsewhere"
+
+
+def test_relighting_says_how_far_it_is_and_what_is_wrong(settings, run_folder, monkeypatch):
+    finished_run(run_folder)
+    settings.run = str(run_folder)
+    drawn = draw(relight.IRGSPP_PT_relight)
+    assert drawn.buttons("irgspp.relight_preview")[0].live and "world" in drawn.properties
+    assert drawn.buttons("wm.context_set_enum")[0].values == {"data_path": "scene.render.engine", "value": "IRGSPP"}
+    follower = SimpleNamespace(ended=False, failed=False, done=False, share=0.4, message="Refining, 40%")
+    monkeypatch.setattr(relight, "follower_of", lambda channel: follower)
+    drawn = draw(relight.IRGSPP_PT_relight)
+    assert ("progress", 0.4, "Refining, 40%") in drawn.drawn
+    assert drawn.buttons("irgspp.relight_stop") and not drawn.buttons("irgspp.relight_preview")
+    follower.done = True
+    assert ("progress", 1.0, "Up to date") in draw(relight.IRGSPP_PT_relight).drawn
+    follower.failed, follower.message = True, "scene Scene: has no camera"
+    assert "has no camera" in draw(relight.IRGSPP_PT_relight).words
+    follower.ended = True
+    assert draw(relight.IRGSPP_PT_relight).buttons("irgspp.relight_preview")
+    bpy.context.scene.render.engine = "IRGSPP"
+    assert "F12" in draw(relight.IRGSPP_PT_relight).words
+
+
+def test_an_edited_mesh_is_baked_as_it_is(settings, run_folder):
+    settings.run, settings.triangles = str(finished_run(run_folder)), 500
+    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["triangles"] == 500
+    settings.edited_mesh = bpy.data.objects.new("edited", bpy.data.meshes.new("edited"))
+    values = draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values
+    assert (values["mesh"], values["triangles"]) == ("edited", 0)
