@@ -142,7 +142,7 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
     from .evaluation.report import evaluate, table
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    report = evaluate(args.run, args.dataset, args.out, settings.data, terminal)
+    report = evaluate(args.run, args.dataset, args.out, settings.data, terminal, args.cycles)
     terminal.end_line()
     print(table(report))
     return 0
@@ -217,6 +217,8 @@ def parser() -> argparse.ArgumentParser:
     _run_argument(one)
     one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of posed photographs")
     one.add_argument("-o", dest="out", metavar="REPORT", type=Path, help="folder for report.html and report.json (default: RUN/evaluation)")
+    cycles = "render N of the views by Cycles too, from the exported object, and set them beside ours"
+    one.add_argument("--cycles", type=_count, default=0, metavar="N", help=cycles)
 
     one = _command(commands, "export", export, "the asset, Blender scene, Gaussians or light of a run as one file")
     _run_argument(one)
@@ -246,6 +248,13 @@ def _run_argument(one: argparse.ArgumentParser) -> None:
 
 def _set_option(one: argparse.ArgumentParser) -> None:
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change one setting; run.json lists all (repeatable)")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is no number of views")
+    return value
 
 
 def _resume_options(one: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from PIL import Image
 
 from ..datasets.dataset import View
 from . import metrics, pictures
+from .cycles import Comparison
 from .figures import Prediction
 from .truth import Truth
 
@@ -30,11 +31,18 @@ figure img { width: 100%; display: block; border-radius: 3px } figcaption { font
 """
 
 
-def page(report: dict[str, Any], views: Sequence[View], predictions: Sequence[Prediction], truths: Sequence[Truth]) -> str:
-    """The whole page, pictures inside."""
+def page(
+    report: dict[str, Any],
+    views: Sequence[View],
+    predictions: Sequence[Prediction],
+    truths: Sequence[Truth],
+    asset: Sequence[Comparison] = (),
+) -> str:
+    """The whole page, pictures inside; `asset`: what Cycles makes of the exported object."""
     scale = np.array(report["albedo_scale"] or (1.0, 1.0, 1.0))
     shown = np.unique(np.linspace(0, len(views) - 1, min(SHOWN, len(views))).round().astype(int))
-    sections = [_section(views[i].name, report["views"][views[i].name], predictions[i], truths[i], scale) for i in shown]
+    shown_views = [_section(views[i].name, report["views"][views[i].name], predictions[i], truths[i], scale) for i in shown]
+    sections = "".join([*shown_views, _asset_section(asset)])
     rows = [f"<tr><th>{escape(name)}</th><td>{metrics.shown(value)}</td></tr>" for name, value in report["figures"].items()]
     if report["albedo_scale"]:
         rows.append(f"<tr><th>albedo_scale</th><td>{' '.join(f'{s:.3f}' for s in scale)}</td></tr>")
@@ -43,7 +51,7 @@ def page(report: dict[str, Any], views: Sequence[View], predictions: Sequence[Pr
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Evaluation</title><style>{STYLE}</style>"
         f"<h1>Evaluation</h1><p>{about} PSNR in dB, angles in degrees, lengths in scene units; means over the views. "
         "Albedo is shown after the scale per channel that the figures use. Heat: dark is exact.</p>"
-        f"<table>{''.join(rows)}</table><p>{'<br>'.join(escape(line) for line in report['protocol'])}</p>{''.join(sections)}</html>\n"
+        f"<table>{''.join(rows)}</table><p>{'<br>'.join(escape(line) for line in report['protocol'])}</p>{sections}</html>\n"
     )
 
 
@@ -51,6 +59,21 @@ def _section(name: str, figures: dict[str, float], prediction: Prediction, truth
     rows = [_picture_row(prediction, truth), *_layer_rows(prediction, truth, scale), _relit_row(prediction, truth)]
     best = ", ".join(f"{key} {figures[key]:.2f}" for key in ("nvs_psnr", "radiance_psnr", "normal_mae", "albedo_psnr") if key in figures)
     return f"<h2>{escape(name)}</h2><p>{best}</p>" + "".join(f"<div class='row'>{''.join(row)}</div>" for row in rows)
+
+
+def _asset_section(asset: Sequence[Comparison]) -> str:
+    if not asset:
+        return ""
+    rows = [
+        [
+            _figure(f"{one.view} under {one.light}", _opaque(one.ours)),
+            _figure("the asset in Cycles", _opaque(one.theirs)),
+            _figure("difference, to 0.2", pictures.heat(np.abs(one.ours - one.theirs).max(-1), 0.2)),
+        ]
+        for one in asset
+    ]
+    about = "Our picture of the Gaussians beside what Blender's path tracer makes of the mesh, its textures and the same light."
+    return f"<h2>The asset in Cycles</h2><p>{about}</p>" + "".join(f"<div class='row'>{''.join(row)}</div>" for row in rows)
 
 
 def _picture_row(prediction: Prediction, truth: Truth) -> list[str]:

@@ -25,6 +25,7 @@ from ..scene.ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..stages.render import render_view
 from . import metrics
+from .cycles import compare
 from .figures import Prediction, albedo_figures, averages, view_figures
 from .page import page
 from .truth import SceneTruth, Truth, load_scene_truth, load_truth
@@ -33,13 +34,20 @@ SAMPLES, BACKEND = 64, "gaussian"  # of shaded and relit pictures
 
 
 def evaluate(
-    run: Path, dataset: Path, output: Path | None = None, settings: DataSettings | None = None, progress: Progress | None = None
+    run: Path,
+    dataset: Path,
+    output: Path | None = None,
+    settings: DataSettings | None = None,
+    progress: Progress | None = None,
+    cycles: int = 0,
 ) -> dict[str, Any]:
     """Compare a run with the test views of a dataset (its training views where it has no others).
 
     Writes `report.json` and `report.html` (self-contained) into `output`, `run/evaluation` where that is None, and returns what is in
     the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split", "protocol".
-    `settings` say how the dataset is read. Raises InputError for a folder that is no finished run, or a dataset that can't be read.
+    `settings` say how the dataset is read. So many views as `cycles` says are rendered by Cycles too, from the asset, under the lights
+    that are known (the recovered one where none is). Raises InputError for a folder that is no finished run, or a dataset that can't be
+    read; NoBlender where Cycles is asked for and there is none.
     """
     progress = progress or Silent()
     reconstruction = Reconstruction.load(run)
@@ -56,8 +64,13 @@ def evaluate(
     predictions = relit_views(relighter.scaled(scale), predictions, cameras, lights, progress)
     report = summarise(views, predictions, truths, scene)
     report["figures"] |= scene_figures(run, reconstruction, scene)
+    chosen = np.unique(np.linspace(0, len(views) - 1, min(cycles, len(views))).round().astype(int)) if cycles else []
+    known = scene.lights or {"recovered": reconstruction.environment_map()}
+    asset = compare(relighter, run, {views[i].name: cameras[i] for i in chosen}, known, progress) if cycles else []
+    report["figures"] |= averages([one.figures for one in asset], ())
+    report["cycles"] = [{"view": one.view, "light": one.light, **one.figures} for one in asset]
     report |= {"run": str(run.resolve()), "dataset": str(dataset.resolve()), "split": split, "protocol": protocol(report["albedo_scale"])}
-    _write(output or run / "evaluation", report, page(report, views, predictions, truths))
+    _write(output or run / "evaluation", report, page(report, views, predictions, truths, asset))
     return report
 
 

@@ -67,19 +67,24 @@ class MeshQuery:
 
     def _closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[Hits, torch.Tensor]:
         """Hits and their distances (K,)."""
+        triangle, u, v, distance = self.closest(origin, direction)
+        ray = np.flatnonzero(triangle >= 0)
+        share = torch.from_numpy(np.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1))
+        return self._hits(torch.from_numpy(ray), torch.from_numpy(triangle[ray]), share, direction), torch.from_numpy(distance[ray])
+
+    def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Embree's answer for rays (R, 3) and no more: triangle, -1 for none, u and v in it, distance, (R,) each."""
         origins, directions = origin.contiguous().numpy(), direction.contiguous().numpy()
         triangle = np.empty(len(origins), np.int32)
-        u, v, t = np.empty((3, len(origins)), np.float32)
+        u, v, distance = np.empty((3, len(origins)), np.float32)
 
         def run(begin: int, end: int) -> None:
             found = self._scene.run(origins[begin:end], directions[begin:end], query="INTERSECT", output=True)
-            for to, name in ((triangle, "primID"), (u, "u"), (v, "v"), (t, "tfar")):
+            for to, name in ((triangle, "primID"), (u, "u"), (v, "v"), (distance, "tfar")):
                 to[begin:end] = found[name]
 
         run_ranges(run, even_ranges(len(origins), thread_count()))
-        ray = np.flatnonzero(triangle >= 0)
-        share = torch.from_numpy(np.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1))
-        return self._hits(torch.from_numpy(ray), torch.from_numpy(triangle[ray]), share, direction), torch.from_numpy(t[ray])
+        return triangle, u, v, distance
 
     def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, share: torch.Tensor, direction: torch.Tensor) -> Hits:
         at = torch.einsum("kc,kca->ka", share, self._attributes[self._faces[triangle]])

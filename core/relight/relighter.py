@@ -65,7 +65,7 @@ class Relighter:
     def __init__(
         self, reconstruction: Reconstruction, query: SurfaceQuery, settings: RelightSettings, mesh: MeshQuery | None = None
     ) -> None:
-        self.reconstruction, self.query, self.settings, self._mesh = reconstruction, query, settings, mesh
+        self.reconstruction, self.query, self.settings, self.mesh = reconstruction, query, settings, mesh
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
         self._scale = torch.tensor(settings.albedo_scale)
         self._kept: WeakKeyDictionary[Primary, dict[int, SecondaryRays]] = WeakKeyDictionary()
@@ -76,13 +76,13 @@ class Relighter:
             return self
         r, g, b = (float(factor) for factor in albedo_scale)
         settings = dataclasses.replace(self.settings, albedo_scale=(r, g, b))
-        return Relighter(self.reconstruction, self.query, settings, self._mesh)
+        return Relighter(self.reconstruction, self.query, settings, self.mesh)
 
     def surface(self, camera: Camera) -> Primary:
         """What `camera` sees, to be lit by `relit`, once or under several lights."""
         surface = primary_surface(self.reconstruction, camera, self._scale)
-        if self._mesh is not None and self.settings.mesh_normals > 0:
-            surface = self._mesh.refined(surface, self.settings.mesh_normals)
+        if self.mesh is not None and self.settings.mesh_normals > 0:
+            surface = self.mesh.refined(surface, self.settings.mesh_normals)
         return dataclasses.replace(surface, origin=self.query.origins(surface))
 
     def relit(self, surface: Primary, light: PreparedLight) -> torch.Tensor:
