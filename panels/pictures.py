@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-import bpy.utils.previews
+import bpy.utils.previews  # pyright: ignore[reportMissingImports]
 
 LOOK_EVERY = 0.5  # seconds between looks at a file: a panel may draw sixty times in one
 

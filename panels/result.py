@@ -8,8 +8,8 @@ from pathlib import Path
 import bpy
 
 from ..irgspp_addon.materials import available_sources
-from ..irgspp_addon.ownership import KEY
-from ..irgspp_addon.scene_builder import run_of
+from ..irgspp_addon.ownership import KEY, folder_of
+from ..irgspp_addon.scene_builder import RUN, find_roots, run_of
 from .run_state import RunState, resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
@@ -140,8 +140,12 @@ def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: 
 
 
 def shown_run(context: bpy.types.Context) -> Path | None:
-    """The run of the active object, or else the one that the scene's settings name."""
-    return run_of(context.object) or resolved(context.scene.irgspp.run_path())
+    """The run of the active object, or else the one that the scene's settings name, or else the only one in the scene."""
+    run = run_of(context.object) or resolved(context.scene.irgspp.run_path())
+    if run is not None:
+        return run
+    roots = find_roots(context.scene, RUN)
+    return folder_of(roots[0]) if len(roots) == 1 else None
 
 
 def object_of_run(scene: bpy.types.Scene, run: Path) -> bpy.types.Object | None:

@@ -20,7 +20,7 @@ SETTINGS = "reflective.iterations=300 reflective.trial_iterations=60 reflective.
 
 def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
-    demo = Path(sys.modules[MODULE].__file__).parent / "core" / "demo_data"
+    demo = Path(str(sys.modules[MODULE].__file__)).parent / "core" / "demo_data"
     photographs = Path(shutil.copytree(demo, work / "monkey"))
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])

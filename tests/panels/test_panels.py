@@ -168,8 +168,10 @@ def test_the_result_is_offered_then_shown(settings, run_folder):
     for panel in (result.IRGSPP_PT_bake, result.IRGSPP_PT_export, relight.IRGSPP_PT_relight):
         assert not hasattr(panel, "poll") or panel.poll(bpy.context)
         draw(panel)
-    bpy.data.objects.remove(bpy.context.object)
-    draw(result.IRGSPP_PT_result)
+    bpy.context.view_layer.objects.active = None  # and it is the only one there is
+    assert "irgspp_source" in draw(result.IRGSPP_PT_result).properties
+    bpy.data.objects.remove(next(thing for thing in bpy.data.objects if thing.type == "MESH"))
+    assert draw(result.IRGSPP_PT_result).buttons("irgspp.import_run")[0].text == "Import Result"
 
 
 @pytest.mark.parametrize("status", ["running", "failed", "cancelled", "broken"])
