@@ -40,7 +40,7 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
         except Cancelled:
             return  # Blender keeps what was shown so far
         except IrgsppError as error:
-            self.error_set(str(error))
+            self.report({"ERROR"}, str(error))
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
         result = self.begin_result(0, 0, WHOLE, WHOLE, layer=depsgraph.view_layer.name)

@@ -106,7 +106,8 @@ def test_packed_and_relative_pictures(tmp_path, world):
 
 def test_colours_and_worlds_without_nodes(world):
     world.node_tree.links.remove(node(world, "Background").inputs["Color"].links[0])
-    node(world, "Background").inputs["Color"].default_value, node(world, "Background").inputs["Strength"].default_value = (0.2, 0.4, 0.8, 1), 3
+    node(world, "Background").inputs["Color"].default_value = (0.2, 0.4, 0.8, 1)
+    node(world, "Background").inputs["Strength"].default_value = 3
     assert np.allclose(plain_light(world).picture(4), [0.6, 1.2, 2.4])
     assert np.abs(rendered(world, 4) - [0.6, 1.2, 2.4]).max() < 1e-4
     if bpy.app.version < (5, 0, 0):
@@ -220,7 +221,7 @@ def test_a_render_that_fails_is_told(monkeypatch, tmp_path):
     broken.write_text("raise SystemExit('no light today')")
     monkeypatch.setattr(module, "CHILD", broken)
     bpy.context.scene.world = sky_world()
-    with pytest.raises(IrgsppError, match="World sky: could not be rendered .*no light today"):
+    with pytest.raises(IrgsppError, match=r"World sky: could not be rendered .*no light today"):
         world_light(bpy.context.scene.world)
 
 

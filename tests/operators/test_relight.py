@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Relighting from Blender with the real worker: the preview, F12 and `irgspp render` agree, wherever object, camera and light are turned."""
+
+import subprocess
+from math import pi
+
+import bpy
+import numpy as np
+import pytest
+from blender_side import read_picture, write_picture
+from irgspp.core.datasets.dataset import Bound
+from irgspp.core.relight.orbit import orbit
+from irgspp.core.scene.cameras import load_cameras
+from irgspp.irgspp_addon import preview, relight_follow, relight_session
+from irgspp.irgspp_addon.cameras import set_lens
+from irgspp.irgspp_addon.engine import engine_command, engine_environment
+from irgspp.irgspp_addon.run_frame import camera_of, frame_of, run_object, scene_camera
+from irgspp.irgspp_addon.scene_builder import import_run
+from irgspp.irgspp_addon.world import world_from_map
+from mathutils import Euler, Matrix
+from relighting import relightable, warm  # noqa: F401
+from sphere_run import axis_light, map_directions
+
+TURN, MOVED = 50.0, 35.0  # degrees of the World's Mapping and of the object
+
+
+@pytest.fixture
+def scene(warm, relightable, tmp_path):  # noqa: F811
+    """The sphere, seen by the camera of `irgspp render --orbit 1`, under a light with a lamp."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    import_run(relightable)
+    scene = bpy.context.scene
+    scene.world = world_from_map(write_picture(tmp_path / "lamp.exr", lamp()))
+    ((_, camera),) = orbit(1, [placed.camera for placed in load_cameras(relightable / "cameras.json")], Bound((0, 0, 0), 1.3))
+    lens = bpy.data.cameras.new("eye")
+    set_lens(lens, camera)
+    scene.camera = bpy.data.objects.new("eye", lens)
+    scene.collection.objects.link(scene.camera)
+    scene.camera.matrix_world = Matrix(camera.to_world.tolist())
+    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.image_settings.color_mode = "RGBA"
+    yield scene
+    relight_follow.stop_all()
+
+
+def lamp() -> np.ndarray:
+    """The smooth light with something bright to one side: what is turned wrongly is seen."""
+    directions = map_directions(64, 128)
+    return (axis_light(64) + 8 * np.clip(directions @ np.array([0.6, -0.64, 0.48]), 0, 1)[..., None] ** 40).astype(np.float32)
+
+
+def mapping(scene):
+    return next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeMapping")
+
+
+def previewed(run, **options) -> np.ndarray:
+    words = {"run": str(run), "eye": "camera", "samples": 64, "resolution": 64, **options}
+    assert bpy.ops.irgspp.relight_preview(**words) == {"FINISHED"}
+    return image_pixels()
+
+
+def image_pixels() -> np.ndarray:
+    image = bpy.data.images[preview.IMAGE]
+    width, height = image.size
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(height, width, 4)[::-1]
+
+
+def rendered(scene, tmp_path, name="f12") -> np.ndarray:
+    scene.render.engine = "IRGSPP"
+    scene.render.filepath = str(tmp_path / f"{name}.exr")
+    bpy.ops.render.render(write_still=True)
+    return read_picture(tmp_path / f"{name}.exr", 4)
+
+
+def by_command(run, tmp_path, light, *options) -> np.ndarray:
+    """What `irgspp render` makes of the view."""
+    words = ["render", str(run), "--orbit", "1", "-o", str(tmp_path / "views"), "--environment", str(light), "--name", "x", *options]
+    done = subprocess.run(engine_command(*words), capture_output=True, text=True, env=engine_environment(), check=False)
+    assert done.returncode == 0, done.stderr
+    return read_picture(tmp_path / "views" / "orbit_000" / "rgba_x.exr", 4)
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Mean difference, relative to the mean."""
+    return float(np.abs(a - b).mean() / b.mean())
+
+
+def move(run) -> None:
+    """Turn, shrink and shift the object and the camera with it, so that the view stays the same but for the light."""
+    step = Matrix.Translation((3, -2, 1)) @ Matrix.Rotation(np.radians(MOVED), 4, "Z") @ Matrix.Scale(0.4, 4)
+    thing = run_object(bpy.context.scene, run)
+    top = thing.parent or thing
+    top.matrix_world = step @ top.matrix_world
+    placed = step @ bpy.context.scene.camera.matrix_world
+    bpy.context.scene.camera.matrix_world = Matrix.LocRotScale(placed.to_translation(), placed.to_quaternion(), None)
+    bpy.context.view_layer.update()
+
+
+def test_a_preview_is_what_the_command_renders(scene, relightable, tmp_path):  # noqa: F811
+    """A rotated World and a moved object are, for the command, a turned light."""
+    how = ("--samples", "64", "--backend", "mesh")
+    light = tmp_path / "lamp.exr"
+    before = previewed(relightable)
+    assert difference(before, by_command(relightable, tmp_path, light, *how)) < 0.01
+    mapping(scene).inputs["Rotation"].default_value = (0, 0, np.radians(TURN))
+    turned = previewed(relightable)
+    assert difference(turned, by_command(relightable, tmp_path, light, *how, "--rotation", str(-TURN))) < 0.01
+    move(relightable)
+    moved = previewed(relightable)
+    assert difference(moved, by_command(relightable, tmp_path, light, *how, "--rotation", str(-TURN - MOVED))) < 0.01
+    assert min(difference(before, turned), difference(turned, moved)) > 0.05
+    assert difference(moved, by_command(relightable, tmp_path, light, "--rotation", str(-TURN - MOVED), "--backend", "mesh")) < 0.01  # hq
+
+
+def test_views_are_rendered_under_the_world(scene, relightable, tmp_path):  # noqa: F811
+    mapping(scene).inputs["Rotation"].default_value = (0.4, 0.2, 1.0)
+    move(relightable)
+    out = tmp_path / "out"
+    words = {"run": str(relightable), "views": "1", "output": str(out), "samples": "64", "backend": "mesh"}
+    assert bpy.ops.irgspp.render_views(**words) == {"FINISHED"}
+    assert difference(previewed(relightable), read_picture(out / "orbit_000" / "rgba_world.exr", 4)) < 0.01
+    assert bpy.ops.irgspp.render_views(**words | {"use_world": False}) == {"FINISHED"}
+    assert difference(previewed(relightable, use_world=False), read_picture(out / "orbit_000" / "rgba.exr", 4)) < 0.01
+    with pytest.raises(RuntimeError, match="no-such"):
+        bpy.ops.irgspp.render_views(**words | {"views": str(tmp_path / "no-such")})
+
+
+def test_f12_is_the_preview(scene, relightable, tmp_path):  # noqa: F811
+    scene.irgspp.relight_samples = 64
+    scene.render.film_transparent = True
+    shown = previewed(relightable)
+    whole = rendered(scene, tmp_path)
+    assert difference(whole, shown) < 1e-3
+    scene.render.film_transparent = False
+    opaque = rendered(scene, tmp_path)
+    assert np.allclose(opaque[..., 3], 1)
+    camera = scene_camera(scene, bpy.context.evaluated_depsgraph_get(), whole.shape[1], whole.shape[0], frame_of(None))
+    behind = whole[..., 3] == 0
+    from irgspp.irgspp_addon.plain_world import plain_light
+
+    assert np.allclose(opaque[behind, :3], plain_light(scene.world).radiance(camera.rays())[behind], rtol=1e-3, atol=1e-3)
+
+
+def test_border_percentage_and_pixel_aspect(scene, relightable, tmp_path):  # noqa: F811
+    scene.irgspp.relight_samples = 16
+    scene.render.film_transparent = True
+    whole = rendered(scene, tmp_path)
+    height, width = whole.shape[:2]
+    border = (0.3, 0.8, 0.1, 0.7)
+    scene.render.use_border = True
+    scene.render.border_min_x, scene.render.border_max_x, scene.render.border_min_y, scene.render.border_max_y = border
+    left, right, bottom, top = (int(f * size) for f, size in zip(border, (width, width, height, height), strict=True))
+    inside = whole[height - top : height - bottom, left:right]
+    framed = rendered(scene, tmp_path)
+    assert framed.shape == whole.shape
+    assert difference(framed[height - top : height - bottom, left:right], inside) < 0.03  # another shift of the samples
+    framed[height - top : height - bottom, left:right] = 0
+    assert not framed.any()
+    scene.render.use_crop_to_border = True
+    assert difference(rendered(scene, tmp_path), inside) < 0.03
+    scene.render.use_border, scene.render.resolution_percentage = False, 200
+    large = rendered(scene, tmp_path)
+    assert large.shape[:2] == (2 * height, 2 * width)
+    assert difference(large.mean((0, 1)), whole.mean((0, 1))) < 0.04  # splats are wider than a pixel, and few
+    scene.render.resolution_percentage, scene.render.pixel_aspect_x = 100, 2.0
+    wide = rendered(scene, tmp_path)  # the same width of the world in pixels twice as wide: half as high a part of it
+    assert wide[..., 3].sum() > 1.5 * whole[..., 3].sum()
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_cameras_come_back_as_they_were(scene, relightable, index):  # noqa: F811
+    """Intrinsics through Blender's own projection, pixels of any shape, and through the frame of a moved object."""
+    from irgspp.irgspp_addon.cameras import look_through
+
+    expected = load_cameras(relightable / "cameras.json")[index].camera
+    cameras = sorted((o for o in scene.objects if o.type == "CAMERA" and o.name != "eye"), key=lambda o: o.name[-1])
+    look_through(scene, cameras[index])
+    thing = run_object(scene, relightable)
+    thing.parent.matrix_world = Matrix.Translation((3, -2, 1)) @ Matrix.Rotation(0.6, 4, (1, 2, 3)) @ Matrix.Scale(0.4, 4)
+    bpy.context.view_layer.update()
+    frame = frame_of(thing)
+    found = frame.camera(scene_camera(scene, bpy.context.evaluated_depsgraph_get(), expected.width, expected.height, frame))
+    for name in ("fx", "fy", "cx", "cy"):
+        assert np.isclose(getattr(found, name), getattr(expected, name), atol=1e-3), name
+    assert np.allclose(found.to_world, expected.to_world, atol=1e-4)
+
+
+def test_parallel_projection_is_seen_from_far_away(scene, relightable):  # noqa: F811
+    scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 4.0
+    frame = frame_of(run_object(scene, relightable))
+    camera = scene_camera(scene, bpy.context.evaluated_depsgraph_get(), 80, 60, frame)
+    pixels, _ = camera.project(frame.centre + camera.to_world[:3, :3].T[[0, 0, 1]] * [[0.0], [1.0], [1.0]])
+    assert np.allclose(pixels[1] - pixels[0], [20, 0], atol=0.05) and np.allclose(pixels[2] - pixels[0], [0, -20], atol=0.05)
+    same = camera_of(scene.camera.matrix_world, scene.camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=80, y=60), 80, 60, frame)
+    assert np.allclose(same.to_world, camera.to_world)
+
+
+def follow_until(what, seconds=60.0):
+    import time
+
+    end = time.monotonic() + seconds
+    while not what():
+        relight_follow.beat()
+        time.sleep(0.01)
+        assert time.monotonic() < end, preview.preview_message()
+
+
+def started(scene, run, **how):
+    return preview.start_preview(scene, run, {"samples": 16, "use_world": True, **how}, 64)
+
+
+def test_the_preview_follows_world_camera_object_and_albedo(scene, relightable):  # noqa: F811
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    seen = [image_pixels()]
+
+    def changed() -> None:
+        bpy.context.view_layer.update()
+        relight_follow.beat()
+        assert not follower.done
+        follow_until(lambda: follower.done)
+        seen.append(image_pixels())
+        assert difference(seen[-1], seen[-2]) > 0.005
+
+    mapping(scene).inputs["Rotation"].default_value = (0, 0, 2.0)
+    changed()
+    scene.camera.location.z += 0.5
+    changed()
+    run_object(scene, relightable).rotation_euler = Euler((0.5, 0, pi / 2))
+    changed()
+    run_object(scene, relightable)["irgspp_albedo_scale"] = (0.5, 1.0, 1.0)
+    changed()
+    relight_follow.beat()
+    assert follower.done  # nothing changed, nothing is asked
+    assert bpy.ops.irgspp.relight_stop() == {"FINISHED"}
+    assert not preview.preview_running()
+
+
+def test_a_rendered_world_comes_later_and_the_former_light_stays_meanwhile(scene, relightable):  # noqa: F811
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    before = image_pixels()
+    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
+    background = next(node for node in nodes if node.bl_idname == "ShaderNodeBackground")
+    value = nodes.new("ShaderNodeValue")
+    value.outputs[0].default_value = 0.25
+    links.new(value.outputs[0], background.inputs["Strength"])
+    bpy.context.view_layer.update()
+    follow_until(lambda: image_pixels()[..., :3].sum() < 0.5 * before[..., :3].sum() and follower.done, 120)
+    assert difference(image_pixels()[..., :3] * 4, before[..., :3]) < 0.01
+
+
+def test_troubles_are_said_in_words(scene, relightable, tmp_path):  # noqa: F811
+    follower = started(scene, relightable)
+    texture = next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeTexEnvironment")
+    image, texture.image = texture.image, None
+    bpy.context.view_layer.update()
+    follow_until(lambda: "has no image" in follower.message)
+    assert not follower.ended
+    texture.image = image  # mended: it goes on
+    bpy.context.view_layer.update()
+    follow_until(lambda: follower.done and not follower.failed)
+    run_object(scene, relightable).scale = (1, 2, 1)
+    bpy.context.view_layer.update()
+    follow_until(lambda: "stretched" in follower.message)
+    run_object(scene, relightable).scale = (1, 1, 1)
+    bpy.data.objects.remove(run_object(scene, relightable))
+    follow_until(lambda: follower.ended)
+    assert "deleted" in follower.message and not preview.preview_running()
+    scene.render.engine = "IRGSPP"
+    with pytest.raises(RuntimeError, match=r"no reconstructed object|no object of the run"):
+        bpy.ops.render.render()
+
+
+def test_scripts_get_exceptions(scene, relightable, tmp_path, monkeypatch):  # noqa: F811
+    ask = {"run": str(relightable), "eye": "camera"}
+    with pytest.raises(RuntimeError, match="not a finished run"):
+        bpy.ops.irgspp.relight_preview(run=str(tmp_path))
+    if not [area for window in bpy.context.window_manager.windows for area in window.screen.areas if area.type == "VIEW_3D"]:
+        with pytest.raises(RuntimeError, match="no 3D View"):
+            bpy.ops.irgspp.relight_preview(run=str(relightable), eye="view")
+    camera, scene.camera = scene.camera, None
+    with pytest.raises(RuntimeError, match="has no camera"):
+        bpy.ops.irgspp.relight_preview(**ask)
+    scene.camera = camera
+    camera.data.type = "PANO"
+    with pytest.raises(RuntimeError, match="panoramic"):
+        bpy.ops.irgspp.relight_preview(**ask)
+    scene.render.engine = "IRGSPP"
+    with pytest.raises(RuntimeError, match="panoramic"):
+        bpy.ops.render.render()
+    camera.data.type = "PERSP"
+    world, scene.world = scene.world, None
+    with pytest.raises(RuntimeError, match="no World"):
+        bpy.ops.irgspp.relight_preview(**ask)
+    assert not bpy.ops.irgspp.world_to_map.poll()
+    scene.world = world
+    with pytest.raises(RuntimeError, match="no file is named"):
+        bpy.ops.irgspp.world_to_map()
+    relight_session.close_all()
+    monkeypatch.setenv("IRGSPP_PYTHON", "/no/such/python")
+    with pytest.raises(RuntimeError, match="/no/such/python"):
+        bpy.ops.irgspp.relight_preview(**ask)
+    with pytest.raises(RuntimeError, match="/no/such/python"):
+        bpy.ops.render.render()
+
+
+def test_a_worker_that_dies_ends_the_preview_and_the_next_one_has_another(scene, relightable):  # noqa: F811
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    session = relight_session.session_of(relightable)
+    session._worker.kill()
+    session._worker.wait()
+    mapping(scene).inputs["Rotation"].default_value = (0, 0, 1.0)
+    again = started(scene, relightable)
+    follow_until(lambda: again.done)
+    assert relight_session.session_of(relightable) is not session
+
+
+def test_the_world_as_a_light_map(scene, tmp_path):
+    mapping(scene).inputs["Rotation"].default_value = (0, 0, pi)
+    assert bpy.ops.irgspp.world_to_map(filepath=str(tmp_path / "map.exr"), height=64) == {"FINISHED"}
+    assert np.abs(read_picture(tmp_path / "map.exr") - np.roll(lamp(), 64, 1)).max() < 1e-4
+    with pytest.raises(RuntimeError, match=r"\.exr or \.npy"):
+        bpy.ops.irgspp.world_to_map(filepath=str(tmp_path / "map.png"))
