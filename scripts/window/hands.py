@@ -6,7 +6,6 @@ A story is a generator: each `yield SECONDS` gives the time back to Blender. Coo
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import subprocess
@@ -56,15 +55,16 @@ def time_calls(owner: object, name: str, label: str) -> None:
     """From now on note how much processor time each call of a method takes: that long Blender could not answer."""
     method, seconds = getattr(owner, name), _times.setdefault(label, [])
 
-    @functools.wraps(method)
-    def timed(*args: object, **kwargs: object) -> object:
+    def timed(*args: object) -> object:
         began = time.thread_time()
         try:
-            return method(*args, **kwargs)
+            return method(*args)
         finally:
             seconds.append(time.thread_time() - began)
 
-    setattr(owner, name, timed)
+    # Blender hands over as many arguments as the method's code says it takes.
+    takes = {0: lambda: timed(), 2: lambda self, context: timed(self, context), 3: lambda self, context, event: timed(self, context, event)}
+    setattr(owner, name, takes[method.__code__.co_argcount])
 
 
 def window() -> bpy.types.Window:

@@ -22,6 +22,7 @@ def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     demo = Path(str(sys.modules[MODULE].__file__)).parent / "core" / "demo_data"
     photographs = Path(shutil.copytree(demo, work / "monkey"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(work / "first_day.blend"))  # so that the folder can be named relative to it
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
     hands.view3d().spaces[0].overlay.show_relationship_lines = False
@@ -65,7 +66,7 @@ def set_up_engine() -> Iterator[float]:
 def look_at(photographs: Path) -> Iterator[float]:
     """What is in a folder, and its cameras in the scene."""
     settings = bpy.context.scene.irgspp
-    settings.dataset = str(photographs)
+    settings.dataset = f"//{photographs.name}"
     yield 1.0
     hands.sidebar_shot("04_chosen")
     yield from hands.click("irgspp.inspect_dataset", across=0.25)
@@ -87,7 +88,7 @@ def reconstruct(run: Path) -> Iterator[float]:
     yield from hands.click("irgspp.reconstruct")
     yield from hands.wait(lambda: jobs.running(), 30)
     job = jobs.running()[0]
-    yield from hands.wait(lambda: job.finished or (job.phase == "reflective" and job.step > 20 and job.preview), 300)
+    yield from hands.wait(lambda: job.finished or (job.phase == "reflective" and job.fraction > 0.5 and job.preview), 300)
     yield 1.0
     hands.shot("07_running")
     hands.sidebar_shot("07_running_sidebar")
@@ -104,7 +105,25 @@ def show_result() -> Iterator[float]:
     yield 40.0  # shaders are compiled
     hands.shot("09_result")
     hands.sidebar_shot("09_result_sidebar")
+    yield from look_through_a_camera()
     hands.view3d().spaces[0].shading.type = "SOLID"
+
+
+def look_through_a_camera() -> Iterator[float]:
+    """The object where it is in the photograph: before it, then with the photograph half over it."""
+    bpy.context.scene.camera = next(thing for thing in bpy.data.objects if thing.type == "CAMERA" and thing.data.background_images)
+    with hands.override():
+        bpy.ops.view3d.view_camera()
+        bpy.ops.view3d.view_center_camera()
+    background = bpy.context.scene.camera.data.background_images[0]
+    yield 3.0
+    hands.shot("09_through_camera")
+    background.display_depth, background.alpha = "FRONT", 0.5
+    yield 2.0
+    hands.shot("09_through_camera_mixed")
+    background.display_depth, background.alpha = "BACK", 1.0
+    with hands.override():
+        bpy.ops.view3d.view_persportho()
 
 
 def relight(hdri: Path) -> Iterator[float]:
