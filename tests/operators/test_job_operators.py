@@ -28,8 +28,8 @@ def extension(registry, monkeypatch):
 def counter(tmp_path):
     script = tmp_path / "counter.py"
     script.write_text(COUNTER)
-    return lambda steps=1000, kind="reconstruct", **options: jobs.start(
-        kind, "count", tmp_path / "run", [str(steps)], program=str(script), **options
+    return lambda steps=1000, kind="reconstruct", folder=tmp_path / "run", **options: jobs.start(
+        kind, "count", folder, [str(steps)], program=str(script), **options
     )
 
 
@@ -64,9 +64,10 @@ def test_reconstruct_as_a_job_with_the_panels_settings(tmp_path):
     until(lambda: job.finished)
     assert job.state == "cancelled" and not meshes()
     assert bpy.ops.irgspp.job_resume(job=job.id) == {"FINISHED"}
+    assert job.state == "running" and "--resume" in job.arguments and job.arguments[job.arguments.index("--seed") + 1] == "5"
+    until(lambda: job.phase)
+    bpy.ops.irgspp.job_cancel(job=job.id)
     until(lambda: job.finished)
-    assert (job.state, job.error) == ("done", None), job.log_tail()
-    assert "5" in job.arguments and len(meshes()) == 1  # imported by itself
     assert bpy.ops.irgspp.job_log(job=job.id) == {"FINISHED"}
     assert bpy.ops.irgspp.job_forget(job=job.id) == {"FINISHED"}
     assert jobs.all_jobs() == [] and len(bpy.context.window_manager.irgspp_jobs) == 0
@@ -102,10 +103,22 @@ def test_run_folder_beside_the_photographs(tmp_path, monkeypatch):
 def test_demo_as_a_job(tmp_path):
     assert bpy.ops.irgspp.demo(folder=str(tmp_path / "demo"), wait=False, settings=SETTINGS) == {"FINISHED"}
     (job,) = jobs.all_jobs()
-    until(lambda: job.phase == "reflective" or job.finished)
+    until(lambda: job.phase)
     assert job.state == "running", job.log_tail()
     bpy.ops.irgspp.job_cancel(job=job.id)
     until(lambda: job.finished)
+
+
+def test_result_comes_into_its_scene_by_itself(run_folder, counter):
+    """Even where the window shows another scene by then."""
+    scene = bpy.context.scene
+    job = counter(20, kind="render", folder=run_folder, on_done="import_result", data=result_import.place_of(scene, "attributes", True))
+    other = bpy.data.scenes.new("other")
+    bpy.context.window.scene = other
+    until(lambda: job.finished)
+    assert (job.state, job.error) == ("done", None)
+    assert [thing.type for thing in scene.objects].count("MESH") == 1
+    assert not other.objects[:]
 
 
 def test_result_does_not_go_into_another_file(tmp_path, counter):
