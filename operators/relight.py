@@ -143,7 +143,7 @@ class IRGSPP_OT_render_views(bpy.types.Operator):
     )
     output: StringProperty(name="Output", description="Folder; empty: `relit` in the run", subtype="DIR_PATH", options=SKIP)
     samples: StringProperty(name="Samples", description="hq, efficient or a number", default="hq", options=SKIP)
-    denoise: BoolProperty(name="Denoise", default=True, options=SKIP)
+    denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples", default=True, options=SKIP)
     backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
     use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
     wait: BoolProperty(name="Wait", default=True, options={"SKIP_SAVE", "HIDDEN"})
