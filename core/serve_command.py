@@ -236,6 +236,8 @@ def read_request(values: Any, session: Path) -> Request:
         samples, backend = values.get("samples", 32), values.get("backend", "mesh")
     except (KeyError, TypeError, ValueError) as error:
         raise InputError("request", f"can't be understood ({error!r})") from error
+    if not isinstance(samples, int | str):
+        raise InputError("request", f"samples {samples}: neither a number nor a word")
     if backend not in ("mesh", "gaussian") or len(scale) != 3 or not all(0 <= factor < float("inf") for factor in scale):
         raise InputError("request", f"backend {backend}, albedo scale {scale}: not to be had")
     from .relight.samples import sample_counts

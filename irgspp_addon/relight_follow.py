@@ -14,7 +14,7 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
+from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 
 from ..core.datasets.camera import Camera
 from ..core.errors import InputError, IrgsppError

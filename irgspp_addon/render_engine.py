@@ -166,8 +166,8 @@ class Viewport:
         """Over the whole region, in linear colour, which Blender takes through the view transform."""
         if self.picture is None:
             return
-        import gpu
-        from gpu_extras.presets import draw_texture_2d
+        import gpu  # pyright: ignore[reportMissingImports]
+        from gpu_extras.presets import draw_texture_2d  # pyright: ignore[reportMissingImports]
 
         if self.texture is None:
             height, width = self.picture.shape[:2]

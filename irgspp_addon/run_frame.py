@@ -64,7 +64,7 @@ def _active(scene: bpy.types.Scene, layer: bpy.types.ViewLayer | None) -> bpy.ty
     if layer is None:
         here = bpy.context.view_layer
         layer = here if here is not None and bpy.context.scene == scene else scene.view_layers[0]
-    active = layer.objects.active
+    active = layer.objects.active if layer is not None else None
     return active.original if active is not None else None
 
 
@@ -84,7 +84,7 @@ def frame_of(thing: bpy.types.Object | None) -> Frame:
 
 def albedo_scale(thing: bpy.types.Object | None) -> tuple[float, float, float]:
     """Factors of the albedo that a person gave the run's mesh as custom property; one number stands for all three."""
-    given = 1.0 if thing is None else thing.get(ALBEDO_SCALE, 1.0)
+    given: Any = 1.0 if thing is None else thing.get(ALBEDO_SCALE, 1.0)
     factors = tuple(max(0.0, float(x)) for x in given) if hasattr(given, "__len__") else (max(0.0, float(given)),) * 3
     if len(factors) != 3:
         raise InputError(f"{thing.name if thing else ''}: {ALBEDO_SCALE}", "is not one factor or three")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relighting from Blender with the real worker: the preview, F12 and `irgspp render` agree, wherever object, camera and light are turned."""
+"""Relighting from Blender with the real worker: preview, F12 and `irgspp render` agree, wherever object, camera and light are turned."""
 
 import subprocess
 from math import pi
@@ -194,7 +194,8 @@ def test_parallel_projection_is_seen_from_far_away(scene, relightable):  # noqa:
     camera = scene_camera(scene, bpy.context.evaluated_depsgraph_get(), 80, 60, frame)
     pixels, _ = camera.project(frame.centre + camera.to_world[:3, :3].T[[0, 0, 1]] * [[0.0], [1.0], [1.0]])
     assert np.allclose(pixels[1] - pixels[0], [20, 0], atol=0.05) and np.allclose(pixels[2] - pixels[0], [0, -20], atol=0.05)
-    same = camera_of(scene.camera.matrix_world, scene.camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=80, y=60), 80, 60, frame)
+    projection = scene.camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=80, y=60)
+    same = camera_of(scene.camera.matrix_world, projection, 80, 60, frame)
     assert np.allclose(same.to_world, camera.to_world)
 
 
