@@ -298,7 +298,7 @@ second = jobs.start("render", "other's second", None, ["3"], program=sys.argv[4]
 while first.step < 3:
     jobs.poll()
     time.sleep(0.02)
-print(first.id, second.id, flush=True)
+print("ids", first.id, second.id, flush=True)
 sys.stdin.readline()
 """
 
@@ -315,7 +315,8 @@ def other_blender(tmp_path, registry):
         words = [sys.executable, "-c", OTHER, str(ROOT), str(registry), keep, str(script)]
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(process)
-        return process, process.stdout.readline().split()
+        ids = next(line.split()[1:] for line in iter(process.stdout.readline, "") if line.startswith("ids "))  # Blender may print of its own
+        return process, ids
 
     yield start
     for process in started:
