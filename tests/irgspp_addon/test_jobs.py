@@ -315,7 +315,7 @@ def other_blender(tmp_path, registry):
         words = [sys.executable, "-c", OTHER, str(ROOT), str(registry), keep, str(script)]
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(process)
-        ids = next(line.split()[1:] for line in iter(process.stdout.readline, "") if line.startswith("ids "))  # Blender may print of its own
+        ids = next(line.split()[1:] for line in iter(process.stdout.readline, "") if line.startswith("ids "))
         return process, ids
 
     yield start
