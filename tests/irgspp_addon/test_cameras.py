@@ -23,7 +23,7 @@ def test_points_fall_on_the_same_pixel(run_folder, index):
     expected, depth = camera.project(points)
     for point, pixel, z in zip(points, expected, depth, strict=True):
         x, y, away = world_to_camera_view(scene, placed, Vector(point))
-        assert np.allclose((x * camera.width, (1 - y) * camera.height), pixel, atol=0.01)
+        assert np.allclose((x * camera.width, (1 - y) * camera.height), pixel, atol=1e-3)
         assert away == pytest.approx(z, abs=1e-4)
 
 
