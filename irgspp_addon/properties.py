@@ -9,6 +9,9 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+# From Blender 4.5 on a property must say that it understands paths that begin with the .blend's folder, `//`.
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+
 UP_AXES = [
     ("AS_IS", "As It Is", "Upright as the engine found it", 0),
     ("Y_UP", "+Y Up", "The dataset's Y axis becomes Blender's Z", 1),
@@ -63,6 +66,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         name="Photographs",
         description="Folder of photographs with known cameras: transforms.json (NeRF, instant-ngp, nerfstudio) or a COLMAP model",
         subtype="DIR_PATH",
+        options=RELATIVE,
         update=_forget_inspection,
     )
     inspected: StringProperty(description="What was understood of the dataset, as JSON", options={"HIDDEN"})
@@ -87,6 +91,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         name="Run Folder",
         description="Folder that the reconstruction writes. Empty: beside the photographs, named like them with _irgspp",
         subtype="DIR_PATH",
+        options=RELATIVE,
     )
     preset: EnumProperty(name="Preset", description="How much work is done", items=PRESETS, default="balanced")
     materials: EnumProperty(name="Material", description="What the object is made of", items=MATERIALS, default="auto")

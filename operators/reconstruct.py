@@ -84,8 +84,8 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         if not given("settings"):
             self.settings = panel.overrides
         if not given("dataset"):
-            self.dataset = panel.dataset
-            self.run = self.run if given("run") else panel.run
+            self.dataset = str(panel.dataset_path() or "")
+            self.run = self.run if given("run") else bpy.path.abspath(panel.run)
 
     def _start(self, scene: bpy.types.Scene) -> Job:
         if not self.dataset:

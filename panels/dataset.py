@@ -30,15 +30,16 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
         if not settings.dataset:
             draw_guide(layout, context)
             return
+        folder = str(settings.dataset_path())
         row = layout.row(align=True)
         row.enabled = engine.status().usable
-        button(row, "irgspp.inspect_dataset", "Look at It", "VIEWZOOM", directory=settings.dataset)
+        button(row, "irgspp.inspect_dataset", "Look at It", "VIEWZOOM", directory=folder)
         button(
             row,
             "irgspp.import_dataset",
             "Import Cameras",
             "CAMERA_DATA",
-            directory=settings.dataset,
+            directory=folder,
             up_axis=settings.up_axis,
             scale=settings.scale,
             recentre=settings.recentre,
