@@ -14,6 +14,7 @@ from ..operators import jobs as job_operators
 from ..operators import relight as relight_operators
 from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
+from ..operators.look_through import IRGSPP_OT_look_through
 from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
 from . import job_timer, jobs, materials, properties, relight_follow, relight_session, render_engine
 from .engine import run_engine
@@ -34,6 +35,7 @@ CLASSES = (
     job_operators.IRGSPP_OT_job_forget,
     job_operators.IRGSPP_OT_job_log,
     IRGSPP_OT_import_run,
+    IRGSPP_OT_look_through,
     *import_dataset.CLASSES,
     *result_operators.CLASSES,
     *relight_operators.CLASSES,

@@ -12,6 +12,7 @@ import bpy
 
 from ..irgspp_addon import engine, jobs
 from ..irgspp_addon.job import Job
+from ..operators.look_through import is_imported
 from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
 
@@ -48,6 +49,8 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
         )
         draw_look(layout, context, last_look(settings.dataset_path()))
         draw_found(layout, context, settings.inspected)
+        if is_imported(context.object):
+            button(layout, "irgspp.look_through", f"Look Through {context.object.name}", "VIEW_CAMERA", camera=context.object.name)
 
 
 class IRGSPP_PT_import_options(SidebarPanel, bpy.types.Panel):

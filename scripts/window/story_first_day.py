@@ -111,10 +111,10 @@ def show_result() -> Iterator[float]:
 
 def look_through_a_camera() -> Iterator[float]:
     """The object where it is in the photograph: before it, then with the photograph half over it."""
-    bpy.context.scene.camera = next(thing for thing in bpy.data.objects if thing.type == "CAMERA" and thing.data.background_images)
-    with hands.override():
-        bpy.ops.view3d.view_camera()
-        bpy.ops.view3d.view_center_camera()
+    photographed = [thing for thing in bpy.context.scene.objects if thing.type == "CAMERA" and thing.data.background_images]
+    bpy.context.view_layer.objects.active = photographed[-1]
+    yield 1.0
+    yield from hands.click("irgspp.look_through")
     background = bpy.context.scene.camera.data.background_images[0]
     yield 3.0
     hands.shot("09_through_camera")
@@ -122,8 +122,8 @@ def look_through_a_camera() -> Iterator[float]:
     yield 2.0
     hands.shot("09_through_camera_mixed")
     background.display_depth, background.alpha = "BACK", 1.0
-    with hands.override():
-        bpy.ops.view3d.view_persportho()
+    hands.view3d().spaces[0].region_3d.view_perspective = "PERSP"
+    bpy.context.view_layer.objects.active = next(thing for thing in bpy.context.selected_objects)
 
 
 def relight(hdri: Path) -> Iterator[float]:

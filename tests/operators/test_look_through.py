@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Looking through an imported camera gives the scene its picture's size."""
+
+import bpy
+import irgspp
+import pytest
+from irgspp.panels import dataset
+from recording_layout import draw
+
+
+@pytest.fixture
+def extension():
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irgspp.register()
+    yield
+    irgspp.unregister()
+
+
+def test_scene_takes_over_camera_and_size(extension, run_folder):
+    bpy.ops.irgspp.import_run(directory=str(run_folder))
+    bpy.context.scene.irgspp.dataset = str(run_folder)
+    cameras = [thing for thing in bpy.context.scene.objects if thing.type == "CAMERA"]
+    assert len({(camera.data["width"], camera.data["height"]) for camera in cameras}) > 1
+    for camera in cameras:
+        assert bpy.ops.irgspp.look_through(camera=camera.name) == {"FINISHED"}
+        render = bpy.context.scene.render
+        assert bpy.context.scene.camera == camera
+        assert (render.resolution_x, render.resolution_y) == (camera.data["width"], camera.data["height"])
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.look_through")  # the mesh is active
+    bpy.context.view_layer.objects.active = cameras[0]
+    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.look_through")[0].values == {"camera": cameras[0].name}
+    assert bpy.ops.irgspp.look_through() == {"FINISHED"} and bpy.context.scene.camera == cameras[0]
+
+
+def test_other_objects_are_refused(extension):
+    thing = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
+    bpy.context.scene.collection.objects.link(thing)
+    for name in ("mine", "nobody", ""):
+        with pytest.raises(RuntimeError, match="is no camera of an imported"):
+            bpy.ops.irgspp.look_through(camera=name)
+    assert bpy.context.scene.camera is None
