@@ -122,7 +122,7 @@ def reason(said: list) -> str:
     """pip's first error, or what it says of versions that don't go together, which is also how it tells of missing ones."""
     conflict = [line for line in said if " depends on " in line or "(constraint)" in line]
     if conflict:
-        return "no packages go together: " + ", ".join(conflict[:4])
+        return "these can't be had together, or not at all: " + ", ".join(conflict[:4])
     errors = [line.removeprefix("ERROR: ") for line in said if line.startswith("ERROR: ")]
     return (errors or said[-1:] or [""])[0].strip()
 

@@ -22,7 +22,7 @@ def mount(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    if sys.version_info < (3, 11):
+    if sys.version_info < (3, 11):  # noqa: UP036 (read by whatever Python was chosen)
         print(f"irgspp: this is Python {sys.version_info[0]}.{sys.version_info[1]}, 3.11 or newer is needed", file=sys.stderr)
         sys.exit(2)
     if Path(sys.argv[0]).name != Path(__file__).name:  # a Blender runs this, and left its own words here
