@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import bpy
 
 from . import engine, jobs, managed_engine
 
+LETTERS = 60  # on a line of the preferences, which are not wide
 ICONS = {"ok": "CHECKMARK", "unknown": "QUESTION", "missing": "ERROR", "broken": "ERROR", "version": "ERROR"}
 
 
@@ -19,9 +22,10 @@ def draw_preferences(chosen: bpy.types.AddonPreferences, layout: bpy.types.UILay
     elif chosen.engine_kind == "MANAGED":
         _draw_managed(chosen, layout)
     found = engine.status()
-    row = layout.row()
-    row.label(text=found.text, icon=ICONS[found.state])
-    row.operator("irgspp.check_engine", text="Check", icon="FILE_REFRESH")
+    column = layout.column(align=True)
+    for number, line in enumerate(textwrap.wrap(found.text, LETTERS)):
+        column.label(text=line, icon=ICONS[found.state] if number == 0 else "BLANK1")
+    layout.operator("irgspp.check_engine", text="Check", icon="FILE_REFRESH")
     layout.prop(chosen, "keep_running")
 
 

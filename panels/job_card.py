@@ -8,6 +8,7 @@ import bpy
 from ..irgspp_addon.job import Job
 from .phases import phase_in_words
 from .pictures import picture
+from .run_state import run_state
 from .sidebar import button, say, seconds_in_words
 
 ICONS = {"queued": "TIME", "running": "PLAY", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "X", "lost": "QUESTION"}
@@ -64,9 +65,14 @@ def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) 
     if text := figures_text(job):
         layout.label(text=text)
     row = layout.row(align=True)
-    if job.resumable:
+    if can_go_on(job):
         button(row, "irgspp.job_resume", "Go On", "FILE_REFRESH", job=job.id)
     button(row, "irgspp.job_log", "Open Log", "TEXT", job=job.id)
+
+
+def can_go_on(job: Job) -> bool:
+    """True where a stopped job has left a run to go on with; one that was refused for its settings has not."""
+    return job.resumable and run_state(job.folder).status not in ("", "done")
 
 
 def progress_text(job: Job) -> str:

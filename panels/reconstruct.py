@@ -10,7 +10,7 @@ import bpy
 
 from ..irgspp_addon import engine, jobs
 from ..irgspp_addon.job import Job
-from .job_card import RECONSTRUCTIONS, draw_job
+from .job_card import RECONSTRUCTIONS, can_go_on, draw_job
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
@@ -56,7 +56,7 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
     row = layout.row(align=True)
     row.scale_y = 1.5
     row.enabled = bool(settings.dataset) and engine.status().usable
-    if status in STOPPED and not (job and job.resumable):  # else the job itself offers it
+    if status in STOPPED and not (job and can_go_on(job)):  # else the job itself offers it
         button(row, "irgspp.reconstruct", "Go On", "FILE_REFRESH", resume=True)
     button(row, "irgspp.reconstruct", "Reconstruct Again" if status else "Reconstruct", "PLAY", overwrite=bool(status))
     if not settings.dataset:

@@ -142,6 +142,11 @@ def test_a_stopped_reconstruction_can_go_on(settings, tmp_path, state):
     assert "after 1:05 min" in drawn.words and "disk full" in drawn.words
     assert drawn.buttons("irgspp.job_resume")[0].values == drawn.buttons("irgspp.job_log")[0].values == {"job": "j1"}
     assert [button.values for button in drawn.buttons("irgspp.reconstruct")] == [{"overwrite": True}]
+    (tmp_path / "run.json").unlink()  # refused before anything was done
+    run_state._known.clear()
+    assert not draw(reconstruct.IRGSPP_PT_reconstruct).buttons("irgspp.job_resume")
+    finished_run(tmp_path, status="failed")
+    run_state._known.clear()
     jobs.clear()  # started elsewhere: the folder alone says it
     assert {"resume": True} in [button.values for button in draw(reconstruct.IRGSPP_PT_reconstruct).buttons("irgspp.reconstruct")]
 
