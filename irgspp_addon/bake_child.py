@@ -38,6 +38,7 @@ def bake(blend: str, target: str, rows: int, frame: int) -> None:
         pixels = np.empty(rows * 2 * rows * image.channels, np.float32)
         image.pixels.foreach_get(pixels)
     texels = pixels.reshape(rows, 2 * rows, -1)[::-1, :, :3]
+    texels = np.ascontiguousarray(np.maximum(np.nan_to_num(texels, nan=0.0, posinf=0.0), 0))  # light is finite and >= 0
     partial = target + ".part.npy"
     np.save(partial, texels)
     os.replace(partial, target)

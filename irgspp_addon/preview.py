@@ -129,6 +129,10 @@ def show_image(context: bpy.types.Context) -> None:
                 area.spaces.active.image = image
                 return
     bpy.ops.wm.window_new()
-    area = context.window_manager.windows[-1].screen.areas[0]
+    window = context.window_manager.windows[-1]
+    area = window.screen.areas[0]
     area.ui_type = "IMAGE_EDITOR"
     area.spaces.active.image = image
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    with context.temp_override(window=window, area=area, region=region):
+        bpy.ops.image.view_all(fit_view=True)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import atexit
-import hashlib
 import json
 import os
 import shutil
@@ -67,6 +66,7 @@ class Session:
         self._folder = Path(tempfile.mkdtemp(prefix="irgspp-relight-"))
         self._numbers: dict[str, int] = {}
         self._shown: dict[str, str] = {}  # channel -> the answer read last
+        self._written = 0
         self._lights: dict[str, np.ndarray] = {}  # file -> texels, which keeps their id
         self._log = self._folder / "log.txt"
         command = engine_command("serve", str(run), "--session", str(self._folder))
@@ -188,15 +188,15 @@ class Session:
         for name, kept in self._lights.items():
             if kept is texels:
                 return name
-        name = f"light-{hashlib.sha1(texels.tobytes()).hexdigest()[:16]}.npy"
+        self._written += 1  # a name stands for what it holds, so none is used twice
+        name = f"light-{self._written}.npy"
         partial = self._folder / f".{name}.part.npy"
         try:
             np.save(partial, texels)
             os.replace(partial, self._folder / name)
             for old in list(self._lights)[: max(0, len(self._lights) - 3)]:
                 del self._lights[old]
-                if old != name:
-                    (self._folder / old).unlink(missing_ok=True)
+                (self._folder / old).unlink(missing_ok=True)
         except OSError as error:
             raise IrgsppError(f"{self._folder}: the light can't be written ({error.strerror})") from error
         self._lights[name] = texels

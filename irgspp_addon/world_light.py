@@ -76,7 +76,7 @@ class WorldBake:
         if status or not self._map.is_file():
             lines = self._log.read_text(errors="replace").strip().splitlines()
             raise IrgsppError(f"World {self._name}: could not be rendered ({lines[-1] if lines else f'status {status}'})")
-        light = LightMap(np.maximum(np.nan_to_num(np.load(self._map), nan=0.0, posinf=0.0), 0))
+        light = LightMap(np.load(self._map))
         while len(_rendered) >= 4:
             del _rendered[next(iter(_rendered))]
         _rendered[self._key] = light
