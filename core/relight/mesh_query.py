@@ -56,12 +56,14 @@ class MeshQuery:
         return self._closest(origin, direction)[0]
 
     def _seen(self, surface: Primary) -> tuple[torch.Tensor, Hits, torch.Tensor]:
-        """Which of a view's pixels see the mesh where the Gaussians are, (K,), what they see there, and its distance (K,)."""
+        """Which of a view's pixels see the mesh where the Gaussians are or before, (K,), what they see there, and its distance (K,).
+
+        Before: along a silhouette that has something behind it a pixel's mean depth lies between both, often inside what is in front.
+        """
         direction = -surface.view
         origin = _centre(surface).expand_as(direction)
         hits, distance = self._closest(origin, direction)
-        gap = (origin[hits.ray] + distance[:, None] * direction[hits.ray] - surface.point[hits.ray]).norm(dim=1)
-        near = gap < NEAR * self._radius
+        near = distance < (surface.point[hits.ray] - origin[hits.ray]).norm(dim=1) + NEAR * self._radius
         chosen = Hits(*(getattr(hits, field.name)[near] for field in dataclasses.fields(hits)))
         return chosen.ray, chosen, distance[near]
 

@@ -71,6 +71,17 @@ def test_shadow_and_indirect_light(relighter, camera):
     assert shadowed[rows, column, 1].mean() < 0.8 * alone[rows, column, 1].mean()
 
 
+def test_rays_start_on_the_mesh_where_a_pixel_s_mean_depth_lies_inside_it(relighter, camera):
+    """As along a silhouette that has something behind it; where the mesh lies far behind, a floating bit is lit where it is."""
+    one = relighter("mesh", balls=BALL)
+    surface = one.surface(camera)
+    steep = (surface.normal * surface.view).sum(-1) > 0.5
+    for shift, on_ball in ((-0.5, True), (0.5, False)):
+        moved = dataclasses.replace(surface, point=surface.point + shift * surface.view)
+        height = one.query.origins(moved).norm(dim=1)[steep] - 1
+        assert (height > 0).all() and ((height < 0.02).all() == on_ball)
+
+
 def test_same_picture_twice_bit_by_bit(relighter, camera):
     light = prepare(sunset_light(32, 64))
     first, second = (relighter("gaussian", samples="efficient") for _ in range(2))
