@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -102,12 +101,15 @@ def fitted_albedo(
     return albedo
 
 
-def either_metal_or_not(gaussians: Gaussians) -> Gaussians:
-    """Each disk all metal or none of it, as most of those around it are: what lies between explains errors of normals, not a material."""
+def either_metal_or_not(gaussians: Gaussians) -> torch.Tensor:
+    """(5, N) logits of materials: each disk all metal or none of it, as most of those around it are.
+
+    What lies between explains errors of normals, not a material.
+    """
     materials, position = gaussians.materials().detach(), gaussians.position.detach().T
     metallic = medians(position, materials[METALLIC, :, None])[:, 0] > METAL
     materials = torch.cat([materials[:METALLIC], metallic[None].float().clamp(EDGE, 1 - EDGE)])
-    return replace(gaussians, material=torch.logit(materials))
+    return torch.logit(materials)
 
 
 def medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:

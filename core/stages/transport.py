@@ -83,7 +83,7 @@ def refined(
         return told_apart
     starts = [told_apart]
     if first.glossy and float(separation.metallic.mean()) > MOSTLY_METAL:
-        starts.append(replace(first, gaussians=either_metal_or_not(first.gaussians)))
+        starts.append(first.relabelled(either_metal_or_not(first.gaussians), first.environment))
     trials = [Refinement(start, pool, tracer, settings.transport, settings.seed) for start in starts]
     before = [trial.test() for trial in trials]
     best = int(np.argmax(before))
