@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from irgspp.core import pipeline, rendered_views
+from irgspp.core.blender import NoBlender
 from irgspp.core.config import Settings
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
-from irgspp.core.blender import NoBlender
 from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.rendered_views import RenderedViews
