@@ -39,7 +39,8 @@ class Filter:
         return np.outer(bell, bell).astype(np.float32)
 
 
-PICTURE, DIFFUSE, SPECULAR = Filter(2, 7), Filter(2, 5), Filter(1.5, 7)  # diffuse light varies slowly over the surface
+PICTURE = DIFFUSE = Filter(2, 7)
+SPECULAR = Filter(1.5, 7)
 CHANCE = 2.0  # relative error of diffuse light from few samples that agree by chance, times their number
 
 

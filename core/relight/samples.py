@@ -8,7 +8,8 @@ import torch
 from ..errors import InputError
 
 Counts = tuple[int, int, int]  # cosine, GGX visible normals, light map
-MATT, GLOSSY = (2, 1, 1), (1, 4, 3)  # in what proportion; metal has no diffuse lobe for cosine samples to find
+# In what proportion. What is not hidden is known without sampling (estimate.py), so most samples look for the shadows of what is bright.
+MATT, GLOSSY = (1, 1, 2), (1, 4, 3)  # metal has no diffuse lobe for cosine samples to find
 HQ, EFFICIENT, EFFICIENT_GLOSSY = 512, 32, 16  # altogether; light comes to a glossy object from few directions, and fewer do
 MOST = 1 << 16
 

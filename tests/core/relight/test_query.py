@@ -90,6 +90,6 @@ def test_mesh_normals_are_averaged_with_those_of_the_gaussians(relighter, camera
 
 def test_run_without_a_mesh(relighter, tmp_path):
     scene = relighter("gaussian").reconstruction
-    assert open_relighter(tmp_path, scene, "gaussian", RelightSettings()).counts == (256, 128, 128)
+    assert open_relighter(tmp_path, scene, "gaussian", RelightSettings()).counts == (128, 128, 256)
     with pytest.raises(InputError, match=r"mesh\.ply.*--backend mesh.*--resume"):
         open_relighter(tmp_path, scene, "mesh", RelightSettings())

@@ -112,7 +112,7 @@ def test_rays_are_kept_for_the_next_light_and_let_go_with_the_surface(relighter,
     for _ in range(2):
         one.relit(surface, light)
     first, second = sum(asked[: len(asked) - 1]), asked[-1]  # cosine and visible normals once, light samples each time
-    assert 0 < second < 0.3 * first
+    assert 0 < second < 0.6 * first
     assert len(one._kept) == 1
     del surface
     assert len(one._kept) == 0
@@ -178,7 +178,7 @@ def test_cameras_that_see_nothing_and_cameras_inside(relighter, camera, backend)
 
 
 def test_efficient_takes_fewer_samples_where_most_is_metal(relighter):
-    assert relighter("gaussian", samples="efficient").counts == (16, 8, 8)
+    assert relighter("gaussian", samples="efficient").counts == (8, 8, 16)
     assert relighter("gaussian", (0.9, 0.9, 0.9, 0.3, 1.0), samples="efficient").counts == (2, 8, 6)
 
 

@@ -10,12 +10,12 @@ from irgspp.core.relight.samples import pixel_shifts, sample_counts
 @pytest.mark.parametrize(
     ("samples", "glossy", "counts"),
     [
-        ("hq", False, (256, 128, 128)),
+        ("hq", False, (128, 128, 256)),
         ("hq", True, (64, 256, 192)),
-        ("efficient", False, (16, 8, 8)),
+        ("efficient", False, (8, 8, 16)),
         ("efficient", True, (2, 8, 6)),
-        ("64", False, (32, 16, 16)),
-        (30, False, (16, 7, 7)),
+        ("64", False, (16, 16, 32)),
+        (30, False, (8, 7, 15)),
         (30, True, (4, 15, 11)),
         (1, False, (1, 0, 0)),
     ],
