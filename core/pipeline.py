@@ -24,7 +24,7 @@ from .export import write_blend
 from .journal import Journal
 from .memory import peak_memory, reset_peak_memory
 from .progress import Progress, Silent
-from .relight.backends import open_relighter
+from .relight.backends import best_backend, open_relighter
 from .relight.relighter import RelightSettings
 from .rendered_views import RenderedViews
 from .run_folder import RunFolder, check_claim
@@ -136,7 +136,8 @@ class Job:
         """One picture that shows what came out, and how well the test views are met."""
         if self.data.test:
             self.folder.state["training"]["test_radiance_psnr"] = round(radiance_psnr(self.reconstruction, self.data.test), 3)
-        relighter = open_relighter(self.folder.path, self.reconstruction, "gaussian", RelightSettings(samples=SHEET_SAMPLES))
+        backend, how = best_backend(self.folder.path), RelightSettings(samples=SHEET_SAMPLES)
+        relighter = open_relighter(self.folder.path, self.reconstruction, backend, how)
         contact_sheet(self.data, relighter, self.folder.path / "contact_sheet.png", self.progress)
 
     # What the phases left on disk: read back even right after it, so that a resumed run goes on from the very same numbers.

@@ -24,7 +24,7 @@ LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
     """Views of a run as picture files."""
-    from .relight.backends import open_relighter
+    from .relight.backends import best_backend, open_relighter
     from .relight.relighter import RelightSettings
     from .rendering import load_light, render_views
     from .scene.reconstruction import Reconstruction
@@ -40,7 +40,7 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
         conserving=args.diffuse == "conserving",
         albedo_scale=tuple(args.albedo_scale),
     )
-    relighter = open_relighter(args.run, reconstruction, args.backend, how)
+    relighter = open_relighter(args.run, reconstruction, args.backend or best_backend(args.run), how)
     cameras = _cameras(args, settings.data, reconstruction)
     render_views(relighter, cameras, args.out, terminal, layers=args.layers, lights=lights)
     terminal.end_line()
@@ -99,7 +99,8 @@ def _light_options(one: argparse.ArgumentParser) -> None:
 
 def _relight_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
-    one.add_argument("--backend", choices=("gaussian", "mesh"), default="gaussian", help="what shadows and reflections are traced on")
+    backend = "what shadows and reflections are traced on (default: mesh where the run has one)"
+    one.add_argument("--backend", choices=("mesh", "gaussian"), help=backend)
     one.add_argument("--sampling", choices=("mis", "stratified"), default="mis", help="default: mis, which needs far fewer samples")
     one.add_argument("--denoiser", choices=("demodulated", "paper"), default="demodulated", help="filter light (default) or the picture")
     one.add_argument("--no-denoise", action="store_true", help="leave the noise in")

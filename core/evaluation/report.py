@@ -18,7 +18,7 @@ from ..datasets.dataset import View
 from ..datasets.load import load_dataset
 from ..errors import Cancelled, InputError
 from ..progress import Progress, Silent
-from ..relight.backends import open_relighter
+from ..relight.backends import best_backend, open_relighter
 from ..relight.lighting import prepare
 from ..relight.relighter import Relighter, RelightSettings
 from ..scene.ply import load_mesh_ply
@@ -30,7 +30,7 @@ from .figures import Prediction, albedo_figures, averages, view_figures
 from .page import page
 from .truth import SceneTruth, Truth, load_scene_truth, load_truth
 
-SAMPLES, BACKEND = 64, "gaussian"  # of shaded and relit pictures
+SAMPLES = 64  # of shaded and relit pictures
 
 
 def evaluate(
@@ -57,7 +57,8 @@ def evaluate(
     same = reconstruction.to_world @ np.linalg.inv(data.to_world)  # read on its own, a dataset may be placed otherwise
     cameras = [view.camera.moved(same) for view in views]
     truths = [load_truth(view, scene, reconstruction.to_world) for view in views]
-    relighter = open_relighter(run, reconstruction, BACKEND, RelightSettings(samples=SAMPLES))
+    backend = best_backend(run)
+    relighter = open_relighter(run, reconstruction, backend, RelightSettings(samples=SAMPLES))
     predictions = shaded_views(relighter, cameras, progress)
     _, scale = albedo_figures(predictions, truths)
     lights = [{name: scene.lights[name] for name in truth.relit} for truth in truths]
@@ -69,7 +70,8 @@ def evaluate(
     asset = compare(relighter, run, {views[i].name: cameras[i] for i in chosen}, known, progress) if cycles else []
     report["figures"] |= averages([one.figures for one in asset], ())
     report["cycles"] = [{"view": one.view, "light": one.light, **one.figures} for one in asset]
-    report |= {"run": str(run.resolve()), "dataset": str(dataset.resolve()), "split": split, "protocol": protocol(report["albedo_scale"])}
+    report |= {"run": str(run.resolve()), "dataset": str(dataset.resolve()), "split": split}
+    report["protocol"] = protocol(report["albedo_scale"], backend)
     _write(output or run / "evaluation", report, page(report, views, predictions, truths, asset))
     return report
 
@@ -111,13 +113,13 @@ def _stepped(progress: Progress, done: int, of: int) -> None:
         raise Cancelled(f"stopped after {done} of {of} views")
 
 
-def protocol(scale: Sequence[float] | None) -> list[str]:
+def protocol(scale: Sequence[float] | None, backend: str) -> list[str]:
     """How the figures were made, a line each: published ones differ in this and can't be compared otherwise."""
     factors = "as estimated (no true albedo is known)" if scale is None else "times " + " ".join(f"{s:.4f}" for s in scale)
     fitted = "" if scale is None else ", the median of true / estimated albedo per channel over all views"
     return [
         "Pictures: sRGB-encoded, clipped to 0..1, on black by their own alpha; means over the views, then over the lights.",
-        f"Shaded and relit pictures: {SAMPLES} samples per pixel, {BACKEND} backend, denoised.",
+        f"Shaded and relit pictures: {SAMPLES} samples per pixel, {backend} backend, denoised.",
         f"Relit pictures: albedo {factors}{fitted}. Pictures under the recovered light: albedo as estimated.",
         "Albedo: linear, times the true alpha, after that scale.",
         "Environment: on the true map's grid, one least-squares scale per channel weighted by solid angle, sRGB-encoded, clipped to 0..1; "

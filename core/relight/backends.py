@@ -16,6 +16,11 @@ from .relighter import Relighter, RelightSettings
 Backend = Literal["gaussian", "mesh"]
 
 
+def best_backend(run: Path) -> Backend:
+    """The mesh where the run has one: as true and quicker; otherwise its Gaussians."""
+    return "mesh" if (run / "mesh.ply").is_file() else "gaussian"
+
+
 def open_relighter(run: Path, reconstruction: Reconstruction, backend: Backend, settings: RelightSettings) -> Relighter:
     """The relighter of a run. Raises InputError where the run lacks what it needs, or settings are impossible."""
     file, radius = run / "mesh.ply", reconstruction.bound.radius
