@@ -21,18 +21,30 @@ def place_cameras(
     """The cameras in a collection of their own below `parent`, each with its photograph where that is there."""
     folder = owner.kept(bpy.data.collections, "cameras", f"{parent.name} cameras")
     link(folder, parent)
+    rig = _rig(owner, root, folder)
     distance = float(np.median([np.linalg.norm(record.camera.centre) for record in records])) if records else 1.0
     placed = []
     for record in records:
         name = f"{record.split} {record.name}"
         lens = owner.kept(bpy.data.cameras, f"lens {name}", name)
-        thing = owner.object(f"camera {name}", name, lens, root)
+        thing = owner.object(f"camera {name}", name, lens, rig)
         set_camera(thing, record.camera)
         lens.display_size, lens.clip_start, lens.clip_end = 0.025 * distance, 0.01 * distance, 100 * distance
         _replace_background(lens, record.picture if photographs and record.picture.is_file() else None)  # it may have moved since
         put(thing, folder)
         placed.append(thing)
     return placed
+
+
+def _rig(owner: Owner, root: bpy.types.Object, folder: bpy.types.Collection) -> bpy.types.Object:
+    """What the cameras hang on: hidden, so that no dotted line leads from each of them to the empty that carries everything."""
+    known = owner.find(bpy.data.objects, "camera rig")
+    rig = owner.object("camera rig", folder.name, None, root)
+    if known is None:
+        rig.hide_viewport = rig.hide_select = True
+    rig.matrix_parent_inverse = rig.matrix_basis = Matrix()
+    put(rig, folder)
+    return rig
 
 
 def set_camera(placed: bpy.types.Object, camera: Camera) -> None:

@@ -47,12 +47,8 @@ def import_run(
     puts textures and light into the .blend; without `placement` the run lies over its imported dataset, or as the engine found it.
     Raises InputError where the folder is not a finished run, before anything is made.
     """
-    if source not in SOURCES:
-        raise InputError(source, "is not a material source", "use textures or attributes")
     cameras, elements = load_cameras(run / "cameras.json"), _read_mesh(run / "mesh.ply")
-    for needed in ["environment.exr", *(f"textures/{name}.png" for name in TEXTURES if source == "textures")]:
-        if not (run / needed).is_file():
-            raise InputError(run / needed, "is missing", "the run is not finished" if source == "attributes" else "or use the attributes")
+    _check_files(run, source)
     to_world, centre = _frame(run)
     owner = Owner(run)
     edited = owner.find(bpy.data.objects, "mesh")
@@ -78,6 +74,15 @@ def import_run(
     return Imported(collection, root, mesh, placed, world)
 
 
+def _check_files(run: Path, source: str) -> None:
+    """What is read only after the first datablock was made."""
+    if source not in SOURCES:
+        raise InputError(source, "is not a material source", "use textures or attributes")
+    for needed in ["environment.exr", *(f"textures/{name}.png" for name in TEXTURES if source == "textures")]:
+        if not (run / needed).is_file():
+            raise InputError(run / needed, "is missing", "the run is not finished" if source == "attributes" else "or use the attributes")
+
+
 def link_to_scene(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Show the collection in the scene, unless a person has put it somewhere in it already."""
     if collection not in scene.collection.children_recursive:
@@ -98,9 +103,10 @@ def find_roots(scene: bpy.types.Scene, folder_property: str) -> list[bpy.types.O
 
 def run_of(thing: bpy.types.Object | None) -> Path | None:
     """The run folder that an object was imported from."""
-    root = thing.parent or thing if thing is not None else None
-    folder = folder_of(thing)
-    return folder if root is not None and RUN in root else None
+    folder, above = folder_of(thing), thing
+    while above is not None and RUN not in above:
+        above = above.parent
+    return folder if folder == folder_of(above) else None
 
 
 def show_as_photographed(scene: bpy.types.Scene, imported: Imported) -> None:

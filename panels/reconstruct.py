@@ -33,7 +33,10 @@ class IRGSPP_PT_reconstruct(SidebarPanel, bpy.types.Panel):
         if job is None or job.finished:  # else all there is to do is in the job's box
             draw_start(layout, context, job)
         if job is not None:
-            draw_job(layout.box(), context, job)
+            box = layout.box()
+            if job.kind == "demo":
+                box.label(text=job.title)  # it is not of the photographs chosen above
+            draw_job(box, context, job)
 
 
 class IRGSPP_PT_reconstruct_more(SidebarPanel, bpy.types.Panel):

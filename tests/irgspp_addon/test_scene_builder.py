@@ -159,7 +159,7 @@ def test_what_is_not_in_the_run_any_more_goes(run_folder, tmp_path):
     bpy.data.objects.new("a person's own", None)
     import_run(tmp_path / "run")
     names = sorted(thing.name for thing in bpy.data.objects)
-    assert names == ["a person's own", "run", "run frame", *sorted(f"{r['split']} {r['name']}" for r in records[1:])]
+    assert names == ["a person's own", "run", "run cameras", "run frame", *sorted(f"{r['split']} {r['name']}" for r in records[1:])]
     assert len(bpy.data.cameras) == 2
 
 

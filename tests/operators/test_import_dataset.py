@@ -69,7 +69,7 @@ def imported_cameras() -> dict[str, bpy.types.Object]:
 
 
 def root() -> bpy.types.Object:
-    (found,) = [thing for thing in bpy.context.scene.objects if thing.type == "EMPTY"]
+    (found,) = [thing for thing in bpy.context.scene.objects if thing.type == "EMPTY" and not thing.parent]
     return found
 
 
