@@ -29,7 +29,7 @@ from .query import SurfaceQuery
 from .samples import pixel_shifts, sample_counts
 
 RAYS = 1 << 17  # at a time: few enough for the cache, enough for every thread
-KEPT_BYTES = 1 << 29  # of secondary rays that are kept from light to light
+KEPT_BYTES = 1 << 28  # of secondary rays that are kept from light to light
 
 
 @dataclass(frozen=True)
