@@ -18,10 +18,10 @@ from ..core.errors import InputError
 from ..core.version import NEWER, VERSION
 from . import managed_engine
 from .foreground import run_here
+from .managed_engine import LAUNCHER
 from .preferences import DEFAULT_KIND, preferences
 from .user_folder import user_folder
 
-LAUNCHER = Path(__file__).with_name("launch.py")
 CHECK_SECONDS = 300.0  # the first import of torch from a slow disk takes long
 HOW_TO_GET_ONE = "choose one under Edit > Preferences > Add-ons > IRGS++"
 
@@ -91,6 +91,13 @@ def engine_environment() -> dict[str, str]:
     if bpy.app.binary_path:
         kept["IRGSPP_BLENDER"] = bpy.app.binary_path  # writes the .blend where the engine has no bpy
     return kept | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "OMP_WAIT_POLICY": "PASSIVE"}
+
+
+def detached() -> dict[str, Any]:
+    """Options of Popen that keep Ctrl-C in Blender's terminal, and that terminal's end, from a process, which is told in another way."""
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}
 
 
 def keep_running() -> bool:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import tempfile
@@ -12,7 +11,7 @@ from pathlib import Path
 
 from ..core.errors import Cancelled
 from ..core.lock import FileLock
-from .interrupts import on_interrupt
+from .interrupts import ended_by, on_interrupt
 
 WORKER = Path(__file__).with_name("worker.py")
 
@@ -38,6 +37,5 @@ def run_here(command: Sequence[str], environment: Mapping[str, str]) -> int:
             return status
         if cancel.exists():
             return Cancelled.exit_status
-    name = signal.Signals(-status).name if -status in set(signal.Signals) else f"signal {-status}"
-    print(f"irgspp: the engine was ended by {name}{', as when memory runs out' if name == 'SIGKILL' else ''}", file=sys.stderr)
+    print(f"irgspp: {ended_by(-status)}", file=sys.stderr)
     return 1

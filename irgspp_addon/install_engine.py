@@ -20,7 +20,7 @@ import time
 import tomllib
 from pathlib import Path
 
-MARKER = "irgspp-engine.json"
+MARKER = "irgspp-engine.json"  # in the environment once it is complete
 PYTHONS = ((3, 11), (3, 12), (3, 13))  # that the locked libraries have wheels for, best first
 LAST_OLD_NUMPY = (3, 12)  # the locked numpy, which is that of Blender 4.5, has no wheels for later Pythons
 PROBE = (
@@ -69,6 +69,11 @@ def requirements(lock: str, extra: list, python: tuple) -> tuple:
                 pin = "numpy>=" + pin.partition("==")[2]
             sections.setdefault(section, []).append(pin)
     return sections["run"] + extra, [pin for pins in sections.values() for pin in pins]
+
+
+def python_of(environment: Path) -> Path:
+    """The Python of a virtual environment."""
+    return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 def base_python() -> tuple:
@@ -139,7 +144,7 @@ def install(args, report: Report) -> None:
     shutil.rmtree(partial, ignore_errors=True)
     report.tell(phase="environment", step=0, of=1, message=f"Python {version[0]}.{version[1]}: {path}")
     run([path, "-I", "-m", "venv", *([] if venv else ["--without-pip"]), str(partial)], report)
-    python = partial / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    python = python_of(partial)
     pip = [str(python), "-I", "-m", "pip"] if venv else [path, "-I", "-m", "pip", "--python", str(python)]
     run([*pip, *pip_arguments(args, partial, wanted, locked)], report, Listener(report, len(locked)))
     report.tell(phase="check", step=0, of=1, message="Checking")

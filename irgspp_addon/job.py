@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..core.errors import IrgsppError
+
 UNFINISHED = ("queued", "running")
 KEPT = ("id", "kind", "title", "program", "arguments", "on_done", "data", "state", "owner", "made", "began", "ended", "error", "message")
 TAIL_BYTES = 65536  # of the events, from which the present state is read again after a restart
@@ -111,6 +113,20 @@ class Job:
         partial = self.notes / "job.json.part"
         partial.write_text(json.dumps(values, indent=1), encoding="utf-8")
         os.replace(partial, self.notes / "job.json")
+
+    def save_if_possible(self) -> None:
+        """The same where a full disk must not stop what is going on; the message says so."""
+        try:
+            self.save()
+        except OSError as error:
+            self.message = f"this can't be noted down: {error.strerror or error}"
+
+    def wish(self, name: str) -> None:
+        """Leave the file `cancel` or `finish` for the process. Raises IrgsppError where that can't be written."""
+        try:
+            (self.notes / name).touch()
+        except OSError as error:
+            raise IrgsppError(f"{self.notes / name}: can't be written ({error.strerror})") from error
 
     def reload(self) -> None:
         """Take over what another Blender wrote in job.json since."""

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import bpy
 
-from .engine import LAUNCHER, engine_environment, engine_python
+from .engine import detached, engine_command, engine_environment
+from .interrupts import ended_by
 from .job import Job
 from .session import is_held, session_file
 
@@ -23,34 +24,23 @@ _processes: dict[str, subprocess.Popen] = {}  # of the jobs that this Blender st
 
 
 def spawn(job: Job, keep_running: bool) -> None:
-    """Start the job's process. Raises OSError where that is not possible."""
+    """Start the job's process. Raises OSError where that is not possible, InputError where no engine is chosen."""
     for name in ("cancel", "finish", "exit.json", "worker.json", "events.jsonl", "output.txt"):
         (job.notes / name).unlink(missing_ok=True)
     if keep_running:
         (job.notes / "keep").touch()
     with (job.notes / "output.txt").open("wb") as output, job.log.open("wb") as log:
         _processes[job.id] = subprocess.Popen(
-            [*_command(job)],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=log,
-            env=engine_environment(),
-            **_detached(),
+            _command(job), stdin=subprocess.DEVNULL, stdout=output, stderr=log, env=engine_environment(), **detached()
         )
 
 
 def _command(job: Job) -> list[str]:
     wrapped = [str(WORKER), str(job.notes), str(session_file())]
     if job.program == "engine":
-        return [engine_python(), *wrapped, str(LAUNCHER), "__main__", *job.arguments]
+        python, *words = engine_command(*job.arguments)
+        return [python, *wrapped, *words]
     return [sys.executable, *bpy.app.python_args, *wrapped, job.program, *job.arguments]
-
-
-def _detached() -> dict:
-    """Options that keep Ctrl-C and the end of Blender's terminal from the worker: it is told in another way."""
-    if sys.platform == "win32":
-        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
-    return {"start_new_session": True}
 
 
 def is_alive(job: Job) -> bool:
@@ -74,8 +64,8 @@ def kill(job: Job) -> None:
             os.kill(number, signal.SIGTERM)  # ends it without asking, on Windows
         else:
             os.killpg(number, signal.SIGKILL)
-    except ProcessLookupError:
-        return  # it ended by itself just now
+    except OSError:
+        return  # it ended by itself just now, for which Windows has an error of its own
 
 
 def finish(job: Job) -> None:
@@ -101,9 +91,7 @@ def _reason(job: Job, status: int, orderly: bool) -> str:
         own = [line.removeprefix("irgspp: ") for line in lines if line.startswith("irgspp: ")]
         return own[-1] if own else (lines[-1].strip() if lines else f"ended with status {status} and no message")
     if status < 0:
-        name = signal.Signals(-status).name if -status in set(signal.Signals) else f"signal {-status}"
-        why = ", as when memory runs out" if name == "SIGKILL" else ""
-        return f"the engine was ended by {name}{why}; the log's last lines say what it did"
+        return f"{ended_by(-status)}; the log's last lines say what it did"
     return f"the engine ended with status {status}: {lines[-1].strip() if lines else 'no message'}"
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import bpy
 
 from . import engine_check, jobs, result_import, session
+from .windows import redraw
 
 BUSY_SECONDS, IDLE_SECONDS = 0.25, 1.0
 SHOWING = ("VIEW_3D", "PREFERENCES", "PROPERTIES", "IMAGE_EDITOR")  # areas that may show jobs
@@ -32,16 +33,8 @@ def unregister() -> None:
 
 def _tick() -> float:
     if jobs.poll():
-        redraw()
+        redraw(*SHOWING)
     return BUSY_SECONDS if jobs.unfinished() else IDLE_SECONDS
-
-
-def redraw() -> None:
-    """Let what shows jobs be drawn again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in SHOWING:
-                area.tag_redraw()
 
 
 @bpy.app.handlers.persistent

@@ -111,7 +111,7 @@ def cancel(job: Job) -> None:
         return
     if job.stopping:
         kill(job)
-    _touch(job, "cancel")
+    job.wish("cancel")
     job.stopping, job.message = True, "stopping; what is done is being saved"
 
 
@@ -119,7 +119,7 @@ def finish_early(job: Job) -> None:
     """Ask the job to be content with the present phase and go on with the next."""
     if not job.can_finish_early:
         raise InputError(job.title, "is not optimising anything", "only a running reconstruction can finish early")
-    _touch(job, "finish")
+    job.wish("finish")
     job.message = "going on to the next phase"
 
 
@@ -132,7 +132,7 @@ def resume(job: Job) -> None:
     job.arguments = [a for a in job.arguments if a not in ("--resume", "--overwrite")] + ["--resume"]
     (job.notes / "cancel").unlink(missing_ok=True)
     job.state, job.owner, job.error, job.message, job.stopping, job.ended = "queued", session_file().name, None, "", False, None
-    job.save()
+    job.save_if_possible()
     _start_queued()
 
 
@@ -209,7 +209,7 @@ def _watch(job: Job) -> bool:
         job.reload()  # the Blender that looks after it says how it ended
         return job.state != "running" or changed
     finish(job)
-    job.save()
+    job.save_if_possible()
     if job.kind in ON_END:
         _call(ON_END[job.kind], job)
     if job.state == "done" and job.on_done in ON_DONE:
@@ -223,7 +223,7 @@ def _call(function: Callable[[Job], None], job: Job) -> None:
         function(job)
     except Exception as error:  # whatever it is: the timer must go on
         job.error = " ".join(f"{job.state}, but: {error or type(error).__name__}".split())
-        _save_if_possible(job)
+        job.save_if_possible()
 
 
 def _start_queued() -> bool:
@@ -247,29 +247,16 @@ def _begin(job: Job) -> None:
         job.state, job.began = "running", time.time()
         job.save()
         spawn(job, keep_running())
-    except OSError as error:
+    except (IrgsppError, OSError) as error:
         job.state, job.ended = "failed", time.time()
-        job.error = f"{error.filename or 'the engine'}: can't be started ({error.strerror or error})"
-        _save_if_possible(job)
+        told = isinstance(error, IrgsppError)
+        job.error = str(error) if told else f"{error.filename or 'the engine'}: can't be started ({error.strerror or error})"
+        job.save_if_possible()
 
 
 def _end_queued(job: Job) -> None:
     job.state, job.ended = "cancelled", time.time()
-    _save_if_possible(job)
-
-
-def _save_if_possible(job: Job) -> None:
-    try:
-        job.save()
-    except OSError as error:
-        job.message = f"this can't be noted down: {error.strerror or error}"
-
-
-def _touch(job: Job, name: str) -> None:
-    try:
-        (job.notes / name).touch()
-    except OSError as error:
-        raise IrgsppError(f"{job.notes / name}: can't be written ({error.strerror})") from error
+    job.save_if_possible()
 
 
 def _mine(job: Job) -> bool:
@@ -286,7 +273,7 @@ def _adopt() -> None:
         job.reload()
         if not job.finished and not is_held(jobs_folder() / job.owner):  # else another Blender was faster
             job.owner = session_file().name
-            _save_if_possible(job)
+            job.save_if_possible()
     owners = {job.owner for job in _jobs.values()}
     for file in jobs_folder().glob(f"*{ENDING}"):
         if file.name not in owners and not is_held(file):

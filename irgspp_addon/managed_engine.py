@@ -5,20 +5,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import secrets
 import subprocess
 import sys
 from pathlib import Path
 
 from ..core.errors import InputError, IrgsppError
+from . import install_engine
+from .install_engine import MARKER, python_of
 from .user_folder import user_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCK, PROJECT = ROOT / "requirements.lock", ROOT / "pyproject.toml"
 LAUNCHER = Path(__file__).with_name("launch.py")
-INSTALLER = Path(__file__).with_name("install_engine.py")
-MARKER = "irgspp-engine.json"  # in the environment once it is complete
+INSTALLER = Path(install_engine.__file__)
 DELETE = "import shutil, sys; shutil.rmtree(sys.argv[1], ignore_errors=True)"
 
 
@@ -30,11 +30,6 @@ def folder() -> Path:
 def python() -> Path:
     """Its Python."""
     return python_of(folder())
-
-
-def python_of(environment: Path) -> Path:
-    """The Python of a virtual environment."""
-    return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 def trouble() -> tuple[str, str] | None:

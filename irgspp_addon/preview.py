@@ -11,16 +11,15 @@ import numpy as np
 
 from ..core.datasets.camera import Camera
 from ..core.errors import InputError
-from .relight_follow import Follower, follow, follower_of, redraw, stop
+from .relight_follow import Follower, follow, follower_of, stop
 from .run_frame import Frame, scene_camera, view_camera
+from .windows import areas, enlarged, redraw
 
 IMAGE = "IRGS++ Relight"
 CHANNEL = "image"
 
 
-def start_preview(
-    scene: bpy.types.Scene, run: Path, how: dict[str, Any], resolution: int, area: bpy.types.Area | None = None
-) -> Follower:
+def start_preview(scene: bpy.types.Scene, run: Path, how: dict[str, Any], resolution: int, area: bpy.types.Area | None = None) -> Follower:
     """Follow the scene: from its camera, or as the 3D View `area` shows it. how: overrides of `settings_of`.
 
     Raises InputError where there is no camera to begin with.
@@ -31,7 +30,7 @@ def start_preview(
 
     def size(scene: bpy.types.Scene) -> tuple[int, int]:
         render = scene.render
-        wide, high = (spot.size() if spot else (render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y))
+        wide, high = spot.size() if spot else (render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y)
         scale = resolution / max(wide, high)
         return max(1, round(wide * scale)), max(1, round(high * scale))
 
@@ -88,20 +87,16 @@ class _View:
         return max(1, region.width), max(1, region.height)
 
     def _found(self) -> bpy.types.Area:
-        for window in bpy.context.window_manager.windows:
-            for area in window.screen.areas:
-                if area.as_pointer() == self._area and area.type == "VIEW_3D":
-                    return area
+        for area in areas("VIEW_3D"):
+            if area.as_pointer() == self._area:
+                return area
         raise InputError("preview", "the 3D View it looks through was closed", "start it anew from another")
 
 
 def _show(picture: np.ndarray, size: tuple[int, int], done: bool) -> None:
-    """Put a picture (H, W, 4), top row first, into the image; coarse ones are enlarged to `size`."""
-    width, height = size
-    rows = np.arange(height - 1, -1, -1) * len(picture) // height  # Blender's rows begin at the bottom
-    columns = np.arange(width) * picture.shape[1] // width
-    image = preview_image(width, height)
-    image.pixels.foreach_set(np.ascontiguousarray(picture[rows][:, columns], np.float32).reshape(-1))
+    """Put a picture into the image; coarse ones are enlarged to `size`."""
+    image = preview_image(*size)
+    image.pixels.foreach_set(enlarged(picture, *size))
     image.update()
     redraw("IMAGE_EDITOR", "VIEW_3D")
 
@@ -123,11 +118,10 @@ def preview_image(width: int, height: int) -> bpy.types.Image:
 def show_image(context: bpy.types.Context) -> None:
     """Show the image in an Image Editor, one that is open or a window of its own."""
     image = preview_image(*(bpy.data.images[IMAGE].size if IMAGE in bpy.data.images else (256, 256)))
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR" and area.ui_type == "IMAGE_EDITOR":
-                area.spaces.active.image = image
-                return
+    for area in areas("IMAGE_EDITOR"):
+        if area.ui_type == "IMAGE_EDITOR":
+            area.spaces.active.image = image
+            return
     bpy.ops.wm.window_new()
     window = context.window_manager.windows[-1]
     area = window.screen.areas[0]

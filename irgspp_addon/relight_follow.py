@@ -22,6 +22,7 @@ from ..core.scene.light_map import LightMap
 from .plain_world import plain_light
 from .relight_session import Session, Wish, session_of
 from .run_frame import Frame, albedo_scale, chosen_run, frame_of, run_object
+from .windows import redraw
 from .world_light import WorldBake, ask_world, forget
 
 BEAT = 0.04  # seconds
@@ -245,15 +246,6 @@ def beat() -> bool:
             if follower.ended:
                 follower.close()
     return any(not follower.ended for follower in _followers.values())
-
-
-def redraw(*kinds: str) -> None:
-    """Draw areas of these kinds anew."""
-    manager = bpy.context.window_manager
-    for window in manager.windows if manager else ():
-        for area in window.screen.areas:
-            if area.type in kinds:
-                area.tag_redraw()
 
 
 def _pulse() -> float | None:

@@ -20,7 +20,7 @@ import numpy as np
 from ..core.datasets.camera import Camera
 from ..core.errors import Cancelled, IrgsppError
 from ..core.scene.light_map import LightMap
-from .engine import engine_command, engine_environment, require_engine
+from .engine import detached, engine_command, engine_environment, require_engine
 
 STATE = ("gaussians.ply", "mesh.ply", "environment.exr", "reconstruction.json")  # what a worker has loaded
 PATIENCE = 180.0  # seconds that a worker may take to get ready
@@ -73,7 +73,7 @@ class Session:
         try:
             with self._log.open("wb") as log:
                 self._worker = subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=engine_environment(), **_apart()
+                    command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=engine_environment(), **detached()
                 )
         except OSError as error:
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -232,13 +232,6 @@ def close_all() -> None:
     """End all workers."""
     while _sessions:
         _sessions.popitem()[1].close()
-
-
-def _apart() -> dict[str, Any]:
-    """Ctrl-C in Blender's terminal must not reach the worker, which ends with its stdin."""
-    if os.name == "nt":
-        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined]
-    return {"start_new_session": True}
 
 
 def register() -> None:

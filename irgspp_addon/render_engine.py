@@ -12,9 +12,10 @@ import numpy as np
 from ..core.datasets.camera import Camera
 from ..core.errors import Cancelled, InputError, IrgsppError
 from .preview import settings_of
-from .relight_follow import Follower, follow, follower_of, redraw, stop
+from .relight_follow import Follower, follow, follower_of, stop
 from .relight_session import Answer, Wish, session_of
 from .run_frame import Frame, albedo_scale, camera_of, chosen_run, frame_of, run_object, scene_camera
+from .windows import enlarged, redraw
 from .world_light import world_light
 
 ENGINE = "IRGSPP"
@@ -107,12 +108,8 @@ def _cropped(camera: Camera, render: bpy.types.RenderSettings, size: tuple[int, 
 
 
 def _fill(result: bpy.types.RenderResult, size: tuple[int, int], picture: np.ndarray) -> None:
-    """Put a picture, top row first, into the result; coarse ones are enlarged."""
-    width, height = size
-    rows = np.arange(height - 1, -1, -1) * len(picture) // height
-    columns = np.arange(width) * picture.shape[1] // width
-    pixels = np.ascontiguousarray(picture[rows][:, columns], np.float32)
-    result.layers[0].passes["Combined"].rect.foreach_set(pixels.reshape(-1))
+    """Put a picture into the result; coarse ones are enlarged."""
+    result.layers[0].passes["Combined"].rect.foreach_set(enlarged(picture, *size))
 
 
 # --- Rendered shading

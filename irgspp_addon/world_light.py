@@ -57,12 +57,19 @@ class WorldBake:
     def __init__(self, world: bpy.types.World, frame: int = 1, rows: int = ROWS) -> None:
         self._key, self._name = _key(world, frame), world.name
         self._folder = Path(tempfile.mkdtemp(prefix="irgspp-world-"))
-        blend, self._map = self._folder / "world.blend", self._folder / "map.npy"
+        self._map, self._log = self._folder / "map.npy", self._folder / "log.txt"
+        try:
+            self._child = self._start(world, rows, frame)
+        except (OSError, RuntimeError) as error:  # the latter is Blender's
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise IrgsppError(f"World {world.name}: could not be rendered ({str(error).strip()})") from error
+
+    def _start(self, world: bpy.types.World, rows: int, frame: int) -> subprocess.Popen:
+        blend = self._folder / "world.blend"
         bpy.data.libraries.write(str(blend), {world.original}, path_remap="ABSOLUTE", fake_user=True)
-        self._log = self._folder / "log.txt"
         command = [*blender_command(CHILD), "--", str(blend), str(self._map), str(rows), str(frame)]
         with self._log.open("wb") as log:
-            self._child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
 
     def shows(self, world: bpy.types.World | None, frame: int) -> bool:
         """True where this is the World's present look."""
@@ -113,19 +120,20 @@ def blender_command(script: Path) -> list[str]:
 
 
 def save_light(light: LightMap, path: Path, rows: int) -> None:
-    """Write a light map in our convention as 32-bit .exr or as .npy; whole or not at all. Raises InputError for other suffixes."""
-    texels = light.picture(rows)
-    partial = path.with_name(f".{path.stem}.part{path.suffix.lower()}")
-    if path.suffix.lower() == ".npy":
-        np.save(partial, texels)
-    elif path.suffix.lower() == ".exr":
-        _save_exr(texels, partial)
-    else:
+    """Write a light map in our convention as 32-bit .exr or as .npy; whole or not at all. Raises InputError where that is not possible."""
+    save = {".npy": np.save, ".exr": _save_exr}.get(path.suffix.lower())
+    if save is None:
         raise InputError(path, "is no light map", "let the name end with .exr or .npy")
-    partial.replace(path)
+    partial = path.with_name(f".{path.stem}.part{path.suffix.lower()}")
+    try:
+        save(partial, light.picture(rows))
+        partial.replace(path)
+    except (OSError, RuntimeError) as error:  # the latter is Blender's
+        partial.unlink(missing_ok=True)
+        raise InputError(path, f"can't be written ({getattr(error, 'strerror', None) or str(error).strip()})") from error
 
 
-def _save_exr(texels: np.ndarray, path: Path) -> None:
+def _save_exr(path: Path, texels: np.ndarray) -> None:
     """By Blender's own functions: other EXR libraries crash in its process."""
     rows, columns = texels.shape[:2]
     image = bpy.data.images.new("irgspp light map", columns, rows, float_buffer=True, is_data=True)

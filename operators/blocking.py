@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What operators share: errors in words, and waiting for a job as scripts do."""
+"""What operators share: keywords, errors in words, and waiting for a job as scripts do."""
 
 import sys
 
@@ -8,10 +8,25 @@ import bpy
 from ..irgspp_addon import jobs
 from ..irgspp_addon.job import Job
 
+SKIP = {"SKIP_SAVE"}
+RUN = {
+    "name": "Run Folder",
+    "description": "Empty: that of the active object, or of the panel",
+    "subtype": "DIR_PATH",
+    "options": SKIP,
+}
+IMPORT = {"name": "Import When Done", "description": "Put the result into the scene", "default": True, "options": SKIP}
+WAIT = {
+    "name": "Wait",
+    "description": "Return only once it is done, as scripts want; otherwise it is queued as a job",
+    "default": True,
+    "options": {"SKIP_SAVE", "HIDDEN"},
+}
+
 
 def refuse(operator: bpy.types.Operator, error: Exception | str) -> set[str]:
-    """Report an error, which scripts get as RuntimeError."""
-    operator.report({"ERROR"}, str(error))
+    """Report an error, which scripts get as RuntimeError; one that another operator raised so is handed on."""
+    operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
     return {"CANCELLED"}
 
 

@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from ..core.errors import IrgsppError
 from ..irgspp_addon import engine, engine_check, jobs, managed_engine
 from ..irgspp_addon.preferences import DEVICES, preferences
-from .blocking import refuse, run_to_end
+from .blocking import SKIP, WAIT, refuse, run_to_end
 
 
 class IRGSPP_OT_check_engine(bpy.types.Operator):
@@ -44,16 +44,14 @@ class IRGSPP_OT_install_engine(bpy.types.Operator):
     bl_idname = "irgspp.install_engine"
     bl_label = "Install Engine"
 
-    device: EnumProperty(name="For", description="What the engine shall compute on", items=DEVICES, options={"SKIP_SAVE"})
+    device: EnumProperty(name="For", description="What the engine shall compute on", items=DEVICES, options=SKIP)
     wheels: StringProperty(
         name="Wheels",
         description="Folder of Python wheels to install from without the network; empty: download them",
         subtype="DIR_PATH",
-        options={"SKIP_SAVE"},
+        options=SKIP,
     )
-    wait: BoolProperty(
-        name="Wait", description="Return only once it is done, as scripts want", default=True, options={"SKIP_SAVE", "HIDDEN"}
-    )
+    wait: BoolProperty(**WAIT)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.wait = bpy.app.background

@@ -15,18 +15,12 @@ from ..irgspp_addon.dataset_import import build_dataset, checked, export_argumen
 from ..irgspp_addon.job import Job
 from ..irgspp_addon.placement import Placement
 from ..irgspp_addon.properties import UP_AXES
-from .blocking import refuse, run_to_end
+from .blocking import WAIT, refuse, run_to_end
 from .import_run import select
 
 SPLIT_FILES = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
 MODEL_FILES = ("cameras.bin", "images.bin", "points3D.bin")
 OPTIONS = ("directory", "up_axis", "scale", "recentre", "photographs", "points")
-WAIT = {
-    "name": "Wait",
-    "description": "Return only once it is done, as scripts want; otherwise it is queued as a job",
-    "default": True,
-    "options": {"SKIP_SAVE", "HIDDEN"},
-}
 
 
 class IRGSPP_OT_inspect_dataset(bpy.types.Operator):
@@ -150,7 +144,7 @@ class IRGSPP_OT_import_dropped(bpy.types.Operator):
                 return bpy.ops.irgspp.import_run(how, directory=str(file.parent))
             return bpy.ops.irgspp.import_dataset(how, directory=str(dataset_of(file)))
         except (InputError, RuntimeError) as error:  # the latter is what the other operator reported
-            return refuse(self, str(error).removeprefix("Error: ").strip())
+            return refuse(self, error)
 
 
 def dataset_of(file: Path) -> Path:

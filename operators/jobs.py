@@ -9,11 +9,13 @@ import bpy
 from bpy.props import StringProperty
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon import job_timer, jobs
+from ..irgspp_addon import jobs
 from ..irgspp_addon.job import Job
-from .blocking import refuse
+from ..irgspp_addon.job_timer import SHOWING
+from ..irgspp_addon.windows import redraw
+from .blocking import SKIP, refuse
 
-NAMED = {"name": "Job", "description": "Id of the job, as the list of jobs has it", "options": {"SKIP_SAVE"}}
+NAMED = {"name": "Job", "description": "Id of the job, as the list of jobs has it", "options": SKIP}
 
 
 def _do(operator: bpy.types.Operator, work: Callable[[Job], object]) -> set[str]:
@@ -24,7 +26,7 @@ def _do(operator: bpy.types.Operator, work: Callable[[Job], object]) -> set[str]
         work(job)
     except IrgsppError as error:
         return refuse(operator, error)
-    job_timer.redraw()
+    redraw(*SHOWING)
     return {"FINISHED"}
 
 

@@ -13,21 +13,7 @@ from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon import jobs, result_import
 from ..irgspp_addon.job import Job
 from ..irgspp_addon.properties import DEVICES, MATERIALS, PRESETS
-from .blocking import refuse, run_to_end
-
-SKIP = {"SKIP_SAVE"}
-IMPORT = {
-    "name": "Import When Done",
-    "description": "Put the object into the scene when it is finished",
-    "default": True,
-    "options": {"SKIP_SAVE"},
-}
-WAIT = {
-    "name": "Wait",
-    "description": "Return only once it is done, as scripts want; otherwise it is queued as a job",
-    "default": True,
-    "options": {"SKIP_SAVE", "HIDDEN"},
-}
+from .blocking import IMPORT, SKIP, WAIT, refuse, run_to_end
 
 
 class IRGSPP_OT_reconstruct(bpy.types.Operator):
@@ -73,7 +59,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
                 return import_now(context.scene, job.folder)
             return ended
         except (IrgsppError, RuntimeError) as error:
-            return refuse(self, str(error).removeprefix("Error: ").strip())
+            return refuse(self, error)
 
     def _take_from_scene(self, scene: bpy.types.Scene) -> None:
         """What the caller didn't say is as the panel says."""
@@ -138,7 +124,7 @@ class IRGSPP_OT_demo(bpy.types.Operator):
                 return import_now(context.scene, run)
             return ended
         except (IrgsppError, RuntimeError) as error:
-            return refuse(self, str(error).removeprefix("Error: ").strip())
+            return refuse(self, error)
 
 
 def set_words(settings: str) -> list[str]:

@@ -15,23 +15,21 @@ from ..irgspp_addon import jobs, preview
 from ..irgspp_addon.properties import BACKENDS, EYES
 from ..irgspp_addon.relight_session import session_of
 from ..irgspp_addon.run_frame import chosen_run, frame_of, run_object
+from ..irgspp_addon.windows import areas
 from ..irgspp_addon.world_light import save_light, world_light
-from .blocking import refuse, run_to_end
+from .blocking import RUN, SKIP, WAIT, refuse, run_to_end
 
-RUN = {"name": "Run Folder", "description": "Empty: that of the active object, or of the panel", "subtype": "DIR_PATH"}
-SKIP = {"SKIP_SAVE"}
 MAP_ROWS = 256
 
 
 class IRGSPP_OT_relight_preview(bpy.types.Operator):
-    """Show the object under this scene's World as the image "IRGS++ Relight", and keep it up to date while you work. Scripts get one
-    finished picture. What is not given is taken from the scene's IRGS++ panel"""
+    """Show the object under this scene's World as the image "IRGS++ Relight", up to date while you work. Scripts get a finished picture"""
 
     bl_idname = "irgspp.relight_preview"
     bl_label = "Relight Preview"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
-    run: StringProperty(**RUN, options=SKIP)
+    run: StringProperty(**RUN)
     samples: IntProperty(name="Samples", description="Rays of light per pixel", min=1, max=65536, default=32, options=SKIP)
     denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples", default=True, options=SKIP)
     backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
@@ -135,7 +133,7 @@ class IRGSPP_OT_render_views(bpy.types.Operator):
     bl_label = "Render Views"
     bl_options = {"REGISTER"}  # noqa: RUF012
 
-    run: StringProperty(**RUN, options=SKIP)
+    run: StringProperty(**RUN)
     views: StringProperty(
         name="Views",
         description="DATASET or DATASET:train|test|all, or a number: so many on a circle. Empty: the run's dataset",
@@ -146,7 +144,7 @@ class IRGSPP_OT_render_views(bpy.types.Operator):
     denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples", default=True, options=SKIP)
     backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
     use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
-    wait: BoolProperty(name="Wait", default=True, options={"SKIP_SAVE", "HIDDEN"})
+    wait: BoolProperty(**WAIT)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.wait = bpy.app.background
@@ -202,6 +200,4 @@ def _area(context: bpy.types.Context) -> bpy.types.Area | None:
     """The 3D View that the operator was called from, or the largest there is."""
     if context.area is not None and context.area.type == "VIEW_3D":
         return context.area
-    windows = context.window_manager.windows
-    areas = [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
-    return max(areas, key=lambda area: area.width * area.height, default=None)
+    return max(areas("VIEW_3D"), key=lambda area: area.width * area.height, default=None)

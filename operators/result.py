@@ -16,10 +16,7 @@ from ..irgspp_addon.job import Job
 from ..irgspp_addon.materials import source_of
 from ..irgspp_addon.ownership import Owner
 from ..irgspp_addon.scene_builder import run_of
-from .blocking import refuse, run_to_end
-from .import_dataset import WAIT
-
-RUN = {"name": "Run Folder", "description": "Empty: that of the active object, or of the panel", "subtype": "DIR_PATH"}
+from .blocking import IMPORT, RUN, SKIP, WAIT, refuse, run_to_end
 
 
 class IRGSPP_OT_bake(bpy.types.Operator):
@@ -29,15 +26,15 @@ class IRGSPP_OT_bake(bpy.types.Operator):
     bl_label = "Bake Again"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
-    run: StringProperty(**RUN, options={"SKIP_SAVE"})
+    run: StringProperty(**RUN)
     size: IntProperty(name="Texture Size", description="Texels along a side; 0: as before", default=0, min=0, max=16384)
     triangles: IntProperty(name="Triangles", description="A new mesh of at most so many; 0: keep the mesh", default=0, min=0)
     mesh: StringProperty(
         name="Edited Mesh",
         description="Name of a mesh object, edited or made anew, that takes the place of the run's mesh; its UVs are kept",
-        options={"SKIP_SAVE"},
+        options=SKIP,
     )
-    import_result: BoolProperty(name="Import When Done", description="Bring the scene's object up to date", default=True)
+    import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -55,7 +52,7 @@ class IRGSPP_OT_bake(bpy.types.Operator):
                 import_bake(job)
             return ended
         except (IrgsppError, RuntimeError) as error:
-            return refuse(self, str(error).removeprefix("Error: ").strip())
+            return refuse(self, error)
 
     def _words(self, context: bpy.types.Context, run: Path) -> list[str]:
         words = ["bake", str(run)]
@@ -93,8 +90,8 @@ class IRGSPP_OT_export(bpy.types.Operator):
     bl_label = "Export IRGS++ Result"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
-    run: StringProperty(**RUN, options={"SKIP_SAVE"})
-    filepath: StringProperty(name="File", description="Ends with .glb, .blend, .ply or .exr", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    run: StringProperty(**RUN)
+    filepath: StringProperty(name="File", description="Ends with .glb, .blend, .ply or .exr", subtype="FILE_PATH", options=SKIP)
     filter_glob: StringProperty(default="*.glb;*.blend;*.ply;*.exr", options={"HIDDEN"})
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
     wait: BoolProperty(**WAIT)
