@@ -27,6 +27,7 @@ def settings():
     irgspp.register()
     run_state._known.clear()
     jobs.clear()
+    show_jobs([])  # other tests of this process may have left some
     yield bpy.context.scene.irgspp
     irgspp.unregister()
 
@@ -173,6 +174,7 @@ def test_the_result_is_offered_then_shown(settings, run_folder):
     for panel in (result.IRGSPP_PT_bake, result.IRGSPP_PT_export, relight.IRGSPP_PT_relight):
         assert not hasattr(panel, "poll") or panel.poll(bpy.context)
         draw(panel)
+    assert '["irgspp_albedo_scale"]' in draw(relight.IRGSPP_PT_relight).properties
     bpy.context.view_layer.objects.active = None  # and it is the only one there is
     assert "irgspp_source" in draw(result.IRGSPP_PT_result).properties
     bpy.data.objects.remove(next(thing for thing in bpy.data.objects if thing.type == "MESH"))
