@@ -17,6 +17,7 @@ from .materials import SOURCES, TEXTURES, build_material
 from .ownership import Owner, folder_of, link, put
 from .placement import Placement, place, place_beside
 from .ply import read_ply
+from .run_frame import ALBEDO_SCALE
 from .world import load_image, world_from_map
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
@@ -67,6 +68,7 @@ def import_run(
         place(root, placement or Placement(), to_world, centre)
     mesh = owner.object("mesh", name, owner.exchanged(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
     put(mesh, collection)
+    _offer_albedo_scale(mesh)
     mesh.data.materials.append(_material(owner, name, run / "textures", source, pack))
     placed = place_cameras(owner, cameras, root, collection)
     world = _light(owner, run / "environment.exr", f"{name} light", pack, root)
@@ -81,6 +83,14 @@ def _check_files(run: Path, source: str) -> None:
     for needed in ["environment.exr", *(f"textures/{name}.png" for name in TEXTURES if source == "textures")]:
         if not (run / needed).is_file():
             raise InputError(run / needed, "is missing", "the run is not finished" if source == "attributes" else "or use the attributes")
+
+
+def _offer_albedo_scale(mesh: bpy.types.Object) -> None:
+    """The factor of relighting as a custom property, with 1 to begin with."""
+    if ALBEDO_SCALE not in mesh:
+        mesh[ALBEDO_SCALE] = 1.0
+        about = "Factor of the object's albedo where IRGS++ relights: as the light was unknown, so is the brightness of all albedo"
+        mesh.id_properties_ui(ALBEDO_SCALE).update(min=0.0, soft_max=4.0, description=about)
 
 
 def link_to_scene(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..core.errors import IrgsppError
+from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.placement import Placement
 from ..irgspp_addon.properties import SOURCES, UP_AXES
 from ..irgspp_addon.scene_builder import import_run, show_as_photographed
@@ -49,6 +49,8 @@ class IRGSPP_OT_import_run(bpy.types.Operator):
             return refuse(self, error)
 
     def _import(self, context: bpy.types.Context) -> None:
+        if not self.directory:
+            raise InputError("run", "none is chosen", "choose the folder of a finished run")
         chosen = any(self.properties.is_property_set(name) for name in ("up_axis", "scale", "recentre"))
         placement = Placement(self.up_axis, self.scale, self.recentre) if chosen else None
         imported = import_run(Path(bpy.path.abspath(self.directory)), self.material, self.pack, placement, context.scene)

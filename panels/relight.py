@@ -8,7 +8,8 @@ import bpy
 from ..irgspp_addon import preview
 from ..irgspp_addon.relight_follow import follower_of
 from ..irgspp_addon.render_engine import ENGINE
-from .result import shown_run
+from ..irgspp_addon.run_frame import ALBEDO_SCALE
+from .result import object_of_run, shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
@@ -30,6 +31,9 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
         column = settings_column(layout)
         for name in ("use_world", "relight_eye", "preview_resolution", "relight_samples", "relight_denoise", "relight_backend"):
             column.prop(settings, name)
+        thing = object_of_run(context.scene, shown_run(context))
+        if thing is not None and ALBEDO_SCALE in thing:  # imports of older versions are without
+            column.prop(thing, f'["{ALBEDO_SCALE}"]', text="Albedo Scale")
         draw_preview(layout, context)
         draw_engine(layout, context)
 

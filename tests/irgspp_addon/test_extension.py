@@ -80,6 +80,8 @@ def test_import_operator(extension, run_folder):
 def test_import_operator_reports_a_folder_that_is_no_run(extension, tmp_path):
     with pytest.raises(RuntimeError, match=r"cameras\.json: can't be read"):
         bpy.ops.irgspp.import_run(directory=str(tmp_path))
+    with pytest.raises(RuntimeError, match="none is chosen"):
+        bpy.ops.irgspp.import_run()
 
 
 def test_command_line_runs_the_engine_of_the_extension(extension, capfd, monkeypatch):

@@ -16,7 +16,7 @@ from irgspp.irgspp_addon.materials import available_sources, source_of, use_sour
 from irgspp.irgspp_addon.placement import Placement
 from irgspp.irgspp_addon.ply import read_ply
 from irgspp.irgspp_addon.scene_builder import import_run, run_of, show_as_photographed
-from mathutils import Euler
+from mathutils import Euler, Matrix
 
 
 @pytest.fixture(autouse=True)
@@ -149,6 +149,26 @@ def test_importing_again_replaces(run_folder, tmp_path):
     assert bpy.context.scene.world == second.world and bpy.context.scene.camera == camera
     sizes = {tuple(n.image.size) for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeTexImage"}
     assert sizes == {(16, 16)}
+
+
+def test_albedo_scale_is_offered_and_a_given_one_stays(run_folder):
+    mesh = import_run(run_folder).mesh
+    assert mesh["irgspp_albedo_scale"] == 1.0
+    mesh["irgspp_albedo_scale"] = 0.5
+    assert import_run(run_folder).mesh["irgspp_albedo_scale"] == 0.5
+
+
+def test_cameras_follow_the_empty_without_lines_to_it(run_folder):
+    imported = import_run(run_folder)
+    rig = imported.cameras[0].parent
+    assert rig.parent == imported.root and rig.hide_viewport and run_of(imported.cameras[0]) == run_folder.resolve()
+    bpy.context.view_layer.update()
+    moved = Matrix.Translation((1, 2, 3)) @ Matrix.Rotation(0.7, 4, "Y")
+    before = [camera.matrix_world.copy() for camera in imported.cameras]
+    imported.root.matrix_world = moved @ imported.root.matrix_world
+    bpy.context.view_layer.update()
+    for camera, matrix in zip(imported.cameras, before, strict=True):
+        assert np.allclose(np.array(camera.matrix_world), np.array(moved @ matrix), atol=1e-5)
 
 
 def test_what_is_not_in_the_run_any_more_goes(run_folder, tmp_path):

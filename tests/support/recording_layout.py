@@ -48,7 +48,8 @@ class RecordingLayout:
         self.drawn.append(("separator",))
 
     def prop(self, data: Any, name: str, text: str | None = None, icon: str = "NONE", **_: Any) -> None:
-        assert name in data.bl_rna.properties, f"{data} has no property {name}"
+        own = data.keys() if name.startswith("[") else []
+        assert name in data.bl_rna.properties or name.strip('["]') in own, f"{data} has no property {name}"
         assert icon in known_icons(), icon
         self.drawn.append(("prop", name, self.live))
 
