@@ -154,7 +154,7 @@ class IRGSPP_OT_render_views(bpy.types.Operator):
         try:
             run = _run(context, self.run)
             output = Path(bpy.path.abspath(self.output)).absolute() if self.output else run / "relit"
-            job = jobs.start("render", f"Render {run.name}", output, self._words(context, run, output))
+            job = jobs.start("render", f"Render {run.name}", output, self._words(context, run, output), data={"run": str(run)})
             return run_to_end(self, job) if self.wait else {"FINISHED"}
         except IrgsppError as error:
             return refuse(self, error)

@@ -68,7 +68,7 @@ class IRGSPP_OT_bake(bpy.types.Operator):
     def _data(self, context: bpy.types.Context, run: Path) -> dict:
         panel, own = context.scene.irgspp, Owner(run).find(bpy.data.objects, "mesh")
         source = source_of(own.active_material) if own is not None and own.active_material else None
-        return {**result_import.place_of(context.scene, source or panel.source, panel.pack), "mesh": self.mesh}
+        return {**result_import.place_of(context.scene, source or panel.source, panel.pack), "mesh": self.mesh, "run": str(run)}
 
 
 def import_bake(job: Job) -> None:
@@ -113,7 +113,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
                 raise InputError("filepath", "no file is named", "name a file that ends with .glb, .blend, .ply or .exr")
             target = Path(bpy.path.abspath(self.filepath)).absolute()
             words = ["export", str(run), "-o", str(target), "--material", context.scene.irgspp.source]
-            job = jobs.start("export", f"Export {target.name}", run, words, data={"file": str(target)})
+            job = jobs.start("export", f"Export {target.name}", run, words, data={"file": str(target), "run": str(run)})
             return run_to_end(self, job) if self.wait else {"FINISHED"}
         except IrgsppError as error:
             return refuse(self, error)

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+import time
+from pathlib import Path
+
 import bpy
 
+from ..irgspp_addon import jobs
 from ..irgspp_addon.job import Job
 from .phases import phase_in_words
 from .pictures import picture
 from .run_state import run_state
 from .sidebar import button, say, seconds_in_words
 
+BEGAN = time.time()  # this session of Blender
 ICONS = {"queued": "TIME", "running": "PLAY", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "X", "lost": "QUESTION"}
 WORDS = {
     "queued": "Waits for its turn",
@@ -22,6 +27,16 @@ WORDS = {
 }
 RECONSTRUCTIONS = ("reconstruct", "demo")  # kinds of jobs that make a run
 LOG_LINES = 4  # of the log's end where a job failed
+
+
+def draw_last(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str, run: Path | None) -> None:
+    """The job of a kind that works on a run, or the last one of this session, below the button that starts it."""
+    jobs_of_run = (job for job in jobs.all_jobs() if job.kind == kind and job.data.get("run") == str(run))
+    job = next((job for job in jobs_of_run if not job.finished or job.made > BEGAN), None)
+    if job is not None:
+        box = layout.box()
+        say(box, context, job.title)
+        draw_job(box, context, job)
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:

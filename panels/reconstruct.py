@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import bpy
 
 from ..irgspp_addon import engine, jobs
 from ..irgspp_addon.job import Job
-from .job_card import RECONSTRUCTIONS, can_go_on, draw_job
+from .job_card import BEGAN, RECONSTRUCTIONS, can_go_on, draw_job
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
-BEGAN = time.time()  # this session of Blender
 STOPPED = ("running", "failed", "cancelled")  # states of a run folder that can be gone on with; "running" where nothing runs any more
 
 

@@ -9,6 +9,7 @@ from ..irgspp_addon import preview
 from ..irgspp_addon.relight_follow import follower_of
 from ..irgspp_addon.render_engine import ENGINE
 from ..irgspp_addon.run_frame import ALBEDO_SCALE
+from .job_card import draw_last
 from .result import object_of_run, shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -63,6 +64,7 @@ class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
             use_world=settings.use_world,
         )
         button(column, "irgspp.world_to_map", "World as Light Map", "WORLD")
+        draw_last(self.layout, context, "render", shown_run(context))
 
 
 def can_relight(context: bpy.types.Context) -> bool:

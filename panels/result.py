@@ -10,6 +10,7 @@ import bpy
 from ..irgspp_addon.materials import available_sources
 from ..irgspp_addon.ownership import KEY, folder_of
 from ..irgspp_addon.scene_builder import RUN, find_roots, run_of
+from .job_card import draw_last
 from .run_state import RunState, resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
@@ -64,6 +65,7 @@ class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
             triangles=0 if edited else settings.triangles,
             mesh=edited.name if edited else "",
         )
+        draw_last(self.layout, context, "bake", shown_run(context))
 
 
 class IRGSPP_PT_export(SidebarPanel, bpy.types.Panel):
@@ -82,6 +84,7 @@ class IRGSPP_PT_export(SidebarPanel, bpy.types.Panel):
         column = self.layout.column(align=True)
         for text, icon, suffix in FILES:
             button(column, "irgspp.export", text, icon, run=str(run), filepath=str(run / f"{run.name}{suffix}") if run else "")
+        draw_last(self.layout, context, "export", run)
 
 
 UNFINISHED = {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import statistics
 import subprocess
 import sys
 import time
@@ -42,7 +43,11 @@ def tell(story: Callable[[], Iterator[float]]) -> None:
 
 def _end(error: str | None) -> None:
     partial = OUTPUT / "end.part"
-    slowest = {name: f"{max(seconds) * 1000:.1f} ms, {len(seconds)} times" for name, seconds in _times.items() if seconds}
+    slowest = {
+        name: f"{max(seconds) * 1000:.1f} ms, median {statistics.median(seconds) * 1000:.2f} ms of {len(seconds)}"
+        for name, seconds in _times.items()
+        if seconds
+    }
     partial.write_text(json.dumps({"error": error, "slowest": slowest}, indent=1))
     os.replace(partial, OUTPUT / "end.json")
     bpy.app.timers.register(lambda: os._exit(0), first_interval=1.0)  # no question about an unsaved file
@@ -150,6 +155,11 @@ def click_here(button: int = 1) -> None:
 
 def key(name: str) -> None:
     subprocess.Popen(["xdotool", "key", name])
+
+
+def write(text: str) -> None:
+    """Real keys, one after another."""
+    subprocess.Popen(["xdotool", "type", "--delay", "60", text])
 
 
 def under_mouse(kind: str = "UI", area: bpy.types.Area | None = None) -> str:

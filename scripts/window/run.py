@@ -50,10 +50,16 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--engine", default=os.environ.get("IRGSPP_PYTHON", ""), help="Python with the engine (default: $IRGSPP_PYTHON)")
     parser.add_argument("-o", dest="output", type=Path, required=True, help="folder for the pictures")
     parser.add_argument("--story", choices=STORIES, default="story_first_day", help="what is done (default: story_first_day)")
+    parser.add_argument("--run", type=Path, help="a finished run's folder, for story_result; a copy is used")
     parser.add_argument("--blender", default="blender", help="Blender's executable")
     parser.add_argument("--size", default="1600x1000", help="of the window (default: 1600x1000)")
     parser.add_argument("--timeout", type=float, default=900.0, help="seconds (default: 900)")
-    return parser.parse_args()
+    args = parser.parse_args()
+    if args.run:
+        os.environ["IRGSPP_RUN"] = str(args.run.resolve())
+    elif args.story == "story_result":
+        parser.error("--run is needed for story_result")
+    return args
 
 
 def blender(args: argparse.Namespace, *words: str) -> None:

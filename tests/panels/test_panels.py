@@ -203,6 +203,22 @@ def test_list_of_jobs(settings, tmp_path):
     assert jobs_panel.chosen_job(bpy.context.window_manager).id == "j2"
 
 
+@pytest.mark.parametrize(
+    ("kind", "panel"),
+    [("bake", result.IRGSPP_PT_bake), ("export", result.IRGSPP_PT_export), ("render", relight.IRGSPP_PT_relight_files)],
+)
+def test_work_on_a_run_is_shown_where_it_was_started(settings, tmp_path, kind, panel):
+    settings.run = str(finished_run(tmp_path / "run"))
+    other = {"kind": kind, "title": "Another run's", "state": "running", "made": time.time() + 2}
+    add_job(tmp_path, id="j0", data={"run": str(tmp_path / "other")}, **other)
+    add_job(tmp_path, kind=kind, title="An old one", state="done", made=1.0, data={"run": str(tmp_path / "run")})
+    assert not draw(panel).buttons("irgspp.job_cancel") and "Done" not in draw(panel).words
+    job = add_job(tmp_path, id="j2", kind=kind, title="Its work", state="running", made=time.time(), data={"run": str(tmp_path / "run")})
+    assert draw(panel).buttons("irgspp.job_cancel")[0].values == {"job": "j2"} and "Its work" in draw(panel).words
+    job.state, job.error = "failed", "the disk is full"
+    assert "the disk is full" in draw(panel).words and not draw(panel).buttons("irgspp.job_cancel")
+
+
 def test_a_preview_is_shown_while_it_is_there(settings, tmp_path, monkeypatch):
     now = [50.0]
     monkeypatch.setattr(pictures.time, "monotonic", lambda: now[0])

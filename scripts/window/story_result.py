@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a person does with a finished run (run.py --run): open it, bake and export, relight by a sky, files, F12, Rendered shading."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+
+import bpy
+import hands
+
+MODULE = "bl_ext.user_default.irgspp"
+
+
+def part(name: str):
+    """A module of the extension."""
+    return sys.modules[f"{MODULE}.irgspp_addon.{name}"]
+
+
+def story() -> Iterator[float]:
+    work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
+    run = Path(shutil.copytree(os.environ["IRGSPP_RUN"], work / "spot"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(work / "result.blend"))
+    for name in ("Cube", "Light"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    open_panels("IRGSPP_PT_bake", "IRGSPP_PT_export", "IRGSPP_PT_relight_files")
+    time_everything()
+    bpy.context.preferences.addons[MODULE].preferences.engine_python = hands.ENGINE
+    yield from hands.open_sidebar("IRGS++")
+    yield from press_button("irgspp.check_engine")
+    yield from hands.wait(lambda: part("engine").status().state == "ok", 120)
+    yield from open_run(run)
+    yield from bake_again()
+    yield from export(run)
+    yield from relight_by_sky()
+    yield from write_files(work)
+    yield from render(work)
+    yield from rendered_shading()
+    yield from demo_and_cancel()
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def time_everything() -> None:
+    """Whatever Blender has to wait for while jobs and previews go on."""
+    hands.time_calls(part("jobs"), "poll", "jobs.poll")
+    hands.time_calls(part("relight_follow"), "beat", "relight_follow.beat")
+    for cls in part("registration").CLASSES:
+        if issubclass(cls, bpy.types.Panel) and "draw" in vars(cls):
+            hands.time_calls(cls, "draw", f"{cls.__name__}.draw")
+
+
+def demo_and_cancel() -> Iterator[float]:
+    """The demonstration by its button, and out of it again."""
+    yield from press_button("irgspp.demo")
+    yield 1.0
+    hands.shot("59_demo_asked")
+    yield from hands.wait(part("jobs").running, 30)
+    job = part("jobs").running()[0]
+    yield from hands.wait(lambda: job.finished or (job.phase == "reflective" and job.step), 120)
+    yield 3.0
+    hands.sidebar_shot("60_demo_running")
+    yield from press_button("irgspp.job_cancel", across=0.7)
+    yield from hands.wait(lambda: job.finished, 60)
+    yield 1.5
+    hands.sidebar_shot("61_demo_cancelled")
+    assert job.state == "cancelled", job.state
+
+
+def open_run(run: Path) -> Iterator[float]:
+    """File > Import > IRGS++ Run, and its file browser."""
+    yield from hands.click_at(45, hands.window().height - 12)
+    hands.key("space")  # searches the menu
+    yield 1.0
+    hands.write("IRGS++ Run")
+    yield 2.0
+    hands.shot("30_file_menu")
+    hands.key("Return")
+    yield from confirm_files("35_open_run", directory=run)
+    yield from hands.wait(lambda: any(thing.type == "MESH" for thing in bpy.context.scene.objects), 60)
+    yield from frame_selected()
+    hands.shot("36_opened")
+
+
+def confirm_files(name: str, directory: Path | None = None, file: str = "") -> Iterator[float]:
+    """The file browser: a picture of it, then Return with the mouse over it."""
+    yield from hands.wait(file_area, 10)
+    yield 1.5
+    window, area = file_area()
+    params = area.spaces.active.params
+    if directory is not None:
+        params.directory = os.fsencode(str(directory))
+    if file:
+        params.filename = file
+    area.tag_redraw()
+    yield 1.5
+    hands.shot(name)
+    place = hands.region("EXECUTE", area)
+    with bpy.context.temp_override(window=window, area=area, region=place):
+        bpy.ops.file.execute("INVOKE_DEFAULT")
+    yield 1.0
+
+
+def file_area() -> tuple[bpy.types.Window, bpy.types.Area] | None:
+    """The open file browser."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "FILE_BROWSER":
+                return window, area
+    return None
+
+
+def bake_again() -> Iterator[float]:
+    """Textures of another size."""
+    bpy.context.scene.irgspp.texture_size = 512
+    yield 1.0
+    hands.sidebar_shot("37_bake_panel")
+    yield from press_button("irgspp.bake")
+    yield from hands.wait(part("jobs").running, 30)
+    job = part("jobs").running()[0]
+    yield 1.5
+    hands.sidebar_shot("38_baking")
+    yield from ended(job)
+    hands.shot("39_baked")
+    nodes = bpy.context.object.active_material.node_tree.nodes
+    assert {tuple(node.image.size) for node in nodes if node.bl_idname == "ShaderNodeTexImage"} == {(512, 512)}
+
+
+def export(run: Path) -> Iterator[float]:
+    """An asset and a .blend by their buttons."""
+    hands.sidebar_shot("40_export_panel")
+    yield from reach("irgspp.export")
+    for number, suffix in enumerate((".glb", ".blend")):
+        yield from reach("irgspp.export")
+        if number:
+            yield from below()
+        hands.click_here()
+        yield 1.0
+        yield from confirm_files(f"41_export{suffix}", file=f"exported{suffix}")
+        yield from hands.wait(part("jobs").running, 30)
+        yield 1.0
+        hands.sidebar_shot(f"42_exporting{suffix}")
+        yield from ended(part("jobs").running()[0])
+        assert (run / f"exported{suffix}").stat().st_size > 10_000
+    hands.sidebar_shot("43_exported")
+
+
+def below() -> Iterator[float]:
+    """The mouse one button further down."""
+    subprocess.Popen(["xdotool", "mousemove_relative", "--", "0", "22"])
+    yield 0.5
+
+
+def relight_by_sky() -> Iterator[float]:
+    """A Sky Texture, which another Blender renders; the preview comes in a window of its own."""
+    bpy.context.scene.world, sky = sky_world()
+    yield from press_button("irgspp.relight_preview")
+    follower = part("relight_follow").follower_of(part("preview").CHANNEL)
+    yield 2.0
+    hands.sidebar_shot("44_sky_coming")
+    yield from hands.wait(lambda: follower.done or follower.failed, 180)
+    yield 1.5
+    hands.shot("45_sky")
+    assert not follower.failed, follower.message
+    sky.sun_rotation = 2.5
+    yield from hands.wait(lambda: not follower.done, 60, step=0.02)
+    yield from hands.wait(lambda: follower.done, 120)
+    yield 1.0
+    hands.shot("46_sky_turned")
+    yield from press_button("irgspp.relight_stop")
+    for window in list(bpy.context.window_manager.windows)[1:]:
+        with bpy.context.temp_override(window=window):
+            bpy.ops.wm.window_close()
+    yield 1.0
+
+
+def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
+    """A World with a Sky Texture."""
+    world = bpy.data.worlds.new("Sky")
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    nodes = world.node_tree.nodes
+    sky = nodes.new("ShaderNodeTexSky")
+    background = next(node for node in nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Strength"].default_value = 0.1
+    world.node_tree.links.new(sky.outputs["Color"], background.inputs["Color"])
+    return world, sky
+
+
+def write_files(work: Path) -> Iterator[float]:
+    """The World as a light map, and photographed views, relit."""
+    hands.sidebar_shot("47_files_panel")
+    yield from press_button("irgspp.world_to_map")
+    yield from confirm_files("48_world_map", directory=work, file="sky.exr")
+    yield from hands.wait(lambda: (work / "sky.exr").is_file(), 60)
+    yield 1.0
+    hands.shot("49_world_map_written")
+    yield from press_button("irgspp.render_views")
+    yield from hands.wait(part("jobs").running, 30)
+    job = part("jobs").running()[0]
+    yield from hands.wait(lambda: job.finished or job.step > 1, 200)
+    yield 1.0
+    hands.sidebar_shot("50_views_rendering")
+    with hands.override():
+        bpy.ops.irgspp.job_cancel(job=job.id)
+    yield from ended(job)
+    hands.shot("51_views_stopped")
+
+
+def render(work: Path) -> Iterator[float]:
+    """IRGS++ as the scene's render engine: F12 to its end, and left by Esc."""
+    yield from press_button("wm.context_set_enum")
+    assert bpy.context.scene.render.engine == "IRGSPP"
+    scene = bpy.context.scene
+    bpy.context.view_layer.objects.active = next(thing for thing in scene.objects if thing.type == "CAMERA" and thing.parent)
+    scene.camera = bpy.context.view_layer.objects.active
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 800, 800, 50
+    yield 1.0
+    ends: list[str] = []
+    bpy.app.handlers.render_complete.append(lambda *_: ends.append("complete"))
+    bpy.app.handlers.render_cancel.append(lambda *_: ends.append("cancel"))
+    yield from press("F12")
+    yield 2.0
+    hands.shot("52_f12_begun")
+    yield from hands.wait(lambda: ends, 200)
+    yield 2.0
+    hands.shot("53_f12_done")
+    assert ends == ["complete"], ends
+    bpy.data.images["Render Result"].save_render(str(hands.OUTPUT / "f12.png"))
+    scene.irgspp.relight_samples = 4096
+    ends.clear()
+    yield from press("F12")
+    yield 4.0
+    hands.shot("54_f12_before_escape")
+    yield from press("Escape", inside=render_area())
+    yield from hands.wait(lambda: ends, 30)
+    yield 2.0
+    hands.shot("55_f12_escaped")
+    assert ends == ["cancel"], ends
+    scene.irgspp.relight_samples = 32
+    yield from close_other_windows()
+
+
+def rendered_shading() -> Iterator[float]:
+    """Rendered shading of the 3D View by IRGS++."""
+    hands.view3d().spaces[0].shading.type = "RENDERED"
+    yield 2.0
+    follow = part("relight_follow")
+    view = next(iter(part("render_engine")._viewports.values()))
+    yield from hands.wait(lambda: (f := follow.follower_of(view.channel)) is not None and (f.done or f.failed), 120)
+    yield 2.0
+    hands.shot("56_rendered")
+    with hands.override():
+        bpy.ops.view3d.view_orbit(angle=0.7, type="ORBITRIGHT")
+    yield from hands.wait(lambda: not follow.follower_of(view.channel).done, 10, step=0.02)
+    yield 0.5
+    hands.shot("57_rendered_turning")
+    yield from hands.wait(lambda: follow.follower_of(view.channel).done, 60)
+    yield 1.0
+    hands.shot("58_rendered_turned")
+
+
+def press(key: str, inside: bpy.types.Area | None = None) -> Iterator[float]:
+    """A real key over the 3D View, or another area."""
+    area = inside or hands.view3d()
+    hands.move(area.x + area.width / 2, area.y + area.height / 2)
+    yield 0.5
+    hands.key(key)
+    yield 0.5
+
+
+def render_area() -> bpy.types.Area | None:
+    """Where the render is shown, if that is in the main window."""
+    return next((area for area in hands.window().screen.areas if area.type == "IMAGE_EDITOR"), None)
+
+
+def close_other_windows() -> Iterator[float]:
+    for window in list(bpy.context.window_manager.windows)[1:]:
+        with bpy.context.temp_override(window=window):
+            bpy.ops.wm.window_close()
+    yield 1.0
+
+
+def ended(job) -> Iterator[float]:
+    """Until a job has ended and the panels know."""
+    yield from hands.wait(lambda: job.finished, 300)
+    yield 1.5
+    assert not (job.state == "failed" or (job.error and job.state == "done")), (job.state, job.error)
+
+
+def open_panels(*names: str) -> None:
+    """Let panels that are closed at first be open from their first drawing on."""
+    for name in names:
+        cls = getattr(bpy.types, name)
+        bpy.utils.unregister_class(cls)
+        cls.bl_options = set()
+        bpy.utils.register_class(cls)
+
+
+def reach(wanted: str, across: float = 0.4) -> Iterator[float]:
+    """Find a button wherever the sidebar has to be scrolled to."""
+    for scroll in ("", "scroll_up", "scroll_down"):
+        if scroll:
+            yield from scrolled(scroll)
+        try:
+            yield from hands.find(wanted, across=across)
+            return
+        except RuntimeError:
+            if scroll == "scroll_down":
+                raise
+
+
+def press_button(wanted: str, across: float = 0.4) -> Iterator[float]:
+    """A real click on a button wherever the sidebar has to be scrolled to."""
+    yield from reach(wanted, across)
+    hands.click_here()
+    yield 1.0
+
+
+def frame_selected() -> Iterator[float]:
+    with hands.override():
+        bpy.ops.view3d.view_selected()
+    yield 1.0
+
+
+def scrolled(way: str) -> Iterator[float]:
+    """The sidebar at its end ("scroll_down") or beginning."""
+    with hands.override("UI"):
+        for _ in range(60):
+            getattr(bpy.ops.view2d, way)()
+    yield 1.0
+
+
+hands.tell(story)
