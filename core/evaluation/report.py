@@ -31,6 +31,10 @@ from .page import page
 from .truth import SceneTruth, Truth, load_scene_truth, load_truth
 
 SAMPLES = 64  # of shaded and relit pictures
+CYCLES_PROTOCOL = (
+    "cycles_difference, cycles_psnr: our pictures of the Gaussians against the exported mesh and textures in Cycles, all bounces, encoded; "
+    "the difference is the mean where either shows something, albedo as estimated."
+)
 
 
 def evaluate(
@@ -71,7 +75,7 @@ def evaluate(
     report["figures"] |= averages([one.figures for one in asset], ())
     report["cycles"] = [{"view": one.view, "light": one.light, **one.figures} for one in asset]
     report |= {"run": str(run.resolve()), "dataset": str(dataset.resolve()), "split": split}
-    report["protocol"] = protocol(report["albedo_scale"], backend)
+    report["protocol"] = [*protocol(report["albedo_scale"], backend), *([CYCLES_PROTOCOL] if cycles else [])]
     _write(output or run / "evaluation", report, page(report, views, predictions, truths, asset))
     return report
 
