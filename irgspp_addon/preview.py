@@ -98,7 +98,22 @@ def _show(picture: np.ndarray, size: tuple[int, int], done: bool) -> None:
     image = preview_image(*size)
     image.pixels.foreach_set(enlarged(picture, *size))
     image.update()
+    _fit(image, size)
     redraw("IMAGE_EDITOR", "VIEW_3D")
+
+
+_fitted: dict[int, tuple[int, int]] = {}  # Image Editor -> size of the picture that fills it; zooming is a person's then
+
+
+def _fit(image: bpy.types.Image, size: tuple[int, int]) -> None:
+    """Let the picture fill the editors that show it, once for each of its sizes."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "IMAGE_EDITOR" and area.spaces.active.image == image and _fitted.get(area.as_pointer()) != size:
+                region = next(region for region in area.regions if region.type == "WINDOW")
+                with bpy.context.temp_override(window=window, area=area, region=region):
+                    bpy.ops.image.view_all(fit_view=True)
+                _fitted[area.as_pointer()] = size
 
 
 def preview_image(width: int, height: int) -> bpy.types.Image:
@@ -118,15 +133,11 @@ def preview_image(width: int, height: int) -> bpy.types.Image:
 def show_image(context: bpy.types.Context) -> None:
     """Show the image in an Image Editor, one that is open or a window of its own."""
     image = preview_image(*(bpy.data.images[IMAGE].size if IMAGE in bpy.data.images else (256, 256)))
-    for area in areas("IMAGE_EDITOR"):
-        if area.ui_type == "IMAGE_EDITOR":
-            area.spaces.active.image = image
-            return
-    bpy.ops.wm.window_new()
-    window = context.window_manager.windows[-1]
-    area = window.screen.areas[0]
-    area.ui_type = "IMAGE_EDITOR"
-    area.spaces.active.image = image
-    region = next(region for region in area.regions if region.type == "WINDOW")
-    with context.temp_override(window=window, area=area, region=region):
-        bpy.ops.image.view_all(fit_view=True)
+    area = next((area for area in areas("IMAGE_EDITOR") if area.ui_type == "IMAGE_EDITOR"), None)
+    if area is None:
+        bpy.ops.wm.window_new()
+        area = context.window_manager.windows[-1].screen.areas[0]
+        area.ui_type = "IMAGE_EDITOR"
+    if area.spaces.active.image != image:
+        area.spaces.active.image = image
+        _fitted.pop(area.as_pointer(), None)
