@@ -141,12 +141,11 @@ def export(run: Path) -> Iterator[float]:
         hands.click_here()
         yield 1.0
         yield from confirm_files(f"41_export{suffix}", file=f"exported{suffix}")
-        yield from hands.wait(part("jobs").running, 30)
-        yield 1.0
-        hands.sidebar_shot(f"42_exporting{suffix}")
-        yield from ended(part("jobs").running()[0])
+        yield from hands.wait((run / f"exported{suffix}").is_file, 120)
+        yield from hands.wait(lambda: not part("jobs").unfinished(), 30)
+        yield 1.5
+        hands.sidebar_shot(f"42_exported{suffix}")
         assert (run / f"exported{suffix}").stat().st_size > 10_000
-    hands.sidebar_shot("43_exported")
 
 
 def below() -> Iterator[float]:
@@ -158,6 +157,7 @@ def below() -> Iterator[float]:
 def relight_by_sky() -> Iterator[float]:
     """A Sky Texture, which another Blender renders; the preview comes in a window of its own."""
     bpy.context.scene.world, sky = sky_world()
+    yield from scrolled("scroll_down")
     yield from press_button("irgspp.relight_preview")
     follower = part("relight_follow").follower_of(part("preview").CHANNEL)
     yield 2.0
@@ -171,11 +171,9 @@ def relight_by_sky() -> Iterator[float]:
     yield from hands.wait(lambda: follower.done, 120)
     yield 1.0
     hands.shot("46_sky_turned")
+    yield from close_other_windows()
+    yield from scrolled("scroll_down")
     yield from press_button("irgspp.relight_stop")
-    for window in list(bpy.context.window_manager.windows)[1:]:
-        with bpy.context.temp_override(window=window):
-            bpy.ops.wm.window_close()
-    yield 1.0
 
 
 def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
@@ -303,14 +301,14 @@ def open_panels(*names: str) -> None:
 
 def reach(wanted: str, across: float = 0.4) -> Iterator[float]:
     """Find a button wherever the sidebar has to be scrolled to."""
-    for scroll in ("", "scroll_up", "scroll_down"):
+    for scroll in ("", "scroll_down", "scroll_up"):
         if scroll:
             yield from scrolled(scroll)
         try:
             yield from hands.find(wanted, across=across)
             return
         except RuntimeError:
-            if scroll == "scroll_down":
+            if scroll == "scroll_up":
                 raise
 
 
