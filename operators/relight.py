@@ -121,6 +121,7 @@ class IRGSPP_OT_world_to_map(bpy.types.Operator):
                 raise InputError("world_to_map", "no file is named", "give filepath=")
             path = Path(bpy.path.abspath(self.filepath)).absolute()
             save_light(world_light(context.scene.world, context.scene.frame_current), path, self.height)
+            self.report({"INFO"}, f"The World's light is saved as {path.name}")
         except IrgsppError as error:
             return refuse(self, error)
         return {"FINISHED"}
