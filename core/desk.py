@@ -8,6 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from .datasets.camera import Camera
 from .errors import IrgsppError
 from .picture_request import read_request
 from .relight.samples import sample_counts
+from .replacing import replace
 from .warm_run import Request, WarmRun
 
 IDLE = 0.01  # seconds between looks for requests
@@ -162,7 +164,8 @@ class Desk:
         """Remove pictures but the latest two: the asker may just be reading the one before."""
         pictures = [p for p in self._session.glob(f"{channel}-*.npy") if p.name != latest]
         for old in sorted(pictures, key=lambda p: p.stat().st_mtime_ns)[:-1]:
-            _delete(old)
+            with suppress(OSError):  # Windows: being read; the next tidying gets it
+                old.unlink()
 
 
 def _rays(samples: str | int) -> int:
@@ -180,19 +183,7 @@ def _write_array(path: Path, values: np.ndarray) -> None:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Whole, but not through to the disk: nobody needs it after a crash. Windows refuses while the old file is being read."""
+    """Whole, but not through to the disk: nobody needs it after a crash."""
     partial = path.with_name(f".{path.name}.part")
     partial.write_bytes(data)
-    for _ in range(100):
-        try:
-            return os.replace(partial, path)
-        except PermissionError:
-            time.sleep(0.002)
-    os.replace(partial, path)
-
-
-def _delete(path: Path) -> None:
-    try:
-        path.unlink()
-    except OSError:
-        return  # being read on Windows; the next tidying gets it
+    replace(partial, path)

@@ -17,6 +17,7 @@ import bpy
 from ..core.errors import InputError
 from ..core.version import NEWER, VERSION
 from . import managed_engine
+from .child import detached
 from .foreground import run_here
 from .managed_engine import LAUNCHER
 from .preferences import DEFAULT_KIND, preferences
@@ -93,13 +94,6 @@ def engine_environment() -> dict[str, str]:
     return kept | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "OMP_WAIT_POLICY": "PASSIVE"}
 
 
-def detached() -> dict[str, Any]:
-    """Options of Popen that keep Ctrl-C in Blender's terminal, and that terminal's end, from a process, which is told in another way."""
-    if sys.platform == "win32":
-        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
-    return {"start_new_session": True}
-
-
 def keep_running() -> bool:
     """True where jobs shall go on after Blender has ended."""
     chosen = preferences()
@@ -161,6 +155,7 @@ def check() -> Status:
             env=engine_environment(),
             timeout=CHECK_SECONDS,
             check=False,
+            **detached(),
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return remember(Status("broken", f"{engine_python()} can't be started ({error})"))

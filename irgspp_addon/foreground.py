@@ -11,7 +11,8 @@ from pathlib import Path
 
 from ..core.errors import Cancelled
 from ..core.lock import FileLock
-from .interrupts import ended_by, on_interrupt
+from .child import ended_by
+from .interrupts import on_interrupt
 
 WORKER = Path(__file__).with_name("worker.py")
 

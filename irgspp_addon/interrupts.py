@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Signals: Ctrl-C and SIGTERM while a script waits for a job, and those that have ended one."""
+"""Ctrl-C and SIGTERM while a script waits for a job."""
 
 from __future__ import annotations
 
@@ -9,12 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import bpy
-
-
-def ended_by(number: int) -> str:
-    """How a process ended that a signal killed, in words."""
-    name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
-    return f"the engine was ended by {name}{', as when memory runs out' if name == 'SIGKILL' else ''}"
 
 
 @contextmanager

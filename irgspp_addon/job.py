@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import IrgsppError
+from ..core.replacing import replace
 
 UNFINISHED = ("queued", "running")
 KEPT = ("id", "kind", "title", "program", "arguments", "on_done", "data", "state", "owner", "made", "began", "ended", "error", "message")
@@ -112,7 +113,7 @@ class Job:
         values = {key: getattr(self, key) for key in KEPT} | {"folder": str(self.folder)}
         partial = self.notes / "job.json.part"
         partial.write_text(json.dumps(values, indent=1), encoding="utf-8")
-        os.replace(partial, self.notes / "job.json")
+        replace(partial, self.notes / "job.json")
 
     def save_if_possible(self) -> None:
         """The same where a full disk must not stop what is going on; the message says so."""

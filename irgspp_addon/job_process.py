@@ -13,8 +13,8 @@ from pathlib import Path
 
 import bpy
 
-from .engine import detached, engine_command, engine_environment
-from .interrupts import ended_by
+from .child import detached, ended_by
+from .engine import engine_command, engine_environment
 from .job import Job
 from .session import is_held, session_file
 

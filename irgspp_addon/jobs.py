@@ -6,6 +6,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -277,7 +278,8 @@ def _adopt() -> None:
     owners = {job.owner for job in _jobs.values()}
     for file in jobs_folder().glob(f"*{ENDING}"):
         if file.name not in owners and not is_held(file):
-            file.unlink(missing_ok=True)
+            with suppress(OSError):  # Windows: another Blender looks at it just now
+                file.unlink()
 
 
 def _trim() -> None:

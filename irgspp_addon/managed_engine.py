@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ..core.errors import InputError, IrgsppError
 from . import install_engine
+from .child import detached
 from .install_engine import MARKER, python_of
 from .user_folder import user_folder
 
@@ -79,4 +80,4 @@ def remove() -> None:
         place.rename(doomed)
     except OSError as error:
         raise IrgsppError(f"{place}: can't be removed ({error.strerror}); end the programs that use it") from error
-    subprocess.Popen([sys.executable, "-I", "-c", DELETE, str(doomed)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    subprocess.Popen([sys.executable, "-I", "-c", DELETE, str(doomed)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, **detached())

@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,10 @@ import numpy as np
 
 from ..core.datasets.camera import Camera
 from ..core.errors import Cancelled, IrgsppError
+from ..core.replacing import replace
 from ..core.scene.light_map import LightMap
-from .engine import detached, engine_command, engine_environment, require_engine
+from .child import detached
+from .engine import engine_command, engine_environment, require_engine
 
 STATE = ("gaussians.ply", "mesh.ply", "environment.exr", "reconstruction.json")  # what a worker has loaded
 PATIENCE = 180.0  # seconds that a worker may take to get ready
@@ -178,7 +181,7 @@ class Session:
         partial = self._folder / f".request-{channel}.part"
         try:
             partial.write_text(json.dumps({"number": number, **values}), encoding="utf-8")
-            os.replace(partial, self._folder / f"request-{channel}.json")
+            replace(partial, self._folder / f"request-{channel}.json")
         except OSError as error:
             raise IrgsppError(f"{self._folder}: can't be written ({error.strerror})") from error
         return number
@@ -194,11 +197,12 @@ class Session:
         try:
             np.save(partial, texels)
             os.replace(partial, self._folder / name)
-            for old in list(self._lights)[: max(0, len(self._lights) - 3)]:
-                del self._lights[old]
-                (self._folder / old).unlink(missing_ok=True)
         except OSError as error:
             raise IrgsppError(f"{self._folder}: the light can't be written ({error.strerror})") from error
+        for old in list(self._lights)[: max(0, len(self._lights) - 3)]:
+            del self._lights[old]
+            with suppress(OSError):  # Windows: being read; it goes with the folder
+                (self._folder / old).unlink()
         self._lights[name] = texels
         return name
 

@@ -8,6 +8,7 @@ file that Blender keeps locked; once that lock is free the job is cancelled, unl
 library is used, as this runs in whatever Python the engine has.
 """
 
+import contextlib
 import faulthandler
 import importlib.util
 import json
@@ -64,8 +65,9 @@ def watch(lock_type, folder: Path, session: Path) -> None:
     while (folder / "keep").exists() or not is_free(lock_type, session):
         time.sleep(WATCH_SECONDS)
     print("irgspp: Blender has ended, so this job stops", file=sys.stderr, flush=True)
-    (folder / "cancel").touch()
-    time.sleep(GRACE_SECONDS)
+    with contextlib.suppress(OSError):  # a full disk: then it is ended without being asked
+        (folder / "cancel").touch()
+        time.sleep(GRACE_SECONDS)
     os._exit(130)
 
 

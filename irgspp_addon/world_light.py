@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.errors import InputError, IrgsppError
 from ..core.scene.light_map import LightMap
+from .child import detached
 from .plain_world import forget_pictures, plain_light
 from .world_print import fingerprint
 
@@ -69,7 +70,7 @@ class WorldBake:
         bpy.data.libraries.write(str(blend), {world.original}, path_remap="ABSOLUTE", fake_user=True)
         command = [*blender_command(CHILD), "--", str(blend), str(self._map), str(rows), str(frame)]
         with self._log.open("wb") as log:
-            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, **detached())
 
     def shows(self, world: bpy.types.World | None, frame: int) -> bool:
         """True where this is the World's present look."""
