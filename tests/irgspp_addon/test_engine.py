@@ -76,7 +76,7 @@ def test_check_as_a_job(monkeypatch):
     [
         (f"echo '{json.dumps({'irgspp': '0.0.1', 'python': '3.11.7', 'cpu': {'name': 'c'}, 'cuda': []})}'", 0, "version", "version 0.0.1"),
         ("echo 'irgspp: this is Python 3.8, 3.11 or newer is needed' >&2", 2, "version", "Python 3.8"),
-        ("echo \"Traceback\" >&2; echo \"ModuleNotFoundError: No module named 'numpy'\" >&2", 1, "broken", "numpy"),
+        ('echo "Traceback" >&2; echo "ModuleNotFoundError: No module named \'numpy\'" >&2', 1, "broken", "numpy"),
         ("echo nonsense", 0, "broken", "no answer"),
         ("echo '[]'", 0, "broken", "no answer"),
         ("", 9, "broken", "status 9"),
@@ -89,7 +89,7 @@ def test_engines_that_do_not_serve(tmp_path, monkeypatch, said, status, state, w
     if status:
         monkeypatch.setattr(jobs, "ON_END", engine_check.ON_END)
         engine.forget_checks()
-        jobs.wait(engine_check.check_in_background(), 30)
+        jobs.wait(engine_check.check_in_background(), 300)
         assert engine.status().state == state and words in engine.status().text
     with pytest.raises(InputError, match=words):
         jobs.start("render", "r", None, ["render"])

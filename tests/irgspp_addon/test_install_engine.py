@@ -32,6 +32,8 @@ cuda = [{{"name": str(importlib.util.find_spec("tinycuda"))}}]
 print(json.dumps({{"irgspp": {VERSION!r}, "python": "3", "cpu": {{"name": "c"}}, "cuda": cuda}}))
 """
 
+PATIENCE = 300.0  # seconds, on a machine that has other things to do
+
 
 def wheel(folder: Path, name: str, version: str, code: str, *needs: str) -> None:
     info = f"{name}-{version}.dist-info"
@@ -79,10 +81,10 @@ def install(tmp_path, registry, monkeypatch):
 
 def test_installation_from_wheels_and_removal(install, wheels):
     assert engine.status().state == "missing"
-    phases, job = set(), install(wheels)
-    until(lambda: phases.add(job.phase) or job.finished)
+    job = jobs.wait(install(wheels), PATIENCE)
     assert job.state == "done", job.log_tail()
-    assert {"environment", "libraries"} <= phases and job.fraction == 1.0
+    phases = [json.loads(line)["phase"] for line in (job.notes / "events.jsonl").read_text().splitlines()]
+    assert list(dict.fromkeys(phases)) == ["environment", "libraries", "check", "done"] and job.fraction == 1.0
     assert engine.status().state == "ok" and "None" in engine.status().text  # without the library for CUDA
     names = sorted(p.name for p in managed_engine.folder().parent.iterdir())
     assert names == ["engine", "engines.json", "jobs"]
@@ -91,30 +93,31 @@ def test_installation_from_wheels_and_removal(install, wheels):
     version = subprocess.run([python, "-c", "import tinydep; print(tinydep.DEP)"], capture_output=True, text=True, check=True).stdout
     assert version.strip() == "34"  # the locked one
     # Installed anew for another device, in place of the old one.
-    assert jobs.wait(install(wheels, "cuda"), 120).state == "done"
+    assert jobs.wait(install(wheels, "cuda"), PATIENCE).state == "done"
     assert "tinycuda" in engine.status().text and managed_engine.marker()["device"] == "cuda"
     managed_engine.remove()
     assert engine.status().state == "missing" and not managed_engine.folder().exists()
     with pytest.raises(InputError, match="no engine to remove"):
         managed_engine.remove()
-    until(lambda: not list(managed_engine.folder().parent.glob("engine.*")), 30)
+    until(lambda: not list(managed_engine.folder().parent.glob("engine.*")))
 
 
 def test_what_is_missing_is_named_and_nothing_is_left(install, wheels):
     for version in ("3.4", "9.9"):
         (wheels / f"tinydep-{version}-py3-none-any.whl").unlink()
-    job = jobs.wait(install(wheels), 120)
+    job = jobs.wait(install(wheels), PATIENCE)
     assert job.state == "failed" and "tinydep" in job.error and "\n" not in job.error
     assert engine.status().state == "missing"
     assert not list(managed_engine.folder().parent.glob("engine*"))
 
 
 def test_engine_that_does_not_work_is_not_put_in_place(install, wheels, tmp_path):
-    assert jobs.wait(install(wheels), 120).state == "done"
+    managed_engine.python().parent.mkdir(parents=True)
+    managed_engine.python().write_text("an older engine")
     (tmp_path / "launcher.py").write_text("raise SystemExit('irgspp: no torch')")
-    job = jobs.wait(install(wheels), 120)
+    job = jobs.wait(install(wheels), PATIENCE)
     assert job.state == "failed" and "no torch" in job.error
-    assert managed_engine.python().exists()  # the old one stays
+    assert managed_engine.python().read_text() == "an older engine"
 
 
 def test_cancelled_installation_leaves_nothing(install, wheels):
@@ -159,6 +162,6 @@ def test_installing_with_the_pip_of_another_python(install, wheels, tmp_path, mo
     script = tmp_path / "install.py"
     script.write_text(Path(install_engine.__file__).read_text().replace("PROBE = (", f"PROBE = {probe!r} or ("))
     monkeypatch.setattr(managed_engine, "INSTALLER", script)
-    job = jobs.wait(install(wheels), 120)
+    job = jobs.wait(install(wheels), PATIENCE)
     assert job.state == "done", job.log_tail()
     assert json.loads(job.output())["irgspp"] == VERSION

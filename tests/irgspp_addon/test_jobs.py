@@ -21,6 +21,7 @@ from irgspp.irgspp_addon import engine, jobs, session
 from irgspp.irgspp_addon.job import load_job
 
 pytestmark = pytest.mark.usefixtures("registry")
+PATIENCE = 300.0  # seconds, on a machine that has other things to do
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and links of POSIX")
 
 
@@ -109,7 +110,7 @@ def test_crash_is_told_with_the_last_words_and_can_be_resumed(tmp_path):
 
 def test_dataset_that_was_moved_is_one_line(tmp_path):
     job = jobs.start("inspect", "gone", None, ["inspect", str(tmp_path / "gone")])
-    jobs.wait(job, 120)
+    jobs.wait(job, PATIENCE)
     assert job.state == "failed" and "gone" in job.error and "no such" in job.error
     assert "Traceback" not in job.error
 
@@ -122,7 +123,7 @@ def test_disk_that_fills_up_is_one_line_and_loses_nothing(tmp_path, monkeypatch)
     wrapper.chmod(0o755)
     monkeypatch.setenv("IRGSPP_PYTHON", str(wrapper))
     job = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run"))
-    jobs.wait(job, 120)
+    jobs.wait(job, PATIENCE)
     assert job.state == "failed" and "File too large" in job.error and "\n" not in job.error
     assert run_state(tmp_path / "run")["status"] == "failed"
     monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
@@ -169,7 +170,7 @@ def test_jobs_wait_for_each_other_but_short_ones_do_not(counter):
     assert second.state == "running"
     assert 0 < first.fraction < 1 and first.of == 1000
     jobs.cancel(second)
-    jobs.wait(second, 30)
+    jobs.wait(second, PATIENCE)
 
 
 def test_second_cancel_ends_what_does_not_listen(tmp_path):
@@ -181,7 +182,7 @@ def test_second_cancel_ends_what_does_not_listen(tmp_path):
     jobs.poll()
     assert job.state == "running"
     jobs.cancel(job)
-    jobs.wait(job, 30)
+    jobs.wait(job, PATIENCE)
     assert (job.state, job.error) == ("cancelled", None)
 
 
@@ -197,7 +198,7 @@ def test_second_cancel_ends_what_does_not_listen(tmp_path):
 def test_failure_in_one_line(tmp_path, code, words):
     script = tmp_path / "fails.py"
     script.write_text(code)
-    job = jobs.wait(jobs.start("render", "fails", None, [], program=str(script)), 30)
+    job = jobs.wait(jobs.start("render", "fails", None, [], program=str(script)), PATIENCE)
     assert job.state == "failed" and words in job.error and "\n" not in job.error
 
 
@@ -206,7 +207,7 @@ def test_failing_import_of_the_result_is_told_and_spoils_nothing(counter):
         raise IrgsppError("another file is open")
 
     jobs.ON_DONE["broken"] = broken
-    job = jobs.wait(counter(2, on_done="broken"), 30)
+    job = jobs.wait(counter(2, on_done="broken"), PATIENCE)
     del jobs.ON_DONE["broken"]
     assert job.state == "done" and "another file is open" in job.error
 
@@ -233,7 +234,7 @@ def test_forgetting_takes_the_notes_and_nothing_else(tmp_path, counter):
     job = counter(2, folder=tmp_path / "run", kind="reconstruct")
     with pytest.raises(InputError, match="cancel it first"):
         jobs.forget(job)
-    jobs.wait(job, 30)
+    jobs.wait(job, PATIENCE)
     jobs.forget(job)
     assert jobs.all_jobs() == [] and not job.notes.exists() and (tmp_path / "run").exists()
     assert jobs.find(job.id) is None
@@ -241,7 +242,7 @@ def test_forgetting_takes_the_notes_and_nothing_else(tmp_path, counter):
 
 def test_history_is_short(counter, monkeypatch):
     monkeypatch.setattr(jobs, "HISTORY", 2)
-    made = [jobs.wait(counter(1), 30) for _ in range(4)]
+    made = [jobs.wait(counter(1), PATIENCE) for _ in range(4)]
     counter(1)
     assert [job.id for job in jobs.all_jobs()[1:]] == [made[3].id, made[2].id]
     assert not made[0].notes.exists()
@@ -262,11 +263,11 @@ def test_saving_a_file_leaves_jobs_alone(tmp_path, counter):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
     jobs.refresh()
     assert jobs.find(job.id) is job and job.state == "running"
-    assert jobs.wait(job, 30).state == "done"
+    assert jobs.wait(job, PATIENCE).state == "done"
 
 
 def test_notes_that_are_broken_are_no_jobs(counter):
-    job = jobs.wait(counter(1), 30)
+    job = jobs.wait(counter(1), PATIENCE)
     for name, text in (("a", "{"), ("b", "[]"), ("c", '{"id": 1}')):
         (jobs.jobs_folder() / name).mkdir()
         (jobs.jobs_folder() / name / "job.json").write_text(text)
@@ -293,7 +294,7 @@ for module in (jobs, session, user_folder, engine):
 engine_keeps = sys.argv[3] == "keep"
 jobs.keep_running = lambda: engine_keeps
 jobs.refresh()
-first = jobs.start("render", "other's", None, ["100"], program=sys.argv[4])
+first = jobs.start("render", "other's", None, [sys.argv[5]], program=sys.argv[4])
 second = jobs.start("render", "other's second", None, ["3"], program=sys.argv[4])
 while first.step < 3:
     jobs.poll()
@@ -311,8 +312,8 @@ def other_blender(tmp_path, registry):
     registry.joinpath("jobs").mkdir(parents=True)
     started = []
 
-    def start(keep):
-        words = [sys.executable, "-c", OTHER, str(ROOT), str(registry), keep, str(script)]
+    def start(keep, steps=10_000):
+        words = [sys.executable, "-c", OTHER, str(ROOT), str(registry), keep, str(script), str(steps)]
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(process)
         ids = next(line.split()[1:] for line in iter(process.stdout.readline, "") if line.startswith("ids "))
@@ -325,7 +326,7 @@ def other_blender(tmp_path, registry):
 
 
 def test_jobs_of_a_blender_that_is_gone_are_looked_after(other_blender):
-    process, ids = other_blender("keep")
+    process, ids = other_blender("keep", 250)
     jobs.refresh()
     first, second = map(jobs.find, ids)
     assert (first.state, second.state) == ("running", "queued")
@@ -336,9 +337,9 @@ def test_jobs_of_a_blender_that_is_gone_are_looked_after(other_blender):
     jobs.refresh()
     assert first.owner == second.owner == session.session_file().name
     assert first.state == "running"
-    until(lambda: first.finished and second.finished, 60)
+    until(lambda: first.finished and second.finished)
     assert (first.state, second.state) == ("done", "done")
-    assert first.output().strip() == "counted 100"
+    assert first.output().strip() == "counted 250"
 
 
 def test_without_the_wish_a_job_ends_with_its_blender(other_blender):
@@ -347,7 +348,7 @@ def test_without_the_wish_a_job_ends_with_its_blender(other_blender):
     process.wait()
     jobs.refresh()
     first = jobs.find(ids[0])
-    until(lambda: first.finished, 30)
+    until(lambda: first.finished)
     assert first.state == "cancelled"
     assert any("Blender has ended" in line for line in first.log_tail())
 
@@ -357,7 +358,7 @@ def test_two_blenders_see_each_others_jobs_and_can_stop_them(other_blender):
     jobs.refresh()
     first = jobs.find(ids[0])
     jobs.cancel(first)
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE
     while first.state == "running" and not (first.notes / "exit.json").exists():
         jobs.poll()
         assert time.monotonic() < deadline
@@ -387,5 +388,5 @@ def test_script_that_waits_is_interrupted(counter, kind):
         if job.step > 2 and not job.stopping:
             os.kill(os.getpid(), kind)
 
-    jobs.wait(job, 30, watch=interrupt)
+    jobs.wait(job, PATIENCE, watch=interrupt)
     assert job.state == "cancelled" and signal.getsignal(kind) is before

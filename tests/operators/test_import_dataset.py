@@ -268,7 +268,7 @@ def test_job_of_another_file_brings_nothing_into_this_one(registered, datasets):
     assert bpy.ops.irgspp.import_dataset(directory=str(dataset), wait=False) == {"FINISHED"}
     assert not bpy.data.objects
     bpy.ops.wm.read_homefile(use_empty=True)
-    job = jobs.wait(jobs.all_jobs()[0], timeout=120)
+    job = jobs.wait(jobs.all_jobs()[0], timeout=300)
     assert job.state == "done" and "another file is open" in (job.error or "") and not bpy.data.objects
 
 
@@ -276,6 +276,6 @@ def test_job_brings_it_in_at_its_end(registered, datasets):
     dataset, truth = datasets["stretched"]
     shutil.rmtree(export_folder(dataset.resolve()))
     assert bpy.ops.irgspp.import_dataset(directory=str(dataset), wait=False, up_axis="Y_UP") == {"FINISHED"}
-    job = jobs.wait(jobs.all_jobs()[0], timeout=120)
+    job = jobs.wait(jobs.all_jobs()[0], timeout=300)
     assert job.state == "done" and job.error is None
     assert len(imported_cameras()) == len(truth["cameras"])

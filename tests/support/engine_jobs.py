@@ -16,6 +16,7 @@ TINY = {
     "reflective.iterations": 20,
     "reflective.gaussians": 1000,
     "transport.points": 300,
+    "transport.rows": 8,
     "transport.iterations": 5,
     "transport.radiance_iterations": 5,
     "surface.voxels": 24,
@@ -50,7 +51,7 @@ def reconstruction(run: Path, **more: object) -> list[str]:
     return ["reconstruct", str(DATASET), "-o", str(run), "--preset", "draft", "--materials", "low-gloss", *settings(**more)]
 
 
-def until(what: Callable[[], object], seconds: float = 120.0) -> None:
+def until(what: Callable[[], object], seconds: float = 300.0) -> None:
     """Poll the jobs until something is true, as Blender's timer does."""
     from irgspp.irgspp_addon import jobs
 
