@@ -69,7 +69,8 @@ class Lens:
         terms = [f"{n} {k:.4g}" for n, k in zip(names, self.distortion, strict=False) if k]
         focal = f"{self.fx:.1f}" if abs(self.fx - self.fy) < 0.05 else f"{self.fx:.1f}, {self.fy:.1f}"
         return f"{self.model} {self.width}x{self.height}, focal {focal} px, centre ({self.cx:.1f}, {self.cy:.1f}), " + (
-            "distortion " + ", ".join(terms) if terms else "no distortion")
+            "distortion " + ", ".join(terms) if terms else "no distortion"
+        )
 
 
 @dataclass(frozen=True, eq=False)

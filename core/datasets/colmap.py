@@ -94,7 +94,7 @@ def _rotation(quaternion: Sequence[float]) -> np.ndarray:
     w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
     return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                      [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])  # fmt: skip
 
 
 def _settle(model: Path, frames: list[Frame], records: PointRecords | None, warnings: list[str]) -> Capture:

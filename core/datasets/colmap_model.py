@@ -91,8 +91,11 @@ def read_points(file: Path) -> PointRecords:
 
 def _model_name(file: Path, camera: int, name: str) -> str:
     if name not in PARAMETERS:
-        raise InputError(file, f"camera {camera} has an unknown camera model {name[:40]!r}",
-                         f"supported are {', '.join(PARAMETERS)}; colmap image_undistorter converts the others")
+        raise InputError(
+            file,
+            f"camera {camera} has an unknown camera model {name[:40]!r}",
+            f"supported are {', '.join(PARAMETERS)}; colmap image_undistorter converts the others",
+        )
     return name
 
 

@@ -50,14 +50,14 @@ def _load(file: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise InputError(file, f"not valid JSON ({error})") from error
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list):
-        raise InputError(file, "has no list \"frames\"", "is it a transforms.json?")
+        raise InputError(file, 'has no list "frames"', "is it a transforms.json?")
     if not content["frames"]:
         raise InputError(file, "lists no frames")
     for index, entry in enumerate(content["frames"]):
         if not isinstance(entry, dict):
             raise InputError(file, f"frame {index} is not an object")
         if not isinstance(entry.get("file_path"), str) or not entry["file_path"] or "\0" in entry["file_path"]:
-            raise InputError(file, f"frame {index} has no \"file_path\"")
+            raise InputError(file, f'frame {index} has no "file_path"')
     return content
 
 
@@ -117,7 +117,7 @@ def _picture_root(file: Path, picture: Path) -> Path:
 def _pose(where: str, entry: dict[str, Any]) -> np.ndarray:
     """(4, 4) camera to world, made exactly rigid."""
     if "transform_matrix" not in entry:
-        raise InputError(where, "has no \"transform_matrix\"")
+        raise InputError(where, 'has no "transform_matrix"')
     try:
         matrix = np.array(entry["transform_matrix"], np.float64)
     except (TypeError, ValueError) as error:
@@ -156,7 +156,7 @@ def _lens(where: str, values: dict[str, Any], size: Size | None) -> Lens:
         fx = _focal_of(where, values, "camera_angle_x", width)
         fy = _number(where, values, "fl_y") if _given(values, "fl_y") else fx
     else:
-        raise InputError(where, "has neither \"fl_x\" nor \"camera_angle_x\"")
+        raise InputError(where, 'has neither "fl_x" nor "camera_angle_x"')
     cx = _number(where, values, "cx") if _given(values, "cx") else width / 2
     cy = _number(where, values, "cy") if _given(values, "cy") else height / 2
     model, distortion, fisheye = _distortion(where, values)
@@ -186,31 +186,31 @@ def _given(values: dict[str, Any], key: str) -> bool:
 def _number(where: object, values: dict[str, Any], key: str) -> float:
     value = values[key]
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(where, f"\"{key}\" is not a number")
+        raise InputError(where, f'"{key}" is not a number')
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(where, f"\"{key}\" is not finite")
+        raise InputError(where, f'"{key}" is not finite')
     return number
 
 
 def _side(where: object, values: dict[str, Any], key: str, axis: int = 0, size: Size | None = None) -> int:
     if not _given(values, key):
         if size is None:
-            raise InputError(where, f"has no \"{key}\" and no picture to take the size from")
+            raise InputError(where, f'has no "{key}" and no picture to take the size from')
         return size[axis]
     side = _number(where, values, key)
     if not 1 <= side <= LARGEST_SIDE or side != int(side):
-        raise InputError(where, f"\"{key}\" = {side:g} is not a picture size")
+        raise InputError(where, f'"{key}" = {side:g} is not a picture size')
     return int(side)
 
 
 def _focal_of(where: str, values: dict[str, Any], key: str, pixels: int) -> float:
     angle = _number(where, values, key)
     if not 0 < angle < math.pi:
-        raise InputError(where, f"\"{key}\" = {angle:g} is not between 0 and pi")
+        raise InputError(where, f'"{key}" = {angle:g} is not between 0 and pi')
     return 0.5 * pixels / math.tan(0.5 * angle)
 
 

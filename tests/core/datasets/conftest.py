@@ -78,8 +78,16 @@ class Capture:
         change(content)
         path.write_text(json.dumps(content))
 
-    def colmap(self, binary: bool, model: str = "PINHOLE", parameters: tuple[float, ...] | None = None, images: str = "images",
-               names: list[str] | None = None, alpha: bool = False, points: np.ndarray | None = None) -> Path:
+    def colmap(
+        self,
+        binary: bool,
+        model: str = "PINHOLE",
+        parameters: tuple[float, ...] | None = None,
+        images: str = "images",
+        names: list[str] | None = None,
+        alpha: bool = False,
+        points: np.ndarray | None = None,
+    ) -> Path:
         """Pictures and a sparse model in the same world; returns the model's folder."""
         listed = names or [f"{i:03d}.png" for i in range(len(self.poses))]
         self.save_pictures([f"{images}/{n}" for n in listed], alpha)
@@ -104,12 +112,17 @@ class Capture:
 def quaternion(rotation: np.ndarray) -> np.ndarray:
     """(w, x, y, z) as the eigenvector of the largest eigenvalue of Bar-Itzhack's matrix."""
     r = rotation
-    k = np.array([
-        [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
-        [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
-        [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-        [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-    ]) / 3
+    k = (
+        np.array(
+            [
+                [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+                [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+                [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+                [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+            ]
+        )
+        / 3
+    )
     x, y, z, w = np.linalg.eigh(k)[1][:, -1]
     return np.array([w, x, y, z])
 

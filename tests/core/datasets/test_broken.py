@@ -34,39 +34,42 @@ def test_no_folder_and_nothing_in_it(tmp_path):
     fails(tmp_path / "a.txt", "not a dataset")
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    (lambda c: c.pop("frames"), ["frames"]),
-    (lambda c: c.update(frames=[]), ["no frames"]),
-    (lambda c: c.update(frames=[1, 2, 3]), ["frame 0"]),
-    (lambda c: c.update(frames=c["frames"][:2]), ["2 views", "3"]),
-    (lambda c: c["frames"][1].pop("file_path"), ["frame 1", "file_path"]),
-    (lambda c: c["frames"][1].pop("transform_matrix"), ["frame 1", "transform_matrix"]),
-    (lambda c: c["frames"][1].update(transform_matrix=[[1, 2], [3]]), ["frame 1", "matrix"]),
-    (lambda c: c["frames"][1].update(transform_matrix="x"), ["frame 1", "matrix"]),
-    (lambda c: c["frames"][1].update(transform_matrix=np.eye(2).tolist()), ["frame 1", "(2, 2)"]),
-    (lambda c: c["frames"][1]["transform_matrix"][2].__setitem__(3, NAN), ["frame 1", "not finite"]),
-    (lambda c: c["frames"][1]["transform_matrix"][2].__setitem__(3, 1e30), ["frame 1", "infinity"]),
-    (lambda c: c["frames"][1].update(transform_matrix=(2 * np.eye(4)).tolist()), ["frame 1", "not rigid"]),
-    (lambda c: c["frames"][1].update(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), ["frame 1", "not rigid"]),
-    (lambda c: c["frames"][1]["transform_matrix"][3].__setitem__(0, 0.5), ["frame 1", "last row"]),
-    (lambda c: c.pop("fl_x"), ["fl_x", "camera_angle_x"]),
-    (lambda c: c.update(fl_x=NAN), ["fl_x", "finite"]),
-    (lambda c: c.update(fl_x="wide"), ["fl_x", "number"]),
-    (lambda c: c.update(fl_x=-5), ["focal"]),
-    (lambda c: c.update(cx=1e12), ["principal point"]),
-    (lambda c: c.update(w=0), ["w", "size"]),
-    (lambda c: c.update(w=61), ["001.png", "60x48", "61x48"]),
-    (lambda c: c.update(camera_model="EQUIRECTANGULAR"), ["EQUIRECTANGULAR", "OPENCV"]),
-    (lambda c: c.update(camera_model=7), ["unknown camera model"]),
-    (lambda c: c.update(camera_model="OPENCV", k4=0.1), ["k4"]),
-    (lambda c: c.update(k1=-30.0), ["distortion"]),
-    (lambda c: (c.pop("fl_x"), c.update(camera_angle_x=4.0)), ["camera_angle_x", "pi"]),
-    (lambda c: c["frames"][2].update(mask_path="gone.png"), ["gone.png", "mask"]),
-    (lambda c: c.update(ply_file_path="gone.ply"), ["gone.ply"]),
-    (lambda c: [f.update(file_path="x" + f["file_path"]) for f in c["frames"]], ["none of its 10 pictures"]),
-    (lambda c: [f.update(file_path="a\0b") for f in c["frames"]], ["file_path"]),
-    (lambda c: [f.update(file_path="a" * 5000) for f in c["frames"]], ["impossible file"]),
-])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c.pop("frames"), ["frames"]),
+        (lambda c: c.update(frames=[]), ["no frames"]),
+        (lambda c: c.update(frames=[1, 2, 3]), ["frame 0"]),
+        (lambda c: c.update(frames=c["frames"][:2]), ["2 views", "3"]),
+        (lambda c: c["frames"][1].pop("file_path"), ["frame 1", "file_path"]),
+        (lambda c: c["frames"][1].pop("transform_matrix"), ["frame 1", "transform_matrix"]),
+        (lambda c: c["frames"][1].update(transform_matrix=[[1, 2], [3]]), ["frame 1", "matrix"]),
+        (lambda c: c["frames"][1].update(transform_matrix="x"), ["frame 1", "matrix"]),
+        (lambda c: c["frames"][1].update(transform_matrix=np.eye(2).tolist()), ["frame 1", "(2, 2)"]),
+        (lambda c: c["frames"][1]["transform_matrix"][2].__setitem__(3, NAN), ["frame 1", "not finite"]),
+        (lambda c: c["frames"][1]["transform_matrix"][2].__setitem__(3, 1e30), ["frame 1", "infinity"]),
+        (lambda c: c["frames"][1].update(transform_matrix=(2 * np.eye(4)).tolist()), ["frame 1", "not rigid"]),
+        (lambda c: c["frames"][1].update(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), ["frame 1", "not rigid"]),
+        (lambda c: c["frames"][1]["transform_matrix"][3].__setitem__(0, 0.5), ["frame 1", "last row"]),
+        (lambda c: c.pop("fl_x"), ["fl_x", "camera_angle_x"]),
+        (lambda c: c.update(fl_x=NAN), ["fl_x", "finite"]),
+        (lambda c: c.update(fl_x="wide"), ["fl_x", "number"]),
+        (lambda c: c.update(fl_x=-5), ["focal"]),
+        (lambda c: c.update(cx=1e12), ["principal point"]),
+        (lambda c: c.update(w=0), ["w", "size"]),
+        (lambda c: c.update(w=61), ["001.png", "60x48", "61x48"]),
+        (lambda c: c.update(camera_model="EQUIRECTANGULAR"), ["EQUIRECTANGULAR", "OPENCV"]),
+        (lambda c: c.update(camera_model=7), ["unknown camera model"]),
+        (lambda c: c.update(camera_model="OPENCV", k4=0.1), ["k4"]),
+        (lambda c: c.update(k1=-30.0), ["distortion"]),
+        (lambda c: (c.pop("fl_x"), c.update(camera_angle_x=4.0)), ["camera_angle_x", "pi"]),
+        (lambda c: c["frames"][2].update(mask_path="gone.png"), ["gone.png", "mask"]),
+        (lambda c: c.update(ply_file_path="gone.ply"), ["gone.ply"]),
+        (lambda c: [f.update(file_path="x" + f["file_path"]) for f in c["frames"]], ["none of its 10 pictures"]),
+        (lambda c: [f.update(file_path="a\0b") for f in c["frames"]], ["file_path"]),
+        (lambda c: [f.update(file_path="a" * 5000) for f in c["frames"]], ["impossible file"]),
+    ],
+)
 def test_transforms_content(capture, change, words):
     path = capture.transforms()
     capture.edit(path, change)
@@ -163,17 +166,20 @@ def test_cancelling_stops_the_reading(capture):
         load_dataset(capture.folder, progress=progress)
 
 
-@pytest.mark.parametrize(("file", "old", "new", "words"), [
-    ("cameras.txt", "PINHOLE", "FOV", ["FOV", "SIMPLE_RADIAL"]),
-    ("cameras.txt", "PINHOLE", "OPENCV", ["takes 8 parameters"]),
-    ("cameras.txt", "70.0", "nan", ["not finite"]),
-    ("cameras.txt", "70.0", "-70.0", ["focal"]),
-    ("cameras.txt", "60 48", "60 x", ["line 2"]),
-    ("cameras.txt", "60 48", "60 50", ["001.png", "60x48", "60x50"]),
-    ("images.txt", " 1 003.png", " 9 003.png", ["003.png", "camera 9"]),
-    ("images.txt", " 1 003.png", "", ["line"]),
-    ("points3D.txt", " 0.5 1 0 2 1\n", "\n", ["line 2"]),
-])
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("cameras.txt", "PINHOLE", "FOV", ["FOV", "SIMPLE_RADIAL"]),
+        ("cameras.txt", "PINHOLE", "OPENCV", ["takes 8 parameters"]),
+        ("cameras.txt", "70.0", "nan", ["not finite"]),
+        ("cameras.txt", "70.0", "-70.0", ["focal"]),
+        ("cameras.txt", "60 48", "60 x", ["line 2"]),
+        ("cameras.txt", "60 48", "60 50", ["001.png", "60x48", "60x50"]),
+        ("images.txt", " 1 003.png", " 9 003.png", ["003.png", "camera 9"]),
+        ("images.txt", " 1 003.png", "", ["line"]),
+        ("points3D.txt", " 0.5 1 0 2 1\n", "\n", ["line 2"]),
+    ],
+)
 def test_colmap_text(capture, file, old, new, words):
     path = capture.colmap(binary=False) / file
     path.write_text(path.read_text().replace(old, new, 1))
@@ -289,11 +295,16 @@ def samples(tmp_path_factory):
     camera = struct.pack("<QIiQQ4d", 1, 1, 1, 60, 48, 70, 70, 30, 24)
     pose = struct.pack("<I7dI", 1, 1, 0, 0, 0, 0, 0, 4, 1) + b"a.png\0" + struct.pack("<QddQ", 1, 1.5, 2.5, 3)
     point = struct.pack("<Q3d3BdQII", 1, 0.1, 0.2, 0.3, 1, 2, 3, 0.5, 1, 1, 0)
-    SAMPLES.update({
-        "cameras.bin": camera, "images.bin": struct.pack("<Q", 3) + 3 * pose, "points3D.bin": struct.pack("<Q", 3) + 3 * point,
-        "cameras.txt": b"# c\n1 PINHOLE 60 48 70 70 30 24\n", "images.txt": 3 * b"1 1 0 0 0 0 0 4 1 a.png\n1.5 2.5 3\n",
-        "points3D.txt": 3 * b"1 0.1 0.2 0.3 1 2 3 0.5 1 0\n",
-    })
+    SAMPLES.update(
+        {
+            "cameras.bin": camera,
+            "images.bin": struct.pack("<Q", 3) + 3 * pose,
+            "points3D.bin": struct.pack("<Q", 3) + 3 * point,
+            "cameras.txt": b"# c\n1 PINHOLE 60 48 70 70 30 24\n",
+            "images.txt": 3 * b"1 1 0 0 0 0 0 4 1 a.png\n1.5 2.5 3\n",
+            "points3D.txt": 3 * b"1 0.1 0.2 0.3 1 2 3 0.5 1 0\n",
+        }
+    )
     pixels = rng.integers(0, 256, (24, 30, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(folder / "picture.png")
     Image.fromarray(pixels).save(folder / "picture.jpg")

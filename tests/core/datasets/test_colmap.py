@@ -118,14 +118,17 @@ def test_far_points_are_dropped(capture):
     assert data.bound.radius < 1.35 * capture.radius
 
 
-@pytest.mark.parametrize(("model", "parameters"), [
-    ("SIMPLE_PINHOLE", (70.0, 30.0, 24.0)),
-    ("PINHOLE", (70.0, 70.0, 30.0, 24.0)),
-    ("SIMPLE_RADIAL", (70.0, 30.0, 24.0, 0.1)),
-    ("RADIAL", (70.0, 30.0, 24.0, 0.1, -0.02)),
-    ("OPENCV", (70.0, 71.0, 30.0, 24.0, 0.1, -0.02, 0.003, -0.002)),
-    ("OPENCV_FISHEYE", (70.0, 71.0, 30.0, 24.0, 0.1, -0.02, 0.003, -0.002)),
-])
+@pytest.mark.parametrize(
+    ("model", "parameters"),
+    [
+        ("SIMPLE_PINHOLE", (70.0, 30.0, 24.0)),
+        ("PINHOLE", (70.0, 70.0, 30.0, 24.0)),
+        ("SIMPLE_RADIAL", (70.0, 30.0, 24.0, 0.1)),
+        ("RADIAL", (70.0, 30.0, 24.0, 0.1, -0.02)),
+        ("OPENCV", (70.0, 71.0, 30.0, 24.0, 0.1, -0.02, 0.003, -0.002)),
+        ("OPENCV_FISHEYE", (70.0, 71.0, 30.0, 24.0, 0.1, -0.02, 0.003, -0.002)),
+    ],
+)
 @pytest.mark.parametrize("binary", [True, False])
 def test_every_camera_model(capture, model, parameters, binary):
     capture.colmap(binary, model, parameters)

@@ -113,7 +113,8 @@ def test_exr_is_linear_and_premultiplied(capture):
         linear = 3 * decode_srgb(picture[..., :3] / np.float32(255)) * alpha[..., None]
         channels = {n: np.ascontiguousarray(c, np.float32) for n, c in zip("RGBA", [*np.moveaxis(linear, -1, 0), alpha], strict=True)}
         OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(
-            str(capture.folder / f"images/{i}.exr"))
+            str(capture.folder / f"images/{i}.exr")
+        )
     view = load_dataset(capture.folder, ALL).train[1]
     solid = view.alpha > 0
     np.testing.assert_allclose(decode_srgb(view.colour)[solid], 3 * decode_srgb(pixels(capture, 1)[..., :3])[solid], rtol=2e-4, atol=1e-5)
