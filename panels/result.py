@@ -151,8 +151,8 @@ def shown_run(context: bpy.types.Context) -> Path | None:
     return folder_of(roots[0]) if len(roots) == 1 else None
 
 
-def object_of_run(scene: bpy.types.Scene, run: Path) -> bpy.types.Object | None:
-    """The mesh object of a run in the scene."""
+def object_of_run(scene: bpy.types.Scene, run: Path | None) -> bpy.types.Object | None:
+    """The mesh object of a run in the scene; None where there is no run, or no object of it."""
     key = f"{run}#mesh"
     return next((thing for thing in scene.objects if thing.type == "MESH" and thing.get(KEY) == key), None)
 
