@@ -73,17 +73,23 @@ def demo_and_cancel() -> Iterator[float]:
 
 def open_run(run: Path) -> Iterator[float]:
     """File > Import > IRGS++ Run, and its file browser."""
-    yield from hands.click_at(45, hands.window().height - 12)
-    hands.key("space")  # searches the menu
-    yield 1.0
-    hands.write("IRGS++ Run")
-    yield 2.0
-    hands.shot("30_file_menu")
-    hands.key("Return")
+    yield from from_menu(45, "IRGS++ Run")
     yield from confirm_files("35_open_run", directory=run)
     yield from hands.wait(lambda: any(thing.type == "MESH" for thing in bpy.context.scene.objects), 60)
     yield from frame_selected()
     hands.shot("36_opened")
+
+
+def from_menu(x: float, entry: str) -> Iterator[float]:
+    """A click on a menu of the top bar, and its entry by the menu's own search."""
+    yield from hands.click_at(x, hands.window().height - 12)
+    hands.key("space")
+    yield 1.0
+    hands.write(entry)
+    yield 2.0
+    hands.shot(f"30_menu_{entry.split()[-1]}")
+    hands.key("Return")
+    yield 0.5
 
 
 def confirm_files(name: str, directory: Path | None = None, file: str = "") -> Iterator[float]:
@@ -221,7 +227,7 @@ def render(work: Path) -> Iterator[float]:
     ends: list[str] = []
     bpy.app.handlers.render_complete.append(lambda *_: ends.append("complete"))
     bpy.app.handlers.render_cancel.append(lambda *_: ends.append("cancel"))
-    yield from press("F12")
+    yield from from_menu(126, "Render Image")
     yield 2.0
     hands.shot("52_f12_begun")
     yield from hands.wait(lambda: ends, 200)
@@ -231,10 +237,11 @@ def render(work: Path) -> Iterator[float]:
     bpy.data.images["Render Result"].save_render(str(hands.OUTPUT / "f12.png"))
     scene.irgspp.relight_samples = 4096
     ends.clear()
-    yield from press("F12")
+    yield from close_other_windows()  # they have the keyboard
+    yield from from_menu(126, "Render Image")
     yield 4.0
     hands.shot("54_f12_before_escape")
-    yield from press("Escape", inside=render_area())
+    hands.key("Escape")  # the render's window has the keyboard
     yield from hands.wait(lambda: ends, 30)
     yield 2.0
     hands.shot("55_f12_escaped")
@@ -260,20 +267,6 @@ def rendered_shading() -> Iterator[float]:
     yield from hands.wait(lambda: follow.follower_of(view.channel).done, 60)
     yield 1.0
     hands.shot("58_rendered_turned")
-
-
-def press(key: str, inside: bpy.types.Area | None = None) -> Iterator[float]:
-    """A real key over the 3D View, or another area."""
-    area = inside or hands.view3d()
-    hands.move(area.x + area.width / 2, area.y + area.height / 2)
-    yield 0.5
-    hands.key(key)
-    yield 0.5
-
-
-def render_area() -> bpy.types.Area | None:
-    """Where the render is shown, if that is in the main window."""
-    return next((area for area in hands.window().screen.areas if area.type == "IMAGE_EDITOR"), None)
 
 
 def close_other_windows() -> Iterator[float]:
