@@ -156,7 +156,7 @@ def export(run: Path) -> Iterator[float]:
 
 def below() -> Iterator[float]:
     """The mouse one button further down."""
-    subprocess.Popen(["xdotool", "mousemove_relative", "--", "0", "22"])
+    subprocess.Popen(["xdotool", "mousemove_relative", "--", "0", "18", "sleep", "0.1", "mousemove_relative", "--", "0", "2"])
     yield 0.5
 
 
