@@ -96,7 +96,9 @@ def confirm_files(name: str, directory: Path | None = None, file: str = "") -> I
     """The file browser: a picture of it, then Return with the mouse over it."""
     yield from hands.wait(file_area, 10)
     yield 1.5
-    window, area = file_area()
+    found = file_area()
+    assert found is not None, "the file browser is gone again"
+    window, area = found
     params = area.spaces.active.params
     if directory is not None:
         params.directory = os.fsencode(str(directory))
