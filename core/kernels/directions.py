@@ -63,11 +63,16 @@ def _towards_light(u0, u1, rows, columns, edges):
 
 
 @kernel
-def _texel(x, y, z, height, width):
-    """Flat index of the texel that a world direction lies in; some texel for what is not a number."""
-    column = int((0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN) * width)
-    row = int(math.acos(np.float32(min(max(z, -1.0), 1.0))) / math.pi * height)
-    return max(min(row, height - 1), 0) * width + max(min(column, width - 1), 0)
+def lightmap_place(x, y, z):
+    """u, v in 0..1 of a unit direction in a lat-long map."""
+    z = min(max(z, -1.0), 1.0)
+    return 0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN, math.acos(np.float32(z)) / math.pi
+
+
+@kernel
+def texel_at(u, v, height, width):
+    """Flat index of the texel that u, v lies in; some texel for what is not a number."""
+    return max(min(int(v * height), height - 1), 0) * width + max(min(int(u * width), width - 1), 0)
 
 
 @kernel
@@ -102,7 +107,10 @@ def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points
                     u0, u1 = _wrapped(points_g[i - n_c, 0], shift[p, 0]), _wrapped(points_g[i - n_c, 1], shift[p, 1])
                     lx, ly, lz = _mirrored(vx, vy, vz, a, u0, u1)
                 x, y, z = lx * tx + ly * bx + lz * nx, lx * ty + ly * by + lz * ny, lx * tz + ly * bz + lz * nz
-                texel = _texel(x, y, z, height, width) if n_e > 0 else 0
+                texel = 0
+                if n_e > 0:
+                    u, v = lightmap_place(x, y, z)
+                    texel = texel_at(u, v, height, width)
             else:
                 j = i - n_c - n_g
                 u0, u1 = _wrapped(points_e[j, 0], shift[p, 0]), _wrapped(points_e[j, 1], shift[p, 1])

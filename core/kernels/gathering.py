@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sums over traced samples of the light that they find, in one pass: looked up where a ray is free, reflected where it meets something.
 
-The twin in plain operations stands beside the caller, relight/gathering.py. The BRDF's weights are those of reflection.py.
+The twin in plain operations stands beside the caller, relight/gathering.py.
 """
 
 from __future__ import annotations
@@ -10,17 +10,9 @@ import math
 
 import numpy as np
 
+from .directions import lightmap_place, texel_at
 from .jit import kernel
-
-TURN = 2 * math.pi
-SHORTEST2 = 1e-7  # floor of the squared length of the sum of both directions
-
-
-@kernel
-def lightmap_place(x, y, z):
-    """u, v in 0..1 of a unit direction."""
-    z = min(max(z, -1.0), 1.0)
-    return 0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN, math.acos(np.float32(z)) / math.pi
+from .reflection import specular_terms
 
 
 @kernel
@@ -84,8 +76,7 @@ def gather_range(
             u, v = lightmap_place(dx, dy, dz)
             q = float(density[p, i])
             if share > 0:
-                texel = min(int(v * height), height - 1) * width + min(max(int(u * width), 0), width - 1)
-                q += share * float(texels[texel])
+                q += share * float(texels[texel_at(u, v, height, width)])
             weight = n_l / q
             r, g, b = _bilinear(light, 0, u, v)
             at = (i & 1) * 12
@@ -97,16 +88,8 @@ def gather_range(
                 hr, hg, hb = _reflected(k, body, gloss, place, diffuse, specular)
                 hidden = float(opacity[k])
                 r, g, b = r + hidden * (hr - r), g + hidden * (hg - g), b + hidden * (hb - b)
-            hx, hy, hz = dx + vx, dy + vy, dz + vz
-            length2 = max(hx * hx + hy * hy + hz * hz, SHORTEST2)
-            n_h = n_l + n_v
-            tx, ty, tz = hx - n_h * nx, hy - n_h * ny, hz - n_h * nz
-            d = a2 + (tx * tx + ty * ty + tz * tz) / length2 * (1 - a2)
-            sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
-            value = a2 / (math.pi * d * d) * 0.5 / sum_l * weight
-            x = 1 - 0.5 * math.sqrt(length2)
-            bias = value * (x * x) * (x * x) * x
-            value -= bias
+            value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
+            value, bias = value * weight, bias * weight
             acc[at] += weight * r
             acc[at + 1] += weight * g
             acc[at + 2] += weight * b

@@ -17,6 +17,21 @@ SHORTEST2 = 1e-7  # floor of the squared length of the sum of both directions
 
 
 @kernel
+def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
+    """D V (1 - p) and D V p, p = (1 - v.h)^5, for normal n, view v and direction d; root_v = sqrt(n.v^2 (1 - alpha^2) + alpha^2)."""
+    hx, hy, hz = dx + vx, dy + vy, dz + vz
+    length2 = max(hx * hx + hy * hy + hz * hz, SHORTEST2)
+    n_h = n_l + n_v
+    tx, ty, tz = hx - n_h * nx, hy - n_h * ny, hz - n_h * nz
+    k = a2 + (tx * tx + ty * ty + tz * tz) / length2 * (1 - a2)
+    sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
+    value = a2 / (math.pi * k * k) * 0.5 / sum_l
+    x = 1 - 0.5 * math.sqrt(length2)
+    bias = value * (x * x) * (x * x) * x
+    return value - bias, bias
+
+
+@kernel
 def reflect_range(begin, end, view, normal, alpha, direction, density, incoming, sums):
     """Points begin..end: sums (P, 9) of incoming light weighted for the diffuse lobe, for F0 and for what Fresnel adds."""
     count = density.shape[1]
@@ -32,17 +47,9 @@ def reflect_range(begin, end, view, normal, alpha, direction, density, incoming,
             n_l = nx * dx + ny * dy + nz * dz
             if n_l <= 0:
                 continue
-            hx, hy, hz = dx + vx, dy + vy, dz + vz
-            length2 = max(hx * hx + hy * hy + hz * hz, SHORTEST2)
-            n_h = n_l + n_v
-            tx, ty, tz = hx - n_h * nx, hy - n_h * ny, hz - n_h * nz
-            k = a2 + (tx * tx + ty * ty + tz * tz) / length2 * (1 - a2)
-            sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
             weight = n_l / (float(density[p, i]) * count)
-            value = a2 / (math.pi * k * k) * 0.5 / sum_l * weight
-            x = 1 - 0.5 * math.sqrt(length2)
-            bias = value * (x * x) * (x * x) * x
-            value -= bias
+            value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
+            value, bias = value * weight, bias * weight
             r, g, b = float(incoming[p, i, 0]), float(incoming[p, i, 1]), float(incoming[p, i, 2])
             s0, s1, s2 = s0 + weight * r, s1 + weight * g, s2 + weight * b
             s3, s4, s5 = s3 + value * r, s4 + value * g, s5 + value * b

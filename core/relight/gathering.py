@@ -26,7 +26,7 @@ class SecondaryRays:
     """M rays from each of P points; K of them meet something.
 
     Attributes:
-        direction: (P, M, 3) unit. density: (P, M) of the strategies that don't ask the light, per steradian.
+        direction: (P, M, 3) unit. density: (P, M) per steradian, times the number of all samples; see `gather` for what it may lack.
         row: (P, M) int32, which hit, -1 for none. opacity: (K,) of the hits.
         body, gloss: (K, 3) what a hit sends back along the ray of its irradiance / pi and of its prefiltered mirror light.
         place: (K, 5) u, v of its normal, u, v of the mirrored ray, level in the specular stack.

@@ -18,7 +18,7 @@ from .query import Hits
 # Of the scene radius:
 CLEARANCE = 0.002  # rays start this much above the mesh,
 OFFSET = 0.012  # or above the Gaussians' surface where the mesh is not,
-NEAR = 0.05  # which it is where it lies closer than this
+NEAR = 0.05  # which it is where it lies before them, or behind them by less than this
 
 
 class MeshQuery:
