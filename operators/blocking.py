@@ -24,6 +24,16 @@ WAIT = {
 }
 
 
+class Queued:
+    """For operators with a keyword `wait` that buttons start: those get a job in the queue, scripts the result."""
+
+    wait: bool
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.wait = bpy.app.background
+        return self.execute(context)  # type: ignore[attr-defined]
+
+
 def refuse(operator: bpy.types.Operator, error: Exception | str) -> set[str]:
     """Report an error, which scripts get as RuntimeError; one that another operator raised so is handed on."""
     operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())

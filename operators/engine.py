@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from ..core.errors import IrgsppError
 from ..irgspp_addon import engine, engine_check, jobs, managed_engine
 from ..irgspp_addon.preferences import DEVICES, preferences
-from .blocking import SKIP, WAIT, refuse, run_to_end
+from .blocking import SKIP, WAIT, Queued, refuse, run_to_end
 
 
 class IRGSPP_OT_check_engine(bpy.types.Operator):
@@ -38,7 +38,7 @@ class IRGSPP_OT_check_engine(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class IRGSPP_OT_install_engine(bpy.types.Operator):
+class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
     """Install the engine's libraries into a folder of this extension; about 1 GB for the CPU, several for CUDA"""
 
     bl_idname = "irgspp.install_engine"
@@ -52,10 +52,6 @@ class IRGSPP_OT_install_engine(bpy.types.Operator):
         options=SKIP,
     )
     wait: BoolProperty(**WAIT)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.wait = bpy.app.background
-        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         chosen = preferences()

@@ -15,7 +15,7 @@ from ..irgspp_addon.dataset_import import build_dataset, checked, export_argumen
 from ..irgspp_addon.job import Job
 from ..irgspp_addon.placement import Placement
 from ..irgspp_addon.properties import UP_AXES
-from .blocking import WAIT, refuse, run_to_end
+from .blocking import WAIT, Queued, refuse, run_to_end
 from .import_run import select
 
 SPLIT_FILES = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
@@ -23,7 +23,7 @@ MODEL_FILES = ("cameras.bin", "images.bin", "points3D.bin")
 OPTIONS = ("directory", "up_axis", "scale", "recentre", "photographs", "points")
 
 
-class IRGSPP_OT_inspect_dataset(bpy.types.Operator):
+class IRGSPP_OT_inspect_dataset(Queued, bpy.types.Operator):
     """See what the engine understands of the photographs and their cameras, and what is wrong with them"""
 
     bl_idname = "irgspp.inspect_dataset"
@@ -32,10 +32,6 @@ class IRGSPP_OT_inspect_dataset(bpy.types.Operator):
 
     directory: StringProperty(name="Dataset", description="Folder of photographs with known cameras", subtype="DIR_PATH")
     wait: BoolProperty(**WAIT)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.wait = bpy.app.background
-        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:

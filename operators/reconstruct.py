@@ -13,7 +13,7 @@ from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon import jobs, result_import
 from ..irgspp_addon.job import Job
 from ..irgspp_addon.properties import DEVICES, MATERIALS, PRESETS
-from .blocking import IMPORT, SKIP, WAIT, refuse, run_to_end
+from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
 
 
 class IRGSPP_OT_reconstruct(bpy.types.Operator):
@@ -94,7 +94,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         return words + set_words(self.settings) + (["--overwrite"] if self.overwrite else [])
 
 
-class IRGSPP_OT_demo(bpy.types.Operator):
+class IRGSPP_OT_demo(Queued, bpy.types.Operator):
     """Reconstruct the small dataset that comes with the extension, to see that everything works"""
 
     bl_idname = "irgspp.demo"
@@ -104,10 +104,6 @@ class IRGSPP_OT_demo(bpy.types.Operator):
     settings: StringProperty(name="Settings", description="Single settings, as key=value with spaces between", options=SKIP)
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.wait = bpy.app.background
-        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         panel = context.scene.irgspp

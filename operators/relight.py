@@ -17,7 +17,7 @@ from ..irgspp_addon.relight_session import session_of
 from ..irgspp_addon.run_frame import chosen_run, frame_of, run_object
 from ..irgspp_addon.windows import areas
 from ..irgspp_addon.world_light import save_light, world_light
-from .blocking import RUN, SKIP, WAIT, refuse, run_to_end
+from .blocking import RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
 MAP_ROWS = 256
 
@@ -127,7 +127,7 @@ class IRGSPP_OT_world_to_map(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class IRGSPP_OT_render_views(bpy.types.Operator):
+class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
     """Render views of a run as picture files, under this scene's World or the recovered light"""
 
     bl_idname = "irgspp.render_views"
@@ -146,10 +146,6 @@ class IRGSPP_OT_render_views(bpy.types.Operator):
     backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
     use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
     wait: BoolProperty(**WAIT)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.wait = bpy.app.background
-        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:

@@ -16,10 +16,10 @@ from ..irgspp_addon.job import Job
 from ..irgspp_addon.materials import source_of
 from ..irgspp_addon.ownership import Owner
 from ..irgspp_addon.scene_builder import run_of
-from .blocking import IMPORT, RUN, SKIP, WAIT, refuse, run_to_end
+from .blocking import IMPORT, RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
 
-class IRGSPP_OT_bake(bpy.types.Operator):
+class IRGSPP_OT_bake(Queued, bpy.types.Operator):
     """Make the textures of a finished run anew: of another size, for another number of triangles, or on a mesh that you edited"""
 
     bl_idname = "irgspp.bake"
@@ -36,10 +36,6 @@ class IRGSPP_OT_bake(bpy.types.Operator):
     )
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.wait = bpy.app.background
-        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
