@@ -89,6 +89,14 @@ class ExportSettings:
     material: Literal["textures", "attributes"] = "textures"
 
 
+Choice = Literal["auto", "on", "off"]
+
+
+@dataclass(frozen=True)
+class SkipSettings:
+    """What a scene may not need, rule by rule: "auto" decides by evidence measured on the scene, which run.json has."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """All settings of one job; `preset` names the starting point."""
@@ -102,6 +110,7 @@ class Settings:
     transport: TransportSettings = field(default_factory=TransportSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     export: ExportSettings = field(default_factory=ExportSettings)
+    skip: SkipSettings = field(default_factory=SkipSettings)
 
 
 PRESETS: dict[str, Settings] = {
