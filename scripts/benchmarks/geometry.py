@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Geometry: how far the normals of the Gaussians, of the mesh, and of what is shaded are from the true ones."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+import torch
+from irgspp.core.evaluation import metrics, pictures
+from irgspp.core.relight.backends import open_relighter
+from irgspp.core.relight.mesh_query import MeshQuery
+from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.scene.ply import load_mesh_ply
+from irgspp.core.scene.reconstruction import Reconstruction
+
+from .bench import Bench, Scene
+from .section import Block, Measurement, Note, Pictures, Table, Task
+from .store import Results
+
+NAME = "geometry"
+TITLE = "Geometry"
+ABOUT = (
+    "Mean angle between estimated and true normals over the object's pixels of all test views, in degrees. What is shaded when relighting "
+    "lies between Gaussians and mesh. Distances are point to plane, in scene units."
+)
+ONCE = False
+PAPER = {"Gaussians": 3.980, "mesh": 4.260}  # IRGS++ on TensoIR's scenes
+LIMIT = 20.0  # degrees, of the pictures of errors
+
+
+def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    assert scene is not None
+    if scene.view_truth(scene.views[0]).normal is not None:
+        yield Task("normals", partial(_normals, bench, scene), 12.0, [bench.balanced()])
+
+
+def _normals(bench: Bench, scene: Scene) -> Measurement:
+    run = bench.run(scene, bench.balanced())
+    reconstruction, mesh = Reconstruction.load(run.path), load_mesh_ply(run.path / "mesh.ply")
+    query = MeshQuery(mesh, reconstruction.bound.radius)
+    relighter = open_relighter(run.path, reconstruction, "mesh", RelightSettings())
+    shaded, bare, shown = [], [], {}
+    for number, view in enumerate(scene.views):
+        truth = scene.view_truth(view)
+        assert truth.normal is not None
+        surface = relighter.surface(view.camera)
+        lit = np.zeros((truth.normal[..., 0].size, 3), np.float32)
+        lit[surface.index.numpy()] = surface.normal.numpy()
+        of_mesh = mesh_normals(query, view.camera)
+        angle = metrics.normal_angles(of_mesh, truth.normal)
+        bare.append(angle[truth.object].mean())
+        shaded.append(metrics.normal_angles(lit.reshape(truth.normal.shape), truth.normal)[truth.object].mean())
+        if number == 0:
+            shown = _pictures(truth.normal, of_mesh, angle * truth.object, truth.object)
+    figures = bench.evaluation(scene, run.path)["figures"]
+    wanted = ("mesh_chamfer", "mesh_accuracy", "mesh_completeness", "mesh_stray", "mesh_triangles")
+    angles = {"gaussian_degrees": figures["normal_mae"], "mesh_degrees": float(np.mean(bare)), "shaded_degrees": float(np.mean(shaded))}
+    return Measurement(angles | {n: figures[n] for n in wanted if n in figures}, {"views": len(bare)}, shown)
+
+
+def mesh_normals(query: MeshQuery, camera) -> np.ndarray:
+    """(H, W, 3) unit normals of the mesh where a camera sees it, 0 elsewhere."""
+    direction = torch.nn.functional.normalize(torch.from_numpy(camera.rays().reshape(-1, 3)).float(), dim=1)
+    hits = query.hits(torch.from_numpy(camera.centre).float().expand_as(direction), direction)
+    normal = np.zeros((len(direction), 3), np.float32)
+    normal[hits.ray.numpy()] = hits.normal.numpy()
+    return normal.reshape(camera.height, camera.width, 3)
+
+
+def _pictures(true: np.ndarray, ours: np.ndarray, angle: np.ndarray, inside: np.ndarray) -> dict[str, np.ndarray]:
+    alpha = inside.astype(np.float32)
+    shown = {"true": pictures.normal(true, alpha), "mesh": pictures.normal(ours, alpha), "error": pictures.heat(angle, LIMIT)}
+    return {name: pictures.over(picture, 0.16) for name, picture in shown.items()}
+
+
+def blocks(results: Results) -> Iterator[Block]:
+    columns = ("scene", "Gaussians ° ↓", "mesh ° ↓", "shaded ° ↓", "Chamfer ↓", "stray share ↓", "triangles")
+    names = ("gaussian_degrees", "mesh_degrees", "shaded_degrees", "mesh_chamfer", "mesh_stray", "mesh_triangles")
+    rows = [[r.scene, *(r.figures.get(name) for name in names)] for r in results.records()]
+    if rows:
+        yield Table("Normal error and distances", columns, rows)
+        yield Note(f"The paper reports {PAPER['Gaussians']}° (Gaussians) and {PAPER['mesh']}° (mesh) on its own, other scenes.")
+    shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records()]
+    if shown:
+        yield Pictures(f"Normals of the mesh; error from 0 (dark) to {LIMIT:.0f}°", shown)

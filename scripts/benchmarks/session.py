@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All tasks of a benchmark, one after the other: what is there is not done again, what fails is noted, the time left is told."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import TextIO
+
+import numpy as np
+from irgspp.core.terminal import clock
+from PIL import Image
+
+from .bench import Bench, Scene
+from .section import Task
+from .store import EVERYWHERE, Record, Store
+
+LIVE_SECONDS, PLAIN_SECONDS = 0.5, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A task in its place."""
+
+    section: str
+    scene: Scene | None
+    task: Task
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Of its record."""
+        return (self.section, self.scene.name if self.scene else EVERYWHERE, self.task.configuration)
+
+
+def steps_of(bench: Bench, sections: Sequence[ModuleType]) -> list[Step]:
+    """All of them, section by section."""
+    return [
+        Step(section.NAME, scene, task)
+        for section in sections
+        for scene in ([None] if section.ONCE else bench.scenes)
+        for task in section.tasks(bench, scene)
+    ]
+
+
+def expected_seconds(bench: Bench, steps: Sequence[Step]) -> list[float]:
+    """Of each step on two cores; a reconstruction counts where it is needed first, and not at all where it is there."""
+    counted, seconds = set(), []
+    for step in steps:
+        own = step.task.seconds
+        for plan in step.task.runs:
+            assert step.scene is not None
+            if (step.scene.name, plan.label) not in counted and not bench.has_run(step.scene, plan):
+                own += plan.seconds
+            counted.add((step.scene.name, plan.label))
+        seconds.append(own)
+    return seconds
+
+
+class Session:
+    """Works the steps off and tells how far it is."""
+
+    def __init__(self, bench: Bench, store: Store, stream: TextIO | None = None) -> None:
+        self.bench, self.store, self._stream = bench, store, stream or sys.stderr
+        self._live = self._stream.isatty()
+        self._shown, self._width, self._line = 0.0, 0, ""
+        self._began, self._left, self._own = 0.0, 0.0, 0.0
+        bench.ticked = self._tick
+
+    def work(self, steps: Sequence[Step]) -> int:
+        """Do what is not done; returns how many failed. KeyboardInterrupt passes, with everything done so far in the store."""
+        missing = [step for step in steps if not self.store.done(step.key)]
+        seconds = expected_seconds(self.bench, missing)
+        self.say(f"{len(steps)} measurements, {len(steps) - len(missing)} of them there; about {clock(sum(seconds))} on two quiet cores")
+        spent, planned, failures = 0.0, 0.0, 0
+        for number, (step, own) in enumerate(zip(missing, seconds, strict=True), 1):
+            pace = spent / planned if planned > 60 else 1.0
+            self._left, self._own, self._began = pace * sum(seconds[number - 1 :]), pace * own, time.monotonic()
+            self._line = f"{number}/{len(missing)} {' '.join(step.key)}"
+            self._tick(True)
+            record = self._measured(step)
+            failures += record.status == "failed"
+            self.store.add(record)
+            spent, planned = spent + record.seconds, planned + own
+        self._end_line()
+        return failures
+
+    def _measured(self, step: Step) -> Record:
+        try:
+            found = step.task.work()
+            figures = {name: _plain(value) for name, value in found.figures.items()}
+            kept = {name: self._keep(step, name, picture) for name, picture in found.pictures.items()}
+            record = Record(*step.key, figures=figures, counted=found.counted, pictures=kept)
+        except Exception as error:
+            line = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            self.say(f"failed: {' '.join(step.key)}: {line}")
+            with (self.bench.folder / "failures.log").open("a", encoding="utf-8") as log:
+                log.write(f"{' '.join(step.key)}\n{traceback.format_exc()}\n")
+            record = Record(*step.key, status="failed", error=line)
+        return replace(record, seconds=round(time.monotonic() - self._began, 3), environment=self.store.current)
+
+    def _keep(self, step: Step, name: str, picture: np.ndarray) -> str:
+        file = Path("pictures", "-".join("".join(c if c.isalnum() else "_" for c in part) for part in (*step.key, name)) + ".png")
+        (self.store.folder / "pictures").mkdir(parents=True, exist_ok=True)
+        Image.fromarray(picture).save(self.store.folder / file)
+        return file.as_posix()
+
+    # --- the line on the terminal
+
+    def say(self, text: str) -> None:
+        """One line that stays."""
+        self._end_line()
+        print(text, file=self._stream, flush=True)
+
+    def _tick(self, new: bool = False) -> None:
+        now = time.monotonic()
+        if now - self._shown < (LIVE_SECONDS if self._live else PLAIN_SECONDS) and not (new and self._live):
+            return
+        self._shown, here = now, now - self._began
+        line = f"{self._line}  {clock(here)} of {clock(self._own)}, {clock(max(self._left - here, 0))} left"
+        if not self._live:
+            print(line, file=self._stream, flush=True)
+            return
+        print("\r" + line.ljust(self._width), end="", file=self._stream, flush=True)
+        self._width = len(line)
+
+    def _end_line(self) -> None:
+        if self._live and self._width:
+            print(file=self._stream, flush=True)
+        self._width = 0
+
+
+def _plain(value: object) -> object:
+    """A number that JSON knows; what is not finite becomes text, which no plot shows."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    return value
