@@ -53,9 +53,22 @@ def cache_folder() -> Path:
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
 
 import numba  # noqa: E402  (reads NUMBA_CACHE_DIR on import)
+from numba.core.caching import IndexDataCacheFile  # noqa: E402
 
 # Sums may be contracted and reordered; NaN and infinity keep their meaning, so that faults stay visible.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+
+
+class KernelFiles(IndexDataCacheFile):
+    """The files of a kernel's compiled versions, each named by what it was compiled for.
+
+    numba numbers them. Processes that compile at once would give two versions the same number, and one would run the other's code.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        name = self._data_name(int(hashlib.sha256(repr(key).encode()).hexdigest()[:12], 16))
+        self._save_data(name, data)
+        self._save_index({**self._load_index(), key: name})
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -64,4 +77,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     Helpers are always inlined: one that is called could be another copy in code just compiled than in code from the cache, with sums
     contracted otherwise, and the first run on a machine would differ from the later ones.
     """
-    return numba.njit(function, nogil=True, cache=True, forceinline=True, fastmath=FASTMATH, error_model="numpy")
+    compiled: Any = numba.njit(function, nogil=True, cache=True, forceinline=True, fastmath=FASTMATH, error_model="numpy")
+    cache = compiled._cache
+    cache._cache_file = KernelFiles(cache.cache_path, cache._impl.filename_base, cache._impl.locator.get_source_stamp())
+    return compiled

@@ -6,6 +6,7 @@ import stat
 import sys
 import tempfile
 
+import numba
 import pytest
 from irgspp.core.kernels import jit
 
@@ -76,3 +77,18 @@ def test_name_changes_with_the_sources(tmp_path, monkeypatch):
     first = jit.cache_folder()
     (sources / "simd.py").write_text("x = 2\n")
     assert len({before, first, jit.cache_folder()}) == 3
+
+
+def test_processes_that_compile_at_once_keep_their_versions_apart(tmp_path, monkeypatch):
+    """Neither sees what the other notes in the index, yet whichever is noted there last is what the file holds."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def twice(x):
+        return x + x
+
+    first, second, later = (jit.kernel(twice) for _ in range(3))
+    for compiled in (first, second):
+        compiled._cache._cache_file._load_index = dict
+    assert (first(2**40), second(1.5)) == (2**41, 3.0)
+    assert len({path.read_bytes() for path in tmp_path.rglob("*.nbc")}) == 2
+    assert later(2.5) == 5.0 and list(later.stats.cache_hits.values()) == [1]
