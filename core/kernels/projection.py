@@ -110,6 +110,15 @@ def _frame(position, quaternion, n, i, cam):
 
 
 @kernel
+def _slopes(c, tu, tv, kept):
+    """tu nc - n (tu . c) and the same of tv: times a pixel's offset, what u and v are proportional to.
+
+    As cross products nothing cancels. `kept` is what foreshortening was kept away from 0 by: without it such a disk would be drawn longer.
+    """
+    return _add(_cross(tv, c), _scale(tu, kept)), _add(_cross(c, tu), _scale(tv, kept))
+
+
+@kernel
 def _direction(offset):
     """Unit viewing direction, camera to Gaussian, and 1 / distance."""
     inv = 1.0 / sqrt(maximum(_dot(offset, offset), splat(1e-20)))
@@ -130,11 +139,11 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
     extras = feature.shape[1] - 6
     for block in range(begin, end):
         i = min(block * 8, n - 8)
-        offset, c, r2, tu, tv, normal, nc, side, _, _, _ = _frame(position, quaternion, n, i, cam)
+        offset, c, r2, tu, tv, normal, nc, side, free, _, _ = _frame(position, quaternion, n, i, cam)
         su, sv = exp(_log_scale(log_scale, i)), exp(_log_scale(log_scale, n + i))
         z = select(c[2] > cam[18], c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
-        e, f = _cross(tv, c), _cross(c, tu)
+        e, f = _slopes(c, tu, tv, select(free, splat(0.0), nc - _dot(normal, c)))
         ku, kv = k / su, k / sv
         store(scratch, 0, c[0] * iz * fx + px)
         store(scratch, 8, c[1] * iz * fy + py)
@@ -187,16 +196,16 @@ def _finish(g, lane, scratch, cam, record, box, depth):
     record[g, 10] = cut
     # Extent of the ellipse rho = cut under perspective: a quadratic in x/z with these coefficients.
     d = cut * scratch[112 + lane] - z * z
-    if d > -cam[18] * cam[18]:
-        return
+    around = d > -cam[18] * cam[18]  # it reaches round the camera, and may be seen in every pixel
     pad = math.sqrt(cut / LOW_PASS)
     for axis in range(2):
-        c, focal, shift = scratch[136 + axis * 8 + lane], cam[9 + axis], cam[11 + axis]
-        middle = (cut * scratch[120 + axis * 8 + lane] - c * z) / d
-        spread = math.sqrt(max(0.0, middle * middle - (cut * scratch[96 + axis * 8 + lane] - c * c) / d))
-        low = min((middle - spread) * focal + shift, record[g, axis] - pad)
-        high = max((middle + spread) * focal + shift, record[g, axis] + pad)
-        limit = cam[16 + axis]
+        c, focal, shift, limit = scratch[136 + axis * 8 + lane], cam[9 + axis], cam[11 + axis], cam[16 + axis]
+        low, high = np.float32(0.0), limit
+        if not around:
+            middle = (cut * scratch[120 + axis * 8 + lane] - c * z) / d
+            spread = math.sqrt(max(0.0, middle * middle - (cut * scratch[96 + axis * 8 + lane] - c * c) / d))
+            low = min((middle - spread) * focal + shift, record[g, axis] - pad)
+            high = max((middle + spread) * focal + shift, record[g, axis] + pad)
         first, last = max(0.0, math.ceil(low - 0.5)), min(limit - 1.0, math.floor(high - 0.5))
         if not (first <= last):
             box[g, 0], box[g, 2] = 1, 0
@@ -249,7 +258,8 @@ def project_backward_range(
         front = c[2] > cam[18]
         z = select(front, c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
-        e, f = _cross(tv, c), _cross(c, tu)
+        kept = select(free, zero, nc - _dot(normal, c))
+        e, f = _slopes(c, tu, tv, kept)
         gmx, gmy = _gather(slots, i, 0, scratch), _gather(slots, i, 1, scratch)
         ga0, ga1 = _gather(slots, i, 2, scratch) * isu / fx, _gather(slots, i, 3, scratch) * isu / fy
         gb0, gb1 = _gather(slots, i, 4, scratch) * isv / fx, _gather(slots, i, 5, scratch) * isv / fy
@@ -259,8 +269,10 @@ def project_backward_range(
         ge, gf = (ga0 * k, ga1 * k, zero), (gb0 * k, gb1 * k, zero)
         gnc = select(free, gk * k * -1.0 / nc, zero)
         gn = _add((gc0 * k, gc1 * k, zero), _scale(c, gnc))
-        g_tv, g_tu = _cross(c, ge), _cross(gf, c)
-        g_c = _add(_add(_cross(ge, tv), _cross(tu, gf)), _scale(normal, gnc))
+        gkept = select(free, zero, (_dot(ge, tu) + _dot(gf, tv)) * -1.0)
+        gn = _add(gn, _scale(c, gkept))
+        g_tv, g_tu = _add(_cross(c, ge), _scale(gf, kept)), _add(_cross(gf, c), _scale(ge, kept))
+        g_c = _add(_add(_cross(ge, tv), _cross(tu, gf)), _scale(normal, gnc + gkept))
         gz = gk / nc + _gather(slots, i, 8, scratch) - (gmx * fx * c[0] + gmy * fy * c[1]) * iz * iz
         g_c = _add(g_c, (gmx * fx * iz, gmy * fy * iz, gz))
         g_world = _rotate_back(cam, g_c)

@@ -16,6 +16,7 @@ from .raster import rasterize_backward_range, rasterize_range
 
 COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # feature channels; depth and opacity follow the extras
 MIN_GAUSSIANS = 8  # one vector
+_NOTHING = -100.0  # as an opacity's logit
 
 
 @dataclass
@@ -85,7 +86,7 @@ class _Rasterize(torch.autograd.Function):
         screen = torch.empty(n)
         outputs = [g.view(-1).numpy() for g in gradients]
         run_ranges(project_backward_range, blocks, *ctx.arrays[:5], ctx.coefficients, ctx.cam, n, slots, *outputs, screen.numpy())
-        ctx.statistics.gradient = screen
+        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)]
         return *gradients, None, None, None
 
 
@@ -113,10 +114,17 @@ def rasterize(
         not divided by opacity, and opacity itself last (nearly opaque counts as opaque: there the sums are means); and the
         statistics of density control.
     """
-    n = position.shape[1]
+    n, parameters = position.shape[1], (position, quaternion, log_scale, opacity, sh, extra)
     if n < MIN_GAUSSIANS:
-        raise ValueError(f"rasterize needs at least {MIN_GAUSSIANS} Gaussians, got {n}")
+        parameters = tuple(_filled(p) for p in parameters)
     statistics = ScreenStatistics(torch.zeros(n))
     cam = camera_numbers(camera, NEAR * scene_radius)
-    picture = _Rasterize.apply(position, quaternion, log_scale, opacity, sh, extra, cam, (degree + 1) ** 2, statistics)
+    picture = _Rasterize.apply(*parameters, cam, (degree + 1) ** 2, statistics)
+    statistics.radius = statistics.radius[:n]
     return picture, statistics
+
+
+def _filled(parameter: torch.Tensor) -> torch.Tensor:
+    """A parameter (..., N) with Gaussians added that have no opacity, to make one vector."""
+    missing = parameter.new_full((*parameter.shape[:-1], MIN_GAUSSIANS - parameter.shape[-1]), _NOTHING)
+    return torch.cat([parameter, missing], -1)
