@@ -21,6 +21,7 @@ from mathutils import Matrix
 
 from ..core.datasets.camera import Camera
 from ..core.errors import IrgsppError
+from ..core.kernels.pool import thread_count
 from .cameras import look_through, set_camera
 from .scene_builder import import_run
 from .world import world_from_map
@@ -52,6 +53,7 @@ def render(request: dict[str, Any]) -> dict[str, float]:
 def _set_up(scene: bpy.types.Scene) -> None:
     scene.render.engine, scene.render.film_transparent = "CYCLES", True
     scene.render.use_persistent_data = True
+    scene.render.threads_mode, scene.render.threads = "FIXED", thread_count()
     scene.cycles.device, scene.cycles.use_adaptive_sampling = "CPU", False
     settings = scene.render.image_settings
     settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGBA"

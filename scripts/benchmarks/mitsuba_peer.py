@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mitsuba 3 asked for pictures from outside: it runs in a process of its own, as its compiler and ours share no process well."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.errors import IrgsppError
+from irgspp.core.kernels.pool import thread_count
+from irgspp.core.scene.ply import load_mesh_ply
+from irgspp.core.scene.textures import load_textures
+from irgspp.core.shading.specular_albedo import TABLE, diffuse_share
+
+VARIANTS = ("llvm_ad_rgb", "scalar_rgb")  # the first that works; the second knows neither our BRDF nor gradients
+BOUNCES = 12  # as Cycles
+PROBE = "import mitsuba as mi; mi.set_variant('{}'); mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy(); print(mi.__version__)"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A picture, (H, W, 4) linear premultiplied, of so many samples, and the seconds it took with the scene loaded."""
+
+    samples: int
+    seconds: float
+    rgba: np.ndarray
+    denoised: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Shots:
+    """Of one view under one light: a frame for each number of samples, the converged picture (H, W, 4) or None, and layers by name."""
+
+    frames: list[Frame]
+    converged: np.ndarray | None
+    layers: dict[str, np.ndarray]
+
+
+def missing() -> str:
+    """Why Mitsuba can't be used; "" where it can."""
+    if importlib.util.find_spec("mitsuba") is None:
+        return "Mitsuba is not installed (the extra `peers`)"
+    try:
+        variant()
+    except IrgsppError as error:
+        return str(error)
+    return ""
+
+
+@cache
+def variant() -> tuple[str, str]:
+    """The variant that works here, and Mitsuba's version. Raises IrgsppError where none does."""
+    said = ""
+    for name in VARIANTS:
+        probe = subprocess.run([sys.executable, "-c", PROBE.format(name)], capture_output=True, text=True, errors="replace")
+        if probe.returncode == 0:
+            return name, probe.stdout.strip()
+        said = (probe.stderr.strip().splitlines() or [f"status {probe.returncode}"])[-1]
+    raise IrgsppError(f"Mitsuba does not work here: {said}")
+
+
+def textured(run: Path) -> dict[str, np.ndarray]:
+    """The exported asset of a run: its mesh and textures."""
+    mesh = load_mesh_ply(run / "mesh.ply")
+    textures = {f"texture_{name}": texture for name, texture in load_textures(run / "textures").items()}
+    return {"vertices": mesh.vertices, "normals": mesh.normals, "uvs": mesh.uvs, "faces": mesh.faces, **textures}
+
+
+def welded(run: Path) -> dict[str, np.ndarray]:
+    """The mesh of a run with one vertex where it has one for each chart of its UVs."""
+    mesh = load_mesh_ply(run / "mesh.ply")
+    _, first, same = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
+    return {"vertices": mesh.vertices[first], "normals": mesh.normals[first], "faces": same.reshape(-1)[mesh.faces]}
+
+
+def pictures(
+    thing: Mapping[str, np.ndarray],
+    views: Mapping[str, Camera],
+    lights: Mapping[str, np.ndarray],
+    counts: Sequence[int],
+    converged: int = 0,
+    brdf: str = "ours",
+    bounces: int = BOUNCES,
+    layers: int = 0,
+) -> dict[tuple[str, str], Shots]:
+    """Every view under every light.
+
+    Args:
+        thing: `textured`, or `welded` with vertex_albedo (V, 3), vertex_roughness, vertex_metallic (V,). lights: (H, W, 3) linear lat-long.
+        counts: samples of the frames. converged: of the converged picture, 0 for none. layers: samples of the layers, 0 for none.
+        brdf: "ours", or "principled". bounces: of indirect light.
+    """
+    request = {
+        "views": {name: {**vars(camera), "to_world": camera.to_world.tolist()} for name, camera in views.items()},
+        "lights": list(lights),
+        "counts": list(counts),
+        "converged": converged,
+        "brdf": brdf if variant()[0] == VARIANTS[0] else "principled",
+        "bounces": bounces,
+        "layers": layers,
+    }
+    arrays = {**thing, **{f"light_{name}": light for name, light in lights.items()}}
+    answer, found = ask("mitsuba_views", request, arrays)
+
+    def shots(stem: str) -> Shots:
+        frames = [Frame(n, answer["seconds"][f"{stem}_{n}"], found[f"{stem}_{n}"]) for n in counts]
+        return Shots(frames, found.get(f"{stem}_converged"), {name: found[f"{stem}_{name}"] for name in answer["layers"]})
+
+    return {(view, light): shots(f"{view}_{light}") for view in views for light in lights}
+
+
+def ask(module: str, request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What a module of this package answers in a process of its own, and the arrays it leaves. Raises IrgsppError where it fails."""
+    with tempfile.TemporaryDirectory(prefix="irgspp-mitsuba-") as name:
+        folder = Path(name)
+        about = {"variant": variant()[0], "threads": thread_count(), **request}
+        (folder / "request.json").write_text(json.dumps(about), encoding="utf-8")
+        np.savez(folder / "arrays.npz", **arrays, body=_body())
+        command = [sys.executable, "-m", f"{__package__}.{module}", str(folder)]
+        environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+        child = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
+        if child.returncode:
+            said = (child.stderr.strip().splitlines() or ["no message"])[-1]
+            raise IrgsppError(f"Mitsuba ended with status {child.returncode}: {said}")
+        answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+        return answer, {path.stem: np.load(path) for path in folder.glob("*.npy")}
+
+
+@cache
+def _body() -> np.ndarray:
+    """What the specular lobe leaves to the diffuse one, by roughness (rows) and n.v."""
+    grid = torch.linspace(0, 1, TABLE)
+    rows, columns = torch.meshgrid(grid, grid, indexing="ij")
+    return diffuse_share(columns.flatten(), rows.flatten()).view(TABLE, TABLE).numpy()

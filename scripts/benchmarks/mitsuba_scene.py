@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An object, a light and cameras of ours as Mitsuba sees them; runs in Mitsuba's own process, imported once a variant is set."""
+
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# (Mitsuba is optional, and its types depend on the variant)
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import mitsuba_brdf
+
+# Mitsuba's light maps have +Y up and their seam elsewhere: its x, y, z are our y, z, x.
+MAP_TO_WORLD = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+CAMERA_AXES = np.diag([-1.0, 1.0, -1.0, 1.0])  # it looks along +Z, with +X to the left
+
+
+VERTEX_VALUES = {"vertex_albedo": 3, "vertex_roughness": 1, "vertex_metallic": 1}
+LAYERS = ("albedo", "roughness", "metallic", "alpha")
+
+
+def material(arrays: dict[str, np.ndarray], brdf: str) -> dict[str, Any]:
+    """What the arrays hold: textures as texture_<name>, or the vertices' own values."""
+    if brdf == "ours":
+        mitsuba_brdf.register(arrays["body"])
+    textures = {key.removeprefix("texture_"): value for key, value in arrays.items() if key.startswith("texture_")}
+    return textured_material(textures, brdf) if textures else vertex_material()
+
+
+def lit(shape: mi.Mesh, picture: np.ndarray, bounces: int) -> mi.Scene:
+    """The object under a light map (H, W, 3), which itself is not seen."""
+    integrator = {"type": "path", "max_depth": bounces + 2, "hide_emitters": True}
+    return mi.load_dict({"type": "scene", "integrator": integrator, "object": shape, "light": light(picture)})
+
+
+def textured_material(textures: dict[str, np.ndarray], brdf: str) -> dict[str, Any]:
+    """A BSDF that reads "albedo" (T, T, 3) uint8 sRGB, "roughness", "metallic" (T, T) and "normal" (T, T, 3) uint8, as Blender does.
+
+    brdf: "ours", or "principled" for Mitsuba's own.
+    """
+    kind = mitsuba_brdf.NAME if brdf == "ours" else "principled"
+    read = {name: _bitmap(textures[name], raw=name != "albedo") for name in ("albedo", "roughness", "metallic", "normal")}
+    inner: dict[str, Any] = {"type": kind, "base_color": read["albedo"], "roughness": read["roughness"], "metallic": read["metallic"]}
+    if kind == "principled":
+        inner["eta"] = 1.5
+    return {"type": "normalmap", "normalmap": read["normal"], "bsdf": inner}
+
+
+def _bitmap(texture: np.ndarray, raw: bool) -> dict[str, Any]:
+    picture = texture if texture.ndim == 3 else texture[..., None]
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(picture)), "raw": raw, "filter_type": "bilinear"}
+
+
+def vertex_material() -> dict[str, Any]:
+    """A BSDF of ours that reads the vertices' own values."""
+    names = {"base_color": "vertex_albedo", "roughness": "vertex_roughness", "metallic": "vertex_metallic"}
+    return {"type": mitsuba_brdf.NAME, **{key: {"type": "mesh_attribute", "name": name} for key, name in names.items()}}
+
+
+def mesh_shape(arrays: dict[str, np.ndarray], material: dict[str, Any]) -> mi.Mesh:
+    """`vertices`, `normals` (V, 3), `faces` (F, 3), and `uvs` (V, 2) with textures, v = 0 at the bottom; VERTEX_VALUES if any."""
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(material)
+    uvs = arrays.get("uvs")
+    count = (len(arrays["vertices"]), len(arrays["faces"]))
+    mesh = mi.Mesh("object", *count, has_vertex_normals=True, has_vertex_texcoords=uvs is not None, props=properties)
+    data = mi.traverse(mesh)
+    data["vertex_positions"] = np.ascontiguousarray(arrays["vertices"], np.float32).ravel()
+    data["vertex_normals"] = np.ascontiguousarray(arrays["normals"], np.float32).ravel()
+    data["faces"] = np.ascontiguousarray(arrays["faces"], np.uint32).ravel()
+    if uvs is not None:
+        data["vertex_texcoords"] = np.stack([uvs[:, 0], 1 - uvs[:, 1]], 1).astype(np.float32).ravel()
+    data.update()
+    for name, size in VERTEX_VALUES.items():
+        if name in arrays:
+            mesh.add_attribute(name, size, np.ascontiguousarray(arrays[name], np.float32).ravel())
+    return mesh
+
+
+def light(picture: np.ndarray) -> dict[str, Any]:
+    """The light map (H, W, 3), row 0 = +Z, middle column +X. See `at_nodes`."""
+    bitmap = mi.Bitmap(at_nodes(np.asarray(picture, np.float32)))
+    return {"type": "envmap", "bitmap": bitmap, "to_world": mi.ScalarTransform4f(MAP_TO_WORLD)}
+
+
+def at_nodes(picture: np.ndarray) -> np.ndarray:
+    """(2 H + 1, W, 3) that Mitsuba, whose first and last rows are at the poles, sees as we see the map, whose rows are half a texel off."""
+    rows = np.empty((2 * len(picture) + 1, *picture.shape[1:]), np.float32)
+    rows[1::2], rows[0], rows[-1] = picture, picture[0], picture[-1]
+    rows[2:-1:2] = 0.5 * (picture[1:] + picture[:-1])
+    return rows
+
+
+def sensor(camera: dict[str, Any]) -> mi.Sensor:
+    """A camera with "width", "height", "fx", "fy", "cx", "cy" in pixels and "to_world" (4, 4), axes as Blender's.
+
+    Raises ValueError for pixels that are not square, which Mitsuba's cameras don't know.
+    """
+    width, height = camera["width"], camera["height"]
+    if abs(camera["fx"] / camera["fy"] - 1) > 1e-3:
+        raise ValueError("Mitsuba knows no pixels that are not square")
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": math.degrees(2 * math.atan(width / (2 * camera["fx"]))),
+            "fov_axis": "x",
+            "principal_point_offset_x": camera["cx"] / width - 0.5,
+            "principal_point_offset_y": camera["cy"] / height - 0.5,
+            "near_clip": 1e-3,
+            "far_clip": 1e4,
+            "to_world": mi.ScalarTransform4f(np.array(camera["to_world"]) @ CAMERA_AXES),
+            "film": {"type": "hdrfilm", "width": width, "height": height, "pixel_format": "rgba", "rfilter": {"type": "box"}},
+        }
+    )
+
+
+class Layers(mi.SamplingIntegrator):
+    """The vertices' materials as a picture: albedo, then roughness and metallic."""
+
+    def sample(self, scene, sampler, ray, medium=None, active=True):
+        si = scene.ray_intersect(ray, active)
+        found = si.is_valid() & active
+        values = [si.shape.eval_attribute_3("vertex_albedo", si, found)]
+        values += [si.shape.eval_attribute_1(f"vertex_{name}", si, found) for name in ("roughness", "metallic")]
+        albedo, roughness, metallic = (dr.select(found, value, 0) for value in values)
+        return albedo, found, [roughness, metallic]
+
+    def aov_names(self) -> list[str]:
+        return ["roughness", "metallic"]
+
+
+def layers(scene: mi.Scene, sensor: mi.Sensor, samples: int) -> dict[str, np.ndarray]:
+    """Pictures by LAYERS: albedo (H, W, 3), roughness, metallic (H, W), each divided by alpha (H, W)."""
+    picture = np.array(mi.render(scene, sensor=sensor, integrator=Layers(mi.Properties()), spp=samples))
+    alpha = picture[..., 3]
+    straight = picture / np.maximum(alpha, 1e-6)[..., None]
+    return {"albedo": straight[..., :3], "roughness": straight[..., 4], "metallic": straight[..., 5], "alpha": alpha}

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Peers on the same machine, in the same run: Mitsuba 3 and Cycles relighting our asset."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import partial
+
+import numpy as np
+from irgspp.core.blender import NoBlender, blender_command
+from irgspp.core.evaluation import pictures
+from irgspp.core.evaluation.metrics import on_black, psnr
+
+from . import mitsuba_peer
+from .bench import Bench, Scene
+from .peer_relighting import CYCLES, EVERYONE, FULL, MITSUBA, OURS, PEERS, QUICK, Duel, fight, renderer_of
+from .relighting import studio
+from .section import Block, Chart, Figures, Measurement, Note, Pictures, Series, Table, Task
+from .store import Results
+
+NAME = "peers"
+TITLE = "Peers: Mitsuba 3 and Cycles"
+ABOUT = (
+    "The exported mesh with its textures under a new light, by us, by Mitsuba 3 (path tracer, our BRDF as its plugin, all bounces; it has "
+    "no denoiser for a CPU) and by Cycles (all bounces, with and without OpenImageDenoise), in as many threads. Error: PSNR over the "
+    "object's pixels, each renderer against its own converged picture; what these differ by is told apart. We look at the Gaussians first "
+    "and at one bounce of indirect light, the others at the mesh. Seconds: of a frame with the scene loaded and everything compiled; all "
+    "took turns."
+)
+ONCE = False
+PRINCIPLED = "Mitsuba, its own BRDF"
+SHARE = 0.1  # difference that is white in the pictures
+SAMPLES = 64  # of the comparison of BRDFs
+
+
+def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    assert scene is not None
+    if not scene.relights:
+        return
+    run, effort = [bench.balanced()], QUICK if bench.quick else FULL
+    absent = without()
+    duels: dict[str, Duel] = {}
+
+    def duel() -> Duel:
+        """Fought when the first task needs it."""
+        if scene.name not in duels:
+            one = studio(bench, scene)
+            duels[scene.name] = fight(one, one.places[0], scene.truth.lights[one.places[0].light], effort, absent)
+        return duels[scene.name]
+
+    seconds = 25.0 if bench.quick else 240.0
+    yield Task("difference", partial(_difference, duel, absent), seconds, run)
+    for name in EVERYONE:
+        for samples in () if renderer_of(name) in absent else effort.counts[name]:
+            yield Task(f"{name}: {samples} samples", partial(_point, duel, name, samples), 0.1, run)
+    for samples in effort.counts[OURS]:
+        yield Task(f"to our error: {samples} samples", partial(_against, duel, samples), 0.1, run)
+    if not bench.quick and MITSUBA not in absent:
+        yield Task(PRINCIPLED, partial(_principled, bench, scene), 20.0, run)
+
+
+def without() -> dict[str, str]:
+    """The peers that are not there, each with the reason."""
+    reasons = {MITSUBA: mitsuba_peer.missing(), CYCLES: ""}
+    try:
+        blender_command()
+    except NoBlender as error:
+        reasons[CYCLES] = str(error)
+    return {name: reason for name, reason in reasons.items() if reason}
+
+
+def _difference(duel, absent: dict[str, str]) -> Measurement:
+    """Of the converged pictures, over the pixels that show the object in any."""
+    shown = duel().pictures
+    figures: Figures = {"about Mitsuba": absent.get(MITSUBA) or " ".join(reversed(mitsuba_peer.variant()))}
+    figures["about Cycles"] = absent.get(CYCLES) or "of the Blender above"
+    made = {name: np.round(255 * picture.clip(0, 1)).astype(np.uint8) for name, picture in shown.items()}
+    for a, b in ((OURS, MITSUBA), (OURS, CYCLES), (MITSUBA, CYCLES)):
+        if a in shown and b in shown:
+            seen = (shown[a].max(-1) > 0) | (shown[b].max(-1) > 0)
+            error = np.abs(shown[a] - shown[b])
+            figures |= {f"{a} and {b}, mean": float(error[seen].mean()), f"{a} and {b}, psnr": psnr(shown[a], shown[b])}
+            made[f"{a} and {b}, difference to {SHARE}"] = pictures.over(pictures.heat(error.max(-1), SHARE), 0.0)
+    return Measurement(figures, {}, made)
+
+
+def _point(duel, name: str, samples: int) -> Measurement:
+    return Measurement(asdict(next(p for p in duel().points(name) if p.samples == samples)))
+
+
+def _against(duel, samples: int) -> Measurement:
+    """What peers need for our error, and reach in our time."""
+    ours = next(p for p in duel().points(OURS) if p.samples == samples)
+    figures: Figures = {"samples": samples, "psnr": ours.psnr, "seconds": ours.seconds}
+    for peer in PEERS:
+        figures |= {f"{peer}: times as long": duel().times_as_long(ours, peer), f"{peer}: psnr": duel().at_our_time(ours, peer)}
+    return Measurement(figures)
+
+
+def _principled(bench: Bench, scene: Scene) -> Measurement:
+    """Whether the plugin that is our BRDF costs Mitsuba time, and how far off its own is."""
+    one = studio(bench, scene)
+    place, thing = one.places[0], mitsuba_peer.textured(one.run)
+    views, lights = {"view": place.view.camera}, {"light": scene.truth.lights[place.light]}
+    figures, converged = {}, {}
+    for brdf in ("ours", "principled"):
+        shots = mitsuba_peer.pictures(thing, views, lights, [SAMPLES], 4 * SAMPLES, brdf)["view", "light"]
+        assert shots.converged is not None
+        figures[f"{brdf}: seconds"], converged[brdf] = shots.frames[0].seconds, on_black(shots.converged)
+    difference = np.abs(converged["ours"] - converged["principled"])[place.inside].mean()
+    one_bounce = mitsuba_peer.pictures(thing, views, lights, [SAMPLES], bounces=1)["view", "light"].frames[0].seconds
+    return Measurement({**figures, "one bounce: seconds": one_bounce, "samples": SAMPLES, "difference": float(difference)})
+
+
+# --- what is shown
+
+
+def blocks(results: Results) -> Iterator[Block]:
+    scenes = [scene for scene in results.scenes if results.get(scene, "difference")]
+    if not scenes:
+        return
+    panels = {scene: [series for name in EVERYONE if (series := _series(results, scene, name)).x] for scene in scenes}
+    yield Chart(
+        "Relighting: error against time",
+        "seconds a frame ↓",
+        "PSNR to the own converged picture, dB ↑",
+        panels,
+        log_y=False,
+        picture="benchmark_peers",
+    )
+    columns = ["scene", "our samples", "our dB", "our seconds"]
+    columns += [text for peer in PEERS for text in (f"{peer}: times as long for that ↓", f"{peer}: dB in our time ↑")]
+    rows = []
+    for record in results.records(prefix="to our error"):
+        f = record.figures
+        values = [f.get(f"{peer}: {what}") for peer in PEERS for what in ("times as long", "psnr")]
+        rows.append([record.scene, f["samples"], f["psnr"], f["seconds"], *values])
+    yield Table(
+        "Time to our error, and error at our time (dash: not reached with the most samples tried, or no picture as soon)", columns, rows
+    )
+    yield from _differences(results, scenes)
+    shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix="difference")]
+    yield Pictures("Converged pictures, and where they differ", shown)
+
+
+def _series(results: Results, scene: str, name: str) -> Series:
+    points = sorted((r.figures for r in results.records(scene, f"{name}: ")), key=lambda f: f["samples"])
+    return Series(name, [p["seconds"] for p in points], [p["psnr"] for p in points])
+
+
+def _differences(results: Results, scenes: list[str]) -> Iterator[Block]:
+    pairs = ((OURS, MITSUBA), (OURS, CYCLES), (MITSUBA, CYCLES))
+    rows = [
+        [scene, *(results.figure(scene, "difference", f"{a} and {b}, {what}") for a, b in pairs for what in ("mean", "psnr"))]
+        for scene in scenes
+    ]
+    columns = ["scene", *(f"{a}, {b}: {what}" for a, b in pairs for what in ("mean ↓", "dB ↑"))]
+    yield Table("Converged pictures: mean difference of encoded values on the object, and PSNR", columns, rows)
+    rows = [
+        [r.scene, *(r.figures[f"{what}: seconds"] for what in ("ours", "principled", "one bounce")), r.figures["difference"]]
+        for r in results.records(prefix=PRINCIPLED)
+    ]
+    if rows:
+        title = f"Mitsuba's seconds for {SAMPLES} samples by BRDF, and how far the two are apart"
+        yield Table(title, ("scene", "our BRDF", "principled", "our BRDF, one bounce", "mean difference"), rows)
+    for name in (MITSUBA, CYCLES):
+        said = {str(results.figure(scene, "difference", f"about {name}")) for scene in scenes}
+        yield Note(f"{name}: {'; '.join(sorted(said))}.")
