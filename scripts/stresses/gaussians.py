@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Gaussians of any size, shape, opacity and place: the rasteriser and the ray tracer against their float64 twins."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import torch
+from irgspp.core.kernels.bvh import DiskTree
+from irgspp.core.kernels.projection import NEAR
+from irgspp.core.kernels.rasterize import rasterize
+from irgspp.core.kernels.tracing import hit_lists, trace, transmittance
+
+from .case import Measured, group
+from .twins import ALLOWED, GEOMETRY, Disks, Limits, Rays, agree_along_rays, agree_in_pictures, camera, cloud, scattered, towards
+
+case = group("gaussians")
+AGREE = "Sums and gradients are finite and those of the float64 twins, "
+IDENTITY = torch.tensor([1.0, 0.0, 0.0, 0.0])
+
+
+def in_both(
+    measured: Measured, what: str, values: Disks, twin: Disks | None = None, rays: Rays | None = None, limits: Limits = ALLOWED
+) -> None:
+    """Pictures and rays agree with the twins."""
+    agree_in_pictures(measured, what, values, camera(), 1.0, twin, limits)
+    agree_along_rays(measured, what, values, rays or scattered(300), twin, limits)
+
+
+def aimed(values: Disks, distance: float) -> Rays:
+    """A ray at every disk from around it, so that the smallest is hit, and another a little beside its centre."""
+    g = torch.Generator().manual_seed(5)
+    points, away = values["position"].T.repeat(2, 1), torch.nn.functional.normalize(torch.randn(2 * 24, 3, generator=g), dim=1)
+    origin = points + distance * away
+    aside = 0.05 * distance * torch.randn(2 * 24, 3, generator=g)
+    return origin, torch.nn.functional.normalize(points - origin + aside, dim=1)
+
+
+@case("scales of 1e-7 to 1e3 of the scene", AGREE + "for each size and for all of them in one scene.")
+def scales(measured: Measured) -> None:
+    mixed = cloud(48)
+    mixed["log_scale"] = torch.linspace(math.log(1e-7), math.log(1e3), 48).repeat(2, 1)
+    in_both(measured, "all", mixed)
+    for size in (1e-7, 1e-4, 1.0, 1e3):
+        values = cloud(24, 1, size)
+        in_both(measured, f"{size:g}", values, rays=aimed(values, 10 * size))
+
+
+@case("aspect of 1e6", AGREE + "for needles 1 long and 1e-6 wide, 1e-3 and 1e-9, 1e3 and 1e-3.")
+def needles(measured: Measured) -> None:
+    for length in (1.0, 1e-3, 1e3):
+        values = cloud(24, 2)
+        values["log_scale"] = torch.tensor([[math.log(length)], [math.log(length) - math.log(1e6)]]).repeat(1, 24)
+        in_both(measured, f"{length:g}", values, rays=aimed(values, 10 * length))
+
+
+@case("opacity 0, 1e-8, 1 - 1e-7 and 1", AGREE + "0 and 1 given as infinite logits; opacity 0 and 1e-8 leave no trace, bit by bit.")
+def opacities(measured: Measured) -> None:
+    for opacity in (0.0, 1e-8, 1 - 1e-7, 1.0):
+        values = cloud(60, 3)
+        values["opacity"][:20] = torch.logit(torch.tensor(opacity, dtype=torch.float64)).float()
+        in_both(measured, f"{opacity:g}", values)
+        if opacity < 0.5:
+            rest = {name: value[..., 20:].contiguous() for name, value in values.items()}
+            same = all(torch.equal(a, b) for a, b in zip(_seen(values), _seen(rest), strict=True))
+            measured.holds(f"opacity {opacity:g} leaves no trace", same)
+
+
+def _seen(values: Disks) -> tuple[torch.Tensor, torch.Tensor]:
+    tree = DiskTree.build(*(values[name] for name in GEOMETRY))
+    return rasterize(*values.values(), camera(), 1.0)[0], trace(*values.values(), *scattered(300), tree)
+
+
+@case("exactly coincident disks", AGREE + "where 40 disks are the same but for colour and opacity; ties go by the disks' numbers.")
+def coincident(measured: Measured) -> None:
+    values = cloud(60, 4, 0.4)
+    values["position"][:, :40], values["log_scale"][:, :40] = 0.0, -1.0
+    values["quaternion"][:, :40] = IDENTITY[:, None]  # their planes are z = 0 exactly: no rounding error breaks the tie
+    values["opacity"][:40] -= 3.0
+    in_both(measured, "coincident", values, limits=Limits(shaken=("log_scale", "opacity")))  # noise in places would break it
+
+
+@case("4096 disks at one depth", AGREE + "more than the tracer's buffer of nearest hits holds, of which none may be lost or met twice.")
+def one_depth(measured: Measured) -> None:
+    values = cloud(4096, 5, 1.0)
+    values["position"][2] = 0.0
+    values["quaternion"][:] = IDENTITY[:, None]
+    values["opacity"] -= 8.0
+    values["opacity"][::7] = -5.2  # visible, and so faint that hundreds of them are met by each ray
+    values["log_scale"] += 0.5
+    above = camera(8, (0.0, 0.0, 4.0))
+    flat = Limits(0.2, shaken=("log_scale", "opacity"))  # each ray passes hundreds of edges
+    agree_in_pictures(measured, "4096", values, above, limits=flat)
+    rays = towards(np.array([0.0, 0.0, 4.0]), torch.tensor([[0.013 * i, 0.02 * i - 0.3, 0.0] for i in range(32)]))
+    agree_along_rays(measured, "4096", values, rays, limits=flat)
+    tree = DiskTree.build(*(values[name] for name in GEOMETRY))
+    lists = hit_lists(tree, *rays)
+    twice = max(int(np.bincount(lists.index[a:b]).max(initial=0)) for a, b in zip(lists.start[:-1], lists.start[1:], strict=True))
+    measured.at_least("most hits of a ray", float(np.diff(lists.start).max()), 300)
+    measured.at_most("times a ray meets one disk", twice, 1)
+
+
+@case("edge-on", AGREE + "for disks whose normals are square with the ray to their centres, to 0, 1e-7, 1e-5, 1e-3.")
+def edge_on(measured: Measured) -> None:
+    eye = np.array([3.0, 1.25, 2.0])
+    for lean in (0.0, 1e-7, 1e-5, 1e-3):
+        values = cloud(40, 6)
+        sight = torch.nn.functional.normalize(values["position"] - torch.tensor(eye).float()[:, None], dim=0)
+        aside = torch.nn.functional.normalize(
+            torch.linalg.cross(sight, torch.randn(3, 40, generator=torch.Generator().manual_seed(1)), dim=0), dim=0
+        )
+        values["quaternion"] = turned_to(aside + lean * sight)
+        in_both(measured, f"{lean:g}", values, limits=Limits(tries=16))
+
+
+def turned_to(normal: torch.Tensor) -> torch.Tensor:
+    """(3, N) to (4, N) quaternions that turn +Z to them."""
+    unit = torch.nn.functional.normalize(normal, dim=0)
+    return torch.stack([1 + unit[2], -unit[1], unit[0], torch.zeros_like(unit[0])])
+
+
+@case(
+    "behind, at and around the camera",
+    AGREE + "for disks behind it, with their centre in it, and so wide that they reach round it.",
+)
+def around_the_camera(measured: Measured) -> None:
+    view, values = camera(), cloud(48, 7, 0.3)
+    eye, forward = torch.tensor(view.centre).float(), torch.tensor(view.forward).float()
+    for i, depth in enumerate((-2.0, -0.01, 0.0, 0.5)):
+        values["position"][:, i] = eye + depth * forward
+    values["log_scale"][:, 3:10] = 1.5  # reach beyond the camera on all sides
+    twin = values | {"position": values["position"].clone()}
+    twin["position"][:, 2] = eye - 2 * forward  # the twin knows no direction to a disk in the camera
+    agree_in_pictures(measured, "disks", values, view, twin=twin)
+    agree_along_rays(measured, "disks", values, scattered(300))
+    agree_along_rays(measured, "from the camera", values, towards(view.centre, values["position"].T[8:]))
+
+
+@case("on the near plane", AGREE + "for disks on the near plane exactly, which are not seen, and one rounding before and behind it.")
+def near_plane(measured: Measured) -> None:
+    view, near = camera(16, (0.0, 0.0, 4.0)), 0.03125
+    values = cloud(12, 14, 0.3)
+    plane = torch.full((3,), 4.0 - near)
+    values["position"][:, :9] *= 0.01
+    values["position"][2, :9] = torch.cat([plane, plane.nextafter(torch.zeros(())), plane.nextafter(torch.full((), 9.0))])
+    values["log_scale"][:, :9] -= 4.0
+    agree_in_pictures(measured, "disks", values, view, near / NEAR, limits=Limits(shaken=GEOMETRY[1:]))
+    radius = rasterize(*values.values(), view, near / NEAR)[1].radius > 0
+    measured.holds("seen: exactly those behind the plane", radius[:9].tolist() == [False] * 3 + [True] * 3 + [False] * 3)
+
+
+@case(
+    "rays on, along and of no direction",
+    "A ray that starts on a disk doesn't meet it; one within a disk's plane meets nothing of it; one of direction 0 meets nothing; "
+    "sums and gradients are finite.",
+)
+def odd_rays(measured: Measured) -> None:
+    values = cloud(40, 8, 0.3)
+    values["quaternion"][:] = IDENTITY[:, None]
+    values["opacity"][:] = 2.0
+    values["position"][2] = torch.arange(40) / 64  # planes that float32 can name
+    up, along = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([0.6, 0.8, 0.0])
+    on = values["position"].T.clone()
+    kinds = {"on": (on, up.expand_as(on)), "along": (on, along.expand_as(on)), "none": (on, torch.zeros_like(on))}
+    tree = DiskTree.build(*(values[name] for name in GEOMETRY))
+    for name, rays in kinds.items():
+        leaves = [v.detach().clone().requires_grad_() for v in (*values.values(), *(r.contiguous() for r in rays))]
+        out = trace(*leaves, tree=tree)
+        out.square().sum().backward()
+        lists = hit_lists(tree, *(r.contiguous() for r in rays))
+        own = sum(int(i in lists.index[lists.start[i] : lists.start[i + 1]]) for i in range(40))
+        measured.at_most(f"{name}: rays that meet the disk they start on", own, 0)
+        measured.finite(f"{name}: sums and gradients", [out, *(leaf.grad for leaf in leaves)])
+        measured.finite(f"{name}: transmittance", transmittance(tree, *(r.contiguous() for r in rays)))
+        if name != "on":
+            measured.at_most(f"{name}: hits", len(lists.index), 0)
+    fixed = Limits(shaken=("log_scale", "opacity", "direction"))
+    agree_along_rays(measured, "on", values, (on, up.expand_as(on).contiguous()), limits=fixed)
+    agree_along_rays(measured, "just above", values, (on + 1e-3 * up, scattered(40)[1]), limits=fixed)
+
+
+@case(
+    "scene at 1e5 from the origin",
+    AGREE
+    + "for a scene of 1 moved by 1e5 along each axis, where float32 knows places to 1/128: what it says of these very places is right.",
+)
+def far_away(measured: Measured) -> None:
+    values = cloud(60, 9, 0.3)
+    offset = 1e5
+    values["position"] += offset
+    eye = (offset + 3.0, offset + 1.25, offset + 2.0)
+    agree_in_pictures(measured, "far", values, camera(24, eye, (offset, offset, offset)))
+    origin, direction = scattered(300)
+    agree_along_rays(measured, "far", values, (origin + offset, direction))
+
+
+@case("0, 1 and 2 Gaussians", AGREE + "and nothing at all is a black, transparent picture.")
+def few(measured: Measured) -> None:
+    for count in (1, 2, 7):
+        values = cloud(count, 10, 0.5)
+        values["position"] *= 0.3
+        in_both(measured, str(count), values)
+    none = cloud(0, 10)
+    picture, along = _seen(none)
+    measured.holds("none: a picture of nothing", picture.shape == (10, 24, 24) and not picture.any())
+    measured.holds("none: rays meet nothing", along.shape == (300, 10) and not along.any())
+
+
+@case(
+    "quaternions of any length, and zero",
+    AGREE + "for lengths of 1e-9 to 1e18; of length 0 a disk lies as if not turned, and its gradients are finite.",
+)
+def quaternions(measured: Measured) -> None:
+    for length in (1e-9, 1e-3, 1e6, 1e18):
+        values = cloud(40, 11)
+        values["quaternion"] = length * torch.nn.functional.normalize(values["quaternion"], dim=0)
+        in_both(measured, f"{length:g}", values)
+    values = cloud(40, 11)
+    values["quaternion"][:, :10] = 0.0
+    twin = values | {"quaternion": torch.where(torch.arange(40) < 10, IDENTITY[:, None], values["quaternion"])}
+    _unturned(measured, values, twin)
+
+
+def _unturned(measured: Measured, values: Disks, twin: Disks) -> None:
+    """Zero quaternions give the sums of the identity, and finite gradients."""
+    for what, zero, unit in zip(("picture", "rays"), _seen(values), _seen(twin), strict=True):
+        measured.at_most(f"zero, {what}: error", float((zero - unit).abs().max()), 1e-6)
+    leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
+    sum(seen.square().sum() for seen in _seen(leaves)).backward()  # type: ignore[union-attr]
+    measured.finite("zero: gradients", [leaf.grad for leaf in leaves.values()])
+
+
+@case(
+    "same bits every time",
+    "Sums and gradients of a scene with all of these are the same bits when done again, and within 1e-5 of it on 1, 2, 3 and 5 threads.",
+)
+def repeated(measured: Measured) -> None:
+    values = cloud(400, 12)
+    values["log_scale"] = torch.linspace(math.log(1e-4), math.log(10), 400).repeat(2, 1)
+    values["quaternion"][:, :5] = 0.0
+    first = _everything(values)
+    measured.holds("same bits when done again", all(torch.equal(a, b) for a, b in zip(first, _everything(values), strict=True)))
+    apart = 0.0
+    for threads in (1, 2, 3, 5):
+        with thread_setting(threads):
+            for one, other in zip(first, _everything(values), strict=True):
+                apart = max(apart, float((one - other).norm() / one.norm()))
+    measured.at_most("apart on other numbers of threads", apart, 1e-5)
+
+
+def _everything(values: Disks) -> list[torch.Tensor]:
+    leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
+    seen = _seen(leaves)
+    sum(s.square().sum() for s in seen).backward()  # type: ignore[union-attr]
+    return [*(s.detach() for s in seen), *(leaf.grad for leaf in leaves.values() if leaf.grad is not None)]
+
+
+@contextmanager
+def thread_setting(threads: int) -> Iterator[None]:
+    """Kernels and torch on so many threads."""
+    before, torch_before = os.environ.get("IRGSPP_THREADS"), torch.get_num_threads()
+    os.environ["IRGSPP_THREADS"] = str(threads)
+    torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(torch_before)
+        os.environ.pop("IRGSPP_THREADS")
+        if before is not None:
+            os.environ["IRGSPP_THREADS"] = before
+
+
+@case("300,000 Gaussians", AGREE + "on 64 pixels and 64 rays of a scene with 300,000.", quick=False)
+def many(measured: Measured) -> None:
+    values = cloud(300_000, 13, 0.004)
+    close = replace(camera(8), fx=300.0, fy=300.0)
+    for row in range(0, 8, 4):
+        strip = replace(close, height=4, cy=close.cy - row)
+        agree_in_pictures(measured, f"rows {row}..{row + 3}", values, strip, limits=Limits(0.2))
+    for part in range(0, 64, 32):
+        origin, direction = scattered(64)
+        agree_along_rays(
+            measured, f"{part}..{part + 31}", values, (origin[part : part + 32], direction[part : part + 32]), limits=Limits(0.2)
+        )

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Disks seen by the rasteriser and the ray tracer in float32 and by their twins in float64, and how far these are apart.
+
+Both kernels take decisions: alpha below 1/255 is nothing, below 2 % of the light left a ray is done, the nearer disk comes first. Where
+one hangs by a rounding error, float32 and float64 may rightly differ. Such rays are found by the twin alone: it is asked again with
+NOISE in its inputs, a few units in float32's last place, and where its own answer moves by more than UNDECIDED the ray counts as
+undecided. Their share is said in the table and limited; on all others the kernels must agree with the twin.
+
+What is shaken: directions and logarithms; in pictures the place relative to the camera, along rays their direction. Differences of
+places are exact in float32, so that nothing else has a rounding error that depends on where the scene lies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from irgspp.core.datasets.camera import Camera, look_at
+from irgspp.core.kernels.bvh import DiskTree
+from irgspp.core.kernels.rasterize import rasterize
+from irgspp.core.kernels.reference import rasterize_reference, trace_reference
+from irgspp.core.kernels.tracing import trace
+
+from .case import Measured, relative
+
+NOISE = 2.0**-21
+UNDECIDED = 3e-5
+TOLERANCE = 1e-4  # of a sum, relative where it is above 1
+GRADIENT = 1e-3  # relative L2 of each parameter's gradient, or 10 times what NOISE does to the twin's
+GEOMETRY = ("position", "quaternion", "log_scale", "opacity")
+
+Disks = dict[str, torch.Tensor]
+Rays = tuple[torch.Tensor, torch.Tensor]
+Viewer = Callable[[Disks], torch.Tensor]
+Shake = Callable[[Disks, int], Disks]
+
+
+def cloud(count: int, seed: int = 0, size: float = 0.12) -> Disks:
+    """Disks of any orientation in a ball of about 1, of scale `size`, with opacity logits around 0."""
+    g = torch.Generator().manual_seed(seed)
+    random = lambda *shape: torch.randn(*shape, generator=g)  # noqa: E731
+    geometry = (random(3, count) * 0.5, random(4, count), math.log(size) + 0.3 * random(2, count), 1.5 * random(count))
+    rest = {"sh": 0.3 * random(16, 3, count), "extra": torch.rand(2, count, generator=g)}
+    return dict(zip(GEOMETRY, geometry, strict=True)) | rest
+
+
+def camera(size: int = 24, eye: tuple[float, float, float] = (3.0, 1.25, 2.0), target: tuple[float, float, float] = (0, 0, 0)) -> Camera:
+    """A small picture; `eye` must be a number of float32, in which the kernels see it."""
+    return Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(eye, target))
+
+
+def scattered(count: int, seed: int = 0, spread: float = 0.7) -> Rays:
+    """Rays in all directions from places in and around the cloud."""
+    g = torch.Generator().manual_seed(seed)
+    direction = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
+    return spread * torch.randn(count, 3, generator=g), direction
+
+
+@dataclass
+class Seen:
+    """What one of two viewers made of the disks: rows of sums (P, C), and gradients by parameter."""
+
+    rows: torch.Tensor
+    gradients: dict[str, torch.Tensor | None]
+
+
+def viewed(viewer: Viewer, values: Disks, weight: torch.Tensor | None, dtype: torch.dtype) -> Seen:
+    """Sums of a viewer, and gradients of their sum weighted by (P, C)."""
+    leaves = {name: value.detach().to(dtype).clone().requires_grad_() for name, value in values.items()}
+    rows = viewer(leaves)
+    if weight is not None and rows.requires_grad:
+        (rows * weight.to(dtype)).sum().backward()
+    return Seen(rows.detach(), {name: leaf.grad for name, leaf in leaves.items()})
+
+
+def noisy(values: Disks, shaken: Sequence[str], eye: np.ndarray | None, seed: int) -> Disks:
+    """The values in float64, those named with NOISE: of directions, logarithms, and distances from `eye` (3,)."""
+    g = torch.Generator().manual_seed(seed)
+    moved = {name: value.double() for name, value in values.items()}
+    for name in shaken:
+        value = moved[name]
+        size = value.nan_to_num(posinf=0.0, neginf=0.0).abs()
+        if name == "position":
+            size = (value - torch.as_tensor(eye)[:, None]).abs().amax(0, keepdim=True)
+        elif name in ("log_scale", "opacity"):
+            size = size + 1
+        moved[name] = value + NOISE * size * torch.randn(value.shape, generator=g, dtype=torch.float64)
+    return moved
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a comparison allows: the share of undecided rays and the error of the others.
+
+    shaken: what noise is added to, `tries` times; None: all that the viewer's rounding errors come from.
+    """
+
+    undecided: float = 0.1
+    tolerance: float = TOLERANCE
+    shaken: Sequence[str] | None = None
+    tries: int = 4
+
+
+ALLOWED = Limits()
+
+
+def agree(measured: Measured, what: str, pair: tuple[Viewer, Viewer], values: Disks, twin: Disks, shake: Shake, limits: Limits) -> None:
+    """Compare a kernel, which sees `values`, with its twin, which sees `twin`: sums over the rays that are decided, and gradients of
+    their randomly weighted sum."""
+    fast, slow = pair
+    exact = viewed(slow, twin, None, torch.float64).rows
+    moved = torch.stack([viewed(slow, shake(twin, seed), None, torch.float64).rows for seed in range(limits.tries)])
+    size = exact.abs().clamp_min(1)
+    decided = ((moved - exact) / size).abs().amax((0, 2)) <= UNDECIDED
+    weight = torch.randn(exact.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+    everything = viewed(fast, values, weight, torch.float32)
+    measured.finite(f"{what}: the twin's own sums", exact)
+    measured.finite(f"{what}: sums", everything.rows)
+    measured.finite(f"{what}: gradients", list(everything.gradients.values()))
+    error = ((everything.rows.double() - exact) / size).abs().amax(1)
+    measured.at_most(f"{what}: error", float(error[decided].max()) if decided.any() else 0.0, limits.tolerance)
+    measured.at_most("undecided", 1 - float(decided.double().mean()), limits.undecided)
+    _gradients_agree(measured, pair, values, twin, shake, weight * decided[:, None])
+
+
+def _gradients_agree(
+    measured: Measured, pair: tuple[Viewer, Viewer], values: Disks, twin: Disks, shake: Shake, weight: torch.Tensor
+) -> None:
+    """The largest relative error of a gradient, against its limit."""
+    ours, theirs = viewed(pair[0], values, weight, torch.float32), viewed(pair[1], twin, weight, torch.float64)
+    moved = [viewed(pair[1], shake(twin, seed), weight, torch.float64) for seed in range(2)]
+    worst, limit = 0.0, GRADIENT
+    for name, true in theirs.gradients.items():
+        mine = ours.gradients[name]
+        if true is None or mine is None or not true.any():
+            continue
+        shaken = [relative(other.gradients[name], true) for other in moved]  # type: ignore[arg-type]
+        error, allowed = relative(mine, true), max(GRADIENT, 10 * max(shaken))
+        if error / allowed > worst / limit:
+            worst, limit = error, allowed
+    measured.at_most("gradient", worst, limit)
+
+
+def agree_in_pictures(
+    measured: Measured, what: str, values: Disks, view: Camera, radius: float = 1.0, twin: Disks | None = None, limits: Limits = ALLOWED
+) -> None:
+    """The rasteriser against its twin."""
+    shaken = GEOMETRY if limits.shaken is None else limits.shaken
+
+    def fast(v: Disks) -> torch.Tensor:
+        return rasterize(*v.values(), view, radius)[0].flatten(1).T
+
+    def slow(v: Disks) -> torch.Tensor:
+        return rasterize_reference(*v.values(), view, radius).flatten(1).T
+
+    def shake(v: Disks, seed: int) -> Disks:
+        return noisy(v, shaken, view.centre, seed)
+
+    agree(measured, f"{what}, picture", (fast, slow), values, values if twin is None else twin, shake, limits)
+
+
+def agree_along_rays(measured: Measured, what: str, values: Disks, rays: Rays, twin: Disks | None = None, limits: Limits = ALLOWED) -> None:
+    """The ray tracer against its twin."""
+    both = {"origin": rays[0], "direction": rays[1]}
+    shaken = (*GEOMETRY[1:], "direction") if limits.shaken is None else limits.shaken
+
+    def fast(v: Disks) -> torch.Tensor:
+        return trace(*v.values(), tree=DiskTree.build(*(v[name] for name in GEOMETRY)))
+
+    def slow(v: Disks) -> torch.Tensor:
+        return trace_reference(*v.values())
+
+    def shake(v: Disks, seed: int) -> Disks:
+        return noisy(v, shaken, None, seed)
+
+    agree(measured, f"{what}, rays", (fast, slow), values | both, (values if twin is None else twin) | both, shake, limits)
+
+
+def towards(eye: np.ndarray, points: torch.Tensor) -> Rays:
+    """Rays from one place (3,) through points (R, 3)."""
+    origin = torch.as_tensor(eye, dtype=torch.float32).expand(len(points), 3).contiguous()
+    return origin, torch.nn.functional.normalize(points.float() - origin, dim=1)
