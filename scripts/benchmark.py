@@ -25,7 +25,7 @@ from benchmarks.session import Session, steps_of
 from benchmarks.store import Store
 from irgspp.core.errors import InputError, IrgsppError
 
-SECTIONS = ("geometry",)
+SECTIONS = ("relighting", "reconstruction", "geometry", "decomposition", "kernels", "skipping")
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 

@@ -16,7 +16,7 @@ as failed with its line. `blocks` reads records alone, so that a report can be m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -94,7 +94,7 @@ class Chart:
     title: str
     x: str
     y: str
-    panels: dict[str, Sequence[Series]]
+    panels: Mapping[str, Sequence[Series]]
     log_x: bool = True
     log_y: bool = True
     picture: str = ""

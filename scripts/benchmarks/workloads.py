@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Time the rasteriser's and the ray tracer's kernels, forward and backward, against the same algorithms in plain scalar loops."""
+"""Work for the rasteriser's and the ray tracer's kernels: disks all over a torus, seen by a camera, or by rays from its surface."""
 
 # pyright: reportMissingImports=false
 # (`irgspp` is the folder above, known to pyright under no name)
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,10 +32,11 @@ from plain_trace import plain_composite_backward_range, plain_composite_range, p
 EXTRAS = 4  # with colour, normal, depth and opacity: 12 channels
 MAJOR, MINOR = 1.0, 0.4  # radii of the torus
 OFFSET = 0.75  # where secondary rays start, along themselves, in spacings of the disks
-RASTER = {"vector": (rasterize_range, rasterize_backward_range), "plain": (plain_range, plain_backward_range)}
+OURS, PLAIN = "ours", "numba, plain loops"
+RASTER = {OURS: (rasterize_range, rasterize_backward_range), PLAIN: (plain_range, plain_backward_range)}
 TRACE = {
-    "vector": ((gather_range, composite_range), composite_backward_range),
-    "plain": ((plain_gather_range, plain_composite_range), plain_composite_backward_range),
+    OURS: ((gather_range, composite_range), composite_backward_range),
+    PLAIN: ((plain_gather_range, plain_composite_range), plain_composite_backward_range),
 }
 
 
@@ -59,6 +57,11 @@ class Splats:
     slots: np.ndarray
     tiles: list[tuple[int, int]]
 
+    @property
+    def memory(self) -> int:
+        """Bytes of all arrays."""
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+
     def forward(self, kernel: Callable[..., None]) -> None:
         """Fill `picture`."""
         lists = self.start, self.entries, self.record, self.feature, self.box, self.columns
@@ -70,7 +73,7 @@ class Splats:
         run_ranges(kernel, self.tiles, *lists, self.picture, self.gradient, self.stride, self.plane, self.slots, numbered=True)
 
 
-def torus(count: int, seed: int) -> list[np.ndarray]:
+def torus(count: int, seed: int, extras: int = EXTRAS) -> list[np.ndarray]:
     """Disks all over a torus, 1 to 1.5 times as large as their spacing, opacity 0.6 to 0.99: the arguments of `project_range`."""
     rng = np.random.default_rng(seed)
     a, b = rng.uniform(0, 2 * np.pi, (2, 2 * count))
@@ -84,7 +87,7 @@ def torus(count: int, seed: int) -> list[np.ndarray]:
     quaternion = quaternion_to(torch.from_numpy(normal)).numpy()
     scale = np.log(spacing * rng.uniform(1, 1.5, (2, count)))
     sh = rng.normal(0, 0.2, (16, 3, count))
-    parts = centre + MINOR * normal, quaternion, scale, np.log(opacity / (1 - opacity)), sh, rng.random((EXTRAS, count))
+    parts = centre + MINOR * normal, quaternion, scale, np.log(opacity / (1 - opacity)), sh, rng.random((extras, count))
     return [np.ascontiguousarray(p, np.float32).reshape(-1) for p in parts]
 
 
@@ -96,20 +99,20 @@ def viewer(size: int) -> Camera:
     return Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, pose)
 
 
-def project(count: int, size: int, seed: int = 0) -> Splats:
+def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splats:
     """The torus in a picture of size x size, with a random upstream gradient."""
     camera = viewer(size)
-    record, feature = np.empty((count, RECORD), np.float32), np.empty((count, 6 + EXTRAS), np.float32)
+    record, feature = np.empty((count, RECORD), np.float32), np.empty((count, 6 + extras), np.float32)
     box, depth = np.empty((count, 4), np.int32), np.empty(count, np.float32)
     camera_array = camera_numbers(camera, NEAR)
-    project_range(0, -(-count // 8), *torus(count, seed), 16, camera_array, count, record, feature, box, depth)
+    project_range(0, -(-count // 8), *torus(count, seed, extras), 16, camera_array, count, record, feature, box, depth)
     columns = -(-size // TILE)
     start, entries = bin_tiles(depth_order(depth, box), box, columns, columns)
     stride, plane = columns * TILE, (columns * TILE) ** 2
     tiles = balanced_ranges(np.diff(start) + 1, thread_count())
-    picture = np.empty((9 + EXTRAS) * plane, np.float32)
-    gradient = np.random.default_rng(seed).normal(size=(8 + EXTRAS) * plane).astype(np.float32)
-    slots = np.zeros((len(tiles), count, GEOMETRY + 6 + EXTRAS), np.float32)
+    picture = np.empty((9 + extras) * plane, np.float32)
+    gradient = np.random.default_rng(seed).normal(size=(8 + extras) * plane).astype(np.float32)
+    slots = np.zeros((len(tiles), count, GEOMETRY + 6 + extras), np.float32)
     return Splats(start, entries, record, feature, box, columns, picture, gradient, stride, plane, slots, tiles)
 
 
@@ -128,6 +131,12 @@ class Rays:
     gradient: np.ndarray
     slots: np.ndarray
     hits: tuple[np.ndarray, ...] = ()
+
+    @property
+    def memory(self) -> int:
+        """Bytes of all arrays, the tree's and, after `forward`, the hits' too."""
+        own = [*vars(self).values(), *vars(self.tree).values(), *self.hits]
+        return sum(value.nbytes for value in own if isinstance(value, np.ndarray))
 
     def forward(self, kernels: tuple[Callable[..., Any], Callable[..., None]]) -> None:
         """Fill `hits` and `picture`."""
@@ -204,53 +213,3 @@ def measure(work: Splats | Rays, kernels: dict[str, Any], repetitions: int) -> d
             times[name]["forward"].append(1e3 * (middle - began))
             times[name]["backward"].append(1e3 * (time.process_time() - middle))
     return {name: {part: statistics.median(values) for part, values in parts.items()} for name, parts in times.items()}
-
-
-def benchmark(operator: str, count: int, size: int, repetitions: int) -> dict[str, Any]:
-    """One scene's figures; `size` is pixels along a side of the picture, or the number of rays."""
-    work, kernels = (project(count, size), RASTER) if operator == "rasterize" else (scatter(count, size), TRACE)
-    apart = disagreement(work, kernels)
-    medians = measure(work, kernels, repetitions)
-    ratio = sum(medians["vector"].values()) / sum(medians["plain"].values())
-    figures: dict[str, Any] = {"operator": operator, "disks": count, "size": size, "threads": thread_count()}
-    if isinstance(work, Rays):
-        vector = medians["vector"]
-        figures["hits_per_ray"] = float(work.count.mean())
-        figures["mrays_per_second"] = {"forward": size / vector["forward"] / 1e3, "both": size / sum(vector.values()) / 1e3}
-    return figures | {"difference": apart, "milliseconds": medians, "ratio": ratio}
-
-
-def report(result: dict[str, Any]) -> None:
-    """One line for each version of the kernels."""
-    for name, parts in result["milliseconds"].items():
-        line = f"{result['operator']:>9} {result['disks']:8d} {result['size']:7d} {result['threads']:7d} {name:>7} "
-        line += f"{parts['forward']:11.2f} {parts['backward']:11.2f} "
-        if name == "vector":
-            line += f"{result['ratio']:6.3f}   {result['difference']['picture']:.1e}, {result['difference']['gradient']:.1e}"
-            if "mrays_per_second" in result:
-                speed = result["mrays_per_second"]
-                line += f"   {speed['forward']:.2f}, {speed['both']:.2f} Mray/s, {result['hits_per_ray']:.1f} hits a ray"
-        print(line)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--disks", type=int, nargs="+", default=[20_000, 100_000])
-    parser.add_argument("--size", type=int, default=256, help="pixels along a side")
-    parser.add_argument("--rays", type=int, default=131_072, help="secondary rays")
-    parser.add_argument("--repetitions", type=int, default=9)
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    options = parser.parse_args()
-    results = []
-    head = f"{'operator':>9} {'disks':>8} {'size':>7} {'threads':>7} {'kernel':>7} {'forward ms':>11} {'backward ms':>11} {'ratio':>6}"
-    print(head + "   difference: sums, gradient")
-    for operator, size in (("rasterize", options.size), ("trace", options.rays)):
-        for count in options.disks:
-            results.append(benchmark(operator, count, size, options.repetitions))
-            report(results[-1])
-    if options.json:
-        options.json.write_text(json.dumps(results, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,6 @@
 """The kernels that are timed against each other do the same."""
 
 import importlib
-import json
 import sys
 from pathlib import Path
 
@@ -15,7 +14,7 @@ SCRIPTS = Path(__file__).parents[2] / "scripts"
 @pytest.fixture(scope="module")
 def script():
     sys.path.insert(0, str(SCRIPTS))
-    yield importlib.import_module("benchmark_kernels")
+    yield importlib.import_module("benchmarks.workloads")
     sys.path.remove(str(SCRIPTS))
 
 
@@ -46,16 +45,3 @@ def test_vector_and_plain_traces_agree(script, threads, monkeypatch):
     assert np.median(abs(vector[-1] - plain[-1])[same]) < 1e-6
     assert script.disagreement(rays, script.TRACE)["gradient"] < 1e-3
     assert abs(rays.slots).max() > 0
-
-
-def test_figures_are_written(script, tmp_path, monkeypatch, capsys):
-    path = tmp_path / "figures.json"
-    monkeypatch.setattr(
-        sys, "argv", ["benchmark", "--disks", "500", "--size", "40", "--rays", "600", "--repetitions", "1", "--json", str(path)]
-    )
-    script.main()
-    raster, trace = json.loads(path.read_text())
-    assert (raster["operator"], trace["operator"]) == ("rasterize", "trace")
-    assert all(figures["disks"] == 500 and figures["ratio"] > 0 for figures in (raster, trace))
-    assert trace["mrays_per_second"]["forward"] > trace["mrays_per_second"]["both"] > 0
-    assert "vector" in capsys.readouterr().out

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decomposition: albedo, roughness, metallic, light, new views and relit ones, each against the truth."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from irgspp.core.evaluation import metrics, pictures
+from irgspp.core.evaluation.figures import Prediction
+from irgspp.core.evaluation.truth import Truth
+from irgspp.core.relight.backends import best_backend, open_relighter
+from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.stages.render import render_view
+
+from .bench import Bench, Scene
+from .lpips_metric import Lpips, find_lpips
+from .section import Block, Measurement, Note, Pictures, Table, Task
+from .store import Results
+
+NAME = "decomposition"
+TITLE = "Decomposition"
+ABOUT = (
+    "The balanced run against what the scene is made of, means over all test views. Albedo: linear, after one scale per channel, as its "
+    "brightness can't be told from the light's. Light: after such a scale too. NVS: new views under the photographs' light."
+)
+ONCE = False
+PRESETS = ("balanced", "draft")
+TABLES = {
+    "Pictures": {
+        "nvs_psnr": "NVS dB ↑",
+        "nvs_ssim": "SSIM ↑",
+        "nvs_lpips": "LPIPS ↓",
+        "relight_psnr": "relit dB ↑",
+        "relight_ssim": "SSIM ↑",
+        "relight_lpips": "LPIPS ↓",
+        "radiance_psnr": "Gaussians' own radiance dB ↑",
+    },
+    "Materials and light": {
+        "albedo_psnr": "albedo dB ↑",
+        "albedo_ssim": "SSIM ↑",
+        "albedo_lpips": "LPIPS ↓",
+        "roughness_mae": "roughness, mean error ↓",
+        "metallic_mae": "metallic, mean error ↓",
+        "environment_psnr": "light dB ↑",
+        "environment_ssim": "SSIM ↑",
+    },
+}
+NO_LPIPS = (
+    "LPIPS is not given: neither the package lpips with its weights nor a TorchScript file (--lpips FILE) was there. "
+    "Its weights can't be had without a download."
+)
+SAMPLES = 64
+
+
+def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    assert scene is not None
+    for preset in PRESETS:
+        plan = bench.plan(preset, preset=preset)
+        yield Task(preset, partial(_figures, bench, scene, preset), 12.0, [plan])
+    yield Task("pictures", partial(_shown, bench, scene), 4.0, [bench.balanced()])
+
+
+def _figures(bench: Bench, scene: Scene, preset: str) -> Measurement:
+    run = bench.run(scene, bench.plan(preset, preset=preset))
+    report = bench.evaluation(scene, run.path)
+    wanted = [name for table in TABLES.values() for name in table]
+    figures = {name: report["figures"][name] for name in wanted if name in report["figures"]}
+    lpips = find_lpips(bench.lpips)
+    if lpips is not None:
+        figures |= _lpips(scene, run.path, report["albedo_scale"], lpips)
+    return Measurement({**figures, "lpips_by": lpips.name if lpips else ""}, {"views": len(scene.views)})
+
+
+def _lpips(scene: Scene, run: Path, scale: list[float] | None, lpips: Lpips) -> dict[str, float]:
+    """Means over views, and lights where there are several."""
+    plain, lights = _relighter(run), {name: prepare(scene.truth.lights[name]) for name in scene.relights}
+    relighter, own = plain.scaled(scale), prepare(plain.reconstruction.environment_map())
+    values: dict[str, list[float]] = {"nvs_lpips": [], "relight_lpips": [], "albedo_lpips": []}
+    for view in scene.views:
+        truth = scene.view_truth(view)
+        shaded = plain.relit(plain.surface(view.camera), own).numpy()
+        values["nvs_lpips"].append(lpips(metrics.on_black(shaded), truth.picture))
+        surface = relighter.surface(view.camera)
+        for name in lights.keys() & truth.relit.keys():
+            values["relight_lpips"].append(lpips(metrics.on_black(relighter.relit(surface, lights[name]).numpy()), truth.relit[name]))
+        if truth.albedo is not None:
+            albedo = Prediction(render_view(plain.reconstruction, view.camera), shaded).layer("albedo") * np.array(scale or (1, 1, 1))
+            alpha = truth.alpha[..., None]
+            values["albedo_lpips"].append(lpips(np.clip(albedo * alpha, 0, 1), np.clip(truth.albedo * alpha, 0, 1)))
+    return {name: float(np.mean(found)) for name, found in values.items() if found}
+
+
+def _relighter(run: Path) -> Relighter:
+    return open_relighter(run, Reconstruction.load(run), best_backend(run), RelightSettings(samples=SAMPLES))
+
+
+def _shown(bench: Bench, scene: Scene) -> Measurement:
+    """One view: every layer beside the true one."""
+    run = bench.run(scene, bench.balanced())
+    scale = bench.evaluation(scene, run.path)["albedo_scale"]
+    plain, view = _relighter(run.path), scene.views[0]
+    relighter, truth = plain.scaled(scale), scene.view_truth(view)
+    shaded = plain.relit(plain.surface(view.camera), prepare(plain.reconstruction.environment_map())).numpy()
+    prediction = Prediction(render_view(plain.reconstruction, view.camera), shaded)
+    shown = {"photograph": truth.picture, "photograph, ours": metrics.on_black(shaded)}
+    shown["photograph, error to 0.2"] = _error(truth.picture, shown["photograph, ours"])
+    for name in scene.relights[:2]:
+        ours = metrics.on_black(relighter.relit(relighter.surface(view.camera), prepare(scene.truth.lights[name])).numpy())
+        shown |= {name: truth.relit[name], f"{name}, ours": ours, f"{name}, error to 0.2": _error(truth.relit[name], ours)}
+    layers = _layers(prediction, truth, np.array(scale or (1.0, 1.0, 1.0)))
+    return Measurement({}, {}, {n: np.round(255 * np.clip(p, 0, 1)).astype(np.uint8) for n, p in (shown | layers).items()})
+
+
+def _layers(prediction: Prediction, truth: Truth, scale: np.ndarray) -> dict[str, np.ndarray]:
+    """True, ours and the difference of each layer whose truth is known; (H, W, 3) encoded."""
+    found, alpha = {}, truth.alpha
+    for name in ("albedo", "roughness", "metallic"):
+        true, ours = getattr(truth, name), prediction.layer(name)
+        if true is None:
+            continue
+        if name == "albedo":
+            pair = [pictures.colour(true, alpha), pictures.colour(ours * scale, alpha)]
+        else:
+            pair = [pictures.grey(true, alpha), pictures.grey(ours, alpha)]
+        true, ours = (picture[..., :3] * picture[..., 3:] for picture in pair)
+        found |= {name: true, f"{name}, ours": ours, f"{name}, error to 0.2": _error(true, ours)}
+    return found
+
+
+def _error(true: np.ndarray, ours: np.ndarray) -> np.ndarray:
+    return pictures.heat(np.abs(true - ours).max(-1), 0.2)[..., :3]
+
+
+# --- what is shown
+
+
+def blocks(results: Results) -> Iterator[Block]:
+    for title, columns in TABLES.items():
+        found = [r for r in results.records() if r.configuration in PRESETS]
+        known = [name for name in columns if any(name in r.figures for r in found)]
+        rows = [[f"{r.scene}, {r.configuration}", *(r.figures.get(name) for name in known)] for r in found]
+        if rows:
+            yield Table(title, ["", *(columns[name] for name in known)], rows)
+    if not any(r.figures.get("lpips_by") for r in results.records()):
+        yield Note(NO_LPIPS)
+    yield Note("The paper's protocol for relit pictures is the same; its scenes are others, so that figures can't be compared across.")
+    for record in results.records(prefix="pictures"):
+        files = list(record.pictures.items())
+        yield Pictures(record.scene, [files[i : i + 6] for i in range(0, len(files), 6)])

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The repository's own pages of figures, written from a benchmark's results."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+
+from irgspp.core.run_folder import write_atomic
+
+from . import charts
+from .page import about, shown
+from .section import Block, Chart, Note, Pictures, Table
+from .store import Results, Store
+
+BEGIN, END = "<!-- written by scripts/benchmark.py --write-docs -->", "<!-- end of what is written -->"
+HEAD = """# Time against error
+
+What IRGS++ costs and how far it is from the truth, on rendered scenes whose truth is known. This page is written by
+
+    .venv/bin/python scripts/benchmark.py SCENES -o DIR --write-docs
+
+whose report.html has more plots, and pictures side by side. Without SCENES it renders small ones of its own; `--quick` shows in a few
+minutes that all of it works.
+"""
+SKIPPING = "# What a scene does not need\n"
+
+
+def write(store: Store, sections: Sequence[ModuleType], folder: Path) -> None:
+    """docs/benchmark.md with its plots, and the tables of docs/skipping.md."""
+    parts = []
+    for section in sections:
+        results = Results(store, section.NAME)
+        if not results.scenes:
+            continue
+        blocks = [block for block in section.blocks(results) if not isinstance(block, Pictures)]
+        if section.NAME == "skipping":
+            _between(folder / "skipping.md", "\n\n".join(text for block in blocks if (text := _block(block, folder))))
+        chapter = [f"## {section.TITLE}", section.ABOUT, *(_block(block, folder) for block in blocks)]
+        parts.append("\n\n".join(text for text in chapter if text))
+    text = "\n\n".join([HEAD.rstrip(), *about(store), *parts, *_failed(store)])
+    write_atomic(folder / "benchmark.md", (text + "\n").encode())
+
+
+def _failed(store: Store) -> list[str]:
+    lines = [f"- {' '.join(record.key)}: {record.error}" for record in store.records.values() if record.status == "failed"]
+    return ["## What failed\n\n" + "\n".join(lines)] if lines else []
+
+
+def _block(block: Block, folder: Path) -> str:
+    if isinstance(block, Note):
+        return block.text
+    if isinstance(block, Table):
+        return f"**{block.title}**\n\n{_table(block)}"
+    if isinstance(block, Chart) and block.picture:
+        charts.png(block, folder / "pictures" / f"{block.picture}.png")
+        return f"![{block.title}](pictures/{block.picture}.png)"
+    return ""
+
+
+def _table(table: Table) -> str:
+    rows = [[str(name) for name in table.columns], *([shown(value) for value in row] for row in table.rows)]
+    rule = ["---", *("---:" for _ in table.columns[1:])]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in [rows[0], rule, *rows[1:]])
+
+
+def _between(path: Path, text: str) -> None:
+    """Put a text between the marks of a page, at its end where there are none."""
+    page = path.read_text(encoding="utf-8") if path.is_file() else SKIPPING
+    if BEGIN not in page:
+        page = f"{page.rstrip()}\n\n{BEGIN}\n{END}\n"
+    before, _, rest = page.partition(BEGIN)
+    write_atomic(path, f"{before}{BEGIN}\n\n{text}\n\n{END}{rest.partition(END)[2]}".encode())

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The rasteriser's forward pass by other technologies: C++, warp on its CPU device, torch. For comparison only."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name; warp is an option)
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from irgspp.core.errors import IrgsppError
+from irgspp.core.kernels.binning import TILE
+from irgspp.core.kernels.pool import run_ranges
+from irgspp.core.kernels.projection import LOW_PASS
+from irgspp.core.kernels.raster import _W_MIN, ALPHA_MAX, TRANSMITTANCE_MIN
+from irgspp.core.kernels.reference import rasterize_reference
+
+from .workloads import Splats, torus, viewer
+
+SOURCE = Path(__file__).with_name("raster.cpp")
+CONSTANTS = (LOW_PASS, ALPHA_MAX, TRANSMITTANCE_MIN, _W_MIN)
+Forward = Callable[[Splats], None]  # fills `picture`
+
+
+def compiler() -> str | None:
+    """A C++ compiler of this machine: $CXX, or one of the usual names."""
+    return next((found for name in (os.environ.get("CXX", ""), "g++", "clang++") if name and (found := shutil.which(name))), None)
+
+
+def by_cpp(folder: Path) -> Forward:
+    """Compiled into `folder`, -O3 for this very CPU. Raises IrgsppError where the compiler fails, or there is none."""
+    command = compiler()
+    if command is None:
+        raise IrgsppError("there is no C++ compiler (neither $CXX nor g++ nor clang++)")
+    folder.mkdir(parents=True, exist_ok=True)
+    library = folder / "raster.so"
+    done = subprocess.run(
+        [command, "-O3", "-march=native", "-shared", "-fPIC", str(SOURCE), "-o", str(library)], capture_output=True, text=True
+    )
+    if done.returncode:
+        raise IrgsppError(f"{command} failed: {done.stderr.strip().splitlines()[-1]}")
+    function = ctypes.CDLL(str(library.resolve())).raster_range
+
+    def kernel(begin: int, end: int, s: Splats) -> None:
+        arrays = (s.start, s.entries, s.record, s.record.shape[1], s.feature, s.feature.shape[1], s.box, s.columns, s.picture)
+        words = [a.ctypes.data_as(ctypes.c_void_p) if isinstance(a, np.ndarray) else ctypes.c_int64(a) for a in arrays]
+        numbers = (ctypes.c_int64(s.stride), ctypes.c_int64(s.plane), *map(ctypes.c_float, CONSTANTS))
+        function(ctypes.c_int64(begin), ctypes.c_int64(end), *words, *numbers)
+
+    def forward(splats: Splats) -> None:
+        assert splats.start.dtype == np.int64 and splats.entries.dtype == np.int32
+        run_ranges(kernel, splats.tiles, splats)
+
+    return forward
+
+
+def by_warp(features: int) -> Forward:
+    """A thread for each pixel on warp's CPU device, which has one. Raises IrgsppError where warp is not installed."""
+    try:
+        import warp as wp
+    except ImportError as error:
+        raise IrgsppError("warp is not installed (extra cuda)") from error
+    setattr(wp.config, "quiet", True)  # noqa: B010  (unknown to its type stubs)
+    from .warp_raster import kernel_of
+
+    kernel = kernel_of(features)
+
+    def forward(s: Splats) -> None:
+        rows = s.plane // s.stride
+        inputs = zip((s.start, s.entries, s.record, s.feature, s.box), (wp.int64, wp.int32, wp.float32, wp.float32, wp.int32), strict=True)
+        arrays = [wp.array(a, dtype=kind, device="cpu", copy=False) for a, kind in inputs]
+        out = wp.array(ptr=s.picture.ctypes.data, dtype=wp.float32, shape=s.picture.shape, device="cpu")
+        numbers = [wp.float32(value) for value in CONSTANTS]
+        wp.launch(kernel, dim=(rows, s.stride), inputs=[*arrays, s.columns, out, s.stride, s.plane, *numbers], device="cpu")
+
+    return forward
+
+
+def by_torch(count: int, size: int, seed: int = 0) -> Callable[[], torch.Tensor]:
+    """Every pixel against every disk of the same torus, in torch alone."""
+    parts = [torch.from_numpy(a) for a in torus(count, seed)]
+    shapes = [(3,), (4,), (2,), (), (16, 3), (len(parts[5]) // count,)]
+    parameters = [a.view(*shape, count).double() for a, shape in zip(parts, shapes, strict=True)]
+    camera = viewer(size)
+    return lambda: rasterize_reference(*parameters, camera, 1.4)
+
+
+def cropped(splats: Splats, size: int) -> np.ndarray:
+    """(channels, size, size) of the picture that was filled, without the padding and the transmittance."""
+    planes = splats.picture.reshape(-1, splats.columns * TILE, splats.columns * TILE)
+    return planes[:-1, :size, :size]
