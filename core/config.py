@@ -96,6 +96,13 @@ Choice = Literal["auto", "on", "off"]
 class SkipSettings:
     """What a scene may not need, rule by rule: "auto" decides by evidence measured on the scene, which run.json has."""
 
+    outside: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
+    trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind
+    converged: Choice = "auto"  # steps after views held back have stopped gaining
+    gather: Choice = "auto"  # whole views drawn in each step of the refinement: its pixels' disks are known
+    open: Choice = "auto"  # rays in directions where nothing has been met
+    bounce: Choice = "auto"  # light from the object to itself, where it is too little to be seen
+
 
 @dataclass(frozen=True)
 class Settings:

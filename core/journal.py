@@ -62,6 +62,11 @@ class Journal:
         self._notes.log(text)
         self._watcher.message(text)
 
+    def decided(self, rule: str, on: bool, evidence: str) -> None:
+        """A rule that leaves work out is in force, or not."""
+        self._notes.rule(rule, on, evidence)
+        self._watcher.decided(rule, on, evidence)
+
     def picture(self, draw: Draw) -> None:
         """Keep a picture of what is there now and then, so rarely that it costs next to nothing."""
         began = time.monotonic()

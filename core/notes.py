@@ -22,6 +22,10 @@ class Notes:
         with (self.path / "events.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({"time": round(time.time(), 3), **finite}) + "\n")
 
+    def rule(self, name: str, on: bool, evidence: str) -> None:
+        """Note whether a rule that leaves work out is in force."""
+        self.log(f"skip.{name} {'on' if on else 'off'}: {evidence}")
+
     def log(self, text: str) -> None:
         """Append to log.txt, with the time."""
         with (self.path / "log.txt").open("a", encoding="utf-8") as file:

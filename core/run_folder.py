@@ -71,7 +71,7 @@ class RunFolder(Notes):
     """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
 
     `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, versions, dataset, settings, seed,
-    phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], training {figure: value}.
+    phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, training {figure: value}.
     """
 
     def __init__(self, path: Path, state: dict[str, Any], lock: FileLock) -> None:
@@ -121,6 +121,12 @@ class RunFolder(Notes):
         self.state["skipped"] = [s for s in self.state["skipped"] if s["what"] != what] + [{"what": what, "why": why}]
         self.write()
         self.log(f"skipped {what}: {why}")
+
+    def rule(self, name: str, on: bool, evidence: str) -> None:
+        """Note whether a rule that leaves work out is in force, in run.json as well."""
+        super().rule(name, on, evidence)
+        self.state.setdefault("rules", {})[name] = {"on": on, "evidence": evidence}
+        self.write()
 
     # --- phases
 

@@ -52,6 +52,10 @@ class Terminal:
         self.end_line()
         print(text, file=self._stream, flush=True)
 
+    def decided(self, rule: str, on: bool, evidence: str) -> None:
+        """One line on a rule that leaves work out."""
+        self.message(f"skip.{rule} {'on' if on else 'off'}: {evidence}")
+
     def picture(self, draw: Draw) -> None:
         """Terminals show none."""
 
