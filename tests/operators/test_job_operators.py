@@ -6,7 +6,8 @@ import json
 import bpy
 import pytest
 from blender_side import ENGINE
-from engine_jobs import COUNTER, DATASET, TINY, until
+from engine_jobs import DATASET, TINY, until
+from engine_jobs import counter as counter
 from engine_jobs import registry as registry
 from irgspp.core.errors import IrgsppError
 from irgspp.core.version import VERSION
@@ -22,15 +23,6 @@ def extension(registry, monkeypatch):
     registration.register()
     yield
     registration.unregister()
-
-
-@pytest.fixture
-def counter(tmp_path):
-    script = tmp_path / "counter.py"
-    script.write_text(COUNTER)
-    return lambda steps=1000, kind="reconstruct", folder=tmp_path / "run", **options: jobs.start(
-        kind, "count", folder, [str(steps)], program=str(script), **options
-    )
 
 
 def meshes():
@@ -112,7 +104,7 @@ def test_demo_as_a_job(tmp_path):
 def test_result_comes_into_its_scene_by_itself(run_folder, counter):
     """Even where the window shows another scene by then."""
     scene = bpy.context.scene
-    job = counter(20, kind="render", folder=run_folder, on_done="import_result", data=result_import.place_of(scene, "attributes", True))
+    job = counter(20, folder=run_folder, on_done="import_result", data=result_import.place_of(scene, "attributes", True))
     other = bpy.data.scenes.new("other")
     bpy.context.window.scene = other
     until(lambda: job.finished)
@@ -123,15 +115,16 @@ def test_result_comes_into_its_scene_by_itself(run_folder, counter):
 
 def test_result_does_not_go_into_another_file(tmp_path, counter):
     place = result_import.place_of(bpy.context.scene, "textures", True)
-    job = counter(20, on_done="import_result", data=place)
+    job = counter(20, kind="reconstruct", folder=tmp_path / "run", on_done="import_result", data=place)
     bpy.ops.wm.read_homefile(use_empty=True)
     until(lambda: job.finished)
     assert job.state == "done" and "another file is open" in job.error and str(job.folder) in job.error
     assert not meshes()
 
 
-def test_result_that_is_none_is_told(counter):
-    job = counter(1, on_done="import_result", data=result_import.place_of(bpy.context.scene, "textures", True))
+def test_result_that_is_none_is_told(tmp_path, counter):
+    place = result_import.place_of(bpy.context.scene, "textures", True)
+    job = counter(1, kind="reconstruct", folder=tmp_path / "run", on_done="import_result", data=place)
     until(lambda: job.finished)
     assert job.state == "done" and "done, but" in job.error
 
@@ -142,8 +135,8 @@ def test_unknown_job_is_an_exception(name):
         getattr(bpy.ops.irgspp, f"job_{name}")(job="nonsense")
 
 
-def test_wishes_that_do_not_fit_the_state(counter):
-    job = counter(1)
+def test_wishes_that_do_not_fit_the_state(tmp_path, counter):
+    job = counter(1, kind="reconstruct", folder=tmp_path / "run")
     until(lambda: job.finished)
     for name, message in (("finish", "not optimising"), ("resume", "is done, which can't be resumed")):
         with pytest.raises(RuntimeError, match=message):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import blender_side
 import pytest
 
+PATIENCE = 300.0  # seconds, on a machine that has other things to do
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and links of POSIX")
 DATASET = blender_side.ROOT / "core" / "demo_data"
 TINY = {
     "data.resolution": 32,
@@ -51,7 +54,7 @@ def reconstruction(run: Path, **more: object) -> list[str]:
     return ["reconstruct", str(DATASET), "-o", str(run), "--preset", "draft", "--materials", "low-gloss", *settings(**more)]
 
 
-def until(what: Callable[[], object], seconds: float = 300.0) -> None:
+def until(what: Callable[[], object], seconds: float = PATIENCE) -> None:
     """Poll the jobs until something is true, as Blender's timer does."""
     from irgspp.irgspp_addon import jobs
 
@@ -84,3 +87,17 @@ def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     jobs.clear()
     session.end_session()
     engine._known.clear()
+
+
+@pytest.fixture
+def counter(tmp_path: Path) -> Callable[..., object]:
+    """Start a job that counts: how far, and what `jobs.start` takes besides its words."""
+    from irgspp.irgspp_addon import jobs
+
+    script = tmp_path / "counter.py"
+    script.write_text(COUNTER)
+
+    def start(steps: int = 1000, kind: str = "render", folder: Path | None = None, **options):
+        return jobs.start(kind, f"count to {steps}", folder, [str(steps)], program=str(script), **options)
+
+    return start
