@@ -102,6 +102,12 @@ def setup() -> None:
     say("set-up done: " + str(VENV))
 
 
+def workers() -> list:
+    """Words for pytest: as many processes as there are cores, four at most, as each needs over 1 GB; `-n 0` after them is one alone."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return ["-n", str(min(cores, 4)), "--dist", "worksteal"] if cores > 1 else []
+
+
 def main(arguments: list) -> int:
     """Do what the first word says; the exit status is that of the tool or of the tests."""
     if not arguments or arguments[0] not in COMMANDS:
@@ -110,7 +116,7 @@ def main(arguments: list) -> int:
     command, rest = arguments[0], arguments[1:]
     setup()
     if command == "test":
-        return call(PYTHON, "-m", "pytest", *rest)
+        return call(PYTHON, "-m", "pytest", *workers(), *rest)
     if command == "demo":
         return call(PYTHON, "-P", "-m", "irgspp", "demo", *([] if "-o" in rest else ["-o", "demo"]), *rest)
     return 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine before torch, as it settles how torch's threads wait; cameras all around."""
+"""The engine before torch, as it settles how torch's threads wait; order and folders of tests in several processes; cameras all around."""
 
 import os
 import sys
@@ -9,6 +9,9 @@ import irgspp.core  # noqa: F401
 import numpy as np
 import pytest
 from irgspp.core.datasets.camera import Camera, look_at
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.pop("BLENDER_USER_RESOURCES", None)  # the first process may have chosen one folder already, which the others inherit
 
 
 def ring(count: int, size: int = 64, distance: float = 4.0, lowest: float = -0.9, highest: float = 0.9) -> list[Camera]:
@@ -22,6 +25,11 @@ def ring(count: int, size: int = 64, distance: float = 4.0, lowest: float = -0.9
 @pytest.fixture(scope="session")
 def camera_ring() -> Callable[..., list[Camera]]:
     return ring
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest tests first: at the end, one process would be at work on them and the others done."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
 _ended: list[int] = []  # pytest's exit status, once it is known

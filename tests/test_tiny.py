@@ -210,6 +210,7 @@ def test_killed_job_goes_on_to_the_same_result(run, tmp_path):
     assert_same(killed, run)
 
 
+@pytest.mark.long
 def test_first_run_on_a_machine_is_like_the_later_ones(tmp_path):
     """Kernels are compiled in the first, read from the cache in the second."""
     environment = {**os.environ, "IRGSPP_CACHE": str(tmp_path / "cache")}

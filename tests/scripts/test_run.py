@@ -89,11 +89,17 @@ def test_broken_environment_is_made_anew(script):
 def test_arguments_and_exit_status_are_passed_on(script):
     script.statuses["pytest"] = 5
     assert script.main(["test", "-k", "run"]) == 5
-    assert script.calls[-1].endswith("-m pytest -k run")
+    assert "-m pytest " in script.calls[-1] and script.calls[-1].endswith(" -k run")
     assert script.main(["demo", "--resume"]) == 0
     assert script.calls[-1].endswith("irgspp demo -o demo --resume")
     script.main(["demo", "-o", "there"])
     assert script.calls[-1].endswith("irgspp demo -o there")
+
+
+@pytest.mark.parametrize(("cores", "words"), [(1, []), (2, ["-n", "2", "--dist", "worksteal"]), (64, ["-n", "4", "--dist", "worksteal"])])
+def test_a_process_for_each_core(script, monkeypatch, cores, words):
+    monkeypatch.setattr(script.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    assert script.workers() == words
 
 
 def test_wrong_python_gets_one_line(script, monkeypatch, capsys):
