@@ -28,7 +28,7 @@ def named(paths: Sequence[Path]) -> list[Scene]:
         inside = [path] if is_scene(path) else sorted(p for p in path.iterdir() if is_scene(p)) if path.is_dir() else []
         if not inside:
             raise InputError(path, "is no scene and holds none", "name folders with a transforms_train.json and ground truth")
-        scenes += [Scene(one.resolve().name, one) for one in inside]
+        scenes += [Scene(one.absolute().name, one) for one in inside]
     if len({scene.name for scene in scenes}) < len(scenes):
         raise InputError(paths[0], "two scenes have one name", "rename a folder")
     return scenes
