@@ -1,19 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene of the embedded dataset: Blender's monkey in blotchy glaze on a copper ring."""
+"""The scene of the embedded dataset: Blender's monkey in blotchy glaze on a copper ring; or all of it of one kind, as a .blend.
+
+python scripts/demo_scene.py mixed|low-gloss|glossy FILE.blend
+"""
 
 # pyright: reportMissingImports=false
 # (`irgspp` is the folder above, known to pyright under no name)
 
 from __future__ import annotations
 
+import sys
 from math import radians
+from pathlib import Path
 
 import bpy
 from irgspp.irgspp_addon.world import node_tree
 
+KINDS = {"mixed": ("glaze", "copper"), "low-gloss": ("glaze", "glaze"), "glossy": ("copper", "copper")}  # of the monkey, of the ring
 
-def build_demo_scene() -> list[bpy.types.Object]:
-    """Fill an empty file with the demonstration objects, inside radius 1.3 around the origin, and return them."""
+
+def build_demo_scene(kind: str = "mixed") -> list[bpy.types.Object]:
+    """Fill an empty file with the demonstration objects, inside radius 1.3 around the origin, and return them.
+
+    kind: one of KINDS.
+    """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.mesh.primitive_monkey_add(size=1.75, location=(0.0, 0.05, 0.08), rotation=(radians(-18), 0.0, 0.0))
     monkey = bpy.context.object
@@ -26,8 +36,9 @@ def build_demo_scene() -> list[bpy.types.Object]:
         thing.select_set(True)
         bpy.context.view_layer.objects.active = thing
         bpy.ops.object.shade_smooth()
-    monkey.data.materials.append(_glaze())
-    ring.data.materials.append(_copper())
+    materials = {"glaze": _glaze(), "copper": _copper()}
+    for thing, name in zip((monkey, ring), KINDS[kind], strict=True):
+        thing.data.materials.append(materials[name])
     return [monkey, ring]
 
 
@@ -89,3 +100,10 @@ def _fill(ramp: bpy.types.ColorRamp, stops: list[tuple[float, tuple[float, float
         ramp.elements.new(0.5)
     for element, (position, colour) in zip(ramp.elements, stops, strict=True):
         element.position, element.color = position, (*colour, 1.0)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 3 or sys.argv[1] not in KINDS:
+        sys.exit(f"usage: demo_scene.py {'|'.join(KINDS)} FILE.blend")
+    build_demo_scene(sys.argv[1])
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(sys.argv[2]).resolve()))
