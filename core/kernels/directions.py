@@ -65,8 +65,11 @@ def _towards_light(u0, u1, rows, columns, edges):
 @kernel
 def lightmap_place(x, y, z):
     """u, v in 0..1 of a unit direction in a lat-long map."""
-    z = min(max(z, -1.0), 1.0)
-    return 0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN, math.acos(np.float32(z)) / math.pi
+    u = 0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN
+    flat2 = x * x + y * y
+    if flat2 < 0.01:  # near a pole the height says too little of the angle
+        return u, math.atan2(np.float32(math.sqrt(flat2)), np.float32(z)) / math.pi
+    return u, math.acos(np.float32(min(max(z, -1.0), 1.0))) / math.pi
 
 
 @kernel

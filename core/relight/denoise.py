@@ -101,7 +101,7 @@ def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, surface:
     smooth, variance = smooth[:, :3], smooth[:, 3:]
     variance = variance + chance * smooth.square().mean(1, keepdim=True)
     change = filtered((values - smooth).square().mean(1, keepdim=True), surface, radius, how)
-    keep = (1 - variance / change.clamp_min(1e-20)).clamp(0, 1)
+    keep = (1 - variance / change.clamp_min(1e-36)).clamp(0, 1)
     return smooth + keep * (values - smooth)
 
 

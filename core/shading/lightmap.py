@@ -11,13 +11,19 @@ import math
 import numpy as np
 import torch
 
+POLE = 0.995  # height from which it says too little of the angle in float32, where rows of an 8k map are narrower than what it rounds to
+
 
 def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """(..., 3) unit directions to u, v (...) in 0..1."""
     x, y, z = direction.unbind(-1)
     # Exactly at a pole atan2 has no slope; a nudge keeps the gradient finite and moves the texel by nothing.
     x = torch.where((x.abs() < 1e-6) & (y.abs() < 1e-6), torch.full_like(x, 1e-6), x)
-    return 0.5 - torch.atan2(y, x) / (2 * math.pi), torch.acos(z.clamp(-1 + 1e-6, 1 - 1e-6)) / math.pi
+    polar, near = torch.acos(z.clamp(-1 + 1e-6, 1 - 1e-6)), z.abs() > POLE
+    if near.any():
+        sine = torch.asin((x[near] ** 2 + y[near] ** 2).sqrt())
+        polar = polar.masked_scatter(near, torch.where(z[near] > 0, sine, math.pi - sine))
+    return 0.5 - torch.atan2(y, x) / (2 * math.pi), polar / math.pi
 
 
 def texel_directions(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:

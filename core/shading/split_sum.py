@@ -34,7 +34,8 @@ def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
 def _filter(light: torch.Tensor, operator: torch.Tensor) -> torch.Tensor:
     spectrum = torch.fft.rfft(light, dim=1).permute(1, 0, 2)  # (F, H, C)
     filtered = torch.view_as_complex((operator @ torch.view_as_real(spectrum).flatten(2)).unflatten(2, (-1, 2)).contiguous())
-    return torch.fft.irfft(filtered.permute(1, 0, 2), n=light.shape[1], dim=1)
+    # A mean of what is not negative: below 0 is the transform's rounding error, beside a lamp far above 1.
+    return torch.fft.irfft(filtered.permute(1, 0, 2), n=light.shape[1], dim=1).clamp_min(0)
 
 
 def diffuse_light(light: torch.Tensor) -> torch.Tensor:

@@ -147,7 +147,8 @@ def finite_differences(measured: Measured) -> None:
 @case(
     "energy under a white sky",
     """No material sends back more than it gets: diffuse and specular together are at most 1 under a white sky, for every view, by
-    sampling (4096 samples; 2 % of noise) and by split-sum (0.1 %); albedo 0 and metallic 1 send back nothing but Fresnel's rim.""",
+    sampling (4096 samples; 1 % of noise) and by split-sum (0.1 %); a black metal seen frontally sends back nothing. What the table says
+    of metal is what the samples say, to 0.01 (0.05 where n.v lies in the table's first step of 1/63).""",
 )
 def energy(measured: Measured) -> None:
     view, normal, albedo, roughness, metallic = points(tuple(c for c in COSINES if c >= 0))
@@ -155,12 +156,14 @@ def energy(measured: Measured) -> None:
     many = (1024, 2048, 1024)
     samples = draw(view, normal, roughness, many, LightDistribution(white), torch.Generator().manual_seed(6))
     sent = estimate([view, normal, albedo, roughness, metallic], samples, torch.ones_like(samples.direction))
-    measured.at_most("sampled", float(sent.max()), 1.02)
+    measured.at_most("sampled", float(sent.max()), 1.01)
     split = shade(view, normal, albedo, roughness, metallic, diffuse_light(white), specular_light(white))
     measured.finite("split-sum", split)
     measured.at_most("split-sum", float(split.max()), 1.001)
     known = specular_albedo((facing(view, normal) * normal).sum(1), roughness, base_reflectance(albedo, metallic[:, None]))
-    measured.at_most("table against samples, metal", float((known - sent)[metallic == 1].abs().max()), 0.02)
+    apart, first = (known - sent).abs().amax(1), (view * normal).sum(1) < 1 / 63
+    measured.at_most("table against samples, metal", float(apart[(metallic == 1) & ~first].max()), 0.01)
+    measured.at_most("in its first step", float(apart[(metallic == 1) & first].max()), 0.05)
     black = (metallic == 1) & (albedo[:, 0] == 0) & ((view * normal).sum(1) > 0.99)
     measured.at_most("black metal seen frontally", float(sent[black].max()), 0.01)
 
