@@ -25,7 +25,7 @@ from benchmarks.session import Session, steps_of
 from benchmarks.store import Store
 from irgspp.core.errors import InputError, IrgsppError
 
-SECTIONS = ("relighting", "reconstruction", "geometry", "decomposition", "kernels", "skipping")
+SECTIONS = ("relighting", "reconstruction", "geometry", "decomposition", "peers", "kernels", "skipping")
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 
@@ -41,8 +41,8 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
         "--quick", action="store_true", help="the embedded 64x64 scene and short schedules: whether all of it works, in minutes"
     )
     parser.add_argument("--sections", default=",".join(SECTIONS), metavar="A,B", help=f"some of {', '.join(SECTIONS)} (default: all)")
-    parser.add_argument("--repeats", type=_count, default=5, metavar="N", help="of timings, whose median counts (default: 5)")
-    parser.add_argument("--budgets", type=_minutes, default=(1, 2, 4), metavar="M,M", help="minutes for reconstructing (default: 1,2,4)")
+    parser.add_argument("--repeats", type=_count, metavar="N", help="of timings, whose median counts (default: 5)")
+    parser.add_argument("--budgets", type=_minutes, metavar="M,M", help="minutes for reconstructing (default: 1,2,4)")
     parser.add_argument(
         "--lpips", type=Path, metavar="FILE", help="the metric LPIPS as TorchScript, where the package lpips is not installed"
     )
@@ -84,7 +84,8 @@ def measure(args: argparse.Namespace, sections: list[ModuleType]) -> tuple[Store
     """All that is missing; the store, and an exit status."""
     args.out.mkdir(parents=True, exist_ok=True)
     store = Store(args.out, machine(), args.fresh)
-    bench = Bench(args.out, scenes_of(args), args.quick, args.repeats, args.budgets, args.lpips)
+    repeats, budgets = (2, (0.25,)) if args.quick else (5, (1, 2, 4))
+    bench = Bench(args.out, scenes_of(args), args.quick, args.repeats or repeats, args.budgets or budgets, args.lpips)
     store.scenes |= {scene.name: {"glossy": scene.glossy, "size": scene.views[0].camera.width} for scene in bench.scenes}
     session = Session(bench, store)
     try:

@@ -89,12 +89,17 @@ class Bench:
         """How to reconstruct any scene; `quick` shortens all of them alike."""
         expected = seconds or {"draft": 48.0}.get(preset, 120.0)
         if self.quick:
-            options, expected = (*QUICK, *options), 14.0
+            options, expected = (*QUICK, *options), 9.0
         return RunPlan(label, preset, options, materials, time, expected)
 
     def balanced(self) -> RunPlan:
         """The plan that most sections share: default settings."""
         return self.plan("balanced")
+
+    @property
+    def evaluation_seconds(self) -> float:
+        """Expected of `evaluation`."""
+        return 2.0 if self.quick else 12.0
 
     def run_folder(self, scene: Scene, plan: RunPlan) -> Path:
         """Where the reconstruction is, or will be."""
@@ -128,16 +133,16 @@ class Bench:
         return next((scene for scene in self.scenes if scene.glossy == glossy), None)
 
 
-# What 64x64 pictures need, in seconds.
+# Schedules of seconds, for 64x64 pixels: whether everything works, and the directions of most things.
 QUICK = (
-    "reflective.iterations=250",
+    "reflective.iterations=150",
     "reflective.gaussians=6000",
-    "reflective.trial_iterations=60",
+    "reflective.trial_iterations=30",
     "reflective.trial_gaussians=2000",
     "transport.points=500",
-    "transport.iterations=60",
+    "transport.iterations=40",
     "transport.samples=32",
-    "transport.radiance_iterations=40",
+    "transport.radiance_iterations=20",
     "surface.voxels=64",
     "surface.triangles=5000",
     "surface.texture=256",

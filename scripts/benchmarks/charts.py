@@ -12,7 +12,7 @@ import matplotlib
 matplotlib.use("Agg")  # draws without a screen
 from matplotlib import pyplot
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from .section import Chart
 
@@ -36,6 +36,7 @@ STYLE: Any = {  # matplotlib's own names
     "svg.hashsalt": "irgspp",
 }
 WIDTH, HEIGHT, MOST = 4.3, 3.5, 3  # inches of a panel; panels in a row
+FEW = 9  # numbers that an axis names each
 
 
 def svg(chart: Chart) -> str:
@@ -64,7 +65,7 @@ def _draw(chart: Chart) -> Figure:
     labels = list(dict.fromkeys(s.label for series in panels.values() for s in series))
     legend_rows = -(-len(labels) // (3 * columns if columns > 1 else 2))
     height = HEIGHT * rows + 0.24 * legend_rows + 0.2
-    figure, axes = pyplot.subplots(rows, columns, figsize=(max(WIDTH * columns, 5.2), height), squeeze=False)
+    figure, axes = pyplot.subplots(rows, columns, figsize=(WIDTH * columns if columns > 1 else 1.5 * WIDTH, height), squeeze=False)
     for axis in axes.flat[len(panels) :]:
         axis.set_visible(False)
     for axis, (title, series) in zip(axes.flat, panels.items(), strict=False):
@@ -89,6 +90,10 @@ def _dress(axis, chart: Chart, title: str) -> None:
     for log, name in ((chart.log_x, "x"), (chart.log_y, "y")):
         if log and axis.lines:
             _logarithmic(axis, name)
+    numbers = sorted({float(x) for line in axis.lines for x in line.get_xdata()})
+    if chart.log_x and len(numbers) <= FEW and all(x.is_integer() for x in numbers):  # counts that were chosen: name these
+        axis.xaxis.set_major_locator(FixedLocator(numbers))
+        axis.xaxis.set_minor_locator(NullLocator())
 
 
 def _logarithmic(axis, name: str) -> None:

@@ -64,8 +64,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
     for preset in PRESETS:
         plan = bench.plan(preset, preset=preset)
-        yield Task(preset, partial(_figures, bench, scene, preset), 12.0, [plan])
-    yield Task("pictures", partial(_shown, bench, scene), 4.0, [bench.balanced()])
+        yield Task(preset, partial(_figures, bench, scene, preset), bench.evaluation_seconds, [plan])
+    yield Task("pictures", partial(_shown, bench, scene), bench.evaluation_seconds / 3, [bench.balanced()])
 
 
 def _figures(bench: Bench, scene: Scene, preset: str) -> Measurement:

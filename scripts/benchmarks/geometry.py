@@ -36,7 +36,7 @@ LIMIT = 20.0  # degrees, of the pictures of errors
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
     if scene.view_truth(scene.views[0]).normal is not None:
-        yield Task("normals", partial(_normals, bench, scene), 12.0, [bench.balanced()])
+        yield Task("normals", partial(_normals, bench, scene), bench.evaluation_seconds, [bench.balanced()])
 
 
 def _normals(bench: Bench, scene: Scene) -> Measurement:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from irgspp.core.evaluation import metrics
 from irgspp.core.relight.backends import best_backend
+from irgspp.core.scene.gaussians import load_gaussians
 
 from .bench import Bench, Scene
 from .relighting import Way, studio
@@ -40,7 +41,6 @@ COLUMNS = {
     "metallic_mae": "metallic ↓",
 }
 IRGS = ("transport.sampling=stratified", "transport.samples=512")
-EVALUATION = 12.0  # seconds
 # What one part brings: title, then the configurations that are set side by side.
 PARTS = {
     "Light between the object's parts, traced through the Gaussians (2DGRT), in training": ("balanced", "without indirect light"),
@@ -58,12 +58,12 @@ def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
     """By configuration. What needs a run for each scene kind alone is made on the first scene of either kind."""
     found = {preset: bench.plan(preset, preset=preset) for preset in PRESETS}
     found["without indirect light"] = bench.plan("no-indirect", "transport.indirect=off", seconds=115)
-    if scene.glossy or bench.quick:
+    if scene.glossy:
         found["without reflections"] = bench.plan("no-reflections", materials="low-gloss")
     if scene in (bench.of_kind(True), bench.of_kind(False)):
         # IRGS knows no metal, nor reflections in its first stage.
         found["IRGS"] = bench.plan("irgs", *IRGS, materials="low-gloss", seconds=150)
-        for preset in PRESETS:
+        for preset in PRESETS[1:] if bench.quick else PRESETS:
             for minutes in bench.budgets:
                 found[f"{preset}, {minutes:g} min"] = _budget(bench, preset, minutes)
     return found
@@ -78,12 +78,12 @@ def _budget(bench: Bench, preset: str, minutes: float) -> RunPlan:
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
     for configuration, plan in plans(bench, scene).items():
-        yield Task(configuration, partial(_quality, bench, scene, plan), EVALUATION, [plan])
-    yield Task("first stage alone", partial(_first, bench, scene), 2 * EVALUATION, [bench.balanced()])
+        yield Task(configuration, partial(_quality, bench, scene, plan), bench.evaluation_seconds, [plan])
+    yield Task("first stage alone", partial(_first, bench, scene), 2 * bench.evaluation_seconds, [bench.balanced()])
     if scene.relights and "IRGS" in plans(bench, scene):
         for name, (configuration, way, samples) in HEADLINE.items():
             plan = plans(bench, scene)[configuration]
-            yield Task(f"headline, {name}", partial(_headline, bench, scene, plan, way, samples), 20.0, [plan])
+            yield Task(f"headline, {name}", partial(_headline, bench, scene, plan, way, samples), bench.evaluation_seconds, [plan])
 
 
 def _quality(bench: Bench, scene: Scene, plan: RunPlan) -> Measurement:
@@ -102,8 +102,6 @@ def costs(run: Run) -> Figures:
 
 
 def _gaussians(run: Run) -> int:
-    from irgspp.core.scene.ply import load_gaussians
-
     return load_gaussians(run.path / "gaussians.ply").count
 
 

@@ -13,17 +13,20 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 from irgspp.core.datasets.dataset import View
 from irgspp.core.evaluation import metrics, pictures
 from irgspp.core.relight.backends import Backend, open_relighter
 from irgspp.core.relight.lighting import PreparedLight, prepare
+from irgspp.core.relight.mesh_query import MeshQuery
+from irgspp.core.relight.query import Hits, SurfaceQuery
 from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.scene.reconstruction import Reconstruction
 
 from .bench import Bench, Scene
 from .section import Block, Chart, Measurement, Note, Pictures, Series, Table, Task
 from .store import Results
-from .timing import median_seconds
+from .timing import median_seconds, medians
 
 NAME = "relighting"
 TITLE = "Relighting: error against time and samples"
@@ -151,13 +154,14 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
         return
     run, counts = [bench.balanced()], QUICK_COUNTS if bench.quick else COUNTS
     for way, samples in itertools.product(WAYS, counts):
-        expected = samples / 512 * {"mesh": 8.0, "gaussian": 24.0}[WAYS[way].backend] + 1
+        expected = (samples / 512 * {"mesh": 5.0, "gaussian": 14.0}[WAYS[way].backend] + 0.5) / (10 if bench.quick else 1)
         yield Task(f"{way}, {samples} samples", partial(_point, bench, scene, way, samples), expected, run)
-    yield Task(f"without MIS, {MANY} samples", partial(_point, bench, scene, PLAIN, MANY), 12.0, run)
+    yield Task(f"without MIS, {MANY} samples", partial(_point, bench, scene, PLAIN, MANY), 1.0 if bench.quick else 20.0, run)
     for indirect in ("on", "off"):
-        yield Task(f"indirect {indirect}", partial(_indirect, bench, scene, indirect == "on"), 3.0, run)
-    yield Task("speed", partial(_speed, bench, scene), 12.0, run)
-    yield Task("pictures", partial(_shown, bench, scene), 4.0, run)
+        yield Task(f"indirect {indirect}", partial(_indirect, bench, scene, indirect == "on"), 1.0, run)
+    yield Task("speed", partial(_speed, bench, scene), 5.0, run)
+    yield Task("rays", partial(_rays, bench, scene), 4.0, run)
+    yield Task("pictures", partial(_shown, bench, scene), 2.0, run)
 
 
 def _point(bench: Bench, scene: Scene, way: str, samples: int) -> Measurement:
@@ -188,6 +192,36 @@ def _speed(bench: Bench, scene: Scene) -> Measurement:
         figures[f"{backend}_turned_seconds"] = one.turned_seconds(way, "efficient", bench.repeats)
     camera = one.places[0].view.camera
     return Measurement(figures, {"pixels": camera.width * camera.height, "samples": sum(one.relighter(Way(), "efficient").counts)})
+
+
+class _Recorder:
+    """A mesh as `SurfaceQuery` that notes what it is asked."""
+
+    def __init__(self, query: SurfaceQuery) -> None:
+        self._query, self.origins = query, query.origins
+        self.asked: list[tuple[torch.Tensor, torch.Tensor]] = []
+
+    def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
+        self.asked.append((origin, direction))
+        return self._query.hits(origin, direction)
+
+
+def _rays(bench: Bench, scene: Scene) -> Measurement:
+    """The rays of a frame again: through the mesh's query, and through Embree alone in as many threads."""
+    one, place = studio(bench, scene).relighter(Way(), "efficient"), studio(bench, scene).places[0]
+    mesh, recorder = one.query, _Recorder(one.query)
+    assert isinstance(mesh, MeshQuery)
+    watched = Relighter(one.reconstruction, recorder, one.settings, one.mesh)
+    watched.relit(watched.surface(place.view.camera), place.prepared)
+    works = {
+        "frame": lambda: one.relit(one.surface(place.view.camera), place.prepared),
+        "query": lambda: [mesh.hits(*rays) for rays in recorder.asked],
+        "embree": lambda: [mesh.closest(*rays) for rays in recorder.asked],
+    }
+    found = medians(works, bench.repeats)
+    rays = sum(len(origin) for origin, _ in recorder.asked)
+    figures = {f"{name}_seconds": seconds for name, seconds in found.items()}
+    return Measurement({**figures, "embree_mrays_per_second": rays / found["embree"] / 1e6}, {"rays": rays})
 
 
 def _shown(bench: Bench, scene: Scene) -> Measurement:
@@ -269,7 +303,12 @@ def _summaries(results: Results) -> Iterator[Block]:
     ]
     if speeds:
         columns = ("scene", "mesh ↑", "mesh, light turned ↑", "Gaussians ↑", "Gaussians, light turned ↑")
-        yield Table("Frames a second at `--samples efficient`", columns, speeds)
+        yield Table("Frames a second at --samples efficient", columns, speeds)
+    rays = [(r.scene, r.counted["rays"], r.figures) for r in results.records(prefix="rays")]
+    if rays:
+        columns = ("scene", "rays a frame", "frame s ↓", "its rays by the relighter's query s ↓", "by Embree alone s ↓", "Embree, Mray/s ↑")
+        names = ("frame_seconds", "query_seconds", "embree_seconds", "embree_mrays_per_second")
+        yield Table("Where a frame's time goes", columns, [[scene, n, *(f[name] for name in names)] for scene, n, f in rays])
 
 
 def _slope(points: list[dict]) -> float | None:

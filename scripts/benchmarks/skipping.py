@@ -14,7 +14,7 @@ from typing import Any
 from irgspp.core.config import SkipSettings
 
 from .bench import Bench, Scene
-from .reconstruction import COLUMNS, EVALUATION, FIGURES, costs
+from .reconstruction import COLUMNS, FIGURES, costs
 from .runs import RunPlan
 from .section import Block, Measurement, Note, Table, Task
 from .store import Results
@@ -45,7 +45,7 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
     for configuration, plan in plans(bench).items():
         expected = [plan] if configuration in ("auto", ALL) else []  # whether the others are needed, only the run at auto tells
-        yield Task(configuration, partial(_measured, bench, scene, configuration), EVALUATION, [bench.balanced(), *expected])
+        yield Task(configuration, partial(_measured, bench, scene, configuration), bench.evaluation_seconds, [bench.balanced(), *expected])
 
 
 def _measured(bench: Bench, scene: Scene, configuration: str) -> Measurement:
