@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from irgspp.core.run_folder import versions
 from . import runs
 from .runs import Run, RunPlan
 
+WHOLE = 16384  # pixels: test views and their truth are never reduced, whatever a run was made from
 METAL = 0.5  # mean metallic above which a scene counts as glossy
 
 
@@ -39,7 +40,7 @@ class Scene:
     @cached_property
     def data(self) -> Dataset:
         """Photographs and cameras, in the world that a run of it has."""
-        return load_dataset(self.path, DataSettings())
+        return load_dataset(self.path, DataSettings(resolution=WHOLE))
 
     @cached_property
     def truth(self) -> SceneTruth:
@@ -124,8 +125,8 @@ class Bench:
         kept = folder / "evaluation" / "report.json"
         made = folder / "reconstruction.json"
         if not kept.is_file() or kept.stat().st_mtime < made.stat().st_mtime:
-            about = runs.read_run(settings_of or folder)
-            evaluate(folder, scene.path, settings=from_dict(about["settings"], made).data)
+            settings = from_dict(runs.read_run(settings_of or folder)["settings"], made).data
+            evaluate(folder, scene.path, settings=replace(settings, resolution=WHOLE))
         return json.loads(kept.read_text(encoding="utf-8"))
 
     def of_kind(self, glossy: bool) -> Scene | None:

@@ -12,7 +12,7 @@ from types import ModuleType
 
 from irgspp.core.run_folder import write_atomic
 
-from . import charts
+from . import charts, summary
 from .page import about, shown
 from .section import Block, Chart, Note, Pictures, Table
 from .store import Results, Store
@@ -42,7 +42,8 @@ def write(store: Store, sections: Sequence[ModuleType], folder: Path) -> None:
             _between(folder / "skipping.md", "\n\n".join(text for block in blocks if (text := _block(block, folder))))
         chapter = [f"## {section.TITLE}", section.ABOUT, *(_block(block, folder) for block in blocks)]
         parts.append("\n\n".join(text for text in chapter if text))
-    text = "\n\n".join([HEAD.rstrip(), *about(store), *parts, *_failed(store)])
+    short = [_block(block, folder) for block in summary.blocks(store)]
+    text = "\n\n".join([HEAD.rstrip(), *about(store), *short, *parts, *_failed(store)])
     write_atomic(folder / "benchmark.md", (text + "\n").encode())
 
 

@@ -16,7 +16,7 @@ from types import ModuleType
 from irgspp.core.run_folder import write_atomic
 from PIL import Image
 
-from . import charts
+from . import charts, summary
 from .section import Block, Chart, Note, Table
 from .store import Results, Store
 
@@ -41,11 +41,12 @@ def write(store: Store, sections: Sequence[ModuleType]) -> Path:
     """Make report.html of the store's folder; returns its path."""
     parts = [(section, list(section.blocks(results))) for section in sections if (results := Results(store, section.NAME)).scenes]
     links = "".join(f"<a href='#{section.NAME}'>{escape(section.TITLE)}</a>" for section, _ in parts)
+    short = "".join(_block(store.folder, block) for block in summary.blocks(store))
     chapters = "".join(_chapter(store, section, blocks) for section, blocks in parts)
     text = (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>IRGS++ benchmark</title><style>{STYLE}</style>"
         f"<h1>IRGS++: time against error</h1>{''.join(f'<p>{escape(line)}</p>' for line in about(store))}"
-        f"<nav>{links}</nav>{_failures(store)}{chapters}</html>\n"
+        f"<nav>{links}</nav>{short}{_failures(store)}{chapters}</html>\n"
     )
     path = store.folder / "report.html"
     write_atomic(path, text.encode())

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -59,6 +60,7 @@ def own(folder: Path, say: Callable[[str], None]) -> list[Scene]:
 def _render(kind: str, folder: Path, target: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     partial, blend = folder / f"{kind}.part", folder / f"{kind}.blend"
+    shutil.rmtree(partial, ignore_errors=True)  # of an interrupted start
     _call("demo_scene.py", kind, blend)
     _call("render_dataset.py", blend, "-o", partial, *SIZE)
     partial.rename(target)
