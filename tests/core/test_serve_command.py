@@ -139,7 +139,7 @@ def test_the_newest_wish_wins_and_cancel_stops(worker):
 
 
 def test_channels_share_the_worker(worker):
-    big = Camera(512, 384, 560.0, 560.0, 256.0, 192.0, EYE.to_world)
+    big = Camera(256, 192, 280.0, 280.0, 128.0, 96.0, EYE.to_world)
     slow = worker.ask(channel="slow", camera=big, samples=1024)
     quick = worker.ask(channel="quick", samples=4)
     assert worker.answer(quick, "quick")["error"] is None
