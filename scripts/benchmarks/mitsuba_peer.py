@@ -131,12 +131,12 @@ def ask(module: str, request: Mapping[str, Any], arrays: Mapping[str, np.ndarray
         about = {"variant": variant()[0], "threads": thread_count(), **request}
         (folder / "request.json").write_text(json.dumps(about), encoding="utf-8")
         np.savez(folder / "arrays.npz", **arrays, body=_body())
-        command = [sys.executable, "-m", f"{__package__}.{module}", str(folder)]
+        command = [sys.executable, "-X", "faulthandler", "-m", f"{__package__}.{module}", str(folder)]
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
         child = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
         if child.returncode:
             said = (child.stderr.strip().splitlines() or ["no message"])[-1]
-            raise IrgsppError(f"Mitsuba ended with status {child.returncode}: {said}")
+            raise IrgsppError(f"{module} ended with status {child.returncode}: {said}")
         answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
         return answer, {path.stem: np.load(path) for path in folder.glob("*.npy")}
 

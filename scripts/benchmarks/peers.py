@@ -15,7 +15,7 @@ from irgspp.core.blender import NoBlender, blender_command
 from irgspp.core.evaluation import pictures
 from irgspp.core.evaluation.metrics import on_black, psnr
 
-from . import mitsuba_peer
+from . import mitsuba_peer, peer_inverse
 from .bench import Bench, Scene
 from .peer_relighting import CYCLES, EVERYONE, FULL, MITSUBA, OURS, PEERS, QUICK, Duel, fight, renderer_of
 from .relighting import studio
@@ -61,6 +61,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
         yield Task(f"to our error: {samples} samples", partial(_against, duel, samples), 0.1, run)
     if not bench.quick and MITSUBA not in absent:
         yield Task(PRINCIPLED, partial(_principled, bench, scene), 20.0, run)
+    if MITSUBA not in absent and mitsuba_peer.variant()[0] == mitsuba_peer.VARIANTS[0]:
+        yield from peer_inverse.tasks(bench, scene)
 
 
 def without() -> dict[str, str]:
@@ -145,6 +147,7 @@ def blocks(results: Results) -> Iterator[Block]:
     yield from _differences(results, scenes)
     shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix="difference")]
     yield Pictures("Converged pictures, and where they differ", shown)
+    yield from peer_inverse.blocks(results)
 
 
 def _series(results: Results, scene: str, name: str) -> Series:

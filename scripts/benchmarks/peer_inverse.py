@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mitsuba's inverse rendering of a scene whose shape we give it, beside our second stage at equal time."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+from irgspp.core.colour import decode_srgb, encode_srgb
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.dataset import View
+from irgspp.core.evaluation import metrics, pictures
+from irgspp.core.evaluation.figures import Prediction, albedo_figures, averages, view_figures
+from irgspp.core.scene.buffers import ViewBuffers
+from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.stages.render import render_view
+
+from . import mitsuba_peer
+from .bench import Bench, Scene
+from .section import Block, Measurement, Note, Pictures, Table, Task
+from .store import Results
+
+PREFIX = "inverse: "
+OURS, MITSUBA = "our second stage", "Mitsuba"
+TIMES = (1, 2, 4)  # as long as our second stage
+FIGURES = ("albedo_psnr", "roughness_mae", "metallic_mae", "environment_psnr", "nvs_psnr", "relight_psnr")
+SHADED = 4  # test views that are shaded
+LAYER_SAMPLES, SHADED_SAMPLES = 16, 64
+PIXELS, SAMPLES, BOUNCES = 1024, 16, 1  # of an iteration; bounces of indirect light as our second stage has
+ROWS = 32  # of the light map
+RATES = {"vertex_albedo": 0.02, "vertex_roughness": 0.02, "vertex_metallic": 0.02, "light": 0.05}
+ROUGHNESS = 0.5  # of the start
+NAMES = ("origin", "corner", "right", "down")  # of a view's rays
+SURE, SATURATED = 0.99, 254.5 / 255
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What was reached after so many seconds: materials of the vertices, light (H, W, 3) in Mitsuba's frame of nodes."""
+
+    seconds: float
+    iterations: int
+    materials: dict[str, np.ndarray]
+    light: np.ndarray
+
+
+def descend(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[float], seed: int = 0, **changes) -> list[State]:
+    """States after each of the budgets in seconds. metal: what the first stage takes the object for, where it starts."""
+    thing = mitsuba_peer.welded(run)
+    count = len(thing["vertices"])
+    pixels = pool(views)
+    mean = float(decode_srgb(pixels["pixel_colour"]).mean())
+    start = {
+        "vertex_albedo": np.full((count, 3), 0.5, np.float32),
+        "vertex_roughness": np.full(count, ROUGHNESS, np.float32),
+        "vertex_metallic": np.full(count, float(metal), np.float32),
+        "light": np.full((ROWS, 2 * ROWS, 3), 2 * mean, np.float32),
+    }
+    request = {"pixels": PIXELS, "samples": SAMPLES, "bounces": BOUNCES, "rates": RATES, "light_smoothness": 5e-4, "seed": seed}
+    answer, found = mitsuba_peer.ask("mitsuba_inverse", {**request, "budgets": list(budgets), **changes}, {**thing, **pixels, **start})
+    return [_state(i, about, found) for i, about in enumerate(answer["states"])]
+
+
+def _state(number: int, about: dict[str, float], found: dict[str, np.ndarray]) -> State:
+    materials = {name: found[f"{name}_{number}"] for name in ("vertex_albedo", "vertex_roughness", "vertex_metallic")}
+    return State(about["seconds"], int(about["iterations"]), materials, centred(found[f"light_{number}"]))
+
+
+def centred(light: np.ndarray) -> np.ndarray:
+    """A map (H, W, 3) whose first and last rows are at the poles, as ours (H, W, 3)."""
+    height = len(light)
+    at = (np.arange(height) + 0.5) / height * (height - 1)
+    low = np.minimum(at.astype(int), height - 2)
+    share = (at - low)[:, None, None].astype(np.float32)
+    return (1 - share) * light[low] + share * light[low + 1]
+
+
+def pool(views: Sequence[View]) -> dict[str, np.ndarray]:
+    """All pixels that show the object alone, encoded, and the cameras' rays; see `mitsuba_pixels.PixelSensor`."""
+    number, place, colour, lens = [], [], [], []
+    for i, view in enumerate(views):
+        inside = np.ones(view.colour.shape[:2], bool) if view.alpha is None else view.alpha > SURE
+        row, column = np.nonzero(inside)
+        number.append(np.full(len(row), i, np.uint32))
+        place.append(np.stack([column, row], 1).astype(np.float32))
+        colour.append(view.colour[inside].astype(np.float32))
+        camera = view.camera
+        axes = camera.to_world[:3, :3] * np.array([1.0, -1.0, -1.0])  # right, down, forward
+        right, down = axes[:, 0] / camera.fx, axes[:, 1] / camera.fy
+        lens.append((camera.centre, axes[:, 2] - camera.cx * right - camera.cy * down, right, down))
+    colours = np.concatenate(colour)
+    rays = {f"view_{name}": np.stack(values).astype(np.float32) for name, values in zip(NAMES, zip(*lens, strict=True), strict=True)}
+    pixels = {"pixel_view": np.concatenate(number), "pixel_place": np.concatenate(place), "pixel_colour": colours}
+    return {**pixels, "pixel_saturated": colours >= SATURATED, **rays}
+
+
+def tasks(bench: Bench, scene: Scene) -> Iterator[Task]:
+    """Ours, and Mitsuba's state at each multiple of our time."""
+    times, run = TIMES[:1] if bench.quick else TIMES, [bench.balanced()]
+
+    @cache
+    def states() -> list[State]:
+        made = bench.run(scene, bench.balanced())
+        seconds = made.phase_seconds()["transport"]
+        return descend(made.path, scene.data.train, Reconstruction.load(made.path).glossy, [n * seconds for n in times])
+
+    yield Task(f"{PREFIX}{OURS}", partial(_ours, bench, scene), 20.0, run)
+    for number, times_ours in enumerate(times):
+        work = partial(_theirs, bench, scene, states, number)
+        yield Task(f"{PREFIX}{MITSUBA}, {times_ours} x", work, (20.0 if bench.quick else 60.0) * times_ours, run)
+
+
+def _shaded_views(scene: Scene) -> list[View]:
+    """Test views far apart."""
+    return [scene.views[i] for i in np.unique(np.linspace(0, len(scene.views), SHADED, endpoint=False).astype(int))]
+
+
+def _ours(bench: Bench, scene: Scene) -> Measurement:
+    """What the run's evaluation says, pictures of the same views as Mitsuba's."""
+    run = bench.run(scene, bench.balanced())
+    report, shaded = bench.evaluation(scene, run.path), _shaded_views(scene)
+    few = averages([report["views"][view.name] for view in shaded], scene.relights)
+    figures = {**report["figures"], **{name: few[name] for name in few if name.startswith(("nvs", "relight"))}}
+    reconstruction = Reconstruction.load(run.path)
+    albedo = render_view(reconstruction, shaded[0].camera).albedo
+    true = scene.view_truth(shaded[0])
+    assert true.albedo is not None
+    shown = {"true albedo": _albedo(true.albedo, 1.0, true.alpha), "our albedo": _albedo(albedo, report["albedo_scale"], true.alpha)}
+    shown |= {"our light": _map(reconstruction.environment_map()), "true light": _map(scene.truth.lights[str(scene.truth.train_light)])}
+    seconds = run.phase_seconds()["transport"]
+    return Measurement({"seconds": seconds, **{name: figures[name] for name in FIGURES if name in figures}}, {}, shown)
+
+
+def _theirs(bench: Bench, scene: Scene, states, number: int) -> Measurement:
+    """A state of Mitsuba's descent as Mitsuba shows it; the figures are ours' own functions."""
+    state: State = states()[number]
+    thing = mitsuba_peer.welded(bench.run(scene, bench.balanced()).path)
+    cameras, shaded = {view.name: view.camera for view in scene.views}, _shaded_views(scene)
+    truths = [scene.view_truth(view) for view in scene.views]
+    seen = mitsuba_peer.pictures(thing | state.materials, cameras, {"found": state.light}, [], layers=LAYER_SAMPLES)
+    predictions = [_prediction(cameras[name], seen[name, "found"].layers) for name in cameras]
+    rows, scale = albedo_figures(predictions, truths)
+    assert scale is not None
+    scaled = {**state.materials, "vertex_albedo": state.materials["vertex_albedo"] * scale.astype(np.float32)}
+    few = {view.name: view.camera for view in shaded}
+    nvs = mitsuba_peer.pictures(thing | state.materials, few, {"found": state.light}, [SHADED_SAMPLES])
+    relit = mitsuba_peer.pictures(thing | scaled, few, {name: scene.truth.lights[name] for name in scene.relights}, [SHADED_SAMPLES])
+    for view, prediction, truth, row in zip(scene.views, predictions, truths, rows, strict=True):
+        if view.name in few:
+            pictures_of = {light: relit[view.name, light].frames[0].rgba for light in scene.relights}
+            row |= view_figures(replace(prediction, shaded=nvs[view.name, "found"].frames[0].rgba, relit=pictures_of), truth)
+        else:
+            materials = view_figures(prediction, truth)
+            row |= {name: materials[name] for name in ("roughness_mae", "metallic_mae") if name in materials}
+    figures = averages(rows, scene.relights)
+    figures |= metrics.environment_figures(state.light, scene.truth.lights[str(scene.truth.train_light)])
+    first = next(i for i, view in enumerate(scene.views) if view.name == shaded[0].name)
+    shown = {"albedo": _albedo(predictions[first].buffers.albedo, scale, truths[first].alpha), "light": _map(state.light)}
+    return Measurement(
+        {"seconds": state.seconds, **{n: figures[n] for n in FIGURES if n in figures}}, {"iterations": state.iterations}, shown
+    )
+
+
+def _prediction(camera: Camera, layers: dict[str, np.ndarray]) -> Prediction:
+    """Materials alone."""
+    alpha = layers["alpha"]
+    none = np.zeros((*alpha.shape, 3), np.float32)
+    materials = (layers["albedo"], layers["roughness"], layers["metallic"])
+    return Prediction(ViewBuffers(camera, alpha, none[..., 0], none, none, *materials), np.zeros((*alpha.shape, 4), np.float32))
+
+
+def _albedo(albedo: np.ndarray, scale, alpha: np.ndarray) -> np.ndarray:
+    return pictures.over(pictures.colour(albedo * np.asarray(scale), alpha), 0.0)
+
+
+def _map(light: np.ndarray) -> np.ndarray:
+    """As bright on average as any other."""
+    return np.round(255 * encode_srgb(np.clip(0.5 * light / light.mean(), 0, 1))).astype(np.uint8)
+
+
+# --- what is shown
+
+
+def blocks(results: Results) -> Iterator[Block]:
+    """Figures of all scenes, and pictures."""
+    rows = [
+        [r.scene, r.configuration.removeprefix(PREFIX), r.figures["seconds"], r.counted.get("iterations"), *map(r.figures.get, FIGURES)]
+        for r in results.records(prefix=PREFIX)
+    ]
+    if not rows:
+        return
+    yield Note(
+        "Mitsuba gets our mesh, and what the first stage takes the object for (metal or not). Adam by path replay (prb) on the vertices' "
+        f"albedo, roughness and metallic and on the logarithm of a {ROWS}-row light: {PIXELS} random pixels of all photographs at "
+        f"{SAMPLES} samples an iteration, {BOUNCES} bounce of indirect light, our BRDF, our loss. Its seconds are without compiling. New "
+        f"views and relit ones are of {SHADED} test views, by each one's own renderer."
+    )
+    units = ("albedo dB ↑", "roughness error ↓", "metallic error ↓", "light dB ↑", "NVS dB ↑", "relit dB ↑")
+    yield Table("Materials and light at equal time, the shape given", ["scene", "by", "seconds", "iterations", *units], rows)
+    shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix=PREFIX)]
+    yield Pictures("Albedo after the scale, and light", shown)
