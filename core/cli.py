@@ -120,9 +120,9 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
     """Photographs to a run folder."""
-    from .pipeline import reconstruct
-
     settings = settings_of(args)
+    from .pipeline import reconstruct  # takes seconds: what is wrong in the settings is told before
+
     run = reconstruct(args.dataset, args.run, settings, resume=args.resume, overwrite=args.overwrite, progress=terminal)
     terminal.end_line()
     print(run)
