@@ -101,6 +101,7 @@ class SkipSettings:
     converged: Choice = "auto"  # steps after views held back have stopped gaining
     gather: Choice = "auto"  # whole views drawn in each step of the refinement: its pixels' disks are known
     open: Choice = "auto"  # rays in directions where nothing has been met
+    kept: Choice = "auto"  # in relighting: what rays met and how pixels are filtered, for the next light on an unmoved camera
     bounce: Choice = "auto"  # light from the object to itself, where it is too little to be seen
 
 
