@@ -129,8 +129,9 @@ def _watch(command: list[str], path: Path, ticked: Callable[[], None]) -> tuple[
                 _keep_first(path, first)
                 ticked()
                 time.sleep(POLL)
-        except BaseException:  # Ctrl-C went to the child too, which saves what it has
-            child.terminate() if os.name == "nt" else None
+        except BaseException:  # Ctrl-C: the job saves what it has, whether the terminal told it as well or not
+            if path.is_dir():
+                (path / "cancel").touch()
             child.wait()
             raise
         log.seek(0)
