@@ -3,7 +3,8 @@
 
 Weight of neighbour p' at p: exp(-|p - p'|^2 / 2 sigma^2) max(n.n', 0)^(2^k) exp(-|z - z'| / (|grad z . (p - p')| + epsilon)) times its
 coverage. Guides: normal 3, depth, its slope per pixel to the right and down, coverage (0 = nothing there).
-Pictures are channel planes, flattened, with `margin` empty pixels on every side so that no load leaves them.
+Pictures are channel planes, flattened, with a margin of empty pixels on every side so that no load leaves them; a group is 8 pixels of a
+row, named by the place of its first.
 """
 
 from __future__ import annotations
@@ -20,37 +21,73 @@ def _absolute(x):
 
 
 @kernel
-def bilateral_range(begin, end, values, guides, spatial, epsilon, doublings, width, margin, stride, plane, out):
-    """Filter rows begin..end of `values` (C planes) into `out`; spatial: (T, T) weights, T odd; 2^doublings is the normals' exponent."""
-    channels = len(values) // plane
+def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
+    """The weights of the group `at`, a vector for each neighbour, to weights[to..]; they sum to 1."""
     reach = spatial.shape[0] // 2
-    acc = np.empty(channels * 8, np.float32)
-    for row in range(begin, end):
-        for column in range(0, width, 8):
-            at = (row + margin) * stride + column + margin
-            covered = load(guides, 6 * plane + at) > 0.0
-            if bits(covered) == 0:
-                continue
-            nx, ny, nz = load(guides, at), load(guides, plane + at), load(guides, 2 * plane + at)
-            z, right, down = load(guides, 3 * plane + at), load(guides, 4 * plane + at), load(guides, 5 * plane + at)
-            acc[:] = 0.0
-            total = splat(0.0)
-            for dy in range(-reach, reach + 1):
-                for dx in range(-reach, reach + 1):
-                    to = at + dy * stride + dx
-                    coverage = load(guides, 6 * plane + to)
-                    if bits(coverage > 0.0) == 0:
-                        continue
-                    cosine = nx * load(guides, to) + ny * load(guides, plane + to) + nz * load(guides, 2 * plane + to)
-                    cosine = minimum(maximum(cosine, splat(0.0)), splat(1.0))
-                    for _ in range(doublings):
-                        cosine = cosine * cosine
-                    step = _absolute(right * np.float32(dx) + down * np.float32(dy)) + epsilon
-                    depth = exp(_absolute(load(guides, 3 * plane + to) - z) / step * -1.0)
-                    weight = cosine * depth * coverage * spatial[dy + reach, dx + reach]
-                    total = total + weight
-                    for c in range(channels):
-                        store(acc, c * 8, load(acc, c * 8) + weight * load(values, c * plane + to))
-            scale = select(total > 0.0, 1.0 / select(total > 0.0, total, splat(1.0)), splat(0.0))
+    nx, ny, nz = load(guides, at), load(guides, plane + at), load(guides, 2 * plane + at)
+    z, right, down = load(guides, 3 * plane + at), load(guides, 4 * plane + at), load(guides, 5 * plane + at)
+    total = splat(0.0)
+    tap = to
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            there = at + dy * stride + dx
+            coverage = load(guides, 6 * plane + there)
+            weight = splat(0.0)
+            if bits(coverage > 0.0) != 0:
+                cosine = nx * load(guides, there) + ny * load(guides, plane + there) + nz * load(guides, 2 * plane + there)
+                cosine = minimum(maximum(cosine, splat(0.0)), splat(1.0))
+                for _ in range(doublings):
+                    cosine = cosine * cosine
+                step = _absolute(right * np.float32(dx) + down * np.float32(dy)) + epsilon
+                depth = exp(_absolute(load(guides, 3 * plane + there) - z) / step * -1.0)
+                weight = cosine * depth * coverage * spatial[dy + reach, dx + reach]
+            total = total + weight
+            store(weights, tap, weight)
+            tap += 8
+    scale = select(total > 0.0, 1.0 / select(total > 0.0, total, splat(1.0)), splat(0.0))
+    for i in range(to, tap, 8):
+        store(weights, i, load(weights, i) * scale)
+
+
+@kernel
+def _mean(at, values, weights, begin, reach, stride, plane, acc, out):
+    """The weighted mean of the neighbours of the group `at` in every plane of `values`, into `out`."""
+    channels = len(values) // plane
+    acc[:] = 0.0
+    tap = begin
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            there = at + dy * stride + dx
+            weight = load(weights, tap)
+            tap += 8
             for c in range(channels):
-                store(out, c * plane + at, select(covered, load(acc, c * 8) * scale, splat(0.0)))
+                store(acc, c * 8, load(acc, c * 8) + weight * load(values, c * plane + there))
+    for c in range(channels):
+        store(out, c * plane + at, load(acc, c * 8))
+
+
+@kernel
+def weigh_range(begin, end, groups, guides, spatial, epsilon, doublings, stride, plane, weights):
+    """Groups begin..end: their weights, to be kept for `mean_range`; spatial: (T, T), T odd; 2^doublings is the normals' exponent."""
+    size = spatial.size * 8
+    for i in range(begin, end):
+        _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, weights, i * size)
+
+
+@kernel
+def mean_range(begin, end, groups, weights, values, reach, stride, plane, out):
+    """Groups begin..end: filter `values` (C planes) into `out` by kept weights."""
+    size = (2 * reach + 1) * (2 * reach + 1) * 8
+    acc = np.empty(len(values) // plane * 8, np.float32)
+    for i in range(begin, end):
+        _mean(groups[i], values, weights, i * size, reach, stride, plane, acc, out)
+
+
+@kernel
+def bilateral_range(begin, end, groups, guides, spatial, epsilon, doublings, values, stride, plane, out):
+    """Groups begin..end: both in one, with nothing to be kept."""
+    weights = np.empty(spatial.size * 8, np.float32)
+    acc = np.empty(len(values) // plane * 8, np.float32)
+    for i in range(begin, end):
+        _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, weights, 0)
+        _mean(groups[i], values, weights, 0, spatial.shape[0] // 2, stride, plane, acc, out)

@@ -73,6 +73,13 @@ def lightmap_place(x, y, z):
 
 
 @kernel
+def turned(u, turn):
+    """u in a map that is turned by the share `turn` in 0..1 of a whole turn."""
+    u += turn
+    return u - 1 if u >= 1 else u
+
+
+@kernel
 def texel_at(u, v, height, width):
     """Flat index of the texel that u, v lies in; some texel for what is not a number."""
     return max(min(int(v * height), height - 1), 0) * width + max(min(int(u * width), width - 1), 0)
@@ -83,7 +90,6 @@ def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points
     """Points begin..end: `direction` (P, N, 3) and `density` (P, N) of cosine, visible-normal and light samples, in this order.
 
     Of all samples those from number `first` on are made.
-
 
     frame: (P, 3, 3), columns tangent, bitangent, normal. view: (P, 3) local. points_*: (n, 2) in [0, 1). rows, columns, edges,
     light: the light's tables, cumulated over rows, cumulated within each row, cosines of the rows' edges, density per texel.

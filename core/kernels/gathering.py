@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sums over traced samples of the light that they find, in one pass: looked up where a ray is free, reflected where it meets something.
 
-The twin in plain operations stands beside the caller, relight/gathering.py.
+What no light changes of a ray is computed once (`terms_range`). The twin in plain operations stands beside the caller,
+relight/gathering.py.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import math
 
 import numpy as np
 
-from .directions import lightmap_place, texel_at
+from .directions import lightmap_place, texel_at, turned
 from .jit import kernel
 from .reflection import specular_terms
 
@@ -36,10 +37,10 @@ def _bilinear(maps, level, u, v):
 
 
 @kernel
-def _reflected(k, body, gloss, place, diffuse, specular):
+def reflected(k, body, gloss, place, diffuse, specular, turn):
     """What hit k sends along its ray: its lobes times prefiltered light; place: u, v of its normal, of the mirrored ray, level."""
-    red, green, blue = _bilinear(diffuse, 0, float(place[k, 0]), float(place[k, 1]))
-    u, v, level = float(place[k, 2]), float(place[k, 3]), float(place[k, 4])
+    red, green, blue = _bilinear(diffuse, 0, turned(float(place[k, 0]), turn), float(place[k, 1]))
+    u, v, level = turned(float(place[k, 2]), turn), float(place[k, 3]), float(place[k, 4])
     low = min(int(level), specular.shape[0] - 2)
     f = level - low
     r0, g0, b0 = _bilinear(specular, low, u, v)
@@ -51,48 +52,60 @@ def _reflected(k, body, gloss, place, diffuse, specular):
 
 
 @kernel
-def gather_range(
-    begin, end, view, normal, alpha, direction, density, row, opacity, body, gloss, place, light, diffuse, specular, texels, share, sums
-):
-    """Points begin..end: add to `sums` (P, 2, 12), even samples to the first half and odd ones to the second.
-
-    Twelve sums, three channels each: light for the diffuse lobe, for F0, for what Fresnel adds, and for the diffuse lobe were no ray
-    hidden. density: (P, M), to which `share` times the light's own, `texels` (H W), comes. row: (P, M) which of K hits, -1 for none.
-    """
-    count, height, width = direction.shape[1], light.shape[1], light.shape[2]
-    acc = np.empty(24)
+def terms_range(begin, end, view, normal, alpha, direction, density, terms):
+    """Points begin..end: to `terms` (P, M, 6) of each ray u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
     for p in range(begin, end):
-        acc[:] = 0.0
         nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
         vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
         a2 = float(alpha[p]) * float(alpha[p])
         n_v = nx * vx + ny * vy + nz * vz
         root_v = math.sqrt(n_v * n_v * (1 - a2) + a2)
-        for i in range(count):
+        for i in range(direction.shape[1]):
             dx, dy, dz = float(direction[p, i, 0]), float(direction[p, i, 1]), float(direction[p, i, 2])
             n_l = nx * dx + ny * dy + nz * dz
             if n_l <= 0:
+                terms[p, i, :] = 0.0
                 continue
-            u, v = lightmap_place(dx, dy, dz)
-            q = float(density[p, i])
+            value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
+            terms[p, i, 0], terms[p, i, 1] = lightmap_place(dx, dy, dz)
+            terms[p, i, 2], terms[p, i, 3], terms[p, i, 4] = n_l, value * n_l, bias * n_l
+            terms[p, i, 5] = density[p, i]
+
+
+@kernel
+def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, diffuse, specular, texels, share, turn, sums):
+    """Points begin..end: add to `sums` (P, 2, 12), even samples to the first half and odd ones to the second.
+
+    Twelve sums, three channels each: light for the diffuse lobe, for F0, for what Fresnel adds, and for the diffuse lobe were no ray
+    hidden. To the rays' density `share` times the light's own, `texels` (H W), comes. row: (P, M) which of K hits, -1 for none.
+    """
+    height, width = light.shape[1], light.shape[2]
+    acc = np.empty(24)
+    for p in range(begin, end):
+        acc[:] = 0.0
+        for i in range(terms.shape[1]):
+            n_l = float(terms[p, i, 2])
+            if n_l <= 0:
+                continue
+            u, v = turned(float(terms[p, i, 0]), turn), float(terms[p, i, 1])
+            q = float(terms[p, i, 5])
             if share > 0:
                 q += share * float(texels[texel_at(u, v, height, width)])
-            weight = n_l / q
+            weight = 1 / q
             r, g, b = _bilinear(light, 0, u, v)
-            at = (i & 1) * 12
-            acc[at + 9] += weight * r
-            acc[at + 10] += weight * g
-            acc[at + 11] += weight * b
+            at, diffuse_weight = (i & 1) * 12, n_l * weight
+            acc[at + 9] += diffuse_weight * r
+            acc[at + 10] += diffuse_weight * g
+            acc[at + 11] += diffuse_weight * b
             k = row[p, i]
             if k >= 0:
-                hr, hg, hb = _reflected(k, body, gloss, place, diffuse, specular)
+                hr, hg, hb = reflected(k, body, gloss, place, diffuse, specular, turn)
                 hidden = float(opacity[k])
                 r, g, b = r + hidden * (hr - r), g + hidden * (hg - g), b + hidden * (hb - b)
-            value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
-            value, bias = value * weight, bias * weight
-            acc[at] += weight * r
-            acc[at + 1] += weight * g
-            acc[at + 2] += weight * b
+            value, bias = float(terms[p, i, 3]) * weight, float(terms[p, i, 4]) * weight
+            acc[at] += diffuse_weight * r
+            acc[at + 1] += diffuse_weight * g
+            acc[at + 2] += diffuse_weight * b
             acc[at + 3] += value * r
             acc[at + 4] += value * g
             acc[at + 5] += value * b

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..kernels.bilateral import bilateral_range
+from ..kernels.bilateral import bilateral_range, mean_range, weigh_range
 from ..kernels.pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
 from ..shading.split_sum import specular_albedo
@@ -65,56 +65,82 @@ class Grid:
         """Flat pixel indices to places in a plane."""
         return (index // self.width + REACH) * self.stride + index % self.width + REACH
 
-    def scatter(self, rows: torch.Tensor, index: np.ndarray) -> np.ndarray:
-        """(C, P) values at pixels `index` as C flattened planes, 0 elsewhere."""
-        planes = np.zeros((len(rows), self.plane), np.float32)
-        planes[:, self.places(index)] = rows.numpy()
+
+class Guides:
+    """A surface as filters see it, and their weights, which no light changes.
+
+    Args:
+        surface: whose pixels. radius: of the scene. kept: whether weights are kept from filter to filter, 1.2 kB a pixel.
+    """
+
+    def __init__(self, surface: Primary, radius: float, kept: bool = False) -> None:
+        self._grid, self._radius, self._kept = Grid(surface.camera.width, surface.camera.height), radius, kept
+        index = surface.index.numpy()
+        self._places = self._grid.places(index)
+        self._groups = np.unique(self._places - index % surface.camera.width % 8)  # of 8 pixels
+        self._planes = self._scattered(_guides(surface))
+        self._weights: dict[Filter, np.ndarray] = {}
+
+    @property
+    def size(self) -> int:
+        """Bytes of kept weights."""
+        return sum(weights.nbytes for weights in self._weights.values())
+
+    @staticmethod
+    def kept_size(surface: Primary) -> int:
+        """Bytes that they come to, about."""
+        return len(surface.index) * 4 * sum(len(how.spatial()) ** 2 for how in (DIFFUSE, SPECULAR))
+
+    def filtered(self, values: torch.Tensor, how: Filter) -> torch.Tensor:
+        """(P, C) values at the surface's pixels; every pixel becomes a mean of its neighbours, with weights that sum to 1."""
+        planes, spatial = self._scattered(values.T), how.spatial()
+        out, size = np.empty_like(planes), (self._grid.stride, self._grid.plane)
+        parts = even_ranges(len(self._groups), BLOCKS * thread_count())
+        guided = (self._planes, spatial, np.float32(how.epsilon * self._radius), how.doublings)
+        if not self._kept:
+            run_ranges(bilateral_range, parts, self._groups, *guided, planes, *size, out)
+        else:
+            if how not in self._weights:
+                self._weights[how] = np.empty(len(self._groups) * spatial.size * 8, np.float32)
+                run_ranges(weigh_range, parts, self._groups, *guided, *size, self._weights[how])
+            run_ranges(mean_range, parts, self._groups, self._weights[how], planes, len(spatial) // 2, *size, out)
+        return torch.from_numpy(out.reshape(-1, self._grid.plane)[:, self._places].T.copy())
+
+    def _scattered(self, rows: torch.Tensor) -> np.ndarray:
+        """(C, P) values as C flattened planes, 0 elsewhere."""
+        planes = np.zeros((len(rows), self._grid.plane), np.float32)
+        planes[:, self._places] = rows.numpy()
         return planes.reshape(-1)
 
 
-def denoised(estimate: Estimate, surface: Primary, radius: float, mode: str = "demodulated") -> torch.Tensor:
-    """(P, 3) reflected light of the surface's points, filtered as `mode` says: "paper", "demodulated" or "off".
-
-    radius: of the scene.
-    """
+def denoised(estimate: Estimate, surface: Primary, guides: Guides, mode: str = "demodulated") -> torch.Tensor:
+    """(P, 3) reflected light of the surface's points, filtered as `mode` says: "paper", "demodulated" or "off"."""
     if mode == "off":
         return estimate.diffuse + estimate.specular
     if mode == "paper":
-        return filtered(estimate.diffuse + estimate.specular, surface, radius, PICTURE)
+        return guides.filtered(estimate.diffuse + estimate.specular, PICTURE)
     body = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
     n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
     gloss = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
     chance = (CHANCE / estimate.samples) ** 2
-    even = corrected(estimate.diffuse / body, estimate.diffuse_split / body, chance, surface, radius, DIFFUSE)
-    sharp = corrected(estimate.specular / gloss, estimate.specular_split / gloss, 0.0, surface, radius, SPECULAR)
+    even = corrected(estimate.diffuse / body, estimate.diffuse_split / body, chance, guides, DIFFUSE)
+    sharp = corrected(estimate.specular / gloss, estimate.specular_split / gloss, 0.0, guides, SPECULAR)
     return even * body + sharp * gloss
 
 
-def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, surface: Primary, radius: float, how: Filter) -> torch.Tensor:
+def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, guides: Guides, how: Filter) -> torch.Tensor:
     """Filtered (P, 3) values, drawn back to the unfiltered ones where the filter changes them by more than their noise.
 
     split: (P, 3), see `Estimate`. chance: squared relative error that is assumed even where both halves agree: they may have missed the
     same lamp. With x the value and f the filtered one, f + k (x - f) errs least with k = 1 - var(x) / E[(x - f)^2] (James and Stein
     1961), both means over the filter's neighbourhood. So edges stay, and with many samples the picture converges.
     """
-    smooth = filtered(torch.cat([values, split.square().mean(1, keepdim=True)], 1), surface, radius, how)
+    smooth = guides.filtered(torch.cat([values, split.square().mean(1, keepdim=True)], 1), how)
     smooth, variance = smooth[:, :3], smooth[:, 3:]
     variance = variance + chance * smooth.square().mean(1, keepdim=True)
-    change = filtered((values - smooth).square().mean(1, keepdim=True), surface, radius, how)
+    change = guides.filtered((values - smooth).square().mean(1, keepdim=True), how)
     keep = (1 - variance / change.clamp_min(1e-36)).clamp(0, 1)
     return smooth + keep * (values - smooth)
-
-
-def filtered(values: torch.Tensor, surface: Primary, radius: float, how: Filter) -> torch.Tensor:
-    """(P, C) values at the surface's pixels after the filter; every pixel is a mean of its neighbours, with weights that sum to 1."""
-    grid = Grid(surface.camera.width, surface.camera.height)
-    index = surface.index.numpy()
-    planes, guides = grid.scatter(values.T, index), grid.scatter(_guides(surface), index)
-    out = np.zeros_like(planes)
-    numbers = (how.spatial(), np.float32(how.epsilon * radius), how.doublings)
-    rows = even_ranges(grid.height, BLOCKS * thread_count())
-    run_ranges(bilateral_range, rows, planes, guides, *numbers, grid.width, REACH, grid.stride, grid.plane, out)
-    return torch.from_numpy(out.reshape(-1, grid.plane)[:, grid.places(index)].T.copy())
 
 
 def _guides(surface: Primary) -> torch.Tensor:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import torch
 
 from ..shading.brdf import base_reflectance, facing
-from ..shading.lightmap import lookup
 from ..shading.specular_albedo import diffuse_share
 from .lighting import PreparedLight
 from .primary import Primary
@@ -41,7 +40,7 @@ def estimated(sums: torch.Tensor, samples: int, surface: Primary, light: Prepare
     that arrives and no more (Heitz et al. 2018, Combining analytic direct illumination and stochastic shadows).
     """
     (irradiance, scaled, added, free), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
-    known = lookup(light.diffuse, surface.normal) * math.pi
+    known = light.irradiance(surface.normal)
     factor = torch.where(free > 0, known / free.clamp_min(1e-30), 1.0).clamp(1 / RATIO, RATIO)
     body = diffuse_albedo(surface, conserving) / math.pi * factor
     arriving = irradiance / free.clamp_min(1e-30)

@@ -7,23 +7,26 @@ L_i = V L_new + (1 - V) SplitSum(a, r, m, n of what hides it, prefiltered L_new)
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 
+from ..config import SkipSettings
 from ..datasets.camera import Camera
 from ..scene.reconstruction import Reconstruction
-from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
-from .denoise import denoised
+from .denoise import Guides, denoised
 from .estimate import estimated
-from .gathering import SecondaryRays, gather, trace_samples
+from .gathering import Points, SecondaryRays, Surroundings, gather, trace_samples
+from .light_samples import add_light_samples
 from .lighting import PreparedLight
 from .mesh_query import MeshQuery
+from .openness import Openness, survey
 from .primary import Primary, primary_surface
 from .query import SurfaceQuery
 from .samples import pixel_shifts, sample_counts
@@ -53,6 +56,34 @@ class RelightSettings:
     conserving: bool = True
     mesh_normals: float = 0.5
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    skip: SkipSettings = field(default_factory=SkipSettings)
+
+
+class Tally(Counter[str]):
+    """Rays of all pictures so far: "traced", "kept" from another light, "open" where nothing can be met."""
+
+    def add(self, kind: str, count: int) -> None:
+        """Count more of them."""
+        self[kind] += count
+
+
+@dataclass(frozen=True, eq=False)
+class Lasting:
+    """What stays of some points of a surface from light to light.
+
+    Attributes:
+        shift: (P, 2) of the points' samples. rays: those that no light has a say in. openness: what they tell of those that one has.
+    """
+
+    points: Points
+    shift: torch.Tensor
+    rays: SecondaryRays
+    openness: Openness
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory."""
+        return self.rays.size + self.openness.size + 48 * len(self.shift)
 
 
 class Relighter:
@@ -68,7 +99,9 @@ class Relighter:
         self.reconstruction, self.query, self.settings, self.mesh = reconstruction, query, settings, mesh
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
         self._scale = torch.tensor(settings.albedo_scale)
-        self._kept: WeakKeyDictionary[Primary, dict[int, SecondaryRays]] = WeakKeyDictionary()
+        self._kept: WeakKeyDictionary[Primary, dict[int, Lasting]] = WeakKeyDictionary()
+        self._guides: WeakKeyDictionary[Primary, Guides] = WeakKeyDictionary()
+        self.tally = Tally()
 
     def scaled(self, albedo_scale: Sequence[float] | np.ndarray | None) -> Relighter:
         """The same with another factor (3,) of the albedo; None: as it is."""
@@ -92,7 +125,17 @@ class Relighter:
         with torch.no_grad():
             sums = torch.cat([self._gathered(surface, part, light) for part in self._parts(surface)])
             estimate = estimated(sums, sum(self.counts), surface, light, self.settings.conserving)
-            return surface.composite(denoised(estimate, surface, self.reconstruction.bound.radius, self.settings.denoise))
+            return surface.composite(denoised(estimate, surface, self._guides_of(surface), self.settings.denoise))
+
+    @property
+    def _around(self) -> Surroundings:
+        return Surroundings(self.query, self._scale if self.settings.indirect else None, self.settings.conserving)
+
+    def _guides_of(self, surface: Primary) -> Guides:
+        if surface not in self._guides:
+            kept = self.settings.skip.kept != "off" and self._room() >= Guides.kept_size(surface)
+            self._guides[surface] = Guides(surface, self.reconstruction.bound.radius, kept)
+        return self._guides[surface]
 
     def _parts(self, surface: Primary) -> list[slice]:
         """Of the surface's points, one at least."""
@@ -101,37 +144,43 @@ class Relighter:
 
     def _gathered(self, surface: Primary, part: slice, light: PreparedLight) -> torch.Tensor:
         """(P, 2, 12) sums over all samples of some of the points, see `gather`."""
-        assert light.distribution is not None
-        points, shift = (surface.view[part], surface.normal[part], surface.roughness[part]), self._shift(surface, part)
         by_light = self.counts[2] if self.settings.sampling == "mis" else 0
-        sums = gather(*points, self._lasting(surface, part, light.distribution), light, by_light)
+        lasting = self._lasting(surface, part, light)
+        sums = gather(lasting.rays, light, by_light)
         if by_light:
-            samples = draw(*points, self.counts, light.distribution, shift, light_only=True)
-            sums += gather(*points, self._traced(surface, part, samples, sum(self.counts)), light, 0)
+            above, traced = add_light_samples(sums, lasting.points, lasting.shift, self.counts, light, lasting.openness, self._around)
+            self.tally.add("traced", traced)
+            self.tally.add("open", above - traced)
         return sums
 
-    def _lasting(self, surface: Primary, part: slice, distribution: LightDistribution) -> SecondaryRays:
-        """The rays that no light has a say in; kept for the next light where memory allows."""
+    def _lasting(self, surface: Primary, part: slice, light: PreparedLight) -> Lasting:
+        """What no light has a say in; kept for the next light where memory allows."""
         kept = self._kept.setdefault(surface, {})
         if part.start in kept:
+            self.tally.add("kept", kept[part.start].rays.traced)
             return kept[part.start]
-        points, shift = (surface.view[part], surface.normal[part], surface.roughness[part]), self._shift(surface, part)
-        mis = self.settings.sampling == "mis"
-        counts = (*self.counts[:2], 0) if mis else self.counts
-        rays = self._traced(surface, part, draw(*points, counts, distribution, shift, self.settings.sampling), sum(counts))
-        if rays.size + sum(other.size for parts in self._kept.values() for other in parts.values()) <= KEPT_BYTES:
-            kept[part.start] = rays
-        return rays
+        lasting = self._traced(surface, part, light)
+        self.tally.add("traced", lasting.rays.traced)
+        if self.settings.skip.kept != "off" and lasting.size <= self._room():
+            kept[part.start] = lasting
+        return lasting
 
-    def _traced(self, surface: Primary, part: slice, samples: Samples, count: int) -> SecondaryRays:
-        """Samples with what they meet; the density is for `count` of them together."""
-        samples = Samples(samples.direction, samples.density * count)
-        how = (self._scale if self.settings.indirect else None, self.settings.conserving)
-        return trace_samples(self.query, surface.origin[part], surface.normal[part], samples, *how)
+    def _room(self) -> int:
+        """Bytes that may still be kept."""
+        rays = sum(one.size for parts in self._kept.values() for one in parts.values())
+        return KEPT_BYTES - rays - sum(guides.size for guides in self._guides.values())
 
-    @staticmethod
-    def _shift(surface: Primary, part: slice) -> torch.Tensor:
-        return pixel_shifts(surface.index[part], surface.camera.width)
+    def _traced(self, surface: Primary, part: slice, light: PreparedLight) -> Lasting:
+        assert light.distribution is not None
+        shift = pixel_shifts(surface.index[part], surface.camera.width)
+        arguments = (surface.view[part], surface.normal[part], surface.roughness[part])
+        counts = (*self.counts[:2], 0) if self.settings.sampling == "mis" else self.counts
+        drawn = draw(*arguments, counts, light.distribution, shift, self.settings.sampling)
+        points = Points.of(surface.origin[part], *arguments)
+        rays = trace_samples(self._around, points, Samples(drawn.direction, drawn.density * sum(counts)))
+        if self.settings.skip.open == "off" or self.settings.sampling != "mis":
+            return Lasting(points, shift, rays, Openness.unknown(len(shift)))
+        return Lasting(points, shift, rays, survey(drawn.direction, rays, surface.index[part], surface.camera.width))
 
 
 def is_glossy(reconstruction: Reconstruction) -> bool:

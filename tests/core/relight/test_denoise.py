@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.datasets.camera import Camera
-from irgspp.core.relight.denoise import PICTURE, Filter, denoised, filtered
+from irgspp.core.relight.denoise import PICTURE, Filter, Guides, denoised
 from irgspp.core.relight.estimate import Estimate
 from irgspp.core.relight.primary import Primary
 
@@ -42,23 +42,24 @@ def estimate(diffuse: torch.Tensor, split: float | torch.Tensor = 0.0, specular:
 @pytest.mark.parametrize("mode", ["paper", "demodulated", "off"])
 def test_constant_light_stays_constant(mode):
     surface = plane(0.4, torch.rand(43, 61, generator=torch.Generator().manual_seed(1)) > 0.3)
-    assert torch.allclose(denoised(estimate(surface.albedo * 2.0, 1.0), surface, 1.0, mode), torch.tensor(1.0), atol=1e-5)
+    assert torch.allclose(denoised(estimate(surface.albedo * 2.0, 1.0), surface, Guides(surface, 1.0), mode), torch.tensor(1.0), atol=1e-5)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.8])
 def test_noise_goes_also_on_a_slope(tilt):
     surface = plane(tilt)
-    out = filtered(noise(surface), surface, 1.0, PICTURE)
+    out = Guides(surface, 1.0).filtered(noise(surface), PICTURE)
     assert out.std() < 0.1 and out.mean() == pytest.approx(1, abs=0.02)
 
 
-def test_equals_the_definition():
+@pytest.mark.parametrize("kept", [False, True])
+def test_equals_the_definition(kept):
     """One pixel's weights, written out."""
     surface = plane(0.5)
     tilted = torch.nn.functional.normalize(surface.normal + 0.1 * torch.rand(surface.normal.shape), dim=1)
     surface = dataclasses.replace(surface, normal=tilted, depth=surface.depth + 0.01 * torch.rand(len(surface.depth)))
     values, how = noise(surface, 5), Filter(1.5, 3, 0.05)
-    out = filtered(values, surface, 2.0, how)
+    out = Guides(surface, 2.0, kept).filtered(values, how)
     row, column = torch.meshgrid(torch.arange(43), torch.arange(61), indexing="ij")
     for y, x in ((20, 30), (0, 0), (42, 60), (7, 59)):
         at = y * 61 + x
@@ -76,19 +77,19 @@ def test_depth_and_normal_edges_stay_sharp():
     left = surface.index % 61 < 30
     values = torch.where(left[:, None], 1.0, 3.0).expand(-1, 3).contiguous()
     step = dataclasses.replace(surface, depth=torch.where(left, surface.depth, surface.depth + 1.0))
-    assert torch.allclose(filtered(values, step, 1.0, PICTURE), values, atol=0.01)
+    assert torch.allclose(Guides(step, 1.0).filtered(values, PICTURE), values, atol=0.01)
     turned = torch.where(left[:, None], surface.normal, torch.tensor([0.6, 0.0, 0.8]))
     crease = dataclasses.replace(surface, normal=turned)
-    assert torch.allclose(filtered(values, crease, 1.0, PICTURE), values, atol=0.01)
-    assert (filtered(values, surface, 1.0, PICTURE) - values).abs().max() > 0.5  # without an edge it is blurred
+    assert torch.allclose(Guides(crease, 1.0).filtered(values, PICTURE), values, atol=0.01)
+    assert (Guides(surface, 1.0).filtered(values, PICTURE) - values).abs().max() > 0.5  # without an edge it is blurred
 
 
 def test_demodulated_keeps_texture():
     surface = plane()
     texture = torch.rand(len(surface.index), 3, generator=torch.Generator().manual_seed(2)) * 0.8 + 0.1
     surface = dataclasses.replace(surface, albedo=texture)
-    assert torch.allclose(denoised(estimate(texture, 0.5), surface, 1.0, "demodulated"), texture, atol=1e-4)
-    assert (denoised(estimate(texture), surface, 1.0, "paper") - texture).abs().mean() > 0.05
+    assert torch.allclose(denoised(estimate(texture, 0.5), surface, Guides(surface, 1.0), "demodulated"), texture, atol=1e-4)
+    assert (denoised(estimate(texture), surface, Guides(surface, 1.0), "paper") - texture).abs().mean() > 0.05
 
 
 @pytest.mark.parametrize("lobe", ["diffuse", "specular"])
@@ -102,9 +103,9 @@ def test_noise_goes_as_far_as_the_halves_tell_of_it(lobe):
         given = estimate(seen, split, samples=1024)
         if lobe == "specular":
             given = estimate(torch.zeros_like(seen), split, seen)
-        error = (denoised(given, surface, 1.0) - true).square().mean().sqrt()
+        error = (denoised(given, surface, Guides(surface, 1.0)) - true).square().mean().sqrt()
         assert error <= 0.8 * sigma + 1e-4
-    blurred = filtered(true.contiguous(), surface, 1.0, PICTURE)
+    blurred = Guides(surface, 1.0).filtered(true.contiguous(), PICTURE)
     assert (blurred - true).square().mean().sqrt() > 0.015  # which the last ones are far below
 
 
@@ -112,10 +113,10 @@ def test_few_samples_that_agree_are_not_believed():
     surface = plane()
     lucky = torch.ones(len(surface.index), 3)
     lucky[20 * 61 + 30] = 1.5
-    few, many = (denoised(estimate(lucky, samples=n), surface, 1.0)[20 * 61 + 30, 0] for n in (4, 4096))
+    few, many = (denoised(estimate(lucky, samples=n), surface, Guides(surface, 1.0))[20 * 61 + 30, 0] for n in (4, 4096))
     assert few < 1.1 and many > 1.45
 
 
 def test_empty_picture():
     surface = plane(covered=torch.zeros(43, 61))
-    assert denoised(estimate(torch.zeros(0, 3)), surface, 1.0).shape == (0, 3)
+    assert denoised(estimate(torch.zeros(0, 3)), surface, Guides(surface, 1.0)).shape == (0, 3)

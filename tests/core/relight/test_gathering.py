@@ -4,9 +4,11 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.relight.gathering import gather, gather_reference, trace_samples
+from irgspp.core.relight.gathering import Points, SecondaryRays, Surroundings, gather, gather_reference, trace_samples
+from irgspp.core.relight.light_samples import add_light_samples
 from irgspp.core.relight.lighting import prepare
-from irgspp.core.shading.lightmap import lookup
+from irgspp.core.relight.openness import Openness
+from irgspp.core.shading.lightmap import lookup, rotate
 from irgspp.core.shading.lights import studio_light
 from irgspp.core.shading.sampling import Samples, draw
 from irgspp.core.shading.transport import reflect_light
@@ -21,11 +23,19 @@ def light():
     return prepare(studio_light(40, 80) * np.linspace(0.5, 1.5, 80, dtype=np.float32)[None, :, None])
 
 
-def samples_of(surface, counts, light, **how):
-    points = (surface.view, surface.normal, surface.roughness)
-    shift = torch.rand(len(surface.index), 2, generator=torch.Generator().manual_seed(0))
-    drawn = draw(*points, counts, light.distribution, shift, **how)
-    return Samples(drawn.direction, drawn.density * sum(counts))
+def points_of(surface) -> tuple[Points, torch.Tensor]:
+    """A view's points and how their samples are shifted."""
+    points = Points.of(surface.origin, surface.view, surface.normal, surface.roughness)
+    return points, torch.rand(len(surface.index), 2, generator=torch.Generator().manual_seed(0))
+
+
+def drawn(surface, counts, light, **how) -> Samples:
+    samples = draw(surface.view, surface.normal, surface.roughness, counts, light.distribution, points_of(surface)[1], **how)
+    return Samples(samples.direction, samples.density * sum(counts))
+
+
+def traced(one, surface, samples, scale=SCALE) -> SecondaryRays:
+    return trace_samples(Surroundings(one.query, scale, conserving=True), points_of(surface)[0], samples)
 
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
@@ -34,31 +44,57 @@ def samples_of(surface, counts, light, **how):
 def test_equals_the_twin(relighter, camera, light, backend, material, scale, share):
     one = relighter(backend, material)
     surface = one.surface(camera)
-    samples = samples_of(surface, (*COUNTS[:2], 0) if share else COUNTS, light)
-    rays = trace_samples(one.query, surface.origin, surface.normal, samples, scale, conserving=True)
-    assert 0 < len(rays.opacity) < rays.row.numel() and rays.size > 20 * rays.row.numel()
-    points = (surface.view, surface.normal, surface.roughness)
-    found, expected = (function(*points, rays, light, share) for function in (gather, gather_reference))
-    scaled = (found - expected).abs() / expected.abs().mean(0)
-    assert scaled.quantile(0.999) < 2e-3 and scaled.mean() < 1e-4
+    rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if share else COUNTS, light), scale)
+    assert 0 < len(rays.met.opacity) < rays.row.numel() and rays.size > 20 * rays.row.numel()
+    for seen in (light, light.turned(77)):
+        found, expected = (function(rays, seen, share) for function in (gather, gather_reference))
+        scaled = (found - expected).abs() / expected.abs().mean(0)
+        assert scaled.quantile(0.999) < 2e-3 and scaled.mean() < 1e-4
 
 
 def test_parts_of_the_mixture_come_to_the_whole(relighter, camera, light):
     """Lasting and light samples apart, added, are all samples at once, and with nothing in the way what `reflect_light` estimates."""
     one = relighter("mesh", balls=((np.zeros(3), 1.0),))
     surface = one.surface(camera)
-    points = (surface.view, surface.normal, surface.roughness)
-
-    def traced(samples):
-        return trace_samples(one.query, surface.origin, surface.normal, samples, SCALE, conserving=True)
-
-    whole = samples_of(surface, COUNTS, light)
-    at_once = gather(*points, traced(whole), light, 0).sum(1)
-    lasting, late = samples_of(surface, (*COUNTS[:2], 0), light), samples_of(surface, COUNTS, light, light_only=True)
-    apart = (gather(*points, traced(lasting), light, COUNTS[2]) + gather(*points, traced(late), light, 0)).sum(1)
+    whole = drawn(surface, COUNTS, light)
+    at_once = gather(traced(one, surface, whole), light, 0).sum(1)
+    lasting, late = drawn(surface, (*COUNTS[:2], 0), light), drawn(surface, COUNTS, light, light_only=True)
+    apart = (gather(traced(one, surface, lasting), light, COUNTS[2]) + gather(traced(one, surface, late), light, 0)).sum(1)
     torch.testing.assert_close(apart, at_once, rtol=2e-3, atol=2e-3 * float(at_once.mean()))
     incoming = lookup(light.radiance, whole.direction.view(-1, 3)).view_as(whole.direction)
     plain = Samples(whole.direction, whole.density / sum(COUNTS))
     white = torch.ones(len(surface.index), 3)
-    diffuse, _ = reflect_light(*points[:2], white, surface.roughness, torch.zeros(len(white)), plain, incoming, conserving=False)
+    diffuse, _ = reflect_light(surface.view, surface.normal, white, surface.roughness, torch.zeros(len(white)), plain, incoming, False)
     torch.testing.assert_close(at_once[:, 9:] / torch.pi, diffuse, rtol=1e-3, atol=1e-3 * float(diffuse.mean()))
+
+
+@pytest.mark.parametrize("backend", ["mesh", "gaussian"])
+@pytest.mark.parametrize("degrees", [0.0, 123.0])
+def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backend, degrees):
+    """Against drawing them one by one: the table rounds their place in the light, by a texel of its own at most."""
+    light = prepare(np.linspace(0.5, 1.5, 64, dtype=np.float32)[None, :, None] * np.ones((32, 1, 3), np.float32)).turned(degrees)
+    still = prepare(rotate(light.radiance.numpy(), degrees).astype(np.float32))
+    one = relighter(backend, (0.9, 0.7, 0.3, 0.4, 0.5))
+    surface = one.surface(camera)
+    points, shift = points_of(surface)
+    expected = gather(traced(one, surface, drawn(surface, COUNTS, still, light_only=True)), still, 0)
+    sums = torch.zeros_like(expected)
+    around = Surroundings(one.query, SCALE, conserving=True)
+    above, asked = add_light_samples(sums, points, shift, COUNTS, light, Openness.unknown(len(shift)), around)
+    assert above == asked and 0.3 * len(shift) * COUNTS[2] < above < 0.8 * len(shift) * COUNTS[2]
+    torch.testing.assert_close(sums.mean(0), expected.mean(0), rtol=0.05, atol=0.02 * float(expected.mean()))
+    if degrees == 0.0:  # else the turned light's samples are others
+        assert ((sums - expected).abs().median(0).values < 0.03 * expected.mean(0)).all()
+
+
+def test_rays_that_nothing_hides_are_not_traced_and_bring_the_light_itself(relighter, camera, light):
+    one = relighter("mesh", balls=((np.zeros(3), 1.0),))
+    surface = one.surface(camera)
+    points, shift = points_of(surface)
+    around = Surroundings(one.query, SCALE, conserving=True)
+    unknown = Openness.unknown(len(shift))
+    known = Openness(unknown.tile, torch.ones_like(unknown.clear))
+    sums = torch.zeros(2, len(shift), 2, 12)
+    asked = [add_light_samples(part, points, shift, COUNTS, light, o, around) for part, o in zip(sums, (unknown, known), strict=True)]
+    assert asked[0][0] == asked[0][1] == asked[1][0] > 0 and asked[1][1] == 0
+    assert ((sums[0] - sums[1]).abs() < 1e-5).float().mean() > 0.99  # but for a few that meet the triangle next to theirs
