@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from irgspp.core.config import SkipSettings
 from irgspp.core.datasets.dataset import View
 from irgspp.core.evaluation import metrics, pictures
 from irgspp.core.relight.backends import Backend, open_relighter
@@ -85,9 +86,10 @@ class Studio:
         self.reconstruction = Reconstruction.load(run)
         self._pictures: dict[tuple[str, int], np.ndarray] = {}
 
-    def relighter(self, way: Way, samples: str | int) -> Relighter:
+    def relighter(self, way: Way, samples: str | int, skip: SkipSettings | None = None) -> Relighter:
         """With nothing remembered from other pictures."""
-        how = RelightSettings(samples=samples, sampling=way.sampling, denoise=way.denoise, indirect=way.indirect)  # type: ignore
+        rules = skip or SkipSettings()
+        how = RelightSettings(samples=samples, sampling=way.sampling, denoise=way.denoise, indirect=way.indirect, skip=rules)  # type: ignore
         return open_relighter(self.run, self.reconstruction, way.backend, how)
 
     def picture(self, way: Way, samples: str | int, place: Place) -> np.ndarray:

@@ -90,7 +90,7 @@ def finished(plan: RunPlan, dataset: Path, path: Path) -> Run | None:
     if about.get("plan") != _plan(plan, dataset) or not about.get("done"):
         return None
     seconds = sum(phase["seconds"] for phase in read_run(path)["phases"].values())
-    return Run(path, path.with_name(path.name + "-first"), seconds, about["process_seconds"], about["cpu_seconds"])
+    return Run(path, _first(path), seconds, about["process_seconds"], about["cpu_seconds"])
 
 
 def make(plan: RunPlan, dataset: Path, path: Path, ticked: Callable[[], None]) -> Run:
@@ -103,6 +103,8 @@ def make(plan: RunPlan, dataset: Path, path: Path, ticked: Callable[[], None]) -
     command += ["--resume"] if before else ["--overwrite"]
     about = before or {"plan": _plan(plan, dataset), "done": False, "process_seconds": 0.0, "cpu_seconds": 0.0}
     path.parent.mkdir(parents=True, exist_ok=True)
+    if not before:
+        shutil.rmtree(_first(path), ignore_errors=True)
     write_atomic(_note(path), json.dumps(about).encode())
     began, cpu = time.monotonic(), _children_seconds()
     try:
@@ -121,7 +123,7 @@ def make(plan: RunPlan, dataset: Path, path: Path, ticked: Callable[[], None]) -
 
 def _watch(command: list[str], path: Path, ticked: Callable[[], None]) -> tuple[int, str]:
     """Run to the end, keeping the first stage's result while it is there; the exit status, and the last line on stderr."""
-    first = path.with_name(path.name + "-first")
+    first = _first(path)
     with path.with_name(path.name + ".log").open("w+", encoding="utf-8", errors="replace") as log:
         child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log)
         try:
@@ -142,21 +144,17 @@ def _watch(command: list[str], path: Path, ticked: Callable[[], None]) -> tuple[
 def _keep_first(path: Path, first: Path) -> None:
     """Copy the first stage's result as soon as it is complete: the job removes it in the end."""
     source = path / FIRST_STAGE
-    if not (source / "reconstruction.json").is_file():
-        return
-    if (first / "reconstruction.json").is_file() and first.stat().st_mtime >= source.stat().st_mtime:
+    if first.is_dir() or not (source / "reconstruction.json").is_file():
         return
     try:
         phases = read_run(path)["phases"]
     except (IrgsppError, KeyError):
         return  # not written yet
     if phases.get("reflective", {}).get("finished"):
-        shutil.rmtree(first, ignore_errors=True)
         partial = first.with_name(first.name + ".part")
         shutil.rmtree(partial, ignore_errors=True)
         shutil.copytree(source, partial)
         partial.rename(first)
-        os.utime(first)
 
 
 def _interrupted(plan: RunPlan, dataset: Path, path: Path) -> dict[str, Any] | None:
@@ -171,6 +169,10 @@ def _interrupted(plan: RunPlan, dataset: Path, path: Path) -> dict[str, Any] | N
 
 def _plan(plan: RunPlan, dataset: Path) -> list[str]:
     return [str(dataset.resolve()), *plan.words()]
+
+
+def _first(path: Path) -> Path:
+    return path.with_name(path.name + "-first")
 
 
 def _note(path: Path) -> Path:

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 from irgspp.core.config import SkipSettings
+from irgspp.core.evaluation import metrics
+from irgspp.core.relight.lighting import PreparedLight
 
 from .bench import Bench, Scene
 from .reconstruction import COLUMNS, FIGURES, costs
+from .relighting import Way, studio
 from .runs import RunPlan
 from .section import Block, Measurement, Note, Table, Task
-from .store import Results
+from .store import Record, Results
+from .timing import medians
 
 NAME = "skipping"
 TITLE = "Skipping what a scene does not need"
@@ -50,12 +56,34 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
 
 def _measured(bench: Bench, scene: Scene, configuration: str) -> Measurement:
     evidence = evidence_of(bench, scene).get(configuration, {})
-    if configuration in rules() and evidence.get("chosen") != "on":
-        return Measurement({"chosen": "off", "evidence": evidence.get("evidence", "not asked in this job")})
+    if configuration in rules() and not evidence:
+        return _relit(bench, scene, configuration)
+    if configuration in rules() and evidence["chosen"] != "on":
+        return Measurement({"chosen": "off", "evidence": evidence["evidence"]})
     run = bench.run(scene, plans(bench)[configuration])
     evaluated = bench.evaluation(scene, run.path)["figures"]
     figures = {name: evaluated[name] for name in FIGURES if name in evaluated} | costs(run)
     return Measurement({"chosen": evidence.get("chosen", ""), "evidence": evidence.get("evidence", ""), **figures})
+
+
+def _relit(bench: Bench, scene: Scene, rule: str) -> Measurement:
+    """A rule that reconstructing did not ask for, in relighting: a view under one light after the other, by the two choices in turns."""
+    one = studio(bench, scene)
+    lights = [place.prepared for place in one.places]
+    relighters = {choice: one.relighter(Way(), "efficient", replace(SkipSettings(), **{rule: choice})) for choice in ("auto", "off")}
+    surfaces = {choice: relighter.surface(one.places[0].view.camera) for choice, relighter in relighters.items()}
+
+    def picture(choice: str, light: PreparedLight) -> np.ndarray:
+        return metrics.on_black(relighters[choice].relit(surfaces[choice], light).numpy())
+
+    found = medians({choice: lambda c=choice: [picture(c, light) for light in lights] for choice in relighters}, bench.repeats)
+    ours, without = (picture(choice, lights[0]) for choice in ("auto", "off"))
+    limit, inside = one.converged("mesh", 0), one.places[0].inside
+    errors = [float(np.sqrt(np.square(p - limit)[inside].mean())) for p in (ours, without)]
+    figures = {"frame_seconds": found["auto"] / len(lights), "off_frame_seconds": found["off"] / len(lights)}
+    rays = {f"rays_{choice}": relighters[choice].tally["traced"] for choice in relighters}
+    figures |= {"rms_error": errors[0], "off_rms_error": errors[1], "difference": float(np.abs(ours - without).max())}
+    return Measurement({"chosen": "relighting", **figures}, rays)
 
 
 def evidence_of(bench: Bench, scene: Scene) -> dict[str, dict[str, Any]]:
@@ -75,16 +103,26 @@ def blocks(results: Results) -> Iterator[Block]:
     rows = []
     for scene in results.scenes:
         for record in results.records(scene):
-            if record.configuration in ("auto", ALL):
+            if record.configuration in ("auto", ALL) or record.figures["chosen"] == "relighting":
                 continue
             row = _difference(results, scene, record.configuration, columns)
-            label = f"{record.configuration}, {scene}"
             evidence = str(record.figures.get("evidence", ""))
-            rows.append([label, *(row[1:] if row else [None] * (3 + len(columns))), evidence if row else f"kept: {evidence}"])
+            rows.append([_label(record), *(row[1:] if row else [None] * (3 + len(columns))), evidence if row else f"kept: {evidence}"])
     if rows:
         yield Table("Each rule alone", ["rule, " + head[0], *head[1:], "evidence"], sorted(rows, key=lambda row: row[0]))
-    elif not rules():
+    relit = [r for r in results.records() if r.figures["chosen"] == "relighting"]
+    names = ("frame_seconds", "off_frame_seconds", "rms_error", "off_rms_error", "difference")
+    if relit:
+        head = ("rule, scene", "frame s with ↓", "without", "error with ↓", "without", "largest difference ↓")
+        yield Table(
+            "Rules of relighting: a view under light after light", head, [[_label(r), *(r.figures[n] for n in names)] for r in relit]
+        )
+    if not rules():
         yield Note("There are no such rules in this version.")
+
+
+def _label(record: Record) -> str:
+    return f"{record.configuration}, {record.scene}"
 
 
 def _difference(results: Results, scene: str, configuration: str, columns: list[str]) -> list[Any] | None:
