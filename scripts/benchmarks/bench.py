@@ -27,6 +27,7 @@ from . import runs
 from .runs import Run, RunPlan
 
 WHOLE = 16384  # pixels: test views and their truth are never reduced, whatever a run was made from
+PRESETS = ("balanced", "draft")
 METAL = 0.5  # mean metallic above which a scene counts as glossy
 
 
@@ -92,6 +93,11 @@ class Bench:
         if self.quick:
             options, expected = (*QUICK, *options), 9.0
         return RunPlan(label, preset, options, materials, time, expected)
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """Those that are compared; with the same short schedules there is no difference."""
+        return PRESETS[:1] if self.quick else PRESETS
 
     def balanced(self) -> RunPlan:
         """The plan that most sections share: default settings."""

@@ -109,4 +109,4 @@ def _logarithmic(axis, name: str) -> None:
 
 def plain(value: float) -> str:
     """A round number without exponents, thousands as k."""
-    return f"{value / 1000:g}k" if value >= 1000 else f"{value:g}"
+    return f"{value / 1000:g}k" if value >= 1000 and value % 100 == 0 else f"{value:g}"

@@ -20,7 +20,7 @@ from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.render import render_view
 
-from .bench import Bench, Scene
+from .bench import PRESETS, Bench, Scene
 from .lpips_metric import Lpips, find_lpips
 from .section import Block, Measurement, Note, Pictures, Table, Task
 from .store import Results
@@ -32,7 +32,6 @@ ABOUT = (
     "brightness can't be told from the light's. Light: after such a scale too. NVS: new views under the photographs' light."
 )
 ONCE = False
-PRESETS = ("balanced", "draft")
 TABLES = {
     "Pictures": {
         "nvs_psnr": "NVS dB ↑",
@@ -62,7 +61,7 @@ SAMPLES = 64
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
-    for preset in PRESETS:
+    for preset in bench.presets:
         plan = bench.plan(preset, preset=preset)
         yield Task(preset, partial(_figures, bench, scene, preset), bench.evaluation_seconds, [plan])
     yield Task("pictures", partial(_shown, bench, scene), bench.evaluation_seconds / 3, [bench.balanced()])

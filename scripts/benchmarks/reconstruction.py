@@ -15,7 +15,7 @@ from irgspp.core.evaluation import metrics
 from irgspp.core.relight.backends import best_backend
 from irgspp.core.scene.gaussians import load_gaussians
 
-from .bench import Bench, Scene
+from .bench import PRESETS, Bench, Scene
 from .relighting import Way, studio
 from .runs import Run, RunPlan
 from .section import Block, Chart, Figures, Measurement, Note, Series, Table, Task
@@ -24,12 +24,11 @@ from .store import Results
 NAME = "reconstruction"
 TITLE = "Reconstruction: error against time"
 ABOUT = (
-    "The whole job, from photographs to a textured mesh; every run is another `irgspp reconstruct`, compared with held-back views. "
+    "The whole job, from photographs to a textured mesh; every run is another irgspp reconstruct, compared with held-back views. "
     "NVS: views under the photographs' own light, rendered by recovered light and materials; relit: under other lights, with one scale of "
     "the albedo per channel. Seconds: wall clock of all phases."
 )
 ONCE = False
-PRESETS = ("draft", "balanced")
 FIGURES = ("relight_psnr", "nvs_psnr", "albedo_psnr", "normal_mae", "roughness_mae", "metallic_mae", "environment_psnr", "radiance_psnr")
 COLUMNS = {
     "relight_psnr": "relit dB ↑",
@@ -56,14 +55,14 @@ HEADLINE = {  # IRGS, and IRGS++ twice: how a run is made, how it is relit
 
 def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
     """By configuration. What needs a run for each scene kind alone is made on the first scene of either kind."""
-    found = {preset: bench.plan(preset, preset=preset) for preset in PRESETS}
+    found = {preset: bench.plan(preset, preset=preset) for preset in bench.presets}
     found["without indirect light"] = bench.plan("no-indirect", "transport.indirect=off", seconds=115)
     if scene.glossy:
         found["without reflections"] = bench.plan("no-reflections", materials="low-gloss")
     if scene in (bench.of_kind(True), bench.of_kind(False)):
         # IRGS knows no metal, nor reflections in its first stage.
         found["IRGS"] = bench.plan("irgs", *IRGS, materials="low-gloss", seconds=150)
-        for preset in PRESETS[1:] if bench.quick else PRESETS:
+        for preset in bench.presets:
             for minutes in bench.budgets:
                 found[f"{preset}, {minutes:g} min"] = _budget(bench, preset, minutes)
     return found

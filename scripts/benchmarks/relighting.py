@@ -158,7 +158,7 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     for way, samples in itertools.product(WAYS, counts):
         expected = (samples / 512 * {"mesh": 5.0, "gaussian": 14.0}[WAYS[way].backend] + 0.5) / (10 if bench.quick else 1)
         yield Task(f"{way}, {samples} samples", partial(_point, bench, scene, way, samples), expected, run)
-    yield Task(f"without MIS, {MANY} samples", partial(_point, bench, scene, PLAIN, MANY), 1.0 if bench.quick else 20.0, run)
+    yield Task(f"{PLAIN}, {MANY} samples", partial(_point, bench, scene, PLAIN, MANY), 1.0 if bench.quick else 20.0, run)
     for indirect in ("on", "off"):
         yield Task(f"indirect {indirect}", partial(_indirect, bench, scene, indirect == "on"), 1.0, run)
     yield Task("speed", partial(_speed, bench, scene), 5.0, run)

@@ -28,7 +28,7 @@ from .timing import medians
 NAME = "skipping"
 TITLE = "Skipping what a scene does not need"
 ABOUT = (
-    "Every rule decides by evidence that it measures on the scene (auto), and can be turned off: `--set skip.NAME=off`. Time saved and "
+    "Every rule decides by evidence that it measures on the scene (auto), and can be turned off by --set skip.NAME=off. Time saved and "
     "error added are those of auto against off; figures are of the whole job. Where auto chose to leave nothing out, both are the same job."
 )
 ONCE = False
