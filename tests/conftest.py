@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine before torch, as it settles how torch's threads wait; order and folders of tests in several processes; cameras all around."""
+"""The engine before torch, as it settles how torch's threads wait; what tests in several processes need; cameras; a finished run."""
 
 import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import irgspp.core  # noqa: F401
 import numpy as np
@@ -25,6 +26,14 @@ def ring(count: int, size: int = 64, distance: float = 4.0, lowest: float = -0.9
 @pytest.fixture(scope="session")
 def camera_ring() -> Callable[..., list[Camera]]:
     return ring
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """For tests in Blender's process, a finished run: mesh, textures, light and cameras with photographs."""
+    from blender_side import write_sphere_run
+
+    return write_sphere_run(tmp_path_factory.mktemp("runs") / "sphere")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

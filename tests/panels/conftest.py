@@ -1,4 +1,4 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender as a module, and a finished run."""
+"""Blender as a module, before any test imports it."""
 
-from blender_side import run_folder  # noqa: F401
+import blender_side  # noqa: F401

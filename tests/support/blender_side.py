@@ -16,7 +16,6 @@ from pathlib import Path
 os.environ.setdefault("BLENDER_USER_RESOURCES", tempfile.mkdtemp(prefix="irgspp-blender-"))  # before bpy is imported
 
 import numpy as np
-import pytest
 
 # First of all, as it makes Blender's other modules importable; not kept by a name: pytest holds fixtures' modules to the very end,
 # and Blender 4.2 crashes there where its module is not let go before.
@@ -46,12 +45,6 @@ def write_sphere_run(folder: Path, texture_size: int = 128) -> Path:
     """Write the run of `sphere_run` into a folder; photographs come beside it."""
     in_engine(Path(__file__).with_name("sphere_run.py"), folder, texture_size)
     return folder
-
-
-@pytest.fixture(scope="session")
-def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run: mesh, textures, light and cameras with photographs."""
-    return write_sphere_run(tmp_path_factory.mktemp("runs") / "sphere")
 
 
 def read_picture(path: Path, channels: int = 3) -> np.ndarray:

@@ -10,6 +10,7 @@ import json
 import sys
 from pathlib import Path
 
+import irgspp.core
 import numpy as np
 from irgspp.core.datasets.camera import look_at
 
@@ -99,9 +100,7 @@ def write_truth(dataset: Path, path: Path) -> None:
 if __name__ == "__main__":
     kind, folder = sys.argv[1], Path(sys.argv[2])
     if kind == "demo":
-        from irgspp.core.pipeline import DEMO_DATA
-
-        write_truth(DEMO_DATA, folder / "truth.json")
+        write_truth(Path(irgspp.core.__file__).parent / "demo_data", folder / "truth.json")
     else:
         {"stretched": write_transforms, "distorted": write_colmap}[kind](folder / "dataset")
         write_truth(folder / "dataset", folder / "truth.json")
