@@ -56,7 +56,7 @@ def _block(block: Block, folder: Path) -> str:
     if isinstance(block, Note):
         return block.text
     if isinstance(block, Table):
-        return f"**{block.title}**\n\n{_table(block)}"
+        return "" if block.detail else f"**{block.title}**\n\n{_table(block)}"
     if isinstance(block, Chart) and block.picture:
         charts.png(block, folder / "pictures" / f"{block.picture}.png")
         return f"![{block.title}](pictures/{block.picture}.png)"

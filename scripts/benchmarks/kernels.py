@@ -201,7 +201,7 @@ def _scaling(results: Results) -> Iterator[Block]:
             "hits a ray, entries a pixel",
             "arrays MiB ↓",
         )
-        yield Table("Cost by size", [*columns, "gradients differ by"], rows)
+        yield Table("Cost by size", [*columns, "gradients differ by"], rows, detail=True)
     by_threads = [[str(r.counted["threads"]), r.figures["raster_ms"], r.figures["trace_ms"]] for r in results.records(prefix="threads")]
     if by_threads:
         yield Table("Wall clock by threads, milliseconds ↓", ("threads", "rasteriser", "rays"), by_threads)

@@ -70,11 +70,15 @@ class Note:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or numbers (None: not known, shown as a dash) under column titles; give units and ↑ or ↓ (which is better) in these."""
+    """Rows of text or numbers (None: not known, shown as a dash) under column titles; give units and ↑ or ↓ (which is better) in these.
+
+    detail: for the report alone, too long for docs/.
+    """
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str | float | int | None]]
+    detail: bool = False
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ ABOUT = (
 )
 ONCE = False
 ALL = "all off"
+RELIGHTING = ("kept", "open")  # rules that relighting has
 SAVED = ("relight_psnr", "nvs_psnr", "albedo_psnr", "normal_mae")
 
 
@@ -51,15 +52,19 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
     for configuration, plan in plans(bench).items():
         expected = [plan] if configuration in ("auto", ALL) else []  # whether the others are needed, only the run at auto tells
-        yield Task(configuration, partial(_measured, bench, scene, configuration), bench.evaluation_seconds, [bench.balanced(), *expected])
+        if configuration not in RELIGHTING:
+            yield Task(
+                configuration, partial(_measured, bench, scene, configuration), bench.evaluation_seconds, [bench.balanced(), *expected]
+            )
+    for rule in RELIGHTING if scene.relights else ():
+        if rule in rules():
+            yield Task(f"{rule}, relighting", partial(_relit, bench, scene, rule), 3.0, [bench.balanced()])
 
 
 def _measured(bench: Bench, scene: Scene, configuration: str) -> Measurement:
     evidence = evidence_of(bench, scene).get(configuration, {})
-    if configuration in rules() and not evidence:
-        return _relit(bench, scene, configuration)
-    if configuration in rules() and evidence["chosen"] != "on":
-        return Measurement({"chosen": "off", "evidence": evidence["evidence"]})
+    if configuration in rules() and evidence.get("chosen") != "on":
+        return Measurement({"chosen": "off", "evidence": evidence.get("evidence", "not asked in this job")})
     run = bench.run(scene, plans(bench)[configuration])
     evaluated = bench.evaluation(scene, run.path)["figures"]
     figures = {name: evaluated[name] for name in FIGURES if name in evaluated} | costs(run)
@@ -67,7 +72,7 @@ def _measured(bench: Bench, scene: Scene, configuration: str) -> Measurement:
 
 
 def _relit(bench: Bench, scene: Scene, rule: str) -> Measurement:
-    """A rule that reconstructing did not ask for, in relighting: a view under one light after the other, by the two choices in turns."""
+    """A rule of relighting: a view under one light after the other, by the two choices in turns."""
     one = studio(bench, scene)
     lights = [place.prepared for place in one.places]
     relighters = {choice: one.relighter(Way(), "efficient", replace(SkipSettings(), **{rule: choice})) for choice in ("auto", "off")}
@@ -96,7 +101,7 @@ def evidence_of(bench: Bench, scene: Scene) -> dict[str, dict[str, Any]]:
 
 def blocks(results: Results) -> Iterator[Block]:
     columns = [name for name in COLUMNS if name in SAVED]
-    head = ["scene", "seconds with ↓", "without", "saved", *(f"{COLUMNS[name]} added" for name in columns)]
+    head = ["scene", "seconds with ↓", "without", "saved", "CPU s with ↓", "without", *(f"{COLUMNS[name]} added" for name in columns)]
     rows = [row for scene in results.scenes if (row := _difference(results, scene, ALL, columns))]
     if rows:
         yield Table("All rules at auto against none", head, rows)
@@ -107,7 +112,7 @@ def blocks(results: Results) -> Iterator[Block]:
                 continue
             row = _difference(results, scene, record.configuration, columns)
             evidence = str(record.figures.get("evidence", ""))
-            rows.append([_label(record), *(row[1:] if row else [None] * (3 + len(columns))), evidence if row else f"kept: {evidence}"])
+            rows.append([_label(record), *(row[1:] if row else [None] * (5 + len(columns))), evidence if row else f"kept: {evidence}"])
     if rows:
         yield Table("Each rule alone", ["rule, " + head[0], *head[1:], "evidence"], sorted(rows, key=lambda row: row[0]))
     relit = [r for r in results.records() if r.figures["chosen"] == "relighting"]
@@ -132,4 +137,5 @@ def _difference(results: Results, scene: str, configuration: str, columns: list[
         return None
     with_it, without = auto.figures["seconds"], off.figures["seconds"]
     changes = [auto.figures[n] - off.figures[n] if n in auto.figures and n in off.figures else None for n in columns]
-    return [scene, with_it, without, f"{100 * (1 - with_it / without):.0f} %", *(None if c is None else f"{c:+.2f}" for c in changes)]
+    cpu = (auto.figures["cpu_seconds"], off.figures["cpu_seconds"])
+    return [scene, with_it, without, f"{100 * (1 - with_it / without):.0f} %", *cpu, *(None if c is None else f"{c:+.2f}" for c in changes)]
