@@ -74,6 +74,12 @@ def variant() -> tuple[str, str]:
     raise IrgsppError(f"Mitsuba does not work here: {said}")
 
 
+def described() -> str:
+    """What runs here, for the report."""
+    name, version = variant()
+    return f"{version}, {name}" + ("" if name == VARIANTS[0] else ", which knows no BRDF but its own (principled), and no gradients")
+
+
 def textured(run: Path) -> dict[str, np.ndarray]:
     """The exported asset of a run: its mesh and textures."""
     mesh = load_mesh_ply(run / "mesh.ply")

@@ -78,7 +78,7 @@ def without() -> dict[str, str]:
 def _difference(duel, absent: dict[str, str]) -> Measurement:
     """Of the converged pictures, over the pixels that show the object in any."""
     shown = duel().pictures
-    figures: Figures = {"about Mitsuba": absent.get(MITSUBA) or " ".join(reversed(mitsuba_peer.variant()))}
+    figures: Figures = {"about Mitsuba": absent.get(MITSUBA) or mitsuba_peer.described()}
     figures["about Cycles"] = absent.get(CYCLES) or "of the Blender above"
     made = {name: np.round(255 * picture.clip(0, 1)).astype(np.uint8) for name, picture in shown.items()}
     for a, b in ((OURS, MITSUBA), (OURS, CYCLES), (MITSUBA, CYCLES)):
