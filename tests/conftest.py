@@ -7,10 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import irgspp.core  # noqa: F401
+import hypothesis
 import numpy as np
 import pytest
 from irgspp.core.datasets.camera import Camera, look_at
 
+hypothesis.settings.register_profile("patient", deadline=None)  # a busy machine is no fault
+hypothesis.settings.load_profile("patient")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.pop("BLENDER_USER_RESOURCES", None)  # the first process may have chosen one folder already, which the others inherit
 
