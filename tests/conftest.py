@@ -6,8 +6,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import irgspp.core  # noqa: F401
 import hypothesis
+import irgspp.core  # noqa: F401
 import numpy as np
 import pytest
 from irgspp.core.datasets.camera import Camera, look_at
