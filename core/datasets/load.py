@@ -229,6 +229,10 @@ def _view(shot: _Shot, masks: bool) -> View | InputError:
     frame, size = shot.frame, shot.lens.size
     try:
         assert frame.picture is not None
+        if min(size) < SMALLEST_SIDE:
+            raise InputError(
+                frame.picture, f"is used at {size[0]}x{size[1]} pixels, {SMALLEST_SIDE} a side are the least that show an object"
+            )
         picture = read_picture(frame.picture)
         if frame.mask is not None and masks:  # a mask file takes the place of an alpha channel, and leaves the colour around the object
             mask = undistort_mask(_mask(frame.mask, picture.size, size), shot.lens)

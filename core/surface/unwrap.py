@@ -19,8 +19,11 @@ def unwrap(mesh: Triangles, texture: int) -> tuple[np.ndarray, np.ndarray, np.nd
         faces: (F, 3) int32 in the order of `mesh.faces`.
         uvs: (V, 2) float32 in 0..1; no chart is mirrored, so that painted letters stay readable.
     """
+    # Of size 1 around the origin: xatlas takes areas below an absolute limit for none, and has float32 coordinates.
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    placed = (mesh.vertices - (low + high) / 2) / max(float((high - low).max()), 1e-30)
     atlas = xatlas.Atlas()
-    atlas.add_mesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
+    atlas.add_mesh(placed.astype(np.float32), mesh.faces.astype(np.uint32))
     charts = xatlas.ChartOptions()
     charts.fix_winding = True
     charts.max_cost = 4.0  # twice the default: far fewer shreds for no more stretch

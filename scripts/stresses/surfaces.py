@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces that are hard to mesh, unwrap or bake: nothing, thin sheets, many parts, non-manifold, tiny and huge meshes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from irgspp.core.colour import decode_srgb
+from irgspp.core.config import SurfaceSettings
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.datasets.dataset import Bound
+from irgspp.core.errors import IrgsppError
+from irgspp.core.progress import Silent
+from irgspp.core.scene.buffers import SurfaceSamples, ViewBuffers
+from irgspp.core.scene.mesh import Mesh
+from irgspp.core.scene.surface import Surface
+from irgspp.core.surface.bake import rasterise
+from irgspp.core.surface.geometry import extract_geometry
+from irgspp.core.surface.meshing import Triangles, cleaned, decimated, main_components, smoothed, vertex_normals
+from irgspp.core.surface.texturing import textured_mesh
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from .case import Measured, group
+from .training import cameras
+
+case = group("surfaces")
+BOUND = Bound((0.0, 0.0, 0.0), 1.6)
+SETTINGS = replace(SurfaceSettings(), voxels=48, triangles=3000, texture=128)
+VOXEL = 0.04
+BAKED = "UVs lie in the square and hardly overlap, all is finite, normals are unit, and texels that views see have the surface's colour."
+
+
+def colour_of(points: np.ndarray) -> np.ndarray:
+    """A smooth colour for every place, (..., 3) in 0..1."""
+    return 0.5 + 0.4 * np.sin(points * np.array([2.0, 3.0, 2.5]) + np.array([0.0, 1.0, 2.0]))
+
+
+def ball(rows: int, radius: float = 1.0, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Triangles:
+    """A sphere of 4 rows (rows - 2) triangles, without its poles' caps but for a triangle fan each."""
+    columns = 2 * rows
+    theta, phi = np.meshgrid(np.arange(1, rows) / rows * np.pi, np.arange(columns) / columns * 2 * np.pi, indexing="ij")
+    ring = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
+    i, j = np.arange((rows - 2) * columns).reshape(rows - 2, columns), np.roll(np.arange(columns), -1)
+    a, b, c, d = i, i[:, j], i[:, j] + columns, i + columns
+    sides = np.concatenate([np.stack([a, d, c], -1).reshape(-1, 3), np.stack([a, c, b], -1).reshape(-1, 3)])
+    north, south, last = len(ring), len(ring) + 1, (rows - 2) * columns
+    around = np.arange(columns)
+    caps = [np.stack([around * 0 + north, around, j], -1), np.stack([around * 0 + south, last + j, last + around], -1)]
+    vertices = np.concatenate([ring, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]) * radius + np.array(centre)
+    return Triangles(vertices, np.concatenate([sides, *caps]))
+
+
+def box(size: tuple[float, float, float]) -> Triangles:
+    """A closed box of these half widths, each side a grid of 10x10 squares."""
+    u, v = np.meshgrid(np.linspace(-1, 1, 11), np.linspace(-1, 1, 11), indexing="ij")
+    i = (np.arange(10)[:, None] * 11 + np.arange(10)).reshape(-1)
+    side = np.concatenate([np.stack([i, i + 11, i + 12], -1), np.stack([i, i + 12, i + 1], -1)])
+    vertices, faces = [], []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            points = np.roll(np.stack([u, sign * v, np.full_like(u, sign)], -1).reshape(-1, 3), axis + 1, axis=-1)
+            faces.append(side + 121 * len(vertices))
+            vertices.append(points * np.array(size))
+    return Triangles(np.concatenate(vertices), np.concatenate(faces))
+
+
+def joined(*parts: Triangles) -> Triangles:
+    """All of them as one mesh."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
+    return Triangles(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+
+
+def seen(mesh: Triangles, views: list[Camera]) -> list[ViewBuffers]:
+    """What cameras see of a mesh: exact depth and flat normals, both sides alike, coloured by place."""
+    scene, corners = EmbreeScene(), mesh.vertices[mesh.faces]
+    TriangleMesh(scene, np.ascontiguousarray(corners, np.float32))
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-30)
+    buffers = []
+    for camera in views:
+        rays = camera.rays().reshape(-1, 3)
+        found = scene.run(np.repeat(camera.centre[None].astype(np.float32), len(rays), 0), rays, query="INTERSECT", output=True)
+        hit, far = found["primID"] >= 0, np.where(found["primID"] >= 0, found["tfar"], 0).astype(np.float64)
+        normal = across[np.maximum(found["primID"], 0)] * hit[:, None]
+        normal = np.where((normal * rays).sum(-1, keepdims=True) > 0, -normal, normal)
+        colour = colour_of(camera.centre + far[:, None] * rays) * hit[:, None]
+        layers = (hit, far, normal, colour, colour, colour[:, 1], colour[:, 2])
+        shape = (camera.height, camera.width)
+        buffers.append(ViewBuffers(camera, *(x.reshape(*shape, *x.shape[1:]).astype(np.float32) for x in layers)))
+    return buffers
+
+
+def samples(mesh: Triangles) -> SurfaceSamples:
+    """Points all over a mesh, as its Gaussians would be."""
+    points, normal = Surface(mesh.vertices, vertex_normals(mesh), mesh.faces, VOXEL).samples(3000, np.random.default_rng(0))
+    colour = colour_of(points).astype(np.float32)
+    return SurfaceSamples(points, normal, np.full(len(points), 0.9, np.float32), colour, colour[:, 1], colour[:, 2])
+
+
+def reconstructed(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS) -> Surface:
+    """From what 12 cameras see of a mesh to a surface, checked, unwrapped and baked."""
+    views = seen(mesh, cameras(12, 96, 4.5))
+    surface = extract_geometry(views, samples(mesh), BOUND, settings, Silent())
+    measured.holds(f"{what}: vertices finite", bool(np.isfinite(surface.vertices).all() and np.isfinite(surface.normals).all()))
+    measured.at_most(f"{what}: triangles", len(surface.faces), settings.triangles)
+    baked(measured, what, surface, views, samples(mesh), settings)
+    return surface
+
+
+def baked(
+    measured: Measured, what: str, surface: Surface, views: list[ViewBuffers], own: SurfaceSamples, settings: SurfaceSettings = SETTINGS
+) -> Mesh:
+    """Unwrap and bake, and compare the texels with the colour of the places they show."""
+    mesh = textured_mesh(surface, views, own, settings, Silent())
+    arrays = [mesh.vertices, mesh.normals, mesh.uvs, mesh.albedo, mesh.roughness, mesh.metallic]
+    measured.finite(f"{what}: mesh", [torch.from_numpy(np.ascontiguousarray(array)) for array in arrays])
+    measured.holds(f"{what}: all faces kept", len(mesh.faces) == len(surface.faces))
+    measured.holds(f"{what}: UVs in the square", bool((mesh.uvs >= 0).all() and (mesh.uvs <= 1).all()))
+    measured.at_most(f"{what}: normals' length off by", float(np.abs(np.linalg.norm(mesh.normals, axis=-1) - 1).max()), 1e-5)
+    texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
+    measured.holds(f"{what}: texels", len(texels.face) > 0)
+    a, b, c = (mesh.uvs[mesh.faces[:, k]].astype(np.float64) * settings.texture for k in range(3))
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
+    measured.at_least("texels per area", len(texels.face) / max(area, 1.0), 0.9)
+    places = texels.interpolate(mesh.vertices, mesh.faces)
+    shown = decode_srgb(mesh.textures["albedo"][texels.row, texels.column] / 255.0)
+    error = np.abs(shown - colour_of(places)).max(-1)
+    measured.at_most("colour off by, 95 %", float(np.quantile(error, 0.95)), 0.05)
+    return mesh
+
+
+@case(
+    "an empty field",
+    """Views that see nothing, depths of NaN, infinity and 0, samples of no opacity, none, or all outside the bound, and depths that
+    agree on no more than a speck: one clear line, no surface.""",
+)
+def empty(measured: Measured) -> None:
+    full = seen(ball(16), cameras(12, 48))
+    nobody = SurfaceSamples(*(np.zeros(shape, np.float32) for shape in ((0, 3), (0, 3), (0,), (0, 3), (0,), (0,))))
+    clear = [replace(view, alpha=0 * view.alpha) for view in full]
+    fields = {"nothing": (clear, nobody), "transparent Gaussians": (clear, replace(samples(ball(16)), opacity=np.zeros(3000, np.float32)))}
+    for name, value in (("depth NaN", np.nan), ("depth infinite", np.inf), ("depth 0", 0.0), ("outside", 50.0)):
+        fields[name] = ([replace(view, depth=np.full_like(view.depth, value)) for view in full], nobody)
+    fields["a speck"] = (seen(ball(8, 1e-9), cameras(12, 48)), nobody)
+    for name, (views, own) in fields.items():
+        try:
+            surface = extract_geometry(views, own, BOUND, SETTINGS, Silent())
+        except IrgsppError as error:
+            measured.holds(f"{name}: told in one line", "\n" not in str(error) and "surface" in str(error))
+            continue
+        measured.holds(f"{name}: {len(surface.faces)} triangles of nothing", False)
+
+
+@case(
+    "a thin sheet",
+    """A plate 2 wide and 0.004 thick, a tenth of a voxel, comes out closed: its sides lie within 1 voxel of it, its rim, which no view sees
+    frontally, within 3. """
+    + BAKED,
+)
+def thin(measured: Measured) -> None:
+    surface = reconstructed(measured, "plate", box((1.0, 0.8, 0.002)))
+    beyond = np.abs(surface.vertices) - np.array([1.0, 0.8, 0.002])
+    voxels, sides = np.maximum(beyond, 0).max(1) / surface.voxel, (beyond[:, :2] < -0.15).all(1)
+    measured.at_most("voxels from its sides", float(voxels[sides].max()), 1.0)
+    measured.at_most("from its rim", float(voxels.max()), 3.0)
+    measured.at_most("open edges", _open_edges(surface.faces), 0)
+    measured.at_least("its width", float(np.ptp(surface.vertices[:, 0])), 1.9)
+
+
+@case(
+    "several components",
+    "Balls of 0.6 and 0.4 and one of 0.03 far from them, a fragment: two components come out, closed, where they are. " + BAKED,
+)
+def components(measured: Measured) -> None:
+    parts = ball(24, 0.6, (-0.7, 0, 0)), ball(24, 0.4, (0.7, 0.2, 0.3)), ball(8, 0.03, (0.2, 1.0, -0.8))
+    surface = reconstructed(measured, "balls", joined(*parts))
+    mesh = Triangles(surface.vertices, surface.faces)
+    count, _ = connected_components(_adjacency(mesh), directed=False)
+    measured.holds(f"two components, not {count}", count == 2)
+    apart = [np.abs(np.linalg.norm(mesh.vertices - c, axis=-1) - r) for c, r in (((-0.7, 0, 0), 0.6), ((0.7, 0.2, 0.3), 0.4))]
+    measured.at_most("voxels from the balls", float(np.minimum(*apart).max() / surface.voxel), 1.5)
+    measured.at_most("open edges", _open_edges(surface.faces), 0)
+
+
+def _adjacency(mesh: Triangles):
+    i, j = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
+    return sparse.csr_matrix((np.ones(len(i)), (i, j)), shape=(len(mesh.vertices),) * 2)
+
+
+def _open_edges(faces: np.ndarray) -> int:
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    return int((count == 1).sum())
+
+
+def bare(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS, size: int = 96) -> None:
+    """Unwrap and bake a mesh as it is."""
+    surface = Surface(mesh.vertices, vertex_normals(mesh), mesh.faces, VOXEL)
+    measured.finite(f"{what}: normals", torch.from_numpy(surface.normals))
+    baked(measured, what, surface, seen(mesh, cameras(12, size, 4.5)), samples(mesh), settings)
+
+
+def mobius(count: int = 40) -> Triangles:
+    """A strip with one side: no orientation of its faces agrees."""
+    t = np.arange(count) / count * 2 * np.pi
+    rim = [np.stack([(1 + s * np.cos(t / 2)) * np.cos(t), (1 + s * np.cos(t / 2)) * np.sin(t), s * np.sin(t / 2)], -1) for s in (-0.3, 0.3)]
+    a, b = np.arange(count), np.roll(np.arange(count), -1)
+    lower, upper = np.where(b == 0, count, b), np.where(b == 0, 0, b + count)
+    faces = np.concatenate([np.stack([a, lower, a + count], -1), np.stack([lower, upper, a + count], -1)])
+    return Triangles(np.concatenate(rim), faces)
+
+
+@case(
+    "non-manifold",
+    """Three sheets on one edge, two cones on one vertex, a one-sided strip, faces repeated, turned over, without area or on one line, lone
+    vertices: unwrapped and baked as they are; cleaned, smoothed and decimated they stay finite. """
+    + BAKED,
+)
+def non_manifold(measured: Measured) -> None:
+    book = Triangles(
+        np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0], [-0.5, 0.9, 0], [-0.5, -0.9, 0.0]]), np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
+    )
+    cones = np.array([[0, 0, 0], [1, 0, 1], [-0.5, 0.9, 1], [-0.5, -0.9, 1], [1, 0, -1], [-0.5, 0.9, -1], [-0.5, -0.9, -1.0]])
+    hourglass = Triangles(cones, np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [0, 5, 4], [0, 6, 5], [0, 4, 6]]))
+    whole = ball(12)
+    spoilt = np.concatenate([whole.faces, whole.faces[:5], whole.faces[5:9, ::-1], [[0, 0, 1], [3, 3, 3], [0, 1, len(whole.vertices)]]])
+    lone = np.concatenate([whole.vertices, [(whole.vertices[0] + whole.vertices[1]) / 2, [9.0, 9.0, 9.0]]])
+    for name, mesh in (("book", book), ("hourglass", hourglass), ("strip", mobius()), ("spoilt ball", Triangles(lone, spoilt))):
+        bare(measured, name, mesh)
+        mended = decimated(smoothed(main_components(cleaned(mesh), 0.0), 5), max(4, len(mesh.faces) // 2))
+        measured.finite(f"{name} cleaned, smoothed, decimated", torch.from_numpy(mended.vertices))
+        measured.holds(f"{name}: something is left", len(mended.faces) > 0)
+
+
+@case("10 triangles", "A bipyramid of 10 triangles, one of 1e-6 its size, and one 1000 times as long as wide. " + BAKED)
+def ten(measured: Measured) -> None:
+    angle = np.arange(5) / 5 * 2 * np.pi
+    vertices = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1), [[0, 0, 1.0], [0, 0, -1.0]]])
+    a, b = np.arange(5), np.roll(np.arange(5), -1)
+    faces = np.concatenate([np.stack([a, b, a * 0 + 5], -1), np.stack([b, a, a * 0 + 6], -1)])
+    bare(measured, "10", Triangles(vertices, faces))
+    bare(measured, "long", Triangles(vertices * np.array([1.0, 1e-3, 1e-3]), faces))
+    small = Triangles(1e-6 * vertices, faces)
+    near = [replace(view, to_world=_closer(view.to_world, 1e-6)) for view in cameras(12, 96, 4.5)]
+    surface = Surface(small.vertices, vertex_normals(small), small.faces, 1e-6 * VOXEL)
+    baked(measured, "1e-6", surface, seen(small, near), samples(small))
+
+
+def _closer(pose: np.ndarray, factor: float) -> np.ndarray:
+    moved = pose.copy()
+    moved[:3, 3] *= factor
+    return moved
+
+
+@case(
+    "2 million triangles",
+    "A ball of 2 million: decimated to 20,000 within 0.001 of the sphere, and itself unwrapped and baked. " + BAKED,
+    quick=False,
+)
+def huge(measured: Measured) -> None:
+    mesh = ball(709)
+    measured.at_least("triangles", len(mesh.faces), 2_000_000)
+    few = decimated(smoothed(mesh, 2), 20_000)
+    measured.at_most("decimated: from the sphere", float(np.abs(np.linalg.norm(few.vertices, axis=-1) - 1).max()), 1e-3)
+    measured.at_most("decimated: triangles", len(few.faces), 20_500)
+    bare(measured, "2 million", mesh, replace(SETTINGS, texture=1024), 256)
