@@ -99,10 +99,8 @@ class SkipSettings:
     outside: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
     trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind
     converged: Choice = "auto"  # steps after views held back have stopped gaining
-    gather: Choice = "auto"  # whole views drawn in each step of the refinement: its pixels' disks are known
-    open: Choice = "auto"  # rays in directions where nothing has been met
+    constants: Choice = "auto"  # what frozen geometry leaves the same in each step of the refinement: the disks of a pixel, their layout
     kept: Choice = "auto"  # in relighting: what rays met and how pixels are filtered, for the next light on an unmoved camera
-    bounce: Choice = "auto"  # light from the object to itself, where it is too little to be seen
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ class Progress(Protocol):
     """Receives the progress of a job.
 
     `phase` opens a phase of a known number of steps; `step` reports the number of steps done, with figures such as `loss` and
-    `psnr`; `message` is one line for a person; `decided` says whether a rule that leaves work out is in force, and why; `picture` offers a picture of what is there, drawn only where one is wanted.
+    `psnr`; `message` is one line for a person; `decided` says whether a rule that leaves work out is in force, and why; `picture`
+    offers a picture of what is there, drawn only where one is wanted.
     `cancelled` turns True when the user wants the work to stop: the worker saves what it has and raises `errors.Cancelled`.
     `finish_early` turns True when the user is content with what is there: an iterative phase stops and the work goes on with
     the next one.

@@ -93,6 +93,18 @@ def _pack(sh: torch.Tensor | None, extra: torch.Tensor, coefficients: int) -> np
     return rows
 
 
+def _composite(
+    tree: DiskTree, lists: HitLists, direction: torch.Tensor, rows: np.ndarray, coefficients: int, extras: int
+) -> tuple[torch.Tensor, np.ndarray, list[tuple[int, int]]]:
+    """Sums (R, 8 + E) over the hits, which channels of colour each hit lit, and the ranges of rays that were worked on at a time."""
+    out = torch.empty(lists.rays, SUMS + extras)
+    lit = np.empty(len(lists.index), np.uint8)
+    hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
+    ranges = balanced_ranges(np.diff(lists.start) + 1, thread_count())
+    run_ranges(composite_range, ranges, flat(direction), *hits, tree.record, rows, coefficients, extras, out.numpy(), lit)
+    return out, lit, ranges
+
+
 class _Trace(torch.autograd.Function):
     """CPU backend."""
 
@@ -100,11 +112,7 @@ class _Trace(torch.autograd.Function):
     def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients):
         lists = hit_lists(tree, origin, direction)
         rows = _pack(sh, extra, coefficients)
-        out = torch.empty(lists.rays, SUMS + len(extra))
-        lit = np.empty(len(lists.index), np.uint8)
-        hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
-        ranges = balanced_ranges(np.diff(lists.start) + 1, thread_count())
-        run_ranges(composite_range, ranges, flat(direction), *hits, tree.record, rows, coefficients, len(extra), out.numpy(), lit)
+        out, lit, ranges = _composite(tree, lists, direction, rows, coefficients, len(extra))
         ctx.lists, ctx.lit, ctx.ranges, ctx.rays = lists, lit, ranges, (flat(origin), flat(direction))
         ctx.record, ctx.quaternion, ctx.rows, ctx.coefficients = tree.record, tree.parameters[1], rows, coefficients
         ctx.shapes = [None if p is None else p.shape for p in (position, quaternion, log_scale, opacity, sh, extra, origin, direction)]
@@ -172,6 +180,23 @@ def trace(
         raise ValueError("the tree stands for other Gaussians; refit or rebuild it after they change")
     coefficients = 0 if sh is None else (degree + 1) ** 2
     return _Trace.apply(position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients)
+
+
+class Seen:
+    """What rays see of Gaussians that stay as they are: their rows are laid out once. No gradients.
+
+    Args: tree, sh, extra: as for `trace`, whose degree follows from the coefficients there are.
+    """
+
+    def __init__(self, tree: DiskTree, sh: torch.Tensor, extra: torch.Tensor) -> None:
+        self._tree, self._extras = tree, len(extra)
+        self._coefficients = len(sh)
+        self._rows = _pack(sh, extra, self._coefficients)
+
+    def along(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """(R, 8 + E), the sums that `trace` returns, for rays (R, 3)."""
+        lists = hit_lists(self._tree, origin, direction)
+        return _composite(self._tree, lists, direction, self._rows, self._coefficients, self._extras)[0]
 
 
 class _Blend(torch.autograd.Function):

@@ -26,6 +26,7 @@ class PixelPool:
         opacity: (B,) of each pixel, above INSIDE.
         point: (B, 3) where the ray meets them in the mean. view: (B, 3) unit, towards the camera.
         colour: (B, 3) encoded, of the photograph. saturated: (B, 3) bool, where that is a lower bound. number: (B,) which view.
+        place: (B,) flat index of the pixel in its view.
     """
 
     lists: HitLists
@@ -35,6 +36,7 @@ class PixelPool:
     colour: torch.Tensor
     saturated: torch.Tensor
     number: torch.Tensor
+    place: torch.Tensor
 
     @property
     def count(self) -> int:
@@ -68,7 +70,16 @@ def _pixels_of(view: View, number: int, tracer: Tracer, count: int, random: np.r
     point = origin[kept] + torch.from_numpy(distance[kept]).float()[:, None] * direction[kept]
     colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float()
     solid = torch.from_numpy(opacity[kept]).float()
-    return PixelPool(chosen(lists, kept), solid, point, -direction[kept], colour, colour >= SATURATED, torch.full((len(kept),), number))
+    return PixelPool(
+        chosen(lists, kept),
+        solid,
+        point,
+        -direction[kept],
+        colour,
+        colour >= SATURATED,
+        torch.full((len(kept),), number),
+        torch.from_numpy(index[kept]),
+    )
 
 
 def chosen(lists: HitLists, rays: np.ndarray) -> HitLists:
@@ -79,6 +90,15 @@ def chosen(lists: HitLists, rays: np.ndarray) -> HitLists:
     hits = np.repeat(kept, length)
     start = np.concatenate([[0], np.cumsum(length[kept])])
     return HitLists(start, lists.index[hits], lists.weight[hits], lists.distance[hits], lists.left[kept])
+
+
+def part(lists: HitLists, rays: np.ndarray) -> tuple[HitLists, np.ndarray]:
+    """The lists of few rays, in any order, over the Gaussians that they meet, (M,), which are numbered anew: 0..M-1."""
+    length = lists.start[rays + 1] - lists.start[rays]
+    start = np.concatenate([[0], np.cumsum(length)])
+    hits = np.repeat(lists.start[rays] - start[:-1], length) + np.arange(start[-1])
+    met, index = np.unique(lists.index[hits], return_inverse=True)
+    return HitLists(start, index.astype(np.int32), lists.weight[hits], lists.distance[hits], lists.left[rays]), met
 
 
 def joined(parts: Sequence[HitLists]) -> HitLists:

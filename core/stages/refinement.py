@@ -8,6 +8,7 @@ Views that are held back have the last word: what does not serve them is not kep
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.spatial import KDTree
 
 from ..colour import encode_srgb
 from ..config import TransportSettings
-from ..kernels.tracing import blend
+from ..datasets.camera import Camera
 from ..scene.gaussians import METALLIC, Gaussians
 from ..scene.reconstruction import Reconstruction
 from ..shading.lightmap import lookup
@@ -25,6 +26,7 @@ from ..shading.transport import reflect_light
 from .finite import require_finite
 from .optimizer import GaussianOptimizer, Rate
 from .pixel_pool import PixelPool
+from .pixel_surface import DrawnViews, KnownDisks
 from .tracer import Tracer
 
 HOLD_BACK = 8  # every so many views one is held back
@@ -42,7 +44,17 @@ DARKEST = 1e-4  # of a light's texels: their logarithm is optimised
 class Refinement:
     """Gradient descent on `reconstruction` and how well it does."""
 
-    def __init__(self, reconstruction: Reconstruction, pool: PixelPool, tracer: Tracer, settings: TransportSettings, seed: int) -> None:
+    def __init__(
+        self,
+        reconstruction: Reconstruction,
+        pool: PixelPool,
+        tracer: Tracer,
+        settings: TransportSettings,
+        seed: int,
+        *,
+        cameras: Sequence[Camera] = (),
+    ) -> None:
+        """`cameras`: of the pool's views, which are then drawn anew in each step, for comparison."""
         self.start, self.pool, self.tracer, self.settings = reconstruction, pool, tracer, settings
         self.generator = torch.Generator().manual_seed(seed)
         g = reconstruction.gaussians
@@ -55,7 +67,8 @@ class Refinement:
         if not metal:
             table |= {"metallic": Rate(1e-2, 0.1), "quaternion": Rate(settings.normal_rate, 0.1)}
         self.optimizer = GaussianOptimizer(g, table, {"light": self.light})
-        self.side = facing_side(g, pool)
+        radius = reconstruction.bound.radius
+        self.surface = DrawnViews(pool, cameras, radius) if cameras else KnownDisks(pool, facing_side(g, pool))
         views = int(pool.number.max()) + 1
         held = (pool.number % HOLD_BACK == HOLD_BACK // 2) if views >= HOLD_BACK else torch.zeros(pool.count, dtype=torch.bool)
         tested = torch.nonzero(held if held.any() else ~held)[:, 0]
@@ -94,7 +107,7 @@ class Refinement:
 
     def _loss(self) -> torch.Tensor:
         light = self.light.exp()
-        pixels = self.trained[torch.randint(len(self.trained), (self.settings.pixels,), generator=self.generator)]
+        pixels = self.surface.chosen(self.trained, self.settings.pixels, self.generator)
         difference = self._difference(self._shade(pixels, self.counts, light, self.generator), pixels)
         loss = (difference.square() + CORNER**2).sqrt().mean()
         return loss + self._smoothness() + self.settings.light_smoothness * variation(self.light) + self._white_balance(light)
@@ -106,16 +119,18 @@ class Refinement:
 
     def _shade(self, pixels: torch.Tensor, counts: tuple[int, int, int], light: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """(B, 3) linear radiance of pixels by the rendering equation."""
-        g, view = self.optimizer.gaussians, self.pool.view[pixels]
-        at = blend(self.pool.lists, torch.cat([g.normals() * self.side, g.materials()]), pixels)
-        normal = torch.nn.functional.normalize(at[:, :3], dim=1)
-        opacity = self.pool.opacity[pixels, None]
-        albedo, roughness, metallic = (at[:, 3:] / opacity).split([3, 1, 1], 1)
+        view, (normal, albedo, roughness, metallic) = self.pool.view[pixels], self._materials(pixels)
         distribution = LightDistribution(light.detach())
-        samples = draw(view, normal.detach(), roughness[:, 0].detach(), counts, distribution, generator, self.settings.sampling)
+        samples = draw(view, normal.detach(), roughness.detach(), counts, distribution, generator, self.settings.sampling)
         incoming = self._incoming(self.pool.point[pixels], normal.detach(), samples, light)
-        diffuse, specular = reflect_light(view, normal, albedo, roughness[:, 0], metallic[:, 0], samples, incoming, conserving=True)
+        diffuse, specular = reflect_light(view, normal, albedo, roughness, metallic, samples, incoming, conserving=True)
         return diffuse + specular
+
+    def _materials(self, pixels: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Normal (B, 3), albedo (B, 3), roughness and metallic (B,) of pixels."""
+        at = self.surface.sums(self.optimizer.gaussians, pixels)
+        albedo, roughness, metallic = (at[:, 3:] / self.pool.opacity[pixels, None]).split([3, 1, 1], 1)
+        return torch.nn.functional.normalize(at[:, :3], dim=1), albedo, roughness[:, 0], metallic[:, 0]
 
     def _incoming(self, point: torch.Tensor, normal: torch.Tensor, samples: Samples, light: torch.Tensor) -> torch.Tensor:
         """(B, N, 3) V L + indirect, 0 below the horizon."""

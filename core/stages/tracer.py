@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 
 from ..kernels.bvh import DiskTree
-from ..kernels.tracing import COLOUR, EXTRA, NORMAL, trace
+from ..kernels.tracing import COLOUR, EXTRA, NORMAL, Seen, trace
 from ..scene.reconstruction import Reconstruction
 from ..shading.split_sum import specular_light, specular_radiance
 
@@ -20,6 +20,7 @@ class Tracer:
         reconstruction: of the first stage. Where it is glossy, its SH hold diffuse radiance only, and the reflections are added.
 
     Attributes:
+        repack: lay the disks' channels out anew for each call, for comparison; they don't change.
         tree: all disks, as what hides a point from a camera. Where the photographs had a background, disks outside the bound are a
             backdrop: part of the light, as for the relighter, which rays from the surface don't meet.
     """
@@ -34,6 +35,7 @@ class Tracer:
             self._materials = torch.zeros(0, g.count) if mirrored is None else mirrored.material[:, own].contiguous()
             self._stack = None if mirrored is None else specular_light(mirrored.environment)
         self._tree = self.tree if own.all() else DiskTree.build(*self._geometry)
+        self._seen, self.repack = Seen(self._tree, self._sh, self._materials), False
         self.offset = OFFSET * reconstruction.bound.radius
 
     def above(self, position: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
@@ -43,7 +45,10 @@ class Tracer:
     @torch.no_grad()
     def look(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """What R rays (R, 3) see: the share of the light behind that passes, (R,), and the object's radiance times its opacity, (R, 3)."""
-        sums = trace(*self._geometry, self._sh, self._materials, origin, direction, self._tree)
+        if self.repack:
+            sums = trace(*self._geometry, self._sh, self._materials, origin, direction, self._tree)
+        else:
+            sums = self._seen.along(origin, direction)
         opacity = sums[:, -1]
         radiance = sums[:, COLOUR].contiguous()
         if self._stack is not None:

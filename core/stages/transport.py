@@ -11,15 +11,17 @@ import torch
 from scipy.spatial import KDTree
 
 from ..config import Settings
+from ..datasets.camera import Camera
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
 from ..progress import Progress
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
+from ..skipping import decide
 from .finite import require_finite
 from .observations import Observations, observe
 from .painting import either_metal_or_not, paint
-from .pixel_pool import pool_pixels
+from .pixel_pool import PixelPool, pool_pixels
 from .preview import albedo_picture
 from .radiance_fit import refit_radiance
 from .refinement import MOSTLY_METAL, Refinement, is_metal
@@ -29,6 +31,7 @@ from .transfer import Transfer, trace_transfer
 from .turning import turned
 
 LEAST_POINTS = 50  # fewer say nothing about a light
+KEPT_MEGABYTES = 2000  # of pixels' disks at hand
 SIDE = 2  # rays through each texel of the light, along a side
 
 
@@ -84,7 +87,7 @@ def refined(
     starts = [told_apart]
     if first.glossy and float(separation.metallic.mean()) > MOSTLY_METAL:
         starts.append(first.relabelled(either_metal_or_not(first.gaussians), first.environment))
-    trials = [Refinement(start, pool, tracer, settings.transport, settings.seed) for start in starts]
+    trials = prepared(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
     before = [trial.test() for trial in trials]
     best = int(np.argmax(before))
 
@@ -97,6 +100,23 @@ def refined(
     after = trials[best].test()
     progress.message(f"shaded views held back: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
     return trials[best].result() if after > before[best] else starts[best]
+
+
+def prepared(
+    starts: Sequence[Reconstruction],
+    pool: PixelPool,
+    tracer: Tracer,
+    cameras: Sequence[Camera],
+    settings: Settings,
+    progress: Progress,
+) -> list[Refinement]:
+    """The refinement of each start, without the work that this scene does not need."""
+    megabytes = len(pool.lists.index) * 12 / 1e6
+    evidence = f"the disks of {pool.count:,} pixels take {megabytes:.0f} MB"
+    constants = decide(settings.skip, "constants", megabytes < KEPT_MEGABYTES, evidence, progress)
+    tracer.repack = not constants
+    cameras = () if constants else cameras
+    return [Refinement(start, pool, tracer, settings.transport, settings.seed, cameras=cameras) for start in starts]
 
 
 def separated(
