@@ -108,5 +108,7 @@ def _logarithmic(axis, name: str) -> None:
 
 
 def plain(value: float) -> str:
-    """A round number without exponents, thousands as k."""
-    return f"{value / 1000:g}k" if value >= 1000 and value % 100 == 0 else f"{value:g}"
+    """A number in few letters: 0.02, 512, 1024, 16.4k, 1.05M."""
+    if value >= 1e6:
+        return f"{value / 1e6:.3g}M"
+    return f"{value / 1e3:.3g}k" if value >= 1e4 or (value >= 1e3 and value % 1e3 == 0) else f"{value:g}"
