@@ -11,14 +11,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from irgspp.core.evaluation import metrics
+from irgspp.core.evaluation import metrics, pictures
 from irgspp.core.relight.backends import best_backend
 from irgspp.core.scene.gaussians import load_gaussians
 
 from .bench import PRESETS, Bench, Scene
 from .relighting import Way, studio
 from .runs import Run, RunPlan
-from .section import Block, Chart, Figures, Measurement, Note, Series, Table, Task
+from .section import Block, Chart, Figures, Measurement, Note, Pictures, Series, Table, Task
 from .store import Results
 
 NAME = "reconstruction"
@@ -26,7 +26,7 @@ TITLE = "Reconstruction: error against time"
 ABOUT = (
     "The whole job, from photographs to a textured mesh; every run is another irgspp reconstruct, compared with held-back views. "
     "NVS: views under the photographs' own light, rendered by recovered light and materials; relit: under other lights, with one scale of "
-    "the albedo per channel. Seconds: wall clock of all phases."
+    "the albedo per channel. Seconds: wall clock of all phases. Time budgets and IRGS: on the first low-gloss and the first glossy scene."
 )
 ONCE = False
 FIGURES = ("relight_psnr", "nvs_psnr", "albedo_psnr", "normal_mae", "roughness_mae", "metallic_mae", "environment_psnr", "radiance_psnr")
@@ -124,15 +124,19 @@ def _headline(bench: Bench, scene: Scene, plan: RunPlan, way: Way, samples: str 
     run = bench.run(scene, plan)
     scale, one = bench.evaluation(scene, run.path)["albedo_scale"], studio(bench, scene, run.path)
     relighter = one.relighter(way, samples).scaled(scale)
-    rows = []
+    rows, shown = [], {}
     for place in one.places:
         ours = metrics.on_black(relighter.relit(relighter.surface(place.view.camera), place.prepared).numpy())
         rows.append((metrics.psnr(ours, place.true), metrics.ssim(ours, place.true)))
+        if not shown:
+            error = pictures.heat(np.abs(ours - place.true).max(-1), 0.2)[..., :3]
+            shown = {"true": place.true, "ours": ours, "error to 0.2": error}
     seconds, turned = one.seconds(way, samples, bench.repeats), one.turned_seconds(way, samples, bench.repeats)
     psnr, ssim = np.mean(rows, 0)
     figures = {"relight_psnr": float(psnr), "relight_ssim": float(ssim), "frame_seconds": seconds, "turned_seconds": turned}
     about = {"train_seconds": run.seconds, "backend": way.backend if way.backend == "gaussian" else best_backend(run.path)}
-    return Measurement({**figures, **about}, {"samples": sum(relighter.counts)})
+    encoded = {name: np.round(255 * np.clip(picture, 0, 1)).astype(np.uint8) for name, picture in shown.items()}
+    return Measurement({**figures, **about}, {"samples": sum(relighter.counts)}, encoded)
 
 
 # --- what is shown
@@ -204,6 +208,20 @@ def _headline_blocks(results: Results) -> Iterator[Block]:
         columns = ("", "samples", "relit dB ↑", "SSIM ↑", "frames/s ↑", "light turned, frames/s ↑", "times as fast ↑", "training s ↓")
         yield Table("The paper's headline: IRGS (strata, no metal, no denoiser, secondary rays on Gaussians) against IRGS++", columns, rows)
         yield Note("The paper, on a GPU: from 0.5 to 25 frames a second, 50 times as fast, at better quality.")
+        yield Pictures("A view under a new light by each", list(_headline_pictures(results)))
+
+
+def _headline_pictures(results: Results) -> Iterator[list[tuple[str, str]]]:
+    """A row for each scene: the true picture, then each configuration's with its error (efficient looks like HQ)."""
+    for scene in results.scenes:
+        row = []
+        for name in list(HEADLINE)[:2]:
+            record = results.get(scene, f"headline, {name}")
+            files = record.pictures if record else {}
+            row += [(f"{scene}: true", files["true"])] if files and not row else []
+            row += [(f"{name}{what}", files[key]) for key, what in (("ours", ""), ("error to 0.2", ", error to 0.2")) if files]
+        if row:
+            yield row
 
 
 def _phase_table(results: Results) -> Iterator[Block]:
