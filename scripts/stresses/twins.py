@@ -3,8 +3,8 @@
 
 Both kernels take decisions: alpha below 1/255 is nothing, below 2 % of the light left a ray is done, the nearer disk comes first. Where
 one hangs by a rounding error, float32 and float64 may rightly differ. Such rays are found by the twin alone: it is asked again with
-NOISE in its inputs, a few units in float32's last place, and where its own answer moves by more than UNDECIDED the ray counts as
-undecided. Their share is said in the table and limited; on all others the kernels must agree with the twin.
+NOISE in its inputs, a few units in float32's last place, and where its own answer moves by more than UNDECIDED, a share of what is
+tolerated, the ray counts as undecided. Their share is said in the table and limited; on all others the kernels must agree with the twin.
 
 What is shaken: directions and logarithms; in pictures the place relative to the camera, along rays their direction. Differences of
 places are exact in float32, so that nothing else has a rounding error that depends on where the scene lies.
@@ -27,7 +27,7 @@ from irgspp.core.kernels.tracing import trace
 from .case import Measured, relative
 
 NOISE = 2.0**-21
-UNDECIDED = 3e-5
+UNDECIDED = 0.3  # of what is tolerated
 TOLERANCE = 1e-4  # of a sum, relative where it is above 1
 GRADIENT = 1e-3  # relative L2 of each parameter's gradient, or 10 times what NOISE does to the twin's
 GEOMETRY = ("position", "quaternion", "log_scale", "opacity")
@@ -114,7 +114,7 @@ def agree(measured: Measured, what: str, pair: tuple[Viewer, Viewer], values: Di
     exact = viewed(slow, twin, None, torch.float64).rows
     moved = torch.stack([viewed(slow, shake(twin, seed), None, torch.float64).rows for seed in range(limits.tries)])
     size = exact.abs().clamp_min(1)
-    decided = ((moved - exact) / size).abs().amax((0, 2)) <= UNDECIDED
+    decided = ((moved - exact) / size).abs().amax((0, 2)) <= UNDECIDED * limits.tolerance
     weight = torch.randn(exact.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
     everything = viewed(fast, values, weight, torch.float32)
     measured.finite(f"{what}: the twin's own sums", exact)
