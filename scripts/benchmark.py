@@ -101,6 +101,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         sections = chosen(args.sections)
         store, status = (Store(args.out), 0) if args.report_only else measure(args, sections)
+        if not store.records and status:
+            return status
         if not store.records:
             raise InputError(store.path, "holds no results", "run without --report-only")
         everything = chosen(",".join(SECTIONS))

@@ -18,6 +18,7 @@ from irgspp.core.config import DataSettings
 from irgspp.core.datasets.dataset import Dataset, View
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.devices import devices
+from irgspp.core.errors import IrgsppError
 from irgspp.core.evaluation.report import evaluate
 from irgspp.core.evaluation.truth import SceneTruth, Truth, load_scene_truth, load_truth
 from irgspp.core.overrides import from_dict
@@ -86,6 +87,7 @@ class Bench:
     lpips: Path | None = None
     ticked: Callable[[], None] = lambda: None
     _runs: dict[tuple[str, str], Run] = field(default_factory=dict)
+    _failed: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def plan(self, label: str, *options: str, preset: str = "balanced", materials: str = "", time: str = "", seconds: float = 0) -> RunPlan:
         """How to reconstruct any scene; `quick` shortens all of them alike."""
@@ -119,8 +121,14 @@ class Bench:
     def run(self, scene: Scene, plan: RunPlan) -> Run:
         """The reconstruction, made now where it is not there yet. Raises IrgsppError where it can't be made."""
         key, path = (scene.name, plan.label), self.run_folder(scene, plan)
+        if key in self._failed:  # once is enough: many tasks need it
+            raise IrgsppError(self._failed[key])
         if key not in self._runs:
-            self._runs[key] = runs.finished(plan, scene.path, path) or runs.make(plan, scene.path, path, self.ticked)
+            try:
+                self._runs[key] = runs.finished(plan, scene.path, path) or runs.make(plan, scene.path, path, self.ticked)
+            except IrgsppError as error:
+                self._failed[key] = str(error)
+                raise
         return self._runs[key]
 
     def evaluation(self, scene: Scene, folder: Path, settings_of: Path | None = None) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import torch
 from irgspp.core.cli import parser
 from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.datasets.dataset import Bound
-from irgspp.core.errors import InputError
+from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.relight.lighting import prepare
 from irgspp.core.scene.mesh import Mesh
@@ -275,6 +275,18 @@ def test_a_plan_is_not_taken_for_another(script, tmp_path):
     assert (found.seconds, found.cpu_seconds, found.peak_memory) == (2.0, 4.0, 5)
     assert runs.finished(runs.RunPlan("a", options=("seed=1",)), DEMO_DATA, run) is None
     assert runs.finished(plan, tmp_path, run) is None
+
+
+def test_a_reconstruction_that_fails_is_tried_once(script, tmp_path, monkeypatch):
+    """In a process of its own it has no say; the error is the job's own line."""
+    bench = script("benchmarks.bench").Bench(tmp_path, script("benchmarks.scenes").embedded())
+    plan, tried = script("benchmarks.runs").RunPlan("bad", options=("nonsense=1",)), []
+    make = script("benchmarks.runs").make
+    monkeypatch.setattr(script("benchmarks.runs"), "make", lambda *args: tried.append(1) or make(*args))
+    for _ in range(2):
+        with pytest.raises(IrgsppError, match=r"ended with status 2: irgspp: .*nonsense"):
+            bench.run(bench.scenes[0], plan)
+    assert len(tried) == 1 and not bench.has_run(bench.scenes[0], plan)
 
 
 def test_bad_usage_ends_with_a_line(script, tmp_path, capsys):
