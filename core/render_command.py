@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .config import DataSettings
 from .errors import InputError
-from .overrides import from_dict
+from .overrides import from_dict, with_overrides
 from .run_folder import read_run
 from .terminal import Terminal
 
@@ -39,13 +41,25 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
         indirect=not args.no_indirect,
         conserving=args.diffuse == "conserving",
         albedo_scale=tuple(args.albedo_scale),
+        skip=with_overrides(settings, _skip_only(args.set)).skip,
+        error=args.error,
     )
     relighter = open_relighter(args.run, reconstruction, args.backend or best_backend(args.run), how)
     cameras = _cameras(args, settings.data, reconstruction)
     render_views(relighter, cameras, args.out, terminal, layers=args.layers, lights=lights)
     terminal.end_line()
+    if "rgba" in args.layers:
+        print(relighter.tally, file=sys.stderr)
     print(args.out)
     return 0
+
+
+def _skip_only(overrides: Sequence[str]) -> Sequence[str]:
+    """Raises InputError for settings that a picture of a finished run doesn't depend on."""
+    for text in overrides:
+        if not text.startswith("skip."):
+            raise InputError(f"--set {text}", "concerns the reconstruction, not its pictures", "use skip.open or skip.kept")
+    return overrides
 
 
 def _lights(args: argparse.Namespace) -> list[tuple[Path, str | None, float, float]]:
@@ -99,6 +113,10 @@ def _light_options(one: argparse.ArgumentParser) -> None:
 
 def _relight_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
+    error = "every part of the picture gets the samples it takes to err by so much: root mean square of the sRGB object, 0.01 is 1 %%"
+    one.add_argument("--error", type=_error, metavar="E", help=error)
+    rules = "skip.open=off traces every ray, skip.kept=off keeps nothing from light to light; on, off or auto"
+    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=rules)
     backend = "what shadows and reflections are traced on (default: mesh where the run has one)"
     one.add_argument("--backend", choices=("mesh", "gaussian"), help=backend)
     one.add_argument("--sampling", choices=("mis", "stratified"), default="mis", help="default: mis, which needs far fewer samples")
@@ -115,6 +133,13 @@ def _factor(text: str) -> float:
     value = float(text)
     if not 0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is no factor")
+    return value
+
+
+def _error(text: str) -> float:
+    value = float(text)
+    if not 1e-4 <= value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is no error from 0.0001 to 1")
     return value
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -43,6 +43,16 @@ class LightSource:
     file: Path
     turn: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     strength: float = 1.0
+
+    def upright(self) -> tuple[LightSource, float]:
+        """The same before it was turned about +Z, and by how many degrees it was; 0 where it was turned otherwise as well.
+
+        So a light that is only turned about +Z is prepared once, and its picture never depends on what was shown before.
+        """
+        turn = np.array(self.turn).reshape(3, 3)
+        if abs(turn[2, 2] - 1) > 1e-9:
+            return self, 0.0
+        return replace(self, turn=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)), math.degrees(math.atan2(turn[0, 1], turn[0, 0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +168,8 @@ class WarmRun:
     def _light(self, source: LightSource | None) -> PreparedLight:
         if source is None:
             return self._lights.get(None, lambda: prepare(self.reconstruction.environment_map()))
-        return self._lights.get(source, lambda: prepare(self._map(source).picture(LIGHT_ROWS)))
+        upright, degrees = source.upright()
+        return self._lights.get(upright, lambda: prepare(self._map(upright).picture(LIGHT_ROWS))).turned(degrees)
 
     def _map(self, source: LightSource) -> LightMap:
         texels = self._maps.get(source.file, lambda: _read_map(source.file))

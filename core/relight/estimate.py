@@ -23,17 +23,17 @@ class Estimate:
     Attributes:
         diffuse, specular: (P, 3). diffuse_split, specular_split: (P, 3) how much more of each the even samples bring than the odd ones:
             its square is, on average, the variance (or more: halves of a low-discrepancy set are worse than its half).
-        samples: how many a point has.
+        samples: how many a point has, the same for all or (P, 1).
     """
 
     diffuse: torch.Tensor
     specular: torch.Tensor
     diffuse_split: torch.Tensor
     specular_split: torch.Tensor
-    samples: int
+    samples: int | torch.Tensor
 
 
-def estimated(sums: torch.Tensor, samples: int, surface: Primary, light: PreparedLight, conserving: bool) -> Estimate:
+def estimated(sums: torch.Tensor, samples: int | torch.Tensor, surface: Primary, light: PreparedLight, conserving: bool) -> Estimate:
     """Reflected light from (P, 2, 12) sums of `gather` over so many samples.
 
     Without anything in its way the diffuse light is known exactly, from the prefiltered map; so sampling has to tell the share of it

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
@@ -40,6 +41,11 @@ class Primary:
     alpha: torch.Tensor
     coverage: torch.Tensor
     origin: torch.Tensor
+
+    def only(self, which: torch.Tensor) -> Primary:
+        """Some of its points, by their number (K,) ascending."""
+        rows = {f.name: getattr(self, f.name)[which] for f in dataclasses.fields(self) if f.name not in ("camera", "coverage")}
+        return dataclasses.replace(self, **rows)
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
         """(P, 3) straight colours of the points as an (H, W, 4) linear premultiplied picture."""

@@ -18,8 +18,10 @@ import torch
 
 from ..config import SkipSettings
 from ..datasets.camera import Camera
+from ..errors import InputError
 from ..scene.reconstruction import Reconstruction
 from ..shading.sampling import Samples, draw
+from .adaptive import PILOT, ROUNDS, noise
 from .denoise import Guides, denoised
 from .estimate import estimated
 from .gathering import Points, SecondaryRays, Surroundings, gather, trace_samples
@@ -29,7 +31,7 @@ from .mesh_query import MeshQuery
 from .openness import Openness, survey
 from .primary import Primary, primary_surface
 from .query import SurfaceQuery
-from .samples import pixel_shifts, sample_counts
+from .samples import Counts, pixel_shifts, sample_counts
 
 RAYS = 1 << 17  # at a time: few enough for the cache, enough for every thread
 KEPT_BYTES = 1 << 28  # of secondary rays that are kept from light to light
@@ -47,6 +49,8 @@ class RelightSettings:
         conserving: the diffuse lobe gets what the specular one leaves (Blender's Principled); False: all (the paper).
         mesh_normals: how much of the shading normals is the mesh's, 0..1, where a mesh is known.
         albedo_scale: per channel, for all albedo; under an unknown light its brightness can't be known.
+        skip: `open` ("off": every ray is traced) and `kept` ("off": nothing stays from light to light), see `SkipSettings`.
+        error: of the sRGB picture, see adaptive.py; every tile gets the samples that it takes, instead of `samples`. None: of no concern.
     """
 
     samples: str | int = "hq"
@@ -57,14 +61,23 @@ class RelightSettings:
     mesh_normals: float = 0.5
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     skip: SkipSettings = field(default_factory=SkipSettings)
+    error: float | None = None
 
 
 class Tally(Counter[str]):
-    """Rays of all pictures so far: "traced", "kept" from another light, "open" where nothing can be met."""
+    """Rays of all pictures so far: "traced", "kept" from another light, "open" where others met nothing; "samples" of "pixels" by `error`."""
 
     def add(self, kind: str, count: int) -> None:
         """Count more of them."""
         self[kind] += count
+
+    def __str__(self) -> str:
+        """One line for a person."""
+        every = self["traced"] + self["kept"] + self["open"]
+        said = f"{self['traced'] / 1e6:.1f} of {every / 1e6:.1f} million rays traced"
+        why = [f"{self[kind] / 1e6:.1f} {text}" for kind, text in (("kept", "kept from another light"), ("open", "free")) if self[kind]]
+        said += f" ({', '.join(why)})" if why else ""
+        return said + (f"; {self['samples'] / self['pixels']:.0f} samples a pixel" if self["pixels"] else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +110,14 @@ class Relighter:
         self, reconstruction: Reconstruction, query: SurfaceQuery, settings: RelightSettings, mesh: MeshQuery | None = None
     ) -> None:
         self.reconstruction, self.query, self.settings, self.mesh = reconstruction, query, settings, mesh
+        if settings.error is not None and settings.denoise == "paper":
+            raise InputError("--error", "the paper's filter errs the same whatever the samples", "use another denoiser")
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
         self._scale = torch.tensor(settings.albedo_scale)
         self._kept: WeakKeyDictionary[Primary, dict[int, Lasting]] = WeakKeyDictionary()
         self._guides: WeakKeyDictionary[Primary, Guides] = WeakKeyDictionary()
         self.tally = Tally()
+        self.reached = 0.0  # error of the last picture, where one was asked for
 
     def scaled(self, albedo_scale: Sequence[float] | np.ndarray | None) -> Relighter:
         """The same with another factor (3,) of the albedo; None: as it is."""
@@ -123,9 +139,34 @@ class Relighter:
         if light.distribution is None:
             return surface.composite(torch.zeros(len(surface.index), 3))
         with torch.no_grad():
-            sums = torch.cat([self._gathered(surface, part, light) for part in self._parts(surface)])
+            if self.settings.error is not None:
+                return surface.composite(self._to_error(surface, light, self.settings.error))
+            sums = self._sums(surface, self.counts, light)
             estimate = estimated(sums, sum(self.counts), surface, light, self.settings.conserving)
             return surface.composite(denoised(estimate, surface, self._guides_of(surface), self.settings.denoise))
+
+    def _to_error(self, surface: Primary, light: PreparedLight, error: float) -> torch.Tensor:
+        """(P, 3) colours, with as many samples in each tile as it takes."""
+        sums, samples = self._sums(surface, self._counts(PILOT), light), torch.full((len(surface.index),), PILOT)
+        for left in reversed(range(ROUNDS)):
+            estimate = estimated(sums, samples[:, None], surface, light, self.settings.conserving)
+            colour = denoised(estimate, surface, self._guides_of(surface), self.settings.denoise)
+            raw, split = estimate.diffuse + estimate.specular, estimate.diffuse_split + estimate.specular_split
+            about = noise(raw, split, colour, samples, surface, self.settings.denoise != "off")
+            self.reached = about.error()
+            if self.reached <= error or not left:
+                break
+            needed = about.needed(error)[about.tile]
+            for count in needed[needed > samples].unique().tolist():
+                which = torch.nonzero((needed == count) & (needed > samples))[:, 0]
+                sums[which] = self._sums(surface.only(which), self._counts(count), light)
+                samples[which] = count
+        self.tally.add("samples", int(samples.sum()))
+        self.tally.add("pixels", len(samples))
+        return colour
+
+    def _counts(self, samples: int) -> Counts:
+        return sample_counts(samples, is_glossy(self.reconstruction))
 
     @property
     def _around(self) -> Surroundings:
@@ -137,29 +178,30 @@ class Relighter:
             self._guides[surface] = Guides(surface, self.reconstruction.bound.radius, kept)
         return self._guides[surface]
 
-    def _parts(self, surface: Primary) -> list[slice]:
-        """Of the surface's points, one at least."""
-        count, step = len(surface.index), max(1, RAYS // sum(self.counts))
-        return [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
+    def _sums(self, surface: Primary, counts: Counts, light: PreparedLight) -> torch.Tensor:
+        """(P, 2, 12) sums over samples, see `gather`."""
+        count, step = len(surface.index), max(1, RAYS // sum(counts))
+        parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
+        return torch.cat([self._gathered(surface, part, counts, light) for part in parts])
 
-    def _gathered(self, surface: Primary, part: slice, light: PreparedLight) -> torch.Tensor:
-        """(P, 2, 12) sums over all samples of some of the points, see `gather`."""
-        by_light = self.counts[2] if self.settings.sampling == "mis" else 0
-        lasting = self._lasting(surface, part, light)
+    def _gathered(self, surface: Primary, part: slice, counts: Counts, light: PreparedLight) -> torch.Tensor:
+        """The same of some of the points."""
+        by_light = counts[2] if self.settings.sampling == "mis" else 0
+        lasting = self._lasting(surface, part, counts, light)
         sums = gather(lasting.rays, light, by_light)
         if by_light:
-            above, traced = add_light_samples(sums, lasting.points, lasting.shift, self.counts, light, lasting.openness, self._around)
+            above, traced = add_light_samples(sums, lasting.points, lasting.shift, counts, light, lasting.openness, self._around)
             self.tally.add("traced", traced)
             self.tally.add("open", above - traced)
         return sums
 
-    def _lasting(self, surface: Primary, part: slice, light: PreparedLight) -> Lasting:
+    def _lasting(self, surface: Primary, part: slice, counts: Counts, light: PreparedLight) -> Lasting:
         """What no light has a say in; kept for the next light where memory allows."""
         kept = self._kept.setdefault(surface, {})
         if part.start in kept:
             self.tally.add("kept", kept[part.start].rays.traced)
             return kept[part.start]
-        lasting = self._traced(surface, part, light)
+        lasting = self._traced(surface, part, counts, light)
         self.tally.add("traced", lasting.rays.traced)
         if self.settings.skip.kept != "off" and lasting.size <= self._room():
             kept[part.start] = lasting
@@ -170,11 +212,11 @@ class Relighter:
         rays = sum(one.size for parts in self._kept.values() for one in parts.values())
         return KEPT_BYTES - rays - sum(guides.size for guides in self._guides.values())
 
-    def _traced(self, surface: Primary, part: slice, light: PreparedLight) -> Lasting:
+    def _traced(self, surface: Primary, part: slice, counts: Counts, light: PreparedLight) -> Lasting:
         assert light.distribution is not None
         shift = pixel_shifts(surface.index[part], surface.camera.width)
         arguments = (surface.view[part], surface.normal[part], surface.roughness[part])
-        counts = (*self.counts[:2], 0) if self.settings.sampling == "mis" else self.counts
+        counts = (*counts[:2], 0) if self.settings.sampling == "mis" else counts
         drawn = draw(*arguments, counts, light.distribution, shift, self.settings.sampling)
         points = Points.of(surface.origin[part], *arguments)
         rays = trace_samples(self._around, points, Samples(drawn.direction, drawn.density * sum(counts)))
