@@ -3,8 +3,8 @@
 
 The request: {"run": folder, "source": "textures" | "attributes", "views": {name: camera}, "lights": {name: .exr}, "passes": [{"samples": n,
 "denoise": bool}], "out": folder}; a camera is {"width", "height", "fx", "fy", "cx", "cy", "to_world"} in the frame of the run. Pictures
-are out/<view>_<light>_<number of the pass>.exr, linear premultiplied RGBA; the answer is {name of the picture: seconds}. The scene stays
-loaded between pictures, and each is rendered after one like it, so that the seconds are of rendering alone.
+are out/<view>_<light>_<number of the pass>.exr, linear premultiplied RGBA; the answer is {name of the picture: [seconds, CPU seconds]}. The
+scene stays loaded between pictures, and each is rendered after one like it, so that the seconds are of rendering alone.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from .world import world_from_map
 WARM = 1  # samples of the picture before the first
 
 
-def render(request: dict[str, Any]) -> dict[str, float]:
-    """Render what is asked for; the seconds of each picture by its name."""
+def render(request: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    """Render what is asked for; the seconds and the CPU seconds of each picture by its name."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene, seconds = bpy.context.scene, {}
     imported = import_run(Path(request["run"]), request["source"], pack=False)
@@ -59,12 +59,12 @@ def _set_up(scene: bpy.types.Scene) -> None:
     settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGBA"
 
 
-def _shoot(scene: bpy.types.Scene, samples: int, denoise: bool, target: Path) -> float:
+def _shoot(scene: bpy.types.Scene, samples: int, denoise: bool, target: Path) -> tuple[float, float]:
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.denoiser = samples, denoise, "OPENIMAGEDENOISE"
     scene.render.filepath = str(target.resolve())
-    began = time.perf_counter()
+    began, cpu = time.perf_counter(), time.process_time()
     bpy.ops.render.render(write_still=True)
-    return time.perf_counter() - began
+    return time.perf_counter() - began, time.process_time() - cpu
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -33,10 +33,11 @@ class CyclesPass:
 
 @dataclass(frozen=True, eq=False)
 class CyclesPicture:
-    """(H, W, 4) linear premultiplied RGBA, and the seconds it took to render with the scene loaded."""
+    """(H, W, 4) linear premultiplied RGBA, and the seconds it took to render with the scene loaded; CPU seconds are of all threads."""
 
     rgba: np.ndarray
     seconds: float
+    cpu_seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +111,6 @@ def cycles_pictures(
         def picture_of(view: str, light: str, number: int) -> CyclesPicture:
             stem = f"{view}_{light}_{number}"
             channels = read_exr(folder / f"{stem}.exr")
-            return CyclesPicture(np.stack([channels[c] for c in "RGBA"], -1), seconds[stem])
+            return CyclesPicture(np.stack([channels[c] for c in "RGBA"], -1), *seconds[stem])
 
         return {(view, light): [picture_of(view, light, i) for i in range(len(passes))] for view in cameras for light in lights}

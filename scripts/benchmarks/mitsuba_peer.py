@@ -34,10 +34,11 @@ PROBE = "import mitsuba as mi; mi.set_variant('{}'); mi.render(mi.load_dict(mi.c
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture, (H, W, 4) linear premultiplied, of so many samples, and the seconds it took with the scene loaded."""
+    """A picture, (H, W, 4) linear premultiplied, of so many samples, and the seconds it took with the scene loaded; CPU: of all threads."""
 
     samples: int
     seconds: float
+    cpu_seconds: float
     rgba: np.ndarray
     denoised: bool = False
 
@@ -124,7 +125,8 @@ def pictures(
     answer, found = ask("mitsuba_views", request, arrays)
 
     def shots(stem: str) -> Shots:
-        frames = [Frame(n, answer["seconds"][f"{stem}_{n}"], found[f"{stem}_{n}"]) for n in counts]
+        times = {n: answer["seconds"][f"{stem}_{n}"] for n in counts}
+        frames = [Frame(n, times[n][0], times[n][1], found[f"{stem}_{n}"]) for n in counts]
         return Shots(frames, found.get(f"{stem}_converged"), {name: found[f"{stem}_{name}"] for name in answer["layers"]})
 
     return {(view, light): shots(f"{view}_{light}") for view in views for light in lights}

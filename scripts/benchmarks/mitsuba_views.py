@@ -3,7 +3,7 @@
 
 FOLDER/request.json says what to render, FOLDER/arrays.npz has the mesh, its materials, the lights as light_<name>, and the table `body`.
 Pictures are <view>_<light>_<samples>.npy, (H, W, 4) linear premultiplied, and <view>_<light>_converged.npy; FOLDER/answer.json says how
-many seconds each took. The scene is loaded and its kernels are compiled before the clock starts.
+many seconds and CPU seconds each took. The scene is loaded and its kernels are compiled before the clock starts.
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
@@ -33,7 +33,7 @@ def main(folder: Path) -> None:
         arrays = dict(data)
     from . import mitsuba_scene  # needs a variant
 
-    seconds: dict[str, float] = {}
+    seconds: dict[str, tuple[float, float]] = {}
     material = mitsuba_scene.material(arrays, request["brdf"])
     for name in request["lights"]:
         scene = mitsuba_scene.lit(mitsuba_scene.mesh_shape(arrays, material), arrays[f"light_{name}"], request["bounces"])
@@ -48,14 +48,14 @@ def main(folder: Path) -> None:
     (folder / "answer.json").write_text(json.dumps({"seconds": seconds, "layers": layers}), encoding="utf-8")
 
 
-def _timed(scene: mi.Scene, sensor: mi.Sensor, counts: list[int], stem: Path) -> dict[str, float]:
-    """A picture for each number of samples; seconds by the pictures' names."""
+def _timed(scene: mi.Scene, sensor: mi.Sensor, counts: list[int], stem: Path) -> dict[str, tuple[float, float]]:
+    """A picture for each number of samples; seconds and CPU seconds by the pictures' names."""
     seconds = {}
     for samples in counts:
         _render(scene, sensor, min(samples, AT_ONCE), WARM)
-        began = time.perf_counter()
+        began, cpu = time.perf_counter(), time.process_time()
         picture = _render(scene, sensor, samples, TIMED)
-        seconds[f"{stem.name}_{samples}"] = time.perf_counter() - began
+        seconds[f"{stem.name}_{samples}"] = (time.perf_counter() - began, time.process_time() - cpu)
         np.save(stem.with_name(f"{stem.name}_{samples}.npy"), picture)
     return seconds
 

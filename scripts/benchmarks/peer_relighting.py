@@ -7,8 +7,9 @@
 from __future__ import annotations
 
 import statistics
+import time
 from collections.abc import Container, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from irgspp.core.evaluation.cycles import CyclesPass, cycles_pictures
@@ -18,7 +19,7 @@ from irgspp.core.progress import Silent
 from . import mitsuba_peer
 from .mitsuba_peer import Frame
 from .relighting import Place, Studio, Way
-from .timing import median_seconds
+from .timing import medians
 
 OURS, OURS_NOISY = "ours", "ours, not denoised"
 MITSUBA, CYCLES, CYCLES_NOISY = "Mitsuba", "Cycles", "Cycles, not denoised"
@@ -51,10 +52,11 @@ QUICK = Effort({OURS: (16, 64), OURS_NOISY: (64,), MITSUBA: (1, 8, 64), CYCLES: 
 
 @dataclass(frozen=True)
 class Point:
-    """Of so many samples a pixel: the median of its seconds in the rounds, and PSNR in dB over the object to the own converged picture."""
+    """Of so many samples a pixel: seconds, CPU seconds of all threads, and PSNR in dB over the object to the own converged picture."""
 
     samples: int
     seconds: float
+    cpu_seconds: float
     psnr: float
 
 
@@ -72,15 +74,18 @@ class Duel:
     def points(self, name: str) -> list[Point]:
         """Of one renderer, medians over the rounds."""
         of_rounds = zip(*(one[name] for one in self.rounds if name in one), strict=True)
-        return [Point(p[0].samples, statistics.median(q.seconds for q in p), statistics.median(q.psnr for q in p)) for p in of_rounds]
+        return [Point(*(statistics.median(values) for values in zip(*map(astuple, points), strict=True))) for points in of_rounds]
 
-    def times_as_long(self, ours: Point, peer: str) -> float | None:
-        """By how much longer a peer takes for our error: the median of the rounds; None where it does not get there."""
+    def times_as_long(self, ours: Point, peer: str, clock: str = "seconds") -> float | None:
+        """By how much longer a peer takes for our error: the median of the rounds; None where it does not get there.
+
+        clock: or "cpu_seconds", which a busy machine changes less.
+        """
         ratios = []
         for one in self.rounds:
             mine = next(p for p in one[OURS] if p.samples == ours.samples)
-            needed = seconds_to(one.get(peer, []), ours.psnr)
-            ratios += [] if needed is None else [needed / mine.seconds]
+            needed = seconds_to(one.get(peer, []), ours.psnr, clock)
+            ratios += [] if needed is None else [needed / getattr(mine, clock)]
         return statistics.median(ratios) if ratios else None
 
     def at_our_time(self, ours: Point, peer: str) -> float | None:
@@ -93,15 +98,15 @@ class Duel:
         return statistics.median(found) if found else None
 
 
-def seconds_to(points: Sequence[Point], wanted: float) -> float | None:
+def seconds_to(points: Sequence[Point], wanted: float, clock: str = "seconds") -> float | None:
     """Seconds to a PSNR, between measured points by the logarithm of the time; None where it is not reached."""
     before = None
     for point in points:
         if point.psnr >= wanted:
             if before is None:
-                return point.seconds
+                return getattr(point, clock)
             share = (wanted - before.psnr) / max(point.psnr - before.psnr, 1e-9)
-            return float(before.seconds * (point.seconds / before.seconds) ** share)
+            return float(getattr(before, clock) * (getattr(point, clock) / getattr(before, clock)) ** share)
         before = point
     return None
 
@@ -134,7 +139,7 @@ def fight(studio: Studio, place: Place, light: np.ndarray, effort: Effort, absen
 
 
 def _points(frames: list[Frame], limit: np.ndarray, inside: np.ndarray) -> list[Point]:
-    return [Point(one.samples, one.seconds, psnr(on_black(one.rgba), limit, inside)) for one in frames]
+    return [Point(one.samples, one.seconds, one.cpu_seconds, psnr(on_black(one.rgba), limit, inside)) for one in frames]
 
 
 def _ours(studio: Studio, place: Place, effort: Effort) -> dict[str, list[Frame]]:
@@ -146,8 +151,9 @@ def _our_frame(studio: Studio, place: Place, way: Way, samples: int) -> Frame:
     """Median of three: a frame is short."""
     one = studio.relighter(way, samples)
     made: list[np.ndarray] = []
-    seconds = median_seconds(lambda: made.append(one.relit(one.surface(place.view.camera), place.prepared).numpy()), 3)
-    return Frame(samples, seconds, made[-1])
+    work = {"": lambda: made.append(one.relit(one.surface(place.view.camera), place.prepared).numpy())}
+    seconds, cpu = (medians(work, 3, clock=clock)[""] for clock in (time.perf_counter, time.process_time))
+    return Frame(samples, seconds, cpu, made[-1])
 
 
 Found = tuple[dict[str, list[Frame]], dict[str, np.ndarray]]
@@ -166,5 +172,8 @@ def _cycles(studio: Studio, place: Place, light: np.ndarray, effort: Effort, fir
     passes += [CyclesPass(effort.converged, False)] if first else []
     made = cycles_pictures(studio.run, {"view": place.view.camera}, {"light": light}, passes, Silent())["view", "light"]
     limit = {CYCLES: on_black(made.pop().rgba)} if first else {}
-    frames = [Frame(one.samples, picture.seconds, picture.rgba, one.denoise) for one, picture in zip(passes, made, strict=False)]
+    frames = [
+        Frame(one.samples, picture.seconds, picture.cpu_seconds, picture.rgba, one.denoise)
+        for one, picture in zip(passes, made, strict=False)
+    ]
     return {name: [f for f in frames if f.denoised == denoised] for name, denoised in ((CYCLES, True), (CYCLES_NOISY, False))}, limit

@@ -100,6 +100,7 @@ def _against(duel, samples: int) -> Measurement:
     figures: Figures = {"samples": samples, "psnr": ours.psnr, "seconds": ours.seconds}
     for peer in PEERS:
         figures |= {f"{peer}: times as long": duel().times_as_long(ours, peer), f"{peer}: psnr": duel().at_our_time(ours, peer)}
+        figures[f"{peer}: times the CPU"] = duel().times_as_long(ours, peer, "cpu_seconds")
     return Measurement(figures)
 
 
@@ -135,11 +136,11 @@ def blocks(results: Results) -> Iterator[Block]:
         picture="benchmark_peers",
     )
     columns = ["scene", "our samples", "our dB", "our seconds"]
-    columns += [text for peer in PEERS for text in (f"{peer}: times as long for that ↓", f"{peer}: dB in our time ↑")]
+    columns += [f"{peer}: {what}" for peer in PEERS for what in ("times as long for that ↓", "times the CPU ↓", "dB in our time ↑")]
     rows = []
     for record in results.records(prefix="to our error"):
         f = record.figures
-        values = [f.get(f"{peer}: {what}") for peer in PEERS for what in ("times as long", "psnr")]
+        values = [f.get(f"{peer}: {what}") for peer in PEERS for what in ("times as long", "times the CPU", "psnr")]
         rows.append([record.scene, f["samples"], f["psnr"], f["seconds"], *values])
     yield Table(
         "Time to our error, and error at our time (dash: not reached with the most samples tried, or no picture as soon)", columns, rows

@@ -88,14 +88,15 @@ def test_rays_of_the_pool_are_the_cameras(load):
 
 def test_time_to_an_error_and_error_at_a_time(load):
     relighting = load("peer_relighting")
-    points = [relighting.Point(n, 0.1 * n, 20 + 10 * np.log10(n)) for n in (1, 10, 100)]
+    points = [relighting.Point(n, 0.1 * n, 0.2 * n, 20 + 10 * np.log10(n)) for n in (1, 10, 100)]
     assert relighting.seconds_to(points, 15) == pytest.approx(0.1)
     assert relighting.seconds_to(points, 35) == pytest.approx(0.1 * 10**1.5)
     assert relighting.seconds_to(points, 41) is None
     assert relighting.psnr_at(points, 0.05) is None
     assert relighting.psnr_at(points, 10**0.5) == pytest.approx(35)
     assert relighting.psnr_at(points, 1e3) == pytest.approx(40)
-    ours = [relighting.Point(16, 1.0, 30.0)]
+    ours = [relighting.Point(16, 1.0, 4.0, 30.0)]
     duel = relighting.Duel([{relighting.OURS: ours, relighting.MITSUBA: points}], {})
     assert duel.times_as_long(ours[0], relighting.MITSUBA) == pytest.approx(1.0)
+    assert duel.times_as_long(ours[0], relighting.MITSUBA, "cpu_seconds") == pytest.approx(0.5)
     assert duel.at_our_time(ours[0], relighting.CYCLES) is None
