@@ -128,7 +128,7 @@ def denoised(estimate: Estimate, surface: Primary, guides: Guides, mode: str = "
     return even * body + sharp * gloss
 
 
-def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, guides: Guides, how: Filter) -> torch.Tensor:
+def corrected(values: torch.Tensor, split: torch.Tensor, chance: float | torch.Tensor, guides: Guides, how: Filter) -> torch.Tensor:
     """Filtered (P, 3) values, drawn back to the unfiltered ones where the filter changes them by more than their noise.
 
     split: (P, 3), see `Estimate`. chance: squared relative error that is assumed even where both halves agree: they may have missed the

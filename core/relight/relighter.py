@@ -65,7 +65,7 @@ class RelightSettings:
 
 
 class Tally(Counter[str]):
-    """Rays of all pictures so far: "traced", "kept" from another light, "open" where others met nothing; "samples" of "pixels" by `error`."""
+    """Rays of all pictures: "traced", "kept" from another light, "open" where others met nothing; "samples" of "pixels" by `error`."""
 
     def add(self, kind: str, count: int) -> None:
         """Count more of them."""
