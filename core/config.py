@@ -98,7 +98,6 @@ class SkipSettings:
 
     outside: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
     trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind
-    converged: Choice = "auto"  # steps after views held back have stopped gaining
     constants: Choice = "auto"  # what frozen geometry leaves the same in each step of the refinement: the disks of a pixel, their layout
     open: Choice = "auto"  # in relighting: rays towards the light where others of the same patch met nothing
     kept: Choice = "auto"  # in relighting: what rays met and how pixels are filtered, for the next light on an unmoved camera

@@ -183,10 +183,10 @@ KILLED = f"""
 import os, signal, sys
 from irgspp.core.cli import main
 from irgspp.core.journal import Journal
-from irgspp.core.stages import reflective
+from irgspp.core.stages import trainer
 
 def step(self, done, **figures):  # of the first stage: a checkpoint after step {KEEP}, the end in step {STOP}
-    reflective.CHECKPOINT_SECONDS = -1.0 if done == {KEEP} else 1e9
+    trainer.CHECKPOINT_SECONDS = -1.0 if done == {KEEP} else 1e9
     if done == {STOP}:
         os.kill(os.getpid(), signal.SIGKILL)
 

@@ -225,6 +225,35 @@ def _gather(slots, first, column, scratch):
 
 
 @kernel
+def _pulled(slots, first):
+    """True where any of 8 Gaussians has a gradient: what lies behind opaque surfaces has none."""
+    for slot in range(slots.shape[0]):
+        for g in range(first, first + 8):
+            for column in range(slots.shape[2]):
+                if slots[slot, g, column] != 0.0:
+                    return True
+    return False
+
+
+@kernel
+def _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i):
+    """No gradient for 8 Gaussians."""
+    zero = splat(0.0)
+    for j in range(3):
+        store(g_position, j * n + i, zero)
+    for j in range(4):
+        store(g_quaternion, j * n + i, zero)
+    for j in range(2):
+        store(g_log_scale, j * n + i, zero)
+    for j in range(3 * coefficients):
+        store(g_sh, j * n + i, zero)
+    for j in range(extras):
+        store(g_extra, j * n + i, zero)
+    store(g_opacity, i, zero)
+    store(screen, i, zero)
+
+
+@kernel
 def _quaternion_gradient(q, inv, g0, g1, g2):
     """From gradients of the rotation's columns to the raw quaternion."""
     w, x, y, z = q
@@ -253,6 +282,9 @@ def project_backward_range(
     zero = splat(0.0)
     for block in range(begin, end):
         i = min(block * 8, n - 8)
+        if not _pulled(slots, i):
+            _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i)
+            continue
         offset, c, _, tu, tv, normal, nc, side, free, q, qinv = _frame(position, quaternion, n, i, cam)
         isu, isv = exp(_log_scale(log_scale, i) * -1.0), exp(_log_scale(log_scale, n + i) * -1.0)
         front = c[2] > cam[18]

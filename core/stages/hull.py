@@ -127,10 +127,11 @@ def disks(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: 
 
 
 def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
-    """`count` disks on the visual hull of the training masks."""
+    """`count` disks on the visual hull of the training masks, in spatial order."""
     inside, corner, step = visual_hull(dataset.train, dataset.bound)
     points, normals, area = _surface(inside, corner, step, count, rng)
-    spacing = np.full(count, np.sqrt(area / count))
+    order, spacing = spatial_order(points), np.full(count, np.sqrt(area / count))
+    points, normals = points[order], normals[order]
     return disks(points, normals, observed_colour(dataset.train, points, normals), spacing, OPACITY)
 
 
@@ -162,6 +163,17 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     spacing = np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
     colour = np.concatenate([colours, observed_colour(dataset.train, points[len(known) :], normals[len(known) :])])
     return disks(points, normals, colour, spacing, 0.1)
+
+
+def spatial_order(points: np.ndarray) -> np.ndarray:
+    """(N,) order of points (N, 3) along a Morton curve: what is near in space is near in memory, and seen or hidden together."""
+    low, extent = points.min(0), np.ptp(points, 0).max()
+    grid = ((points - low) / max(extent, 1e-30) * 1023).astype(np.uint32)
+    code = np.zeros(len(points), np.uint32)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((grid[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
 
 
 def initial_gaussians(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:

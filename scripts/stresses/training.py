@@ -30,8 +30,9 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.hull import initial_gaussians
 from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL, Kind
 from irgspp.core.stages.optimizer import Rate
-from irgspp.core.stages.reflective import Trainer, train
+from irgspp.core.stages.reflective import train
 from irgspp.core.stages.render import render_view
+from irgspp.core.stages.trainer import Trainer
 from PIL import Image
 
 from .case import Measured, group

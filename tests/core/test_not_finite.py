@@ -12,8 +12,8 @@ from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
 from irgspp.core.stages import radiance_fit, reflective, transport
 from irgspp.core.stages.refinement import Refinement
-from irgspp.core.stages.reflective import Trainer
 from irgspp.core.stages.separation import Separation
+from irgspp.core.stages.trainer import Trainer
 
 SETTINGS = ["reflective.iterations=8", "reflective.gaussians=600", "reflective.light_height=16", "surface.voxels=32", "surface.texture=64"]
 SETTINGS += ["transport.points=300", "transport.rows=4", "transport.iterations=4", "transport.pool=2000", "transport.radiance_iterations=4"]

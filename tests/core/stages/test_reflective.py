@@ -15,7 +15,9 @@ from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.stages.hull import initial_gaussians
 from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL, candidates
-from irgspp.core.stages.reflective import Trainer, border_radiance, choose_kind, thinned_out, train
+from irgspp.core.stages.reflective import train
+from irgspp.core.stages.trainer import Trainer, border_radiance
+from irgspp.core.stages.trials import choose_kind, thinned_out
 
 SMALL = ("reflective.iterations=12", "reflective.gaussians=400", "reflective.light_height=16")
 BOUND = Bound((0.0, 0.0, 0.0), 1.5)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The first stage's optimisation: one view a step, from a start to the end of its schedule."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..colour import decode_srgb
+from ..config import ReflectiveSettings
+from ..datasets.dataset import Dataset
+from ..errors import Cancelled, IrgsppError
+from ..kernels.photometric import photometric_loss
+from ..kernels.rasterize import ScreenStatistics, rasterize
+from ..progress import Checkpoint, Progress
+from ..scene.gaussians import Gaussians
+from .deferred import composite, radiance
+from .density import DensityControl, reset_opacity
+from .kind import Kind
+from .losses import normal_consistency
+from .optimizer import GaussianOptimizer, Rate
+from .preview import LONGEST, eight_bits
+from .target import Target, make_target
+
+START_RADIANCE = 0.5  # of the light, linear
+CHECKPOINT_SECONDS = 30.0
+RESET_EVERY = 3000  # steps between resets of the opacity (3DGS); shorter schedules have none
+TEST_EVERY = 50  # steps between looks at the held-back view
+
+
+class Trainer:
+    """The state of the first stage and one step of it; `run` drives it to the end of its schedule."""
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        settings: ReflectiveSettings,
+        gaussians: Gaussians,
+        kind: Kind,
+        seed: int,
+        hold_back: int,
+        reduction: int = 1,
+        cut: bool = False,
+    ) -> None:
+        """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the pictures, see `make_target`."""
+        self.dataset, self.settings, self.kind = dataset, settings, kind
+        views = torch.arange(len(dataset.train))
+        self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
+        self.targets = [make_target(view, reduction, cut) for view in dataset.train]
+        self.generator = torch.Generator().manual_seed(seed)
+        self.masked = dataset.has_alpha
+        self.light = torch.full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
+        self.background = border_radiance(self.targets).log().expand(64, 128, 3).clone()
+        others, table = {}, kind.rates(dataset.bound.radius)
+        if kind.glossy:
+            others["light"] = self.light.requires_grad_()
+        if not self.masked:
+            others["background"] = self.background.requires_grad_()
+            table["background"] = Rate(3e-2, 0.2)
+        gaussians = replace(gaussians, material=torch.logit(torch.tensor(kind.material))[:, None].repeat(1, gaussians.count))
+        self.optimizer = GaussianOptimizer(gaussians, table, others)
+        self.density = DensityControl(settings.gaussians, dataset.bound.radius)
+        self.done, self.order = 0, torch.zeros(0, dtype=torch.long)
+
+    def render(self, target: Target, degree: int = 3):
+        """The encoded picture (3, H, W), the rasterised sums and the screen statistics."""
+        g, radius = self.optimizer.gaussians, self.dataset.bound.radius
+        extra = g.materials() if self.kind.glossy else torch.zeros(0, g.count)
+        sums, statistics = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, target.camera, radius, degree)
+        straight = radiance(sums, target.world_rays, self.light.exp() if self.kind.glossy else None)
+        background = None if self.masked else self.background.exp()
+        return composite(straight, sums[-1], target.world_rays, background), sums, statistics
+
+    def step(self) -> float:
+        """One view, one step; returns the loss."""
+        target = self.targets[self._next_view()]
+        picture, sums, statistics = self.render(target, self._degree())
+        loss = photometric_loss(target.bounded(picture), target.picture)
+        if target.alpha is not None:
+            loss = loss + self.settings.mask_weight * (sums[-1] - target.alpha).abs().mean()
+        loss = loss + self.settings.normal_weight * normal_consistency(sums, target.rays, target.rotation)
+        loss = loss * target.share  # all losses are means over the pixels; where a picture was cut off they are 0
+        if self.kind.glossy:
+            loss = loss + self.settings.light_smoothness * _roughness_of(self.light)
+        value = loss.item()
+        if not math.isfinite(value):
+            self.optimizer.check_finite()  # names the parameter where it is one
+            raise IrgsppError(f"the first stage's loss is not finite at iteration {self.done + 1}")
+        loss.backward()
+        self.optimizer.step(self.done / self.settings.iterations)
+        self.done += 1
+        self._control(statistics)
+        return value
+
+    def _degree(self) -> int:
+        """SH degrees come one after the other, so that parallax is explained by geometry before it can be by view-dependent colour."""
+        share = self.done / self.settings.iterations
+        return 3 if share >= self.settings.sh_growth else int(3 * share / self.settings.sh_growth)
+
+    def _control(self, statistics: ScreenStatistics) -> None:
+        """Density control in the middle of the schedule; a hull start has its Gaussians where they belong and is only pruned."""
+        settings, share = self.settings, self.done / self.settings.iterations
+        if not 0.1 < share < 0.7:
+            return
+        self.density.observe(statistics)
+        # A hull start needs every view looked at before something counts as unseen.
+        period = max(settings.iterations // 20, 2 * len(self.targets) if self.masked else 1)
+        if self.density.pictures >= period:
+            self.density.refine(self.optimizer, self.generator, grow=not self.masked)
+        if not self.masked and self.done % RESET_EVERY == 0:
+            reset_opacity(self.optimizer)
+
+    def _next_view(self) -> int:
+        if not len(self.order):
+            order = torch.randperm(len(self.targets), generator=self.generator)
+            self.order = order[~self.held_back[order]]
+        view, self.order = int(self.order[-1]), self.order[:-1]
+        return view
+
+    def test(self) -> float | None:
+        """Mean PSNR in dB over the held-back views, or None where there are none."""
+        values = []
+        for index in torch.nonzero(self.held_back)[:, 0].tolist():
+            target = self.targets[index]
+            with torch.no_grad():
+                error = (self.render(target)[0].clamp(0, 1) - target.picture).square().mean() * target.share
+            values.append(-10 * math.log10(max(error.item(), 1e-10)))
+        return sum(values) / len(values) if values else None
+
+    def picture(self) -> np.ndarray:
+        """(H, W, 3) uint8: the first training view as it is now, small."""
+        camera = self.targets[0].camera
+        with torch.no_grad():
+            rendered = self.render(make_target(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST)))[0]
+        return eight_bits(rendered.permute(1, 2, 0).numpy())
+
+    def run(self, progress: Progress, checkpoint: Checkpoint | None) -> None:
+        """To the end of the schedule, or until the user is content; raises Cancelled after a checkpoint."""
+        saved = time.monotonic()
+        while self.done < self.settings.iterations and not progress.finish_early:
+            if progress.cancelled:
+                if checkpoint is not None:
+                    checkpoint.save("reflective", self.state())
+                raise Cancelled(f"stopped at iteration {self.done} of the first stage")
+            figures = {"loss": self.step()}
+            if self.done % TEST_EVERY == 0 or self.done == self.settings.iterations:
+                psnr = self.test()
+                figures |= {} if psnr is None else {"psnr": psnr}
+            progress.step(self.done, **figures)
+            progress.picture(self.picture)
+            if checkpoint is not None and time.monotonic() - saved > CHECKPOINT_SECONDS:
+                checkpoint.save("reflective", self.state())
+                saved = time.monotonic()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the schedule depends on."""
+        density = {"gradient": self.density.gradient, "seen": self.density.seen, "pictures": self.density.pictures}
+        order = {"order": self.order, "generator": self.generator.get_state()}
+        return {"done": self.done, "kind": self.kind.name, "optimizer": self.optimizer.state(), **density, **order}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from `state`."""
+        self.done, self.order = int(state["done"]), state["order"]
+        self.generator.set_state(state["generator"])
+        self.density.gradient, self.density.seen, self.density.pictures = state["gradient"], state["seen"], int(state["pictures"])
+        self.optimizer.restore(state["optimizer"])
+
+
+def border_radiance(targets: list[Target]) -> torch.Tensor:
+    """(3,) median linear colour along the pictures' borders: what the background is like before anything is known."""
+    edges = [t.picture[:, rows, columns].flatten(1) for t in targets for rows, columns in ((0, slice(None)), (slice(None), 0))]
+    return decode_srgb(torch.cat(edges, 1).median(1).values).clamp_min(1e-3)
+
+
+def _roughness_of(light: torch.Tensor) -> torch.Tensor:
+    """Mean squared difference of neighbours of a log light map."""
+    across = light - torch.roll(light, 1, 1)
+    return across.square().mean() + (light[1:] - light[:-1]).square().mean()
