@@ -52,6 +52,7 @@ class Way:
     denoise: str = "demodulated"
     sampling: str = "mis"
     indirect: bool = True
+    error: float | None = None  # that decides on the samples
 
 
 WAYS = {
@@ -63,6 +64,7 @@ WAYS = {
     "with the paper's denoiser": Way(denoise="paper"),
 }
 MAIN = tuple(WAYS)[:3]  # of the pictures that are shown
+TO_ERROR, ERRORS = "to an error", (0.02, 0.01, 0.005, 0.0025)
 PLAIN = "with neither MIS nor denoiser"
 SPEEDS = {"mesh": "mesh", "gaussian": "gaussian"}
 
@@ -89,7 +91,9 @@ class Studio:
     def relighter(self, way: Way, samples: str | int, skip: SkipSettings | None = None) -> Relighter:
         """With nothing remembered from other pictures."""
         rules = skip or SkipSettings()
-        how = RelightSettings(samples=samples, sampling=way.sampling, denoise=way.denoise, indirect=way.indirect, skip=rules)  # type: ignore
+        how = RelightSettings(
+            samples=samples, sampling=way.sampling, denoise=way.denoise, indirect=way.indirect, skip=rules, error=way.error
+        )  # type: ignore
         return open_relighter(self.run, self.reconstruction, way.backend, how)
 
     def picture(self, way: Way, samples: str | int, place: Place) -> np.ndarray:
@@ -159,6 +163,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
         expected = (samples / 512 * {"mesh": 5.0, "gaussian": 14.0}[WAYS[way].backend] + 0.5) / (10 if bench.quick else 1)
         yield Task(f"{way}, {samples} samples", partial(_point, bench, scene, way, samples), expected, run)
     yield Task(f"{PLAIN}, {MANY} samples", partial(_point, bench, scene, PLAIN, MANY), 1.0 if bench.quick else 20.0, run)
+    for error in ERRORS[: 2 if bench.quick else None]:
+        yield Task(f"{TO_ERROR}, {error}", partial(_to_error, bench, scene, error), 4.0, run)
     for indirect in ("on", "off"):
         yield Task(f"indirect {indirect}", partial(_indirect, bench, scene, indirect == "on"), 1.0, run)
     yield Task("speed", partial(_speed, bench, scene), 5.0, run)
@@ -171,6 +177,16 @@ def _point(bench: Bench, scene: Scene, way: str, samples: int) -> Measurement:
     figures = one.errors(how, samples) | {"seconds": one.seconds(how, samples, bench.repeats)}
     pixels = len(one.relighter(how, samples).surface(one.places[0].view.camera).index)
     return Measurement({"samples": samples, **figures}, {"pixels": pixels, "rays": pixels * samples})
+
+
+def _to_error(bench: Bench, scene: Scene, error: float) -> Measurement:
+    """As many samples as an error takes, tile by tile; `samples` is their mean."""
+    one, way = studio(bench, scene), Way(error=error)
+    figures = one.errors(way, 16) | {"seconds": one.seconds(way, 16, bench.repeats), "asked": error}
+    relighter = one.relighter(way, 16)
+    relighter.relit(relighter.surface(one.places[0].view.camera), one.places[0].prepared)
+    counted = {"pixels": relighter.tally["pixels"], "rays": relighter.tally["traced"]}
+    return Measurement({"samples": relighter.tally["samples"] / max(1, relighter.tally["pixels"]), **figures}, counted)
 
 
 def _indirect(bench: Bench, scene: Scene, indirect: bool) -> Measurement:
@@ -242,7 +258,7 @@ def _shown(bench: Bench, scene: Scene) -> Measurement:
 def blocks(results: Results) -> Iterator[Block]:
     scenes = [scene for scene in results.scenes if any(results.records(scene, "full, "))]
     if scenes:
-        panels = {scene: [_series(results, scene, way, "seconds") for way in WAYS] for scene in scenes}
+        panels = {scene: [_series(results, scene, way, "seconds") for way in (*WAYS, TO_ERROR)] for scene in scenes}
         label = "error (rms of encoded values) ↓"
         yield Chart("Error against time of a frame", "seconds a frame ↓", label, panels, picture="benchmark_relighting")
         panels = {scene: [_series(results, scene, way, "samples") for way in WAYS] for scene in scenes}
@@ -299,6 +315,12 @@ def _summaries(results: Results) -> Iterator[Block]:
         yield Note(
             f"The paper: 16 samples with MIS are better than {MANY} without on its Teapot. Strata converge faster than plain Monte Carlo."
         )
+    asked = [
+        [r.scene, *(r.figures[name] for name in ("asked", "rms_error", "samples", "seconds"))] for r in results.records(prefix=TO_ERROR)
+    ]
+    if asked:
+        columns = ("scene", "error asked for", "error reached ↓", "mean samples", "seconds ↓")
+        yield Table("Rendered to an error (--error): every tile gets the samples that it takes", columns, asked)
     speeds = [
         [r.scene, *(1 / r.figures[f"{b}{turned}_seconds"] for b in SPEEDS for turned in ("", "_turned"))]
         for r in results.records(prefix="speed")
