@@ -19,6 +19,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 
 SUPPORT = Path(__file__).parents[1] / "support"
 EYE = Camera(128, 96, 140.0, 140.0, 64.0, 48.0, look_at((3.0, 1.0, 1.5)))
+PATIENCE = 300.0  # seconds, on a machine that has other things to do
 WHOLE = [1, 0, 0, 0, 1, 0, 0, 0, 1]
 
 
@@ -50,7 +51,7 @@ class Worker:
         partial.write_text(text)
         os.replace(partial, self.session / f"request-{channel}.json")
 
-    def answer(self, number, channel="a", done=True, seconds=60.0):
+    def answer(self, number, channel="a", done=True, seconds=PATIENCE):
         """The answer to a request, all of it or its first picture."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -65,7 +66,7 @@ class Worker:
     def picture(self, **values):
         return np.load(self.session / self.answer(self.ask(**values))["picture"])
 
-    def end(self, seconds=30.0):
+    def end(self, seconds=PATIENCE):
         return self.process.wait(seconds)
 
 
@@ -129,12 +130,12 @@ def test_the_newest_wish_wins_and_cancel_stops(worker):
     slow = worker.ask(camera=big, samples=4096, backend="gaussian")
     worker.answer(slow, done=False)
     quick = worker.ask(samples=4)
-    assert worker.answer(quick, seconds=20.0)["error"] is None  # the slow one would take minutes
+    assert worker.answer(quick, seconds=60.0)["error"] is None  # the slow one would take minutes
     slow = worker.ask(camera=big, samples=4096, backend="gaussian")
     worker.answer(slow, done=False)
     worker.put("a", json.dumps({"number": slow + 1, "cancel": True}))
     worker.number += 1
-    assert worker.answer(worker.ask(channel="b", samples=4), "b", seconds=20.0)["done"]
+    assert worker.answer(worker.ask(channel="b", samples=4), "b", seconds=60.0)["done"]
     assert not json.loads((worker.session / "answer-a.json").read_text())["done"]
 
 
@@ -143,7 +144,7 @@ def test_channels_share_the_worker(worker):
     slow = worker.ask(channel="slow", camera=big, samples=1024)
     quick = worker.ask(channel="quick", samples=4)
     assert worker.answer(quick, "quick")["error"] is None
-    assert worker.answer(slow, "slow", seconds=120)["error"] is None
+    assert worker.answer(slow, "slow")["error"] is None
 
 
 @pytest.mark.parametrize(
@@ -180,7 +181,10 @@ def test_nonsense_is_told(worker):
 def test_few_pictures_are_kept(worker):
     for _ in range(4):
         worker.answer(worker.ask(samples=16))
-    assert len(list(worker.session.glob("a-*.npy"))) <= 2
+    end = time.monotonic() + PATIENCE
+    while len(list(worker.session.glob("a-*.npy"))) > 2:  # it answers first and tidies up then
+        assert time.monotonic() < end
+        time.sleep(0.005)
 
 
 @pytest.mark.parametrize("how", ["stop", "stdin", "folder"])
@@ -207,7 +211,7 @@ def test_it_ends_with_its_parent(run, tmp_path):
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, pass_fds=[read]) as parent:
         assert parent.stdout is not None
         pid = int(parent.stdout.readline())
-        end = time.monotonic() + 60
+        end = time.monotonic() + PATIENCE
         while not (session / "ready.json").exists():
             assert time.monotonic() < end
             time.sleep(0.02)
