@@ -7,6 +7,7 @@ import argparse
 import dataclasses
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -131,7 +132,7 @@ def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def settings_of(args: argparse.Namespace) -> Settings:
     """The settings that the options say; those of the run itself for a bare `--resume`."""
-    chosen = {name: getattr(args, name) for name in ("materials", "device", "seed") if getattr(args, name) is not None}
+    chosen = {name: getattr(args, name) for name in ("materials", "device", "seed", "time") if getattr(args, name) is not None}
     if args.resume and not chosen and not args.set and args.preset is None and (args.run / "run.json").exists():
         return from_dict(read_run(args.run)["settings"], args.run / "run.json")
     return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), args.set)
@@ -202,6 +203,8 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--materials", choices=("auto", "low-gloss", "glossy"), help="what the object is made of")
     one.add_argument("--device", choices=("auto", "cpu", "cuda"))
     one.add_argument("--seed", type=int, metavar="N", help="of every random choice (default: 0)")
+    budget = "seconds, minutes or hours the job may take: 90s, 5m, 1h; schedules become as long or short as that allows"
+    one.add_argument("--time", type=_seconds, metavar="5m", help=budget)
     _resume_options(one)
     one.add_argument("--overwrite", action="store_true", help="replace the run in the folder")
 
@@ -255,6 +258,13 @@ def _count(text: str) -> int:
     if value < 0:
         raise argparse.ArgumentTypeError(f"{text} is no number of views")
     return value
+
+
+def _seconds(text: str) -> float:
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh]?)", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text} is no time, such as 90s, 5m or 1h")
+    return float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]
 
 
 def _resume_options(one: argparse.ArgumentParser) -> None:

@@ -23,6 +23,7 @@ from .evaluation.sheet import contact_sheet
 from .export import write_blend
 from .journal import Journal
 from .memory import peak_memory, reset_peak_memory
+from .pace import paced
 from .progress import Progress, Silent
 from .relight.backends import best_backend, open_relighter
 from .relight.relighter import RelightSettings
@@ -71,7 +72,8 @@ def reconstruct(
     try:
         with folder.job():
             folder.record("read", time.monotonic() - began, peak_memory(), finished=True)
-            Job(data, folder, settings, Journal(folder, watcher)).run()
+            ends = None if settings.time is None else began + settings.time
+            Job(data, folder, settings, Journal(folder, watcher), ends).run()
     finally:
         folder.close()
     return run
@@ -85,6 +87,7 @@ class Job:
     folder: RunFolder
     settings: Settings
     progress: Journal
+    ends: float | None = None  # seconds of the monotonic clock
 
     def run(self) -> None:
         """All phases that are not done yet, in order."""
@@ -99,7 +102,8 @@ class Job:
 
     def fit(self) -> None:
         """First stage: Gaussians, their radiance and a first guess of materials and light from the photographs."""
-        fitted = train(self.data, self.settings, self.progress, self.folder)
+        fitted, pace = train(self.data, self.settings, self.progress, self.folder, self.ends)
+        self.folder.state["pace"] = pace
         fitted.save(self.folder.path / FIRST_STAGE)
         self.folder.state["training"].update(self.progress.figures)
 
@@ -112,7 +116,8 @@ class Job:
 
     def separate(self) -> None:
         """Second stage: materials and light, by all the light that reaches the surface."""
-        solve_transport(self.first, self.surface, self.data, self.settings, self.progress).save(self.folder.path)
+        settings = paced(self.settings, self.folder.state["pace"])
+        solve_transport(self.first, self.surface, self.data, settings, self.progress).save(self.folder.path)
 
     def mesh(self) -> None:
         """Surface and Gaussians to a mesh with textures."""

@@ -71,7 +71,7 @@ class RunFolder(Notes):
     """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
 
     `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, versions, dataset, settings, seed,
-    phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, training {figure: value}.
+    phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace, training {figure: value}.
     """
 
     def __init__(self, path: Path, state: dict[str, Any], lock: FileLock) -> None:

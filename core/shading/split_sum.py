@@ -16,15 +16,11 @@ from .lightmap import lookup, solid_angles, texel_directions
 from .specular_albedo import diffuse_share, specular_albedo
 
 LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness of the specular stack; 0 is the map itself
-NEGLIGIBLE = 5e-4  # of a filter's strongest frequency
 
 
 @cache
 def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
-    """Fourier transform in azimuth of a normalised filter, (F, H out, H in), F <= W/2 + 1; roughness None is the cosine filter.
-
-    Higher frequencies, which the filter takes away, are left out.
-    """
+    """Fourier transform in azimuth of a normalised filter, (W/2 + 1, H out, H in); roughness None is the cosine filter."""
     out = texel_directions(height, width, torch.float64)[:, 0]  # one column represents its row
     cosine = torch.einsum("oc,iwc->oiw", out, texel_directions(height, width, torch.float64)).clamp(-1, 1)
     weight = solid_angles(height, width, torch.float64)[None, :, None] * cosine.clamp_min(0)
@@ -32,9 +28,7 @@ def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
         weight = weight * ggx_distribution(((1 + cosine) / 2).sqrt(), ggx_alpha(torch.tensor(roughness, dtype=torch.float64)))
     weight = weight / weight.sum((1, 2), keepdim=True)
     # Column 0 of `out` is the origin of the shift; the filter is even in it, so its transform is real.
-    transform = torch.fft.rfft(weight, dim=2).real.permute(2, 0, 1)
-    kept = torch.nonzero(transform.abs().amax((1, 2)) > NEGLIGIBLE * transform.abs().max())
-    return transform[: int(kept.max()) + 1].float().contiguous()
+    return torch.fft.rfft(weight, dim=2).real.permute(2, 0, 1).float().contiguous()
 
 
 def _spectrum(light: torch.Tensor) -> torch.Tensor:
@@ -44,7 +38,7 @@ def _spectrum(light: torch.Tensor) -> torch.Tensor:
 
 def _filter(spectrum: torch.Tensor, operator: torch.Tensor, width: int) -> torch.Tensor:
     """(H, W, C) of a spectrum and a filter."""
-    filtered = torch.view_as_complex((operator @ spectrum[: len(operator)]).unflatten(2, (-1, 2)))
+    filtered = torch.view_as_complex((operator @ spectrum).unflatten(2, (-1, 2)))
     # A mean of what is not negative: below 0 is the transform's rounding error, beside a lamp far above 1.
     return torch.fft.irfft(filtered.transpose(0, 1), n=width, dim=1).clamp_min(0)
 

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import torch
 
 from ..config import Settings
 from ..datasets.dataset import Dataset
+from ..pace import MEASURED, affordable, paced
 from ..progress import Checkpoint, Progress, Silent
 from ..scene.reconstruction import Reconstruction
 from ..skipping import decide
@@ -31,10 +34,17 @@ def surroundings(dataset: Dataset, settings: Settings, progress: Progress) -> bo
     return decide(settings.skip, "outside", share < CUT_BELOW, evidence, progress) and dataset.has_alpha
 
 
-def train(dataset: Dataset, settings: Settings, progress: Progress | None = None, checkpoint: Checkpoint | None = None) -> Reconstruction:
-    """Fit Gaussians to the training views.
+def train(
+    dataset: Dataset,
+    settings: Settings,
+    progress: Progress | None = None,
+    checkpoint: Checkpoint | None = None,
+    ends: float | None = None,
+) -> tuple[Reconstruction, float]:
+    """Fit Gaussians to the training views. Returns them, and how many times as long as the settings have them schedules are to be.
 
-    Goes on from the checkpoint "reflective" where there is one; the result is then that of an undisturbed run.
+    Goes on from the checkpoint "reflective" where there is one; the result is then that of an undisturbed run. `ends`: when the whole
+    job is to be done, in seconds of the monotonic clock; schedules follow from the time that the first steps take.
 
     Raises:
         Cancelled: the user stopped the work; the checkpoint is written. IrgsppError: the loss is not finite, or no Gaussian is left.
@@ -49,9 +59,24 @@ def train(dataset: Dataset, settings: Settings, progress: Progress | None = None
     trainer = Trainer(dataset, settings.reflective, gaussians, kind, settings.seed, hold_back, cut=cut)
     if state is not None:
         trainer.restore(state)
-    progress.phase("reflective", settings.reflective.iterations)
+    elif ends is not None:
+        _set_pace(trainer, settings, ends, progress)
+    progress.phase("reflective", trainer.settings.iterations)
     trainer.run(progress, checkpoint)
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
     result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, kind.glossy, background)
-    return separate_light(result, settings.seed)
+    return separate_light(result, settings.seed), trainer.settings.iterations / settings.reflective.iterations
+
+
+def _set_pace(trainer: Trainer, settings: Settings, ends: float, progress: Progress) -> None:
+    """Do the first steps, and make the schedule as long as what is left of the time allows."""
+    seconds = []
+    for _ in range(min(MEASURED, settings.reflective.iterations)):
+        began = time.monotonic()
+        trainer.step()
+        seconds.append(time.monotonic() - began)
+    step, left = float(np.median(seconds)), ends - time.monotonic()
+    pace = affordable(settings, left, step)
+    trainer.paced(paced(settings, pace).reflective.iterations)
+    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: schedules are {pace:.2f} times the preset's")

@@ -139,6 +139,10 @@ class Trainer:
             rendered = self.render(make_target(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST)))[0]
         return eight_bits(rendered.permute(1, 2, 0).numpy())
 
+    def paced(self, iterations: int) -> None:
+        """Go on with a schedule of another length."""
+        self.settings = replace(self.settings, iterations=iterations)
+
     def run(self, progress: Progress, checkpoint: Checkpoint | None) -> None:
         """To the end of the schedule, or until the user is content; raises Cancelled after a checkpoint."""
         saved = time.monotonic()
@@ -161,11 +165,19 @@ class Trainer:
         """Everything that the rest of the schedule depends on."""
         density = {"gradient": self.density.gradient, "seen": self.density.seen, "pictures": self.density.pictures}
         order = {"order": self.order, "generator": self.generator.get_state()}
-        return {"done": self.done, "kind": self.kind.name, "optimizer": self.optimizer.state(), **density, **order}
+        return {
+            "done": self.done,
+            "iterations": self.settings.iterations,
+            "kind": self.kind.name,
+            "optimizer": self.optimizer.state(),
+            **density,
+            **order,
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from `state`."""
         self.done, self.order = int(state["done"]), state["order"]
+        self.paced(int(state["iterations"]))
         self.generator.set_state(state["generator"])
         self.density.gradient, self.density.seen, self.density.pictures = state["gradient"], state["seen"], int(state["pictures"])
         self.optimizer.restore(state["optimizer"])

@@ -116,7 +116,7 @@ def flat_pictures(measured: Measured) -> None:
         if name == "saturated":
             continue
         dataset = photographs(views, paint)
-        result = train(dataset, replace(TINY, materials="low-gloss", reflective=replace(TINY.reflective, iterations=60)))
+        result, _ = train(dataset, replace(TINY, materials="low-gloss", reflective=replace(TINY.reflective, iterations=60)))
         measured.finite(f"{name}: first stage", [*result.gaussians.tensors().values(), result.environment])
         seen, target = render_view(result, views[0]), dataset.train[0]
         inside = seen.alpha > 0.9

@@ -10,7 +10,8 @@ from irgspp.core.cli import main
 from irgspp.core.errors import Cancelled
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
-from irgspp.core.stages import radiance_fit, reflective, transport
+from irgspp.core.stages import radiance_fit, transport
+from irgspp.core.stages import trainer as trainer_module
 from irgspp.core.stages.refinement import Refinement
 from irgspp.core.stages.separation import Separation
 from irgspp.core.stages.trainer import Trainer
@@ -35,7 +36,7 @@ def bad_value(trainer: Trainer, name: str) -> None:
 def breaking(monkeypatch):
     """Breaks a parameter right before iteration FAULT; every iteration leaves a checkpoint."""
     step = Trainer.step
-    monkeypatch.setattr(reflective, "CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr(trainer_module, "CHECKPOINT_SECONDS", -1.0)
 
     def install(fault, name: str) -> None:
         def broken(self: Trainer) -> float:
