@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from irgspp import core
 from irgspp.core.config import DataSettings
 from irgspp.core.datasets.dataset import Dataset, View
 from irgspp.core.datasets.load import load_dataset
@@ -174,6 +176,12 @@ def machine() -> dict[str, Any]:
         "simd": cpu["simd"],
         "versions": versions(),
     }
+
+
+def _source() -> str:
+    """A digest of the engine's code, so that results of two states of it are told apart."""
+    files = sorted(Path(core.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
 
 
 def _cpu_name() -> str:

@@ -94,7 +94,7 @@ def _quality(bench: Bench, scene: Scene, plan: RunPlan) -> Measurement:
 def costs(run: Run) -> Figures:
     """Seconds, memory, and what the job says it left out."""
     about = run.about
-    skipped = [entry.get("rule", entry.get("what")) for entry in about["skipped"] if entry.get("chosen", "on") == "on"]
+    skipped = [name for name, rule in about.get("rules", {}).items() if rule["on"]]
     phases = {f"{name.replace(' ', '_')}_seconds": seconds for name, seconds in run.phase_seconds().items()}
     whole = {"seconds": run.seconds, "cpu_seconds": run.cpu_seconds, "peak_memory_bytes": run.peak_memory}
     return {**whole, **phases, "skipped": ", ".join(map(str, skipped))}

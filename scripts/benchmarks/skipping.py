@@ -63,12 +63,12 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
 
 def _measured(bench: Bench, scene: Scene, configuration: str) -> Measurement:
     evidence = evidence_of(bench, scene).get(configuration, {})
-    if configuration in rules() and evidence.get("chosen") != "on":
+    if configuration in rules() and not evidence.get("on"):
         return Measurement({"chosen": "off", "evidence": evidence.get("evidence", "not asked in this job")})
     run = bench.run(scene, plans(bench)[configuration])
     evaluated = bench.evaluation(scene, run.path)["figures"]
     figures = {name: evaluated[name] for name in FIGURES if name in evaluated} | costs(run)
-    return Measurement({"chosen": evidence.get("chosen", ""), "evidence": evidence.get("evidence", ""), **figures})
+    return Measurement({"chosen": "on" if evidence.get("on") else "", "evidence": evidence.get("evidence", ""), **figures})
 
 
 def _relit(bench: Bench, scene: Scene, rule: str) -> Measurement:
@@ -92,8 +92,8 @@ def _relit(bench: Bench, scene: Scene, rule: str) -> Measurement:
 
 
 def evidence_of(bench: Bench, scene: Scene) -> dict[str, dict[str, Any]]:
-    """What the job at auto wrote of each rule."""
-    return {entry["rule"]: entry for entry in bench.run(scene, bench.balanced()).about["skipped"] if "rule" in entry}
+    """What the job at auto wrote of each rule: whether it is "on", and the "evidence"."""
+    return bench.run(scene, bench.balanced()).about.get("rules", {})
 
 
 # --- what is shown
