@@ -169,13 +169,8 @@ QUICK = (
 def machine() -> dict[str, Any]:
     """This machine and the versions of what results depend on."""
     cpu = devices()["cpu"]
-    return {
-        "cpu": _cpu_name() or cpu["name"],
-        "threads": cpu["threads"],
-        "cores": cpu["cores"],
-        "simd": cpu["simd"],
-        "versions": versions(),
-    }
+    about = {"cpu": _cpu_name() or cpu["name"], "threads": cpu["threads"], "cores": cpu["cores"], "simd": cpu["simd"]}
+    return {**about, "versions": {**versions(), "engine's source": _source()}}
 
 
 def _source() -> str:
