@@ -29,7 +29,7 @@ class Looker(Silent):
 
 def test_looking_does_not_change_the_fit(sphere_dataset, camera_ring):
     dataset, settings, looker = sphere_dataset(camera_ring(9, 32)), with_overrides(preset("draft"), SMALL), Looker()
-    alone, watched = train(dataset, settings), train(dataset, settings, looker)
+    (alone, _), (watched, _) = train(dataset, settings), train(dataset, settings, looker)
     for name in ("position", "quaternion", "sh", "material", "opacity"):
         assert torch.equal(getattr(alone.gaussians, name), getattr(watched.gaussians, name))
     assert len(looker.pictures) == 12

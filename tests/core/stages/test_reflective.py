@@ -67,12 +67,12 @@ class Memory(dict):
 @pytest.mark.parametrize(("materials", "masked"), [("low-gloss", True), ("low-gloss", False)])
 def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, materials, masked):
     dataset, chosen = sphere_dataset(camera_ring(9, 32), masked=masked), settings(f"materials={materials}")
-    whole = train(dataset, chosen)
+    whole, _ = train(dataset, chosen)
     memory = Memory()
     with pytest.raises(Cancelled):
         train(dataset, chosen, StopAfter(5), memory)
     assert memory["reflective"]["done"] == 5
-    resumed = train(dataset, chosen, checkpoint=memory)
+    resumed, _ = train(dataset, chosen, checkpoint=memory)
     for name, value in whole.gaussians.tensors().items():
         assert torch.equal(value, resumed.gaussians.tensors()[name]), name
     assert torch.equal(whole.environment, resumed.environment)
