@@ -10,7 +10,7 @@ from irgspp.core.kernels.bvh import DiskTree
 from irgspp.core.kernels.raster import TRANSMITTANCE_MIN
 from irgspp.core.kernels.reference import trace_reference
 from irgspp.core.kernels.trace import NEAREST
-from irgspp.core.kernels.tracing import EXTRA, blend, hit_lists, trace, transmittance
+from irgspp.core.kernels.tracing import EXTRA, Seen, blend, hit_lists, trace, transmittance
 
 NAMES = ("position", "quaternion", "log_scale", "opacity", "sh", "extra", "origin", "direction")
 
@@ -356,3 +356,9 @@ def test_what_is_seen_does_not_depend_on_threads(monkeypatch):
         tree = DiskTree.build(*parameters[:4])
         seen.append((trace(*parameters, origin, direction, tree), transmittance(tree, origin, direction)))
     assert all(torch.equal(a, b) for a, b in zip(*seen, strict=True))
+
+
+def test_what_is_laid_out_once_is_seen_as_by_trace():
+    parameters, (origin, direction) = cloud(300, 5), rays(200, 5)
+    tree = DiskTree.build(*parameters[:4])
+    assert torch.equal(Seen(tree, *parameters[4:]).along(origin, direction), trace(*parameters, origin, direction, tree))

@@ -3,7 +3,7 @@
 
 import numpy as np
 from irgspp.core.kernels.tracing import HitLists
-from irgspp.core.stages.pixel_pool import chosen, joined
+from irgspp.core.stages.pixel_pool import chosen, joined, part
 
 
 def random_lists(rays: int, seed: int) -> HitLists:
@@ -30,3 +30,12 @@ def test_joined_lists_follow_one_another():
     parts = [random_lists(7, 1), random_lists(0, 2), random_lists(12, 3)]
     together = joined(parts)
     assert [ray(together, i) for i in range(together.rays)] == [ray(part, i) for part in parts for i in range(part.rays)]
+
+
+def test_part_numbers_what_is_met_anew():
+    lists, picked = random_lists(30, 4), np.array([17, 3, 3, 29])
+    few, met = part(lists, picked)
+    assert few.rays == len(picked) and (np.diff(met) > 0).all()
+    for i, p in enumerate(picked):
+        index, *rest = ray(few, i)
+        assert (met[index].tolist(), *rest) == ray(lists, int(p))

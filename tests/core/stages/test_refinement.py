@@ -95,3 +95,18 @@ def test_radiance_is_fitted_and_nothing_else_moves(start, photographs):
     for name, value in first.gaussians.tensors().items():
         assert torch.equal(value, fitted.gaussians.tensors()[name]) == (name != "sh"), name
     assert torch.equal(first.environment, fitted.environment)
+
+
+def test_drawn_views_and_known_disks_agree(start, photographs):
+    first = start()
+    tracer = Tracer(first)
+    pool = pool_pixels(photographs, tracer, SETTINGS.pool, np.random.default_rng(0))
+    known = Refinement(first, pool, tracer, SETTINGS, 0)
+    drawn = Refinement(first, pool, tracer, SETTINGS, 0, cameras=[view.camera for view in photographs])
+    pixels = torch.arange(0, pool.count, 50)
+    ours, theirs = (trial.surface.sums(first.gaussians, pixels) for trial in (known, drawn))
+    assert (ours[:, 3:] - theirs[:, 3:]).abs().max() < 1e-3
+    assert torch.nn.functional.cosine_similarity(ours[:, :3], theirs[:, :3]).min() > 0.99
+    assert drawn.test() == pytest.approx(known.test(), abs=0.2)
+    chosen = drawn.surface.chosen(drawn.trained, 20, torch.Generator().manual_seed(0))
+    assert len(pool.number[chosen].unique()) == 1

@@ -2,6 +2,7 @@
 """The first stage as a whole, small: what it decides, that it improves, that it goes on where it stopped."""
 
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.config import Settings, preset
+from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.overrides import with_overrides
@@ -157,3 +159,44 @@ def test_photographs_that_are_not_finite_are_told_by_what_they_would_start(spher
     view = replace(dataset.train[0], colour=np.full_like(dataset.train[0].colour, math.nan))
     with pytest.raises(IrgsppError, match="sh_dc is not finite after iteration 0"):
         train(replace(dataset, train=[view] * 9), settings("materials=low-gloss"))
+
+
+def test_a_cut_picture_teaches_the_same(sphere_dataset, camera_ring):
+    dataset = sphere_dataset([Camera(96, 96, 60.0, 60.0, 48.0, 48.0, c.to_world) for c in camera_ring(3, 32)])
+    start, gradients, losses = initial_gaussians(dataset, 4000, np.random.default_rng(0)), [], []
+    for cut in (False, True):
+        trainer = Trainer(dataset, settings("reflective.iterations=60").reflective, start, LOW_GLOSS, 0, 0, cut=cut)
+        trainer.optimizer.step = lambda progress: None
+        losses.append(trainer.step())
+        gradients.append(trainer.optimizer.leaves["sh"].grad)
+    assert trainer.targets[0].share < 0.8
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
+    assert (gradients[1] - gradients[0]).norm() < 1e-2 * gradients[0].norm()
+
+
+def test_a_hopeless_kind_is_given_up_and_others_go_on(sphere_dataset, camera_ring, monkeypatch):
+    dataset = sphere_dataset(camera_ring(12, 32))
+    start, steps = initial_gaussians(dataset, 400, np.random.default_rng(0)), dict.fromkeys(("low-gloss", "glossy", "metal"), 0)
+
+    def counted(self):
+        steps[self.kind.name] += 1
+        return 0.0
+
+    monkeypatch.setattr(Trainer, "step", counted)
+    monkeypatch.setattr(Trainer, "test", lambda self: {"low-gloss": 30.0, "glossy": 29.0, "metal": 20.0}[self.kind.name])
+    chosen = settings("reflective.trial_iterations=10", "reflective.trial_gaussians=100")
+    assert choose_kind(dataset, chosen, start, Silent()) is LOW_GLOSS
+    assert steps == {"low-gloss": 10, "glossy": 10, "metal": 3}
+    steps |= dict.fromkeys(steps, 0)
+    assert choose_kind(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent()) is LOW_GLOSS
+    assert set(steps.values()) == {10}
+
+
+def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camera_ring, monkeypatch):
+    dataset, memory = sphere_dataset(camera_ring(9, 32)), Memory()
+    chosen = settings("materials=low-gloss", "reflective.iterations=20")
+    monkeypatch.setattr("irgspp.core.stages.reflective.affordable", lambda settings, seconds, step: 2.0)
+    with pytest.raises(Cancelled):
+        train(dataset, chosen, StopAfter(30), memory, ends=time.monotonic() + 60)
+    assert train(dataset, chosen, checkpoint=memory, ends=time.monotonic() + 60)[1] == 2.0
+    assert memory["reflective"]["iterations"] == 40

@@ -48,3 +48,18 @@ def test_clipped_pixels_are_lower_bounds(view):
     assert bounded[:, 3, 4].tolist() == pytest.approx([0.9, 1.7, 0.9])
     assert torch.equal(target.bounded(torch.zeros_like(target.picture)), torch.zeros_like(target.picture))
     assert (bounded[~target.saturated] == 1.7).all()
+
+
+def test_what_is_cut_away_is_black_and_the_camera_follows(camera_ring):
+    c = camera_ring(3)[1]
+    camera, alpha = Camera(60, 50, 60.0, 60.0, 30.0, 25.0, c.to_world), np.zeros((50, 60), np.float32)
+    alpha[20:30, 22:40] = 1
+    view = View("a", camera, Path("a.png"), np.full((50, 60, 3), 0.5, np.float32), alpha)
+    whole, cut = make_target(view), make_target(view, cut=True)
+    assert cut.picture.shape == (3, 34, 42) and cut.share == pytest.approx(34 * 42 / 3000) and whole.share == 1
+    assert cut.picture.sum() == whole.picture.sum() and torch.equal(cut.picture[:, 12:22, 12:30], whole.picture[:, 20:30, 22:40])
+    points = np.random.default_rng(1).uniform(-0.3, 0.3, (20, 3))
+    assert np.allclose(cut.camera.project(points)[0] + (10, 8), whole.camera.project(points)[0])
+    assert torch.allclose(cut.world_rays, whole.world_rays[:, 8:42, 10:52], atol=1e-5)
+    empty = make_target(View("a", camera, view.path, view.colour, 0 * alpha), cut=True)
+    assert empty.share == 1
