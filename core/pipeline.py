@@ -116,7 +116,7 @@ class Job:
 
     def separate(self) -> None:
         """Second stage: materials and light, by all the light that reaches the surface."""
-        settings = paced(self.settings, self.folder.state["pace"])
+        settings = paced(self.settings, self.folder.state.get("pace", 1.0))
         solve_transport(self.first, self.surface, self.data, settings, self.progress).save(self.folder.path)
 
     def mesh(self) -> None:

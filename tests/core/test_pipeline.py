@@ -74,14 +74,15 @@ class Stages:
         if name == self.fail:
             raise IrgsppError("no surface")
 
-    def train(self, dataset, settings, progress, checkpoint):
+    def train(self, dataset, settings, progress, checkpoint, ends):
+        assert (ends is None) == (settings.time is None)
         progress.phase("first stage", 2)
         progress.step(1, loss=0.5, psnr=20.0)
         begun = checkpoint.load("reflective")
         checkpoint.save("reflective", {"step": 1})
         self.note("train" if begun is None else "train again")
         progress.step(2, loss=0.25, psnr=30.0)
-        return Result("first")
+        return Result("first"), 0.5
 
     def extract(self, views, samples, bound, settings, progress, masks):
         assert len(views) == 3
@@ -92,6 +93,7 @@ class Stages:
 
     def transport(self, first, surface, dataset, settings, progress):
         assert first.stage == "first"
+        assert settings.transport.iterations == Settings().transport.iterations // 2  # as the first stage was paced
         self.given(surface)
         self.note("transport")
         return Result("second")

@@ -168,7 +168,7 @@ def test_a_cut_picture_teaches_the_same(sphere_dataset, camera_ring):
         trainer = Trainer(dataset, settings("reflective.iterations=60").reflective, start, LOW_GLOSS, 0, 0, cut=cut)
         trainer.optimizer.step = lambda progress: None
         losses.append(trainer.step())
-        gradients.append(trainer.optimizer.leaves["sh"].grad)
+        gradients.append(trainer.optimizer.leaves["opacity"].grad)
     assert trainer.targets[0].share < 0.8
     assert losses[1] == pytest.approx(losses[0], rel=1e-3)
     assert (gradients[1] - gradients[0]).norm() < 1e-2 * gradients[0].norm()
