@@ -30,6 +30,7 @@ from .target import Target, make_target
 START_RADIANCE = 0.5  # of the light, linear
 CHECKPOINT_SECONDS = 30.0
 RESET_EVERY = 3000  # steps between resets of the opacity (3DGS); shorter schedules have none
+HULL_LEFT = 0.4  # of the disks at the start; photographs that fit each other take a few per cent
 TEST_EVERY = 50  # steps between looks at the held-back view
 
 
@@ -64,6 +65,7 @@ class Trainer:
             table["background"] = Rate(3e-2, 0.2)
         gaussians = replace(gaussians, material=torch.logit(torch.tensor(kind.material))[:, None].repeat(1, gaussians.count))
         self.optimizer = GaussianOptimizer(gaussians, table, others)
+        self._start = gaussians.count
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order = 0, torch.zeros(0, dtype=torch.long)
 
@@ -112,8 +114,16 @@ class Trainer:
         period = max(settings.iterations // 20, 2 * len(self.targets) if self.masked else 1)
         if self.density.pictures >= period:
             self.density.refine(self.optimizer, self.generator, grow=not self.masked)
+            self._check_hull()
         if not self.masked and self.done % RESET_EVERY == 0:
             reset_opacity(self.optimizer)
+
+    def _check_hull(self) -> None:
+        """Raise IrgsppError where most of a visual hull is gone: none of it grows back, and what is left is no object."""
+        left = self.optimizer.gaussians.count
+        if self.masked and left < HULL_LEFT * self._start:
+            lost = f"only {left:,} of {self._start:,} disks of the visual hull are left at iteration {self.done}"
+            raise IrgsppError(f"{lost}; do cameras and masks fit the photographs?")
 
     def _next_view(self) -> int:
         if not len(self.order):

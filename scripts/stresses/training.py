@@ -292,34 +292,28 @@ def very_long(measured: Measured) -> None:
 
 @case(
     "learning rates times 10 and 100",
-    """150 iterations at these rates, then 300 at the proper ones, for all kinds: it stops with one clear line, or all is finite and it
-    recovers. From 10: views held back are met to 2 dB of what they are without the accident. From 100, where most disks are lost and
-    none may grow back: the loss ends at most at 0.95 of what it began with; how far views held back are is told.""",
+    """150 iterations at these rates, then 300 at the proper ones, for all kinds: it stops with one clear line, as where most disks are
+    lost and none may grow back, or all is finite and views held back are met to 2 dB of what they are without the accident.""",
     quick=False,
 )
 def fast_learning(measured: Measured) -> None:
     dataset, settings = photographs(cameras(12, 24)), replace(TINY.reflective, iterations=450)
     for kind in (LOW_GLOSS, COATED, METAL):
-        calm, _ = _accident(dataset, kind, settings, 1.0)
+        calm = _accident(dataset, kind, settings, 1.0)
         for factor in (10.0, 100.0):
             try:
-                psnr, fall = _accident(dataset, kind, settings, factor)
+                psnr = _accident(dataset, kind, settings, factor)
             except IrgsppError as error:
                 measured.note(f"{kind.name} x{factor:g}: {error}")
                 measured.holds("told in one line", "\n" not in str(error))
                 continue
-            if factor < 100:
-                measured.at_least(f"{kind.name} x{factor:g}: dB", psnr, calm - 2)
-            else:
-                measured.at_most(f"{kind.name} x{factor:g}: loss against its start", fall, 0.95)
-                measured.note(f"{psnr:.1f} dB against {calm:.1f}")
+            measured.at_least(f"{kind.name} x{factor:g}: dB", psnr, calm - 2)
 
 
-def _accident(dataset: Dataset, kind: Kind, settings: ReflectiveSettings, factor: float) -> tuple[float, float]:
-    """150 iterations at rates times `factor` and 300 at the proper ones: PSNR of held-back views; last losses against the first ones."""
+def _accident(dataset: Dataset, kind: Kind, settings: ReflectiveSettings, factor: float) -> float:
+    """PSNR of held-back views after 150 iterations at rates times `factor` and 300 at the proper ones."""
     fitted = trainer(dataset, kind, settings)
     proper = fitted.optimizer.rates
-    first = np.mean([_loss(fitted, view) for view in range(len(dataset.train))])
     fitted.optimizer.rates = {name: Rate(factor * rate.start, rate.final) for name, rate in proper.items()}
     for _ in range(150):
         fitted.step()
@@ -328,14 +322,7 @@ def _accident(dataset: Dataset, kind: Kind, settings: ReflectiveSettings, factor
         fitted.step()
     if not all(bool(v.isfinite().all()) for v in values(fitted)):
         raise ValueError("values are not finite, and nothing stopped it")
-    return fitted.test() or 0.0, float(np.mean([_loss(fitted, view) for view in range(len(dataset.train))]) / first)
-
-
-def _loss(fitted: Trainer, view: int) -> float:
-    """Photometric loss of one view as it is."""
-    target = fitted.targets[view]
-    with torch.no_grad():
-        return float(photometric_loss(fitted.render(target)[0], target.picture))
+    return fitted.test() or 0.0
 
 
 @case(

@@ -200,3 +200,14 @@ def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camer
         train(dataset, chosen, StopAfter(30), memory, ends=time.monotonic() + 60)
     assert train(dataset, chosen, checkpoint=memory, ends=time.monotonic() + 60)[1] == 2.0
     assert memory["reflective"]["iterations"] == 40
+
+
+def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(3, 32))
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    trainer = Trainer(dataset, settings().reflective, start, LOW_GLOSS, 0, 0)
+    trainer.optimizer.rebuild(start.select(torch.arange(170)), torch.arange(170))
+    trainer._check_hull()
+    trainer.optimizer.rebuild(start.select(torch.arange(150)), torch.arange(150))
+    with pytest.raises(IrgsppError, match="only 150 of 400 disks"):
+        trainer._check_hull()
