@@ -19,7 +19,6 @@ from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError, IrgsppError
-from irgspp.core.kernels.photometric import photometric_loss
 from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.reference import rasterize_reference
 from irgspp.core.overrides import with_overrides
