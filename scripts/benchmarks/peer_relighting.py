@@ -18,7 +18,7 @@ from irgspp.core.progress import Silent
 
 from . import mitsuba_peer
 from .mitsuba_peer import Frame
-from .relighting import Place, Studio, Way
+from .studio import Place, Studio, Way
 from .timing import medians
 
 OURS, OURS_NOISY = "ours", "ours, not denoised"

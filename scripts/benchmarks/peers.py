@@ -18,9 +18,9 @@ from irgspp.core.evaluation.metrics import on_black, psnr
 from . import mitsuba_peer, peer_inverse
 from .bench import Bench, Scene
 from .peer_relighting import CYCLES, EVERYONE, FULL, MITSUBA, OURS, PEERS, QUICK, Duel, fight, renderer_of
-from .relighting import studio
 from .section import Block, Chart, Figures, Measurement, Note, Pictures, Series, Table, Task
 from .store import Results
+from .studio import studio
 
 NAME = "peers"
 TITLE = "Peers: Mitsuba 3 and Cycles"

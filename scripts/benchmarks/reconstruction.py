@@ -16,10 +16,10 @@ from irgspp.core.relight.backends import best_backend
 from irgspp.core.scene.gaussians import load_gaussians
 
 from .bench import PRESETS, Bench, Scene
-from .relighting import Way, studio
 from .runs import Run, RunPlan
 from .section import Block, Chart, Figures, Measurement, Note, Pictures, Series, Table, Task
 from .store import Results
+from .studio import Way, studio
 
 NAME = "reconstruction"
 TITLE = "Reconstruction: error against time"

@@ -19,10 +19,10 @@ from irgspp.core.relight.lighting import PreparedLight
 
 from .bench import Bench, Scene
 from .reconstruction import COLUMNS, FIGURES, costs
-from .relighting import Way, studio
 from .runs import RunPlan
 from .section import Block, Measurement, Note, Table, Task
 from .store import Record, Results
+from .studio import Way, studio
 from .timing import medians
 
 NAME = "skipping"

@@ -62,7 +62,7 @@ def place(script, light: np.ndarray):
     """What a camera sees of the balls under a light; the true picture is left out."""
     camera = Camera(48, 48, 60.0, 60.0, 24.0, 24.0, look_at((1.5, -4.0, 2.0), (0.4, -0.1, 0.3)))
     inside = np.ones((48, 48), bool)
-    return script("benchmarks.relighting").Place(SimpleNamespace(camera=camera), "light", prepare(light), np.zeros((48, 48, 3)), inside)
+    return script("benchmarks.studio").Place(SimpleNamespace(camera=camera), "light", prepare(light), np.zeros((48, 48, 3)), inside)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def studio(script, tmp_path_factory):
     """The balls in the sun."""
     run = write_balls(tmp_path_factory.mktemp("balls"), MATERIAL)
     light = LIGHTS["sunset"](32, 64)
-    return script("benchmarks.relighting").Studio(run, [place(script, light)], {"mesh": 2048, "gaussian": 1024})
+    return script("benchmarks.studio").Studio(run, [place(script, light)], {"mesh": 2048, "gaussian": 1024})
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +105,12 @@ def test_both_backends_show_the_same(studio):
 
 def test_indirect_light_comes_closer_to_the_truth(script, tmp_path):
     """In an even light what absorbs nothing is as bright as the light, wherever it is: no shadow between the balls stays."""
-    relighting = script("benchmarks.relighting")
+    studio = script("benchmarks.studio")
     run = write_balls(tmp_path, (1.0, 1.0, 1.0, 0.9, 0.0))
-    one = relighting.Studio(run, [place(script, np.full((16, 32, 3), 0.5, np.float32))], {"mesh": 64, "gaussian": 64})
+    one = studio.Studio(run, [place(script, np.full((16, 32, 3), 0.5, np.float32))], {"mesh": 64, "gaussian": 64})
     dark = []
     for indirect in (True, False):
-        relighter = one.relighter(relighting.Way(denoise="off", indirect=indirect), 256)
+        relighter = one.relighter(studio.Way(denoise="off", indirect=indirect), 256)
         rgba = relighter.relit(relighter.surface(one.places[0].view.camera), one.places[0].prepared).numpy()
         solid = rgba[..., 3] > 0.99
         dark.append(np.abs(rgba[solid][:, :3] - 0.5).mean())
