@@ -29,7 +29,7 @@ import torch
 from irgspp.core.kernels.pool import thread_count
 from stresses.case import CASES, Case, Outcome, attempt
 
-GROUPS = ("gaussians", "materials", "lights", "training", "surfaces")
+GROUPS = ("gaussians", "materials", "lights", "training", "endurance", "surfaces")
 HEAD = ("case", "what must hold", "measured", "verdict", "s")
 WIDTHS = (34, 50, 58, 7, 6)
 STYLE = """body{font:14px/1.45 system-ui,sans-serif;max-width:1250px;margin:2em auto;padding:0 1em;color:#222}
