@@ -31,7 +31,8 @@ table { border-collapse: collapse; font-size: .92rem } th { color: #a9a9a4; font
 td, th { padding: .22rem .8rem .22rem 0; border-bottom: 1px solid #2c2e33 } td { font-variant-numeric: tabular-nums; text-align: right }
 td:first-child, th:first-child, td.text { text-align: left } tr:hover td { background: #212328 }
 svg { max-width: 100%; height: auto; display: block } .scroll { overflow-x: auto }
-.row { display: flex; flex-wrap: wrap; gap: 8px; margin-bottom: 10px } figure { margin: 0; width: 214px }
+.row { display: flex; flex-wrap: wrap; gap: 8px; margin-bottom: 10px }
+figure { margin: 0; flex: 0 1 calc((100% - 40px) / 6); min-width: 130px }
 figure img { width: 100%; display: block; border-radius: 3px } figcaption { font-size: .8rem; color: #a9a9a4; padding-top: 2px }
 .failed { color: #e8718d }
 """
