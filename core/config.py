@@ -94,7 +94,7 @@ Choice = Literal["auto", "on", "off"]
 
 @dataclass(frozen=True)
 class SkipSettings:
-    """What a scene may not need, rule by rule: "auto" decides by evidence measured on the scene, which run.json has."""
+    """What a scene may not need, rule by rule: "auto" decides by what is found on the scene; run.json has it for a reconstruction's."""
 
     outside: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
     trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind

@@ -114,6 +114,7 @@ def _light_options(one: argparse.ArgumentParser) -> None:
 def _relight_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
     error = "every part of the picture gets the samples it takes to err by so much: root mean square of the sRGB object, 0.01 is 1 %%"
+    error += "; an estimate, and a rough one with the denoiser"
     one.add_argument("--error", type=_error, metavar="E", help=error)
     rules = "skip.open=off traces every ray, skip.kept=off keeps nothing from light to light; on, off or auto"
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=rules)

@@ -25,13 +25,12 @@ CUT_BELOW = 0.9  # share of the pictures around the object from which cutting th
 
 def surroundings(dataset: Dataset, settings: Settings, progress: Progress) -> bool:
     """True where pictures are to be cut to the object: what is black in photograph and rendering teaches nothing."""
-    shares = [1.0]
-    if dataset.has_alpha:
-        alphas = [torch.from_numpy(view.alpha) for view in dataset.train if view.alpha is not None]
-        shares = [alpha[object_box(alpha)].numel() / alpha.numel() for alpha in alphas]
-    share = float(np.mean(shares))
-    evidence = f"the object's surroundings are {1 - share:.0%} of the pixels" if dataset.has_alpha else "without masks all pixels count"
-    return decide(settings.skip, "outside", share < CUT_BELOW, evidence, progress) and dataset.has_alpha
+    if not dataset.has_alpha:
+        progress.decided("outside", False, "without masks all pixels count")
+        return False
+    alphas = [torch.from_numpy(view.alpha) for view in dataset.train if view.alpha is not None]
+    share = float(np.mean([alpha[object_box(alpha)].numel() / alpha.numel() for alpha in alphas]))
+    return decide(settings.skip, "outside", share < CUT_BELOW, f"the object's surroundings are {1 - share:.0%} of the pixels", progress)
 
 
 def train(

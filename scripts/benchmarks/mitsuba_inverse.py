@@ -22,6 +22,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .mitsuba_child import received
+
 CORNER = 1e-2  # of the loss: encoded; below it errors count squared
 DARKEST = 1e-4  # of a texel, and of what is encoded
 LAST = 0.1  # of the learning rates, in the end
@@ -31,11 +33,7 @@ VALUES = {"vertex_albedo": 3, "vertex_roughness": 1, "vertex_metallic": 1}
 
 def main(folder: Path) -> None:
     """Answer the request."""
-    request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
-    mi.set_variant(request["variant"])
-    dr.set_thread_count(request["threads"])
-    with np.load(folder / "arrays.npz") as data:
-        arrays = dict(data)
+    request, arrays = received(folder)
     Descent(arrays, request).step(0.0)  # compiles
     states = Descent(arrays, request).run(folder)
     (folder / "answer.json").write_text(json.dumps({"states": states}), encoding="utf-8")

@@ -16,9 +16,10 @@ import sys
 import time
 from pathlib import Path
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+from .mitsuba_child import received
 
 AT_ONCE = 256  # samples; more need much memory
 WARM, TIMED, APART = 0, 1, 1000  # seeds
@@ -26,11 +27,7 @@ WARM, TIMED, APART = 0, 1, 1000  # seeds
 
 def main(folder: Path) -> None:
     """Answer the request."""
-    request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
-    mi.set_variant(request["variant"])
-    dr.set_thread_count(request["threads"])
-    with np.load(folder / "arrays.npz") as data:
-        arrays = dict(data)
+    request, arrays = received(folder)
     from . import mitsuba_scene  # needs a variant
 
     seconds: dict[str, tuple[float, float]] = {}
