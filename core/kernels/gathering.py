@@ -13,7 +13,7 @@ import numpy as np
 
 from .directions import lightmap_place, texel_at, turned
 from .jit import kernel
-from .reflection import specular_terms
+from .reflection import point_terms, specular_terms
 
 
 @kernel
@@ -55,11 +55,7 @@ def reflected(k, body, gloss, place, diffuse, specular, turn):
 def terms_range(begin, end, view, normal, alpha, direction, density, terms):
     """Points begin..end: to `terms` (P, M, 6) of each ray u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
     for p in range(begin, end):
-        nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
-        vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
-        a2 = float(alpha[p]) * float(alpha[p])
-        n_v = nx * vx + ny * vy + nz * vz
-        root_v = math.sqrt(n_v * n_v * (1 - a2) + a2)
+        (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
         for i in range(direction.shape[1]):
             dx, dy, dz = float(direction[p, i, 0]), float(direction[p, i, 1]), float(direction[p, i, 2])
             n_l = nx * dx + ny * dy + nz * dz

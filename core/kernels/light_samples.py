@@ -10,7 +10,7 @@ import math
 
 from .gathering import reflected
 from .jit import kernel
-from .reflection import specular_terms
+from .reflection import point_terms, specular_terms
 
 
 @kernel
@@ -54,11 +54,7 @@ def light_range(
     cosine, sine = math.cos(2 * math.pi * turn), math.sin(2 * math.pi * turn)
     to, above = begin * n_e, 0
     for p in range(begin, end):
-        nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
-        vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
-        a2 = float(alpha[p]) * float(alpha[p])
-        n_v = nx * vx + ny * vy + nz * vz
-        root_v = math.sqrt(n_v * n_v * (1 - a2) + a2)
+        (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
         masked = 0.5 / (n_v + root_v)
         for i in range(n_e):
             across, down = points[i, 0] + float(shift[p, 0]), points[i, 1] + float(shift[p, 1])

@@ -17,6 +17,16 @@ SHORTEST2 = 1e-7  # floor of the squared length of the sum of both directions
 
 
 @kernel
+def point_terms(view, normal, alpha, p):
+    """What `specular_terms` wants of point p: its normal, its view, alpha^2, n.v and root_v."""
+    nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
+    vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
+    a2 = float(alpha[p]) * float(alpha[p])
+    n_v = nx * vx + ny * vy + nz * vz
+    return (nx, ny, nz), (vx, vy, vz), a2, n_v, math.sqrt(n_v * n_v * (1 - a2) + a2)
+
+
+@kernel
 def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
     """D V (1 - p) and D V p, p = (1 - v.h)^5, for normal n, view v and direction d; root_v = sqrt(n.v^2 (1 - alpha^2) + alpha^2)."""
     hx, hy, hz = dx + vx, dy + vy, dz + vz
@@ -36,11 +46,7 @@ def reflect_range(begin, end, view, normal, alpha, direction, density, incoming,
     """Points begin..end: sums (P, 9) of incoming light weighted for the diffuse lobe, for F0 and for what Fresnel adds."""
     count = density.shape[1]
     for p in range(begin, end):
-        nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
-        vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
-        a2 = float(alpha[p]) * float(alpha[p])
-        n_v = nx * vx + ny * vy + nz * vz
-        root_v = math.sqrt(n_v * n_v * (1 - a2) + a2)
+        (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
         s0, s1, s2, s3, s4, s5, s6, s7, s8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(count):
             dx, dy, dz = float(direction[p, i, 0]), float(direction[p, i, 1]), float(direction[p, i, 2])
