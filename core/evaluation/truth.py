@@ -22,10 +22,10 @@ class Truth:
     """What is known of one view; None or missing where nothing is.
 
     Attributes:
-        picture: (H, W, 3) encoded, times alpha; `alpha` (H, W), ones where the dataset has none.
+        picture: (H, W, 3) encoded, times alpha, above 1 where the file is HDR; `alpha` (H, W), ones where the dataset has none.
         albedo: (H, W, 3) linear; normal: (H, W, 3) unit, in the world of the run; depth: (H, W) planar, 0 = nothing there.
         roughness, metallic: (H, W).
-        relit: light name -> (H, W, 3) encoded, times that picture's alpha.
+        relit: light name -> (H, W, 3) encoded, times that picture's alpha, above 1 where the file is HDR.
     """
 
     picture: np.ndarray
@@ -76,7 +76,7 @@ def load_scene_truth(dataset: Path, to_world: np.ndarray) -> SceneTruth:
 def load_truth(view: View, scene: SceneTruth, to_world: np.ndarray) -> Truth:
     """The picture of a view, and what stands beside its file. Raises InputError where a map has another size than the view."""
     alpha = np.ones(view.colour.shape[:2], np.float32) if view.alpha is None else view.alpha
-    picture = np.clip(view.colour, 0, 1) * alpha[..., None]
+    picture = np.maximum(view.colour, 0) * alpha[..., None]
     folder = view.path.parent
     if view.path.stem != "rgba" or not (folder / "depth.exr").is_file():
         return Truth(picture, alpha)
