@@ -24,6 +24,7 @@ class DataSettings:
     resolution: Annotated[int, Range(16, 16384)] = 640  # longest side in pixels; larger pictures are reduced
     masks: bool = True  # use alpha channels and mask files
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
+    split: Literal["auto", "holdout", "published"] = "auto"  # test views: the files', every n-th, the paper's
     centre: tuple[float, float, float] | None = None  # object bound in the dataset's own frame; None = estimated
     radius: Annotated[float | None, Range(1e-6)] = None
 

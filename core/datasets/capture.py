@@ -9,8 +9,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from ..config import DataSettings
 from ..errors import InputError
-from .dataset import PointCloud
+from .dataset import Bound, PointCloud
 
 MINIMUM_VIEWS = 3
 FARTHEST = 1e9  # coordinates beyond are damage, and squares of them would drown everything else
@@ -83,6 +84,8 @@ class Frame:
         mask: its mask file, or None.
         lens: intrinsics.
         to_world: (4, 4) float64 rigid camera to world, looking along -Z, +Y up.
+        far: where the mask file is a depth map, the share of its range at and beyond which there is background; else None.
+        light: the light the picture was taken under, where that is not the dataset's.
     """
 
     listed: str
@@ -90,6 +93,8 @@ class Frame:
     mask: Path | None
     lens: Lens
     to_world: np.ndarray
+    far: float | None = None
+    light: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,26 +103,41 @@ class Capture:
 
     Attributes:
         source: the file or model folder that was read.
-        format: "transforms" or "colmap".
+        root: the folder that every picture and mask lies in.
+        format: its short name, see docs/datasets.md.
         train, test: frames in the listed order; test is None where the files name no split.
         to_world: (4, 4) similarity from the dataset's frame to ours; the frames and points are already in ours.
         points: sparse points, or None.
+        bound: the object's bound in our world where the files say it, or None.
+        published: names (`listed`) of the test views of the dataset's own paper, where that is a split apart from `test`; or empty.
+        novel: frames of the same object under other lights, each with its `light`: to compare relit pictures with.
         warnings: lines worth telling the user.
     """
 
     source: Path
+    root: Path
     format: str
     train: list[Frame]
     test: list[Frame] | None
     to_world: np.ndarray
     points: PointCloud | None = None
+    bound: Bound | None = None
+    published: frozenset[str] = frozenset()
+    novel: list[Frame] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
-    def split(self, holdout: int) -> tuple[list[Frame], list[Frame]]:
-        """(train, test): the declared split, or every `holdout`-th view with a picture held out, where enough are left to learn from."""
-        if self.test is not None:
+    def split(self, settings: DataSettings) -> tuple[list[Frame], list[Frame]]:
+        """(train, test) as the settings say: the declared split, that of the dataset's paper, or every `holdout`-th view with a picture
+        held out, where enough are left to learn from. Raises InputError where the paper's split is asked for and not known."""
+        every = [*self.train, *(self.test or [])]
+        if settings.split == "published":
+            if not self.published:
+                raise InputError("data.split", f"no published split is known for the format {self.format}", "use auto or holdout")
+            return [f for f in every if f.listed not in self.published], [f for f in every if f.listed in self.published]
+        if self.test is not None and settings.split == "auto":
             return self.train, self.test
-        frames = [f for f in self.train if f.picture is not None] or self.train
+        holdout = settings.holdout
+        frames = [f for f in every if f.picture is not None] or every
         if holdout < 2 or len(frames) - len(frames[::holdout]) < MINIMUM_VIEWS:
             return frames, []
         return [f for i, f in enumerate(frames) if i % holdout], frames[::holdout]

@@ -9,13 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ..config import DataSettings
 from ..errors import InputError
-from .bound import bound_of_cameras, bound_of_points, focus_of
+from .bound import focus_of
 from .camera import GL_TO_CV, Camera
 from .capture import Capture, Frame, Lens, find_mask, find_picture
 from .colmap_model import CameraRecord, ImageRecord, PointRecords, model_files, read_cameras, read_images, read_points
 from .dataset import PointCloud
-from .upright import rotation_to_z, up_of
+from .paths import inside
+from .ref_real import is_ref_real, published_sphere
+from .settle import rough_camera, settle
 
 MODEL_FOLDERS = ("", "sparse/0", "sparse", "0", "colmap/sparse/0", "colmap/sparse")
 DOWNSCALES = (1, 2, 4, 8)
@@ -27,13 +30,25 @@ def find_model(folder: Path) -> Path | None:
     return next((folder / name for name in MODEL_FOLDERS if model_files(folder / name)), None)
 
 
-def read_colmap(model: Path, resolution: int) -> Capture:
-    """Read a sparse model; of `images`, `images_2`, ... the smallest pictures are taken that reach `resolution` pixels.
+def read_colmap(folder: Path, settings: DataSettings) -> Capture:
+    """Read the sparse model that a folder is or holds; of `images`, `images_2`, ... the smallest pictures are taken that reach the
+    resolution.
 
     Our world is the model's, turned so that the cameras' up is +Z and moved so that the object is at the origin; the scale is kept.
-    Both depend on cameras and points alone, so that every command that reads the dataset finds the same world.
     Raises InputError where files are missing or damaged.
     """
+    model = find_model(folder) or folder
+    frames, points, root, warnings = read_frames(model, settings.resolution)
+    capture = settle(model, root, "colmap", frames, points, warnings)
+    names = {split: _listed_names(root / f"{split}_id.txt") for split in ("train", "test")}
+    if names["test"]:  # Stanford-ORB in its COLMAP form
+        learn, check = ([f for f in capture.train if Path(f.listed).stem in names[split]] for split in ("train", "test"))
+        return replace(capture, format="stanford-orb", train=learn, test=check)
+    return published_sphere(capture) if is_ref_real(root) else capture
+
+
+def read_frames(model: Path, resolution: int) -> tuple[list[Frame], PointCloud | None, Path, list[str]]:
+    """(frames and points in the model's own frame, the dataset's folder, warnings) of a sparse model."""
     files = model_files(model)
     if files is None:
         raise InputError(model, "has no cameras and images, .bin or .txt")
@@ -44,14 +59,15 @@ def read_colmap(model: Path, resolution: int) -> Capture:
         if image.camera not in cameras:
             raise InputError(files["images"], f"picture {image.name!r} names camera {image.camera}, which {files['cameras'].name} has not")
     lenses = {number: _lens(record).checked(f"{files['cameras']}, camera {number}") for number, record in cameras.items()}
-    root = _picture_folder(model, images, max(max(lens.size) for lens in lenses.values()), resolution)
-    frames = [_frame(image, lenses[image.camera], root) for image in images]
+    pictures = _picture_folder(model, images, max(max(lens.size) for lens in lenses.values()), resolution)
+    frames = [_frame(image, lenses[image.camera], pictures) for image in images]
     if "points3D" not in files:
         warnings.append(f"{model}: no points3D file, the object has to be found without points")
-        points = None
-    else:
-        points = read_points(files["points3D"])
-    return _settle(model, frames, points, warnings)
+        return frames, None, pictures.parent, warnings
+    records = read_points(files["points3D"])
+    kept = _not_far(model, [rough_camera(f) for f in frames], records, warnings)
+    points = PointCloud(records.position[kept], records.colour[kept].astype(np.float32) / 255)
+    return frames, points, pictures.parent, warnings
 
 
 def _lens(record: CameraRecord) -> Lens:
@@ -70,7 +86,7 @@ def _picture_folder(model: Path, images: list[ImageRecord], longest: int, resolu
     if not roots:
         raise InputError(model, "has no folder of pictures near it", "looked for images, images_2, images_4, images_8 beside and above it")
     present = [n for n in DOWNSCALES if (roots[0] / _scaled(n)).is_dir()]
-    filled = [n for n in present if any(find_picture(roots[0] / _scaled(n) / image.name) for image in images)]
+    filled = [n for n in present if any(find_picture(inside(roots[0] / _scaled(n) / image.name, roots[0])) for image in images)]
     if not filled:
         raise InputError(roots[0] / _scaled(present[0]), f"has none of the pictures that the model names (such as {images[0].name})")
     sufficient = [n for n in filled if longest / n >= resolution]
@@ -82,7 +98,7 @@ def _scaled(factor: int) -> str:
 
 
 def _frame(image: ImageRecord, lens: Lens, root: Path) -> Frame:
-    picture = find_picture(root / image.name)
+    picture = find_picture(inside(root / image.name, root.parent))
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3], world_to_camera[:3, 3] = _rotation(image.quaternion), image.translation
     to_world = np.linalg.inv(world_to_camera) @ GL_TO_CV
@@ -95,25 +111,6 @@ def _rotation(quaternion: Sequence[float]) -> np.ndarray:
     return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                      [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
                      [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])  # fmt: skip
-
-
-def _settle(model: Path, frames: list[Frame], records: PointRecords | None, warnings: list[str]) -> Capture:
-    """Turn and move everything into our world."""
-    cameras = [rough_camera(f) for f in frames]
-    position = np.empty((0, 3))
-    if records is not None:
-        kept = _not_far(model, cameras, records, warnings)
-        position = records.position[kept]
-    bound = bound_of_points(cameras, position) or bound_of_cameras(cameras)
-    to_world = np.eye(4)
-    to_world[:3, :3] = rotation_to_z(up_of(cameras))
-    to_world[:3, 3] = -to_world[:3, :3] @ np.array(bound.centre)
-    moved = [replace(f, to_world=to_world @ f.to_world) for f in frames]
-    points = None
-    if records is not None and len(position):
-        placed = position @ to_world[:3, :3].T + to_world[:3, 3]
-        points = PointCloud(placed.astype(np.float32), records.colour[kept].astype(np.float32) / 255)
-    return Capture(model, "colmap", moved, None, to_world, points, warnings)
 
 
 def _not_far(model: Path, cameras: list[Camera], records: PointRecords, warnings: list[str]) -> np.ndarray:
@@ -129,7 +126,9 @@ def _not_far(model: Path, cameras: list[Camera], records: PointRecords, warnings
     return kept
 
 
-def rough_camera(frame: Frame) -> Camera:
-    """The frame's camera without its lens distortion: good enough to say what it looks at."""
-    lens = frame.lens
-    return Camera(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, frame.to_world)
+def _listed_names(file: Path) -> set[str]:
+    """The stems of the picture names in a text file, one a line; empty where there is no file."""
+    try:
+        return {Path(line.strip()).stem for line in file.read_text("utf-8").splitlines() if line.strip()} if file.is_file() else set()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(file, f"is no list of pictures ({error})") from error

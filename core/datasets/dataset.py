@@ -22,6 +22,7 @@ class View:
         colour: (H, W, 3) float32, sRGB-encoded straight colour, 0..1 (above 1 only where the file is HDR).
         alpha: (H, W) float32 in 0..1, or None where nothing tells object from background.
         distorted: the file shows a lens distortion that colour and camera are free of.
+        light: name of the light the picture was taken under, where that is not the dataset's; else None.
     """
 
     name: str
@@ -30,6 +31,7 @@ class View:
     colour: np.ndarray
     alpha: np.ndarray | None
     distorted: bool = False
+    light: str | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Dataset:
 
     Attributes:
         path: the folder (or file) that was read.
-        format: "transforms" or "colmap".
+        format: its short name: "transforms", "colmap", "tensoir", ...; see docs/datasets.md.
         train, test: views by split.
         bound: sphere around the object.
         to_world: (4, 4) float64 similarity from the dataset's own frame to ours (+Z up).

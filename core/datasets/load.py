@@ -18,14 +18,12 @@ from ..progress import Progress, Silent
 from .bound import bound_of_cameras, bound_of_masks, bound_of_points, focus_of
 from .camera import Camera
 from .capture import MINIMUM_VIEWS, Capture, Frame, Lens, view_names
-from .colmap import find_model, read_colmap
-from .colmap_model import model_files
 from .dataset import Bound, Dataset, PointCloud, View
-from .picture import Picture, on_black, picture_size, read_mask, read_picture, reduce_mask, reduce_picture
-from .transforms import read_transforms
+from .detect import read_capture
+from .paths import inside
+from .picture import Picture, on_black, picture_size, read_depth_mask, read_mask, read_picture, reduce_mask, reduce_picture
 from .undistort import pinhole, undistort, undistort_mask
 
-LOOKED_FOR = "looked for transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt"
 OPAQUE = 1 - 1.5 / 255
 SMALLEST_SIDE = 8
 FULL_SIZE = 1 << 20  # a resolution that reduces no picture
@@ -45,17 +43,15 @@ class _Shot:
 
 
 def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: Progress = Silent()) -> Dataset:  # noqa: B008 (immutable)
-    """Read a transforms.json or COLMAP dataset: a folder, a transforms file, or the folder of a sparse model.
+    """Read a dataset of any known format (docs/datasets.md): a folder, a file of cameras, or the folder of a COLMAP model.
 
-    Pictures are undistorted and reduced to `settings.resolution`. Of a folder that has several descriptions the one with its own
-    test split is read (transforms_train.json), then a COLMAP model with points, then transforms.json; the path of one of them chooses it.
+    Pictures are undistorted and reduced to `settings.resolution`. `detect.read_capture` says which of several descriptions is read.
     Raises InputError on bad input; single broken pictures are left out with a warning.
     """
-    _check(settings)
     capture = _read_capture(path, settings)
     warnings = list(capture.warnings)
     _check_on_disk(capture, warnings)
-    train, test = (_present(frames) for frames in capture.split(settings.holdout))
+    train, test = (_present(frames) for frames in capture.split(settings))
     if len(train) < MINIMUM_VIEWS:
         raise InputError(capture.source, f"has {len(train)} views to learn from, at least {MINIMUM_VIEWS} are needed")
     centres = np.stack([f.to_world[:3, 3] for f in train])
@@ -83,9 +79,8 @@ def load_cameras(
     """
     if split not in (None, "train", "test", "all"):
         raise InputError(f"{path}:{split}", "no such split", "use train, test or all")
-    _check(settings)
     capture = _read_capture(path, settings)
-    train, test = capture.split(settings.holdout)
+    train, test = capture.split(settings)
     default = capture.train if capture.test is None else test
     frames = {"train": train, "test": test, "all": [*train, *test], None: default}[split]
     if not frames:
@@ -100,7 +95,7 @@ def full_size_views(dataset: Dataset, settings: DataSettings) -> Iterator[tuple[
     Raises InputError where a picture has gone or changed since.
     """
     full = replace(settings, resolution=FULL_SIZE)
-    frames = _read_capture(dataset.path, full).split(settings.holdout)
+    frames = _read_capture(dataset.path, full).split(settings)
     for split, listed, views in zip(("train", "test"), frames, (dataset.train, dataset.test), strict=True):
         kept = {view.name for view in views}  # the others could not be used, which has been told
         for shot in _shots(_present(listed), full, []):
@@ -113,35 +108,26 @@ def full_size_views(dataset: Dataset, settings: DataSettings) -> Iterator[tuple[
             yield split, view
 
 
-def _check(settings: DataSettings) -> None:
-    if settings.resolution < SMALLEST_SIDE:
-        raise InputError("data.resolution", f"is {settings.resolution}", f"give {SMALLEST_SIDE} pixels or more")
+def load_novel_views(dataset: Dataset, settings: DataSettings, progress: Progress = Silent()) -> list[View]:  # noqa: B008 (immutable)
+    """The views of a dataset's object under other lights (each view's `light`), in the world of the dataset; empty where it has none.
+
+    They are no part of `train` and `test`: relit pictures are compared with them. Raises InputError on bad input.
+    """
+    capture, warnings = _read_capture(dataset.path, settings), []
+    views = _usable(_decode(_shots(_present(capture.novel), settings, warnings), settings, progress), 0, warnings)
+    for line in warnings:
+        progress.message(f"warning: {line}")
+    return views
 
 
 def _read_capture(path: Path, settings: DataSettings) -> Capture:
-    path = Path(path)
-    if not path.exists():
-        raise InputError(path, "no such file or folder")
-    if path.is_file():
-        if path.suffix.lower() != ".json":
-            raise InputError(path, "not a dataset", "give a folder, a transforms.json or the folder of a COLMAP model")
-        return read_transforms(path, _test_file(path))
-    model, single = find_model(path), path / "transforms.json"
-    for train in (path / "transforms_train.json", single):
-        complete = model is not None and "points3D" in (model_files(model) or {})
-        if train.is_file() and not (train == single and complete):
-            return read_transforms(train, _test_file(train))
-    if model is not None:
-        return read_colmap(model, settings.resolution)
-    raise InputError(path, "no dataset here", LOOKED_FOR)
-
-
-def _test_file(train: Path) -> Path | None:
-    """The file of the test views that goes with one of training views."""
-    if train.name != "transforms_train.json":
-        return None
-    files = (train.with_name(f"transforms_{split}.json") for split in ("test", "val"))
-    return next((f for f in files if f.is_file()), None)
+    if settings.resolution < SMALLEST_SIDE:
+        raise InputError("data.resolution", f"is {settings.resolution}", f"give {SMALLEST_SIDE} pixels or more")
+    capture = read_capture(path, settings)
+    for frame in (*capture.train, *(capture.test or [])):  # those under other lights may lie beside, which their readers check
+        for file in filter(None, (frame.picture, frame.mask)):
+            inside(file, capture.root)
+    return capture
 
 
 def _present(frames: list[Frame]) -> list[Frame]:
@@ -235,7 +221,7 @@ def _view(shot: _Shot, masks: bool) -> View | InputError:
             )
         picture = read_picture(frame.picture)
         if frame.mask is not None and masks:  # a mask file takes the place of an alpha channel, and leaves the colour around the object
-            mask = undistort_mask(_mask(frame.mask, picture.size, size), shot.lens)
+            mask = undistort_mask(_mask(frame, picture.size, size), shot.lens)
             opaque = reduce_picture(Picture(picture.colour, None), *size)
             picture = Picture(undistort(opaque, shot.lens).colour, mask)
         else:
@@ -245,15 +231,16 @@ def _view(shot: _Shot, masks: bool) -> View | InputError:
             raise InputError(frame.mask if frame.mask and masks else frame.picture, "is transparent everywhere")
     except InputError as error:
         return error
-    return View(shot.name, shot.camera, frame.picture, picture.colour, picture.alpha, frame.lens.distorted)
+    return View(shot.name, shot.camera, frame.picture, picture.colour, picture.alpha, frame.lens.distorted, frame.light)
 
 
-def _mask(path: Path, picture: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
+def _mask(frame: Frame, picture: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
     """(H, W) the mask at the size its picture is used at; a full-size mask may go with a reduced picture."""
-    mask = read_mask(path)
+    assert frame.mask is not None
+    mask = read_mask(frame.mask) if frame.far is None else read_depth_mask(frame.mask, frame.far)
     full = mask.shape[1], mask.shape[0]
     if full != picture and not _is_reduction(full, picture):
-        raise InputError(path, f"is {full[0]}x{full[1]} but its picture is {picture[0]}x{picture[1]}")
+        raise InputError(frame.mask, f"is {full[0]}x{full[1]} but its picture is {picture[0]}x{picture[1]}")
     return reduce_mask(mask, *size)
 
 
@@ -279,7 +266,7 @@ def _settle_alpha(train: list[View], test: list[View], warnings: list[str]) -> t
 
 def _bound(capture: Capture, views: list[View], settings: DataSettings, warnings: list[str]) -> Bound:
     """The given bound, or what masks, points and cameras tell, whichever says most."""
-    bound = _estimated_bound(views, capture.points, warnings)
+    bound = capture.bound or _estimated_bound(views, capture.points, warnings)
     centre, radius = bound.centre, bound.radius
     if settings.centre is not None:
         x, y, z = capture.to_world[:3, :3] @ np.array(settings.centre, np.float64) + capture.to_world[:3, 3]

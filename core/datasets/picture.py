@@ -91,6 +91,11 @@ def read_mask(path: Path) -> np.ndarray:
     return alpha if alpha is not None and alpha.min() < 1 else np.clip(unit(picture.colour.max(-1)), 0, 1)
 
 
+def read_depth_mask(path: Path, far: float) -> np.ndarray:
+    """(H, W) float32, 1 where a depth map, whose integers span 0..1, is nearer than `far`."""
+    return (unit(read_picture(path).colour[..., 0]) < far).astype(np.float32)
+
+
 def _decode(path: Path, data: bytes) -> np.ndarray:
     """(H, W, 1..4) uint8 or uint16. Pillow judges every file, since OpenCV hands out half a picture where a file is truncated."""
     try:

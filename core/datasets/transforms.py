@@ -4,45 +4,77 @@
 from __future__ import annotations
 
 import json
-import math
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plyfile import PlyData
 
+from ..config import DataSettings
 from ..errors import InputError
-from .capture import FARTHEST, Capture, Frame, Lens, find_mask, find_picture
+from .capture import Capture, Frame, find_mask, find_picture
 from .dataset import PointCloud
+from .intrinsics import Size, lens_of, side_of
+from .paths import inside
 from .picture import picture_size
+from .poses import pose_of
+from .sparse_points import read_points
 
-RADIAL_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-FISHEYE_MODEL = "OPENCV_FISHEYE"
-RIGID_TOLERANCE = 1e-3
-LARGEST_SIDE = 1 << 20
-
-Size = tuple[int, int]
+NERFSTUDIO_KEYS = ("camera_model", "ply_file_path", "applied_transform", "orientation_override", "train_filenames")
+TENSOIR_VIEW = re.compile(r"(train|test|val)_\d+/rgba(\.png)?")
+GLOSSY_VIEW = re.compile(r"rgb/\d+(\.png)?")  # of the GlossySynthetic scenes converted by Ref-Gaussian and its kin
 
 
-def read_transforms(train: Path, test: Path | None = None) -> Capture:
+def read_transforms(file: Path, settings: DataSettings) -> Capture:
     """Read a transforms file, with the one of the test views where the dataset has its own.
 
     The world is taken as it is (+Z up by convention). Raises InputError on anything missing, not finite or not rigid.
     """
-    content = _load(train)
-    pictures = _pictures(train, content)
-    size = _known_size(train, content, pictures)
-    frames = _frames(train, content, pictures, size)
+    content, test = load_transforms(file), _test_file(file)
+    pictures = [listed_picture(file.parent, e["file_path"]) for e in content["frames"]]
+    size = _known_size(file, content, pictures)
+    pictures = _downscaled(file.parent, content, pictures, size, settings.resolution)
+    frames = frames_of(file, content, pictures, size)
     if test is None:
         learn, check = _listed_split(content, frames)
     else:
-        other = _load(test)
-        others = _pictures(test, other)
-        learn, check = frames, _frames(test, other, others, _known_size(test, other, others) or size)
-    return Capture(train, "transforms", learn, check, np.eye(4), _points(train, content))
+        other = load_transforms(test)
+        others = [listed_picture(test.parent, e["file_path"]) for e in other["frames"]]
+        learn, check = frames, frames_of(test, other, others, _known_size(test, other, others) or size)
+    return Capture(file, file.parent, kind_of(file, content, learn), learn, check, np.eye(4), _points(file, content))
 
 
-def _load(file: Path) -> dict[str, Any]:
+def kind_of(file: Path, content: dict[str, Any], frames: list[Frame]) -> str:
+    """The short name of the dataset that such a file, its training frames and what lies beside it are found in."""
+    folder, first = file.parent, next((f for f in frames if f.picture is not None), frames[0])
+    listed = first.listed.removeprefix("./")
+    if (folder / "meta.json").is_file():  # of a dataset rendered by scripts/render_dataset.py
+        return "transforms"
+    if (folder / "transforms_novel.json").is_file() or (folder / "train_mask").is_dir():
+        return "stanford-orb"
+    if first.picture is not None and first.picture.name.endswith("_rgb.exr"):
+        return "synthetic4relight"
+    if TENSOIR_VIEW.fullmatch(listed):
+        return "tensoir"
+    if file.name == "transforms_train.json" and GLOSSY_VIEW.fullmatch(listed) and "fl_x" in content:
+        return "glossy-synthetic"
+    if file.name == "transforms_train.json" and "camera_angle_x" in content and "fl_x" not in content:
+        return "nerf-synthetic"
+    if any(key in content for key in NERFSTUDIO_KEYS):
+        return "nerfstudio"
+    return "instant-ngp" if "aabb_scale" in content or "sharpness" in content["frames"][0] else "transforms"
+
+
+def _test_file(train: Path) -> Path | None:
+    """The file of the test views that goes with one of training views."""
+    if train.name != "transforms_train.json":
+        return None
+    files = (train.with_name(f"transforms_{split}.json") for split in ("test", "val"))
+    return next((f for f in files if f.is_file()), None)
+
+
+def load_transforms(file: Path) -> dict[str, Any]:
+    """The content of a transforms file, each of its frames with a `file_path`. Raises InputError where it is none."""
     try:
         content = json.loads(file.read_bytes())
     except OSError as error:
@@ -61,19 +93,42 @@ def _load(file: Path) -> dict[str, Any]:
     return content
 
 
-def _pictures(file: Path, content: dict[str, Any]) -> list[Path | None]:
+def listed_picture(folder: Path, listed: str, root: Path | None = None) -> Path | None:
+    """The picture that a file in `folder` lists, or None where there is none.
+
+    Raises InputError where it would lie outside `root`, which is that folder unless given, or can't be the name of a file.
+    """
+    base = folder / listed.replace("\\", "/")
     try:
-        # Synthetic4Relight lists NAME for NAME_rgb.exr.
-        bases = [file.parent / e["file_path"].replace("\\", "/") for e in content["frames"]]
-        return [find_picture(b) or find_picture(b.with_name(b.name + "_rgb.exr")) for b in bases]
+        inside(base, root or folder)
+        # Synthetic4Relight lists NAME for NAME_rgb.exr and NAME_rgba.png.
+        candidates = (base, base.with_name(base.name + "_rgb.exr"), base.with_name(base.name + "_rgba.png"))
+        return next(filter(None, map(find_picture, candidates)), None)
     except (OSError, ValueError) as error:  # names too long or otherwise impossible for the file system
-        raise InputError(file, f"names an impossible file ({getattr(error, 'strerror', None) or error})") from error
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(folder, f"can't have the impossible file {listed[:80]!r} that is listed ({reason})") from error
+
+
+def _downscaled(
+    folder: Path, content: dict[str, Any], pictures: list[Path | None], size: Size | None, resolution: int
+) -> list[Path | None]:
+    """Nerfstudio's smaller copies of all pictures, from images_2, images_4 or images_8, where they reach the resolution."""
+    names = [e["file_path"].removeprefix("./") for e in content["frames"]]
+    if size is None or not all(n.startswith("images/") for n in names):
+        return pictures
+    for factor in (8, 4, 2):
+        small = folder / f"images_{factor}"
+        if max(size) / factor >= resolution and small.is_dir():
+            copies = [listed_picture(folder, f"images_{factor}/" + n.removeprefix("images/")) for n in names]
+            if all(c is not None or p is None for c, p in zip(copies, pictures, strict=True)):
+                return copies
+    return pictures
 
 
 def _known_size(file: Path, content: dict[str, Any], pictures: list[Path | None]) -> Size | None:
     """The size the cameras are for: as stated, or that of the first picture that can be read; None where there is neither."""
     if "w" in content and "h" in content:
-        return _side(file, content, "w"), _side(file, content, "h")
+        return side_of(file, content, "w"), side_of(file, content, "h")
     for picture in filter(None, pictures):
         try:
             return picture_size(picture)
@@ -82,19 +137,20 @@ def _known_size(file: Path, content: dict[str, Any], pictures: list[Path | None]
     return None
 
 
-def _frames(file: Path, content: dict[str, Any], pictures: list[Path | None], size: Size | None) -> list[Frame]:
+def frames_of(file: Path, content: dict[str, Any], pictures: list[Path | None], size: Size | None) -> list[Frame]:
+    """The frames of a file, with pictures in the order it lists them; `size` is that of cameras that don't say theirs."""
     shared = {k: v for k, v in content.items() if k != "frames"}
     frames = []
     for index, (entry, picture) in enumerate(zip(content["frames"], pictures, strict=True)):
         where = f"{file}, frame {index} ({entry['file_path'][:80]})"
-        lens = _lens(where, {**shared, **entry}, size)
-        frames.append(Frame(entry["file_path"], picture, _mask(file, entry, picture), lens, _pose(where, entry)))
+        lens = lens_of(where, {**shared, **entry}, size)
+        frames.append(Frame(entry["file_path"], picture, _mask(file, entry, picture), lens, pose_of(where, entry)))
     return frames
 
 
 def _mask(file: Path, entry: dict[str, Any], picture: Path | None) -> Path | None:
     if isinstance(entry.get("mask_path"), str) and entry["mask_path"]:
-        mask = file.parent / entry["mask_path"].replace("\\", "/")
+        mask = inside(file.parent / entry["mask_path"].replace("\\", "/"), file.parent)
         if picture is not None and not mask.is_file():
             raise InputError(mask, "no such mask file", f"it is named by {file.name}")
         return mask
@@ -114,106 +170,6 @@ def _picture_root(file: Path, picture: Path) -> Path:
     return file.parent / parts[0] if len(parts) > 1 else file.parent
 
 
-def _pose(where: str, entry: dict[str, Any]) -> np.ndarray:
-    """(4, 4) camera to world, made exactly rigid."""
-    if "transform_matrix" not in entry:
-        raise InputError(where, 'has no "transform_matrix"')
-    try:
-        matrix = np.array(entry["transform_matrix"], np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(where, "transform_matrix is not a matrix of numbers") from error
-    if matrix.shape == (3, 4):
-        matrix = np.vstack([matrix, [0, 0, 0, 1]])
-    if matrix.shape != (4, 4):
-        raise InputError(where, f"transform_matrix has shape {matrix.shape}, not 4x4")
-    return _rigid(where, matrix)
-
-
-def _rigid(where: object, matrix: np.ndarray) -> np.ndarray:
-    """The (4, 4) matrix with its rotation made exact. Raises InputError where it is not finite or not a rotation and a translation."""
-    if not np.isfinite(matrix).all():
-        raise InputError(where, "transform_matrix is not finite (NaN or infinity)")
-    turn = matrix[:3, :3]
-    if np.abs(turn).max() > 2 or np.abs(turn @ turn.T - np.eye(3)).max() > RIGID_TOLERANCE or np.linalg.det(turn) < 0:
-        raise InputError(where, "transform_matrix is not rigid (scaled, sheared or mirrored)", "only rotation and translation are allowed")
-    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
-        raise InputError(where, "transform_matrix has a last row other than 0 0 0 1")
-    if np.abs(matrix[:3, 3]).max() > FARTHEST:
-        raise InputError(where, "transform_matrix puts the camera at infinity")
-    u, _, vt = np.linalg.svd(turn)
-    exact = np.eye(4)
-    exact[:3, :3], exact[:3, 3] = u @ vt, matrix[:3, 3]
-    return exact
-
-
-def _lens(where: str, values: dict[str, Any], size: Size | None) -> Lens:
-    """Intrinsics from the file's values, those of the frame first."""
-    width, height = (_side(where, values, k, i, size) for i, k in enumerate(("w", "h")))
-    if _given(values, "fl_x"):
-        fx = _number(where, values, "fl_x")
-        fy = _number(where, values, "fl_y") if _given(values, "fl_y") else fx
-    elif _given(values, "camera_angle_x"):
-        fx = _focal_of(where, values, "camera_angle_x", width)
-        fy = _number(where, values, "fl_y") if _given(values, "fl_y") else fx
-    else:
-        raise InputError(where, 'has neither "fl_x" nor "camera_angle_x"')
-    cx = _number(where, values, "cx") if _given(values, "cx") else width / 2
-    cy = _number(where, values, "cy") if _given(values, "cy") else height / 2
-    model, distortion, fisheye = _distortion(where, values)
-    return Lens(model, width, height, fx, fy, cx, cy, distortion, fisheye).checked(where)
-
-
-def _distortion(where: str, values: dict[str, Any]) -> tuple[str, tuple[float, ...], bool]:
-    """(model name, coefficients in OpenCV's order, fisheye)."""
-    k = {n: _number(where, values, n) if _given(values, n) else 0.0 for n in ("k1", "k2", "k3", "k4", "p1", "p2")}
-    assumed = FISHEYE_MODEL if values.get("is_fisheye") is True else "OPENCV" if any(k.values()) else "PINHOLE"
-    model = values.get("camera_model", assumed)
-    if model == FISHEYE_MODEL:
-        return model, (k["k1"], k["k2"], k["k3"], k["k4"]), True
-    if model not in RADIAL_MODELS:
-        known = ", ".join((*RADIAL_MODELS, FISHEYE_MODEL))
-        raise InputError(where, f"has an unknown camera model {str(model)[:40]!r}", f"known are {known}")
-    if k["k4"]:
-        raise InputError(where, f"has k4 with the camera model {model}", "k4 belongs to OPENCV_FISHEYE")
-    coefficients = (k["k1"], k["k2"], k["p1"], k["p2"], k["k3"])
-    return model, coefficients if any(coefficients) and "PINHOLE" not in model else (), False
-
-
-def _given(values: dict[str, Any], key: str) -> bool:
-    return values.get(key) is not None
-
-
-def _number(where: object, values: dict[str, Any], key: str) -> float:
-    value = values[key]
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(where, f'"{key}" is not a number')
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise InputError(where, f'"{key}" is not finite')
-    return number
-
-
-def _side(where: object, values: dict[str, Any], key: str, axis: int = 0, size: Size | None = None) -> int:
-    if not _given(values, key):
-        if size is None:
-            raise InputError(where, f'has no "{key}" and no picture to take the size from')
-        return size[axis]
-    side = _number(where, values, key)
-    if not 1 <= side <= LARGEST_SIDE or side != int(side):
-        raise InputError(where, f'"{key}" = {side:g} is not a picture size')
-    return int(side)
-
-
-def _focal_of(where: str, values: dict[str, Any], key: str, pixels: int) -> float:
-    angle = _number(where, values, key)
-    if not 0 < angle < math.pi:
-        raise InputError(where, f'"{key}" = {angle:g} is not between 0 and pi')
-    return 0.5 * pixels / math.tan(0.5 * angle)
-
-
 def _listed_split(content: dict[str, Any], frames: list[Frame]) -> tuple[list[Frame], list[Frame] | None]:
     """Nerfstudio may name the pictures of each split inside the file."""
     named = {split: content.get(f"{split}_filenames") for split in ("train", "val", "test")}
@@ -230,16 +186,7 @@ def _points(file: Path, content: dict[str, Any]) -> PointCloud | None:
     name = content.get("ply_file_path")
     if not isinstance(name, str) or not name:
         return None
-    path = file.parent / name
+    path = inside(file.parent / name, file.parent)
     if not path.is_file():
         raise InputError(path, "no such file", f"it is named by {file.name} as ply_file_path")
-    try:
-        vertex = PlyData.read(str(path))["vertex"]
-        position = np.stack([vertex[c] for c in "xyz"], -1).astype(np.float32)
-        names = {p.name for p in vertex.properties}
-        colour = np.stack([vertex[c] for c in ("red", "green", "blue")], -1) if "red" in names else np.full(position.shape, 128, np.uint8)
-    except Exception as error:  # plyfile raises many kinds for broken files
-        raise InputError(path, f"not a readable PLY of points ({error})") from error
-    if not (np.abs(position) < FARTHEST).all():
-        raise InputError(path, "has points at infinity")
-    return PointCloud(position, colour.astype(np.float32) / (255 if colour.dtype == np.uint8 else 1))
+    return read_points(path)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Intrinsics in the words of the transforms.json family."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ..errors import InputError
+from .capture import Lens
+
+RADIAL_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+FISHEYE_MODEL = "OPENCV_FISHEYE"
+LARGEST_SIDE = 1 << 20
+
+Size = tuple[int, int]
+
+
+def lens_of(where: str, values: dict[str, Any], size: Size | None) -> Lens:
+    """Intrinsics from a frame's values; `size` stands in where they say none. Raises InputError where they are no camera's."""
+    width, height = (side_of(where, values, k, i, size) for i, k in enumerate(("w", "h")))
+    if is_given(values, "fl_x"):
+        fx = number_of(where, values, "fl_x")
+        fy = number_of(where, values, "fl_y") if is_given(values, "fl_y") else fx
+    elif is_given(values, "camera_angle_x"):
+        fx = _focal_of(where, values, "camera_angle_x", width)
+        fy = number_of(where, values, "fl_y") if is_given(values, "fl_y") else fx
+    else:
+        raise InputError(where, 'has neither "fl_x" nor "camera_angle_x"')
+    cx = number_of(where, values, "cx") if is_given(values, "cx") else width / 2
+    cy = number_of(where, values, "cy") if is_given(values, "cy") else height / 2
+    model, distortion, fisheye = _distortion(where, values)
+    return Lens(model, width, height, fx, fy, cx, cy, distortion, fisheye).checked(where)
+
+
+def _distortion(where: str, values: dict[str, Any]) -> tuple[str, tuple[float, ...], bool]:
+    """(model name, coefficients in OpenCV's order, fisheye)."""
+    k = {n: number_of(where, values, n) if is_given(values, n) else 0.0 for n in ("k1", "k2", "k3", "k4", "p1", "p2")}
+    assumed = FISHEYE_MODEL if values.get("is_fisheye") is True else "OPENCV" if any(k.values()) else "PINHOLE"
+    model = values.get("camera_model", assumed)
+    if model == FISHEYE_MODEL:
+        return model, (k["k1"], k["k2"], k["k3"], k["k4"]), True
+    if model not in RADIAL_MODELS:
+        known = ", ".join((*RADIAL_MODELS, FISHEYE_MODEL))
+        raise InputError(where, f"has an unknown camera model {str(model)[:40]!r}", f"known are {known}")
+    if k["k4"]:
+        raise InputError(where, f"has k4 with the camera model {model}", "k4 belongs to OPENCV_FISHEYE")
+    coefficients = (k["k1"], k["k2"], k["p1"], k["p2"], k["k3"])
+    return model, coefficients if any(coefficients) and "PINHOLE" not in model else (), False
+
+
+def is_given(values: dict[str, Any], key: str) -> bool:
+    """True where the values have the key, and something under it."""
+    return values.get(key) is not None
+
+
+def number_of(where: object, values: dict[str, Any], key: str) -> float:
+    """The number under the key. Raises InputError where it is none, or not finite."""
+    value = values[key]
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(where, f'"{key}" is not a number')
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError(where, f'"{key}" is not finite')
+    return number
+
+
+def side_of(where: object, values: dict[str, Any], key: str, axis: int = 0, size: Size | None = None) -> int:
+    """A picture's side in pixels under the key, or from `size` where there is none. Raises InputError where neither makes sense."""
+    if not is_given(values, key):
+        if size is None:
+            raise InputError(where, f'has no "{key}" and no picture to take the size from')
+        return size[axis]
+    side = number_of(where, values, key)
+    if not 1 <= side <= LARGEST_SIDE or side != int(side):
+        raise InputError(where, f'"{key}" = {side:g} is not a picture size')
+    return int(side)
+
+
+def _focal_of(where: str, values: dict[str, Any], key: str, pixels: int) -> float:
+    angle = number_of(where, values, key)
+    if not 0 < angle < math.pi:
+        raise InputError(where, f'"{key}" = {angle:g} is not between 0 and pi')
+    return 0.5 * pixels / math.tan(0.5 * angle)

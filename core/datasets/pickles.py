@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pickled numpy arrays from elsewhere, read without running any code they name."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+
+LARGEST = 64 << 20  # bytes; cameras of thousands of pictures take less
+VALUES = 1_000_000  # that a pickle may hold, each counted as often as it is named
+NUMBERS = re.compile(r"[biufU]\d+")
+
+
+def read_pickle(path: Path) -> Any:
+    """What a pickle of numpy arrays, numbers, strings, lists, tuples and dictionaries holds.
+
+    Raises InputError where it is damaged, too large, or names anything else: nothing of the file is ever called, since even the arrays
+    are put together here.
+    """
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(path, f"is a pickle of more than {LARGEST >> 20} MiB")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})") from error
+    try:
+        return _Finish()(_Arrays(io.BytesIO(data)).load())
+    except pickle.UnpicklingError as error:
+        raise InputError(path, f"is refused: {error}", "a pickle of plain numpy arrays is expected") from error
+    except Exception as error:  # a damaged pickle raises nearly anything
+        raise InputError(path, f"not a readable pickle ({type(error).__name__})") from error
+
+
+class _Dtype:
+    """Stands for numpy.dtype."""
+
+    def __init__(self, code: str, *_: object) -> None:
+        if not isinstance(code, str) or not NUMBERS.fullmatch(code):
+            raise pickle.UnpicklingError(f"it has an array of {str(code)[:20]!r}")
+        self.code, self.order = code, "="
+
+    def __setstate__(self, state: tuple) -> None:
+        self.order = state[1] if state[1] in ("<", ">") else "="
+
+    def numpy(self) -> np.dtype:
+        return np.dtype(self.order + self.code)
+
+
+class _Array:
+    """Stands for numpy.ndarray: keeps what it is told, and becomes an array once all is read."""
+
+    value: np.ndarray | None = None
+
+    def __setstate__(self, state: tuple) -> None:
+        _, shape, dtype, fortran, data = state
+        self.value = _array(data, dtype, shape, "F" if fortran else "C")
+
+
+def _array(data: bytes, dtype: _Dtype, shape: tuple, order: str) -> np.ndarray:
+    return np.frombuffer(data, dtype.numpy()).reshape(shape, order="F" if order == "F" else "C").copy()
+
+
+def _reconstruct(*_: object) -> _Array:
+    return _Array()
+
+
+def _from_buffer(data: bytes, dtype: _Dtype, shape: tuple, order: str) -> np.ndarray:
+    return _array(bytes(data), dtype, shape, order)
+
+
+def _scalar(dtype: _Dtype, data: bytes) -> Any:
+    return _array(data, dtype, (), "C").item()
+
+
+def _latin(text: str, encoding: str) -> bytes:
+    if encoding != "latin1":
+        raise pickle.UnpicklingError(f"it names the encoding {str(encoding)[:20]!r}")
+    return text.encode("latin1")
+
+
+KNOWN = {
+    ("numpy", "ndarray"): _Array,
+    ("numpy", "dtype"): _Dtype,
+    ("_codecs", "encode"): _latin,  # bytes, in pickles of Python 2's protocols
+}
+for _core in ("numpy.core", "numpy._core"):
+    KNOWN[_core + ".multiarray", "_reconstruct"] = _reconstruct
+    KNOWN[_core + ".multiarray", "scalar"] = _scalar
+    KNOWN[_core + ".numeric", "_frombuffer"] = _from_buffer
+
+
+class _Arrays(pickle.Unpickler):
+    def find_class(self, module_name: str, global_name: str) -> Any:
+        if (module_name, global_name) not in KNOWN:
+            raise pickle.UnpicklingError(f"it names {module_name[:60]}.{global_name[:60]}, which may run code")
+        return KNOWN[module_name, global_name]
+
+
+class _Finish:
+    """Puts arrays in place of what stands for them. Raises UnpicklingError for any other kind of value, and for too many."""
+
+    def __init__(self) -> None:
+        self.left = VALUES
+
+    def __call__(self, value: Any) -> Any:
+        self.left -= 1
+        if self.left < 0:  # a list that holds one list many times, which does the same, and so on
+            raise pickle.UnpicklingError(f"it holds more than {VALUES} values")
+        if isinstance(value, (list, tuple)):
+            return type(value)(self(v) for v in value)
+        if isinstance(value, dict):
+            return {self(k): self(v) for k, v in value.items()}
+        if isinstance(value, _Array):
+            value = value.value
+        if isinstance(value, (np.ndarray, str, bytes, int, float, bool, type(None))):
+            return value
+        raise pickle.UnpicklingError(f"it holds a {type(value).__name__.lstrip('_')}")
