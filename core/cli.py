@@ -19,6 +19,7 @@ from pathlib import Path
 from . import render_command, serve_command
 from .config import PRESETS, Settings, preset
 from .errors import Cancelled, IrgsppError
+from .evaluation.protocols import PROTOCOLS
 from .journal import JobJournal, JobNotes
 from .overrides import from_dict, with_overrides
 from .run_folder import read_run
@@ -143,7 +144,8 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
     from .evaluation.report import evaluate, table
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    report = evaluate(args.run, args.dataset, args.out, settings.data, terminal, args.cycles)
+    choices = {"protocol": args.protocol, "views": args.views, "samples": args.samples, "lpips": args.lpips}
+    report = evaluate(args.run, args.dataset, args.out, settings.data, terminal, args.cycles, **choices)
     terminal.end_line()
     print(table(report))
     return 0
@@ -222,6 +224,11 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("-o", dest="out", metavar="REPORT", type=Path, help="folder for report.html and report.json (default: RUN/evaluation)")
     cycles = "render N of the views by Cycles too, from the exported object, and set them beside ours"
     one.add_argument("--cycles", type=_count, default=0, metavar="N", help=cycles)
+    whose = "whose choices of scale, background, masks and colour space: as that paper's own code has them (default: plain)"
+    one.add_argument("--protocol", choices=list(PROTOCOLS), default="plain", help=whose)
+    one.add_argument("--views", type=_positive, metavar="N", help="so many of the views, evenly spread (default: all)")
+    one.add_argument("--samples", type=_positive, metavar="N", help="light samples per pixel (default: 64, of the papers' protocols 512)")
+    one.add_argument("--lpips", metavar="FILE", type=Path, help="the metric LPIPS as TorchScript, where the package lpips is not installed")
 
     one = _command(commands, "export", export, "the asset, Blender scene, Gaussians or light of a run as one file")
     _run_argument(one)
@@ -251,6 +258,12 @@ def _run_argument(one: argparse.ArgumentParser) -> None:
 
 def _set_option(one: argparse.ArgumentParser) -> None:
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change one setting; run.json lists all (repeatable)")
+
+
+def _positive(text: str) -> int:
+    if int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: at least 1")
+    return int(text)
 
 
 def _count(text: str) -> int:

@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Figures of merit, as published inverse-rendering tables define them.
-
-Pictures are compared sRGB-encoded, clipped to 0..1 and set on black by their own alpha, so that a wrong silhouette costs. Albedo is
-compared linear, times the true alpha, after one scale per channel: under an unknown light its brightness is not observable.
-"""
+"""Figures of merit of arrays; what they are computed of is the protocol's choice (protocols.py)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
+import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
-from skimage.metrics import structural_similarity
 from skimage.transform import resize
 
 from ..colour import encode_srgb
@@ -39,11 +37,24 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     return float(-10 * np.log10(max((error if mask is None else error[mask]).mean(), 1e-10)))
 
 
-def ssim(a: np.ndarray, b: np.ndarray) -> float:
-    """Structural similarity of (H, W, 3) pictures in 0..1, with the usual Gaussian window of 1.5 px."""
-    window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    value = structural_similarity(a.astype(np.float64), b.astype(np.float64), channel_axis=-1, data_range=1.0, **window)
-    return float(np.asarray(value))
+def ssim(a: np.ndarray, b: np.ndarray, window: int = SSIM_WINDOW) -> float:
+    """Structural similarity of (H, W, 3) pictures in 0..1, Gaussian window of sigma 1.5 px cut off to `window` (odd) pixels.
+
+    With the usual window of 11 the mean is over pixels whose window lies inside, as in Wang et al. 2004; with another one over all,
+    pictures mirrored at their edges, as kornia has it.
+    """
+    radius = window // 2
+    a, b = a.astype(np.float64), b.astype(np.float64)
+
+    def local(values: np.ndarray) -> np.ndarray:
+        return gaussian_filter(values, (1.5, 1.5, 0), radius=(radius, radius, 0), mode="mirror")
+
+    mean_a, mean_b = local(a), local(b)
+    variances = local(a * a) - mean_a**2 + local(b * b) - mean_b**2
+    covariance = local(a * b) - mean_a * mean_b
+    similarity = (2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4) / ((mean_a**2 + mean_b**2 + 1e-4) * (variances + 9e-4))
+    inner = slice(radius, -radius) if window == SSIM_WINDOW else slice(None)
+    return float(similarity[inner, inner].mean())
 
 
 def normal_angles(normals: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -53,26 +64,65 @@ def normal_angles(normals: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.where(np.linalg.norm(n, axis=-1) > 1e-6, angle, 90.0)
 
 
-def albedo_scale(albedos: Sequence[np.ndarray], truths: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
-    """(3,) median of truth / albedo per channel over the masked pixels of all views (linear (H, W, 3) pictures)."""
-    pixels = zip(albedos, truths, masks, strict=True)
-    ratio = np.concatenate([truth[mask].astype(np.float64) / np.maximum(albedo[mask], 1e-6) for albedo, truth, mask in pixels])
+def fitted_scale(values: np.ndarray, truth: np.ndarray, weight: np.ndarray | float = 1.0) -> np.ndarray:
+    """(C,) factors that bring (..., C) values closest to the truth, by least squares per channel; `weight` broadcasts."""
+    axes = tuple(range(values.ndim - 1))
+    values, truth = values.astype(np.float64), truth.astype(np.float64)
+    return (weight * truth * values).sum(axes) / np.maximum((weight * values * values).sum(axes), 1e-12)
+
+
+def albedo_scale(
+    albedos: Sequence[np.ndarray],
+    truths: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    fit: Literal["median", "least squares"] = "median",
+) -> np.ndarray:
+    """(3,) factor per channel over the masked pixels of all views (linear (H, W, 3) pictures): median of truth / albedo, or least squares.
+
+    1 where no pixel is masked.
+    """
+    ours = np.concatenate([albedo[mask] for albedo, mask in zip(albedos, masks, strict=True)]).astype(np.float64)
+    true = np.concatenate([truth[mask] for truth, mask in zip(truths, masks, strict=True)]).astype(np.float64)
+    if not len(ours):
+        return np.ones(3)
+    if fit == "least squares":
+        return fitted_scale(ours, true)
+    ratio = true / np.maximum(ours, 1e-6)
     return np.median(ratio[np.isfinite(ratio).all(-1)], axis=0)
 
 
-def environment_figures(light: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """PSNR and SSIM of light maps (H, W, 3), encoded and clipped, on the grid of the true one, after a least-squares scale per channel.
+def eroded(mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool: what lies at least 2 pixels (of a square) inside the mask; outside the picture everything counts as inside."""
+    return cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 
-    The scale is weighted by solid angle; `environment_psnr_unscaled` is without it.
+
+def cosine_distance(normals: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
+    """Mean of 1 - cosine between normal maps (H, W, 3) over a mask; 1 where there is no normal."""
+    n, t = (v[mask].astype(np.float64) / (np.linalg.norm(v[mask], axis=-1, keepdims=True) + 1e-6) for v in (normals, truth))
+    return float(1 - (n * t).sum(-1).mean())
+
+
+def environment_figures(light: np.ndarray, truth: np.ndarray, grid: tuple[int, int] | None = None) -> dict[str, float]:
+    """PSNR and SSIM of light maps (H, W, 3), encoded and clipped, after a least-squares scale per channel weighted by solid angle.
+
+    `grid`: rows and columns that both are brought to, those of the true map where it is None. `environment_psnr_unscaled` is without
+    the scale.
     """
-    height, width = truth.shape[:2]
-    reduced = resize(light.astype(np.float64), (height, width), order=1, mode="edge", anti_aliasing=light.shape[0] > height)
-    light = np.nan_to_num(np.asarray(reduced))
+    height, width = grid or truth.shape[:2]
+    light, truth = _on_grid(light, height, width), _on_grid(truth, height, width)
     weight = np.sin((np.arange(height) + 0.5) * np.pi / height)[:, None, None]
-    scale = (weight * truth * light).sum((0, 1)) / np.maximum((weight * light * light).sum((0, 1)), 1e-12)
-    scaled, plain, true = (encode_srgb(np.clip(picture, 0, 1)) for picture in (light * scale, light, truth))
+    fitted = light * fitted_scale(light, truth, weight)
+    scaled, plain, true = (encode_srgb(np.clip(picture, 0, 1)) for picture in (fitted, light, truth))
     figures = {"environment_psnr": psnr(scaled, true), "environment_psnr_unscaled": psnr(plain, true)}
     return figures | ({"environment_ssim": ssim(scaled, true)} if min(height, width) >= SSIM_WINDOW else {})
+
+
+def _on_grid(light: np.ndarray, height: int, width: int) -> np.ndarray:
+    if light.shape[:2] == (height, width):
+        return light.astype(np.float64)
+    return np.nan_to_num(
+        np.asarray(resize(light.astype(np.float64), (height, width), order=1, mode="edge", anti_aliasing=light.shape[0] > height))
+    )
 
 
 def mesh_distances(mesh: Mesh, points: np.ndarray, normals: np.ndarray, near: float = 0.1, samples: int = 300_000) -> dict[str, float]:
@@ -95,6 +145,13 @@ def mesh_distances(mesh: Mesh, points: np.ndarray, normals: np.ndarray, near: fl
         "mesh_stray": float(1 - seen.mean()),
         "mesh_triangles": len(mesh.faces),
     }
+
+
+def squared_chamfer(mesh: Mesh, points: np.ndarray, samples: int = 30_000) -> float:
+    """Half the sum of the mean squared distances from mesh to the true points (N, 3) and back, in square scene units."""
+    surface, points = _surface_samples(mesh, samples)[0], points.astype(np.float64)
+    there, back = KDTree(surface).query(points)[0], KDTree(points).query(surface)[0]
+    return float((np.square(there).mean() + np.square(back).mean()) / 2)
 
 
 def _surface_samples(mesh: Mesh, count: int) -> tuple[np.ndarray, np.ndarray]:

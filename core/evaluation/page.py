@@ -5,21 +5,22 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from ..datasets.dataset import View
-from . import metrics, pictures
+from . import metrics, pictures, similarity
 from .cycles import Comparison
-from .figures import Prediction
+from .prediction import Prediction
+from .protocols import PLAIN, Protocol
 from .truth import Truth
 
 SHOWN = 12  # views with pictures; figures are of all
 SIDE = 320  # pixels of a picture's longest side at most
+BEST = ("nvs_psnr", "nvs_psnr_ldr", "radiance_psnr", "normal_mae", "albedo_psnr")
 BACKDROP = 0.16  # dark for the reason that the contact sheet's is
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1500px; padding: 0 1rem; background: #18191c; color: #e2e2de }
@@ -32,32 +33,30 @@ figure img { width: 100%; display: block; border-radius: 3px } figcaption { font
 
 
 def page(
-    report: dict[str, Any],
-    views: Sequence[View],
-    predictions: Sequence[Prediction],
-    truths: Sequence[Truth],
-    asset: Sequence[Comparison] = (),
+    report: dict[str, Any], shown: Mapping[str, tuple[Prediction, Truth]], how: Protocol = PLAIN, asset: Sequence[Comparison] = ()
 ) -> str:
-    """The whole page, pictures inside; `asset`: what Cycles makes of the exported object."""
+    """The whole page, pictures of the `shown` views inside; `asset`: what Cycles makes of the exported object."""
     scale = np.array(report["albedo_scale"] or (1.0, 1.0, 1.0))
-    shown = np.unique(np.linspace(0, len(views) - 1, min(SHOWN, len(views))).round().astype(int))
-    shown_views = [_section(views[i].name, report["views"][views[i].name], predictions[i], truths[i], scale) for i in shown]
+    shown_views = [_section(name, report["views"][name], *pair, scale, how) for name, pair in shown.items()]
     sections = "".join([*shown_views, _asset_section(asset)])
     rows = [f"<tr><th>{escape(name)}</th><td>{metrics.shown(value)}</td></tr>" for name, value in report["figures"].items()]
     if report["albedo_scale"]:
         rows.append(f"<tr><th>albedo_scale</th><td>{' '.join(f'{s:.3f}' for s in scale)}</td></tr>")
-    about = f"{escape(str(report['run']))} against the {len(views)} {escape(report['split'])} views of {escape(str(report['dataset']))}."
+    views = f"{len(report['views'])} {escape(report['split'])} views"
+    about = f"{escape(str(report['run']))} against the {views} of {escape(str(report['dataset']))}."
+    if report["albedo_scale"]:
+        about += " Albedo is shown after the scale per channel that the figures use."
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Evaluation</title><style>{STYLE}</style>"
         f"<h1>Evaluation</h1><p>{about} PSNR in dB, angles in degrees, lengths in scene units; means over the views. "
-        "Albedo is shown after the scale per channel that the figures use. Heat: dark is exact.</p>"
+        "Heat: dark is exact.</p>"
         f"<table>{''.join(rows)}</table><p>{'<br>'.join(escape(line) for line in report['protocol'])}</p>{sections}</html>\n"
     )
 
 
-def _section(name: str, figures: dict[str, float], prediction: Prediction, truth: Truth, scale: np.ndarray) -> str:
-    rows = [_picture_row(prediction, truth), *_layer_rows(prediction, truth, scale), _relit_row(prediction, truth)]
-    best = ", ".join(f"{key} {figures[key]:.2f}" for key in ("nvs_psnr", "radiance_psnr", "normal_mae", "albedo_psnr") if key in figures)
+def _section(name: str, figures: dict[str, float], prediction: Prediction, truth: Truth, scale: np.ndarray, how: Protocol) -> str:
+    rows = [_picture_row(prediction, truth, how), *_layer_rows(prediction, truth, scale), _relit_row(prediction, truth, how)]
+    best = ", ".join(f"{key} {figures[key]:.2f}" for key in BEST if key in figures)
     return f"<h2>{escape(name)}</h2><p>{best}</p>" + "".join(f"<div class='row'>{''.join(row)}</div>" for row in rows)
 
 
@@ -76,14 +75,17 @@ def _asset_section(asset: Sequence[Comparison]) -> str:
     return f"<h2>The asset in Cycles</h2><p>{about}</p>" + "".join(f"<div class='row'>{''.join(row)}</div>" for row in rows)
 
 
-def _picture_row(prediction: Prediction, truth: Truth) -> list[str]:
-    shaded, radiance = metrics.on_black(prediction.shaded), metrics.on_black(prediction.buffers.picture)
+def _picture_row(prediction: Prediction, truth: Truth, how: Protocol) -> list[str]:
+    if prediction.shaded is None:
+        return []
+    photograph = similarity.shown_truth(truth.picture, truth, how)
+    shaded, radiance = (similarity.shown(rgba, truth, how) for rgba in (prediction.shaded, prediction.buffers.picture))
     return [
-        _figure("photograph", _opaque(truth.picture)),
+        _figure("photograph", _opaque(photograph)),
         _figure("rendered by its light", _opaque(shaded)),
-        _figure("error, to 0.2", pictures.heat(np.abs(shaded - truth.picture).max(-1), 0.2)),
+        _figure("error, to 0.2", pictures.heat(np.abs(shaded - photograph).max(-1), 0.2)),
         _figure("radiance", _opaque(radiance)),
-        _figure("error, to 0.2", pictures.heat(np.abs(radiance - truth.picture).max(-1), 0.2)),
+        _figure("error, to 0.2", pictures.heat(np.abs(radiance - photograph).max(-1), 0.2)),
     ]
 
 
@@ -107,12 +109,12 @@ def _layer_rows(prediction: Prediction, truth: Truth, scale: np.ndarray) -> list
     return [rows[0] + rows[1], rows[2] + rows[3]]
 
 
-def _relit_row(prediction: Prediction, truth: Truth) -> list[str]:
+def _relit_row(prediction: Prediction, truth: Truth, how: Protocol) -> list[str]:
     row = []
     for name in (light for light in truth.relit if light in prediction.relit):
-        relit = metrics.on_black(prediction.relit[name])
-        error = np.abs(relit - truth.relit[name]).max(-1)
-        row += [_figure(f"true, {name}", _opaque(truth.relit[name])), _figure(f"relit by {name}", _opaque(relit))]
+        relit, true = similarity.shown(prediction.relit[name], truth, how), similarity.shown_truth(truth.relit[name], truth, how)
+        error = np.abs(relit - true).max(-1)
+        row += [_figure(f"true, {name}", _opaque(true)), _figure(f"relit by {name}", _opaque(relit))]
         row.append(_figure("error, to 0.2", pictures.heat(error, 0.2)))
     return row
 

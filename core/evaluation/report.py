@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +20,21 @@ from ..datasets.load import load_dataset
 from ..errors import Cancelled, InputError
 from ..progress import Progress, Silent
 from ..relight.backends import best_backend, open_relighter
-from ..relight.lighting import prepare
+from ..relight.lighting import PreparedLight, prepare
 from ..relight.relighter import Relighter, RelightSettings
 from ..scene.ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..stages.render import render_view
 from . import metrics
 from .cycles import compare
-from .figures import Prediction, albedo_figures, averages, view_figures
-from .page import page
+from .figures import Fits, averages, fitted_figures, relit_figures, view_figures
+from .page import SHOWN, page
+from .perceptual import NO_LPIPS, Lpips, find_lpips
+from .prediction import Prediction
+from .protocols import PLAIN, Protocol, described, protocol_named
 from .truth import SceneTruth, Truth, load_scene_truth, load_truth
 
-SAMPLES = 64  # of shaded and relit pictures
+CHAMFER_UNIT = 2000  # what Stanford-ORB's tables multiply by
 CYCLES_PROTOCOL = (
     "cycles_difference, cycles_psnr: our pictures of the Gaussians against the exported mesh and textures in Cycles, all bounces, encoded; "
     "the difference is the mean where either shows something, albedo as estimated."
@@ -44,112 +48,213 @@ def evaluate(
     settings: DataSettings | None = None,
     progress: Progress | None = None,
     cycles: int = 0,
+    *,
+    protocol: str = "plain",
+    views: int | None = None,
+    samples: int | None = None,
+    lpips: Path | None = None,
 ) -> dict[str, Any]:
     """Compare a run with the test views of a dataset (its training views where it has no others).
 
     Writes `report.json` and `report.html` (self-contained) into `output`, `run/evaluation` where that is None, and returns what is in
-    the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split", "protocol".
+    the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split", "protocol" (a
+    line for each choice), "choices" (the same for programs).
     `settings` say how the dataset is read. So many views as `cycles` says are rendered by Cycles too, from the asset, under the lights
-    that are known (the recovered one where none is). Raises InputError for a folder that is no finished run, or a dataset that can't be
-    read; NoBlender where Cycles is asked for and there is none.
+    that are known (the recovered one where none is). `protocol`: whose choices, see protocols.py; `views`: evenly spread, instead of all;
+    `samples`: light samples of a pixel, instead of the protocol's; `lpips`: that distance as TorchScript. Raises InputError for a folder
+    that is no finished run, or a dataset that can't be read; NoBlender where Cycles is asked for and there is none.
     """
     progress = progress or Silent()
+    how = protocol_named(protocol)
+    how = how if samples is None else replace(how, samples=samples)
+    distances = {"": found} if lpips is not None and (found := find_lpips(lpips)) else _distances(how)
     reconstruction = Reconstruction.load(run)
-    data = load_dataset(dataset, settings or DataSettings(), progress)
-    split, views = ("test", data.test) if data.test else ("train", data.train)
-    scene = load_scene_truth(dataset, reconstruction.to_world)
-    same = reconstruction.to_world @ np.linalg.inv(data.to_world)  # read on its own, a dataset may be placed otherwise
-    cameras = [view.camera.moved(same) for view in views]
-    truths = [load_truth(view, scene, reconstruction.to_world) for view in views]
+    cases = Cases.read(reconstruction, dataset, settings or DataSettings(), progress, views)
     backend = best_backend(run)
-    relighter = open_relighter(run, reconstruction, backend, RelightSettings(samples=SAMPLES))
-    predictions = shaded_views(relighter, cameras, progress)
-    _, scale = albedo_figures(predictions, truths)
-    lights = [{name: scene.lights[name] for name in truth.relit} for truth in truths]
-    predictions = relit_views(relighter.scaled(scale), predictions, cameras, lights, progress)
-    report = summarise(views, predictions, truths, scene)
-    report["figures"] |= scene_figures(run, reconstruction, scene)
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(cycles, len(views))).round().astype(int)) if cycles else []
-    known = scene.lights or {"recovered": reconstruction.environment_map()}
-    asset = compare(relighter, run, {views[i].name: cameras[i] for i in chosen}, known, progress) if cycles else []
+    relighter = open_relighter(run, reconstruction, backend, RelightSettings(samples=how.samples))
+    evaluation = Evaluation(cases, relighter, how, distances, progress)
+    evaluation.work()
+    report = evaluation.summary()
+    report["figures"] |= scene_figures(run, reconstruction, cases.scene, how, cases.unit)
+    known = cases.scene.lights or {"recovered": reconstruction.environment_map()}
+    chosen = {cases.views[i].name: cases.cameras[i] for i in _spread(len(cases.views), cycles)}
+    asset = compare(relighter, run, chosen, known, progress) if cycles else []
     report["figures"] |= averages([one.figures for one in asset], ())
     report["cycles"] = [{"view": one.view, "light": one.light, **one.figures} for one in asset]
-    report |= {"run": str(run.resolve()), "dataset": str(dataset.resolve()), "split": split}
-    report["protocol"] = [*protocol(report["albedo_scale"], backend), *([CYCLES_PROTOCOL] if cycles else [])]
-    _write(output or run / "evaluation", report, page(report, views, predictions, truths, asset))
+    report |= {
+        "run": str(run.resolve()),
+        "dataset": str(dataset.resolve()),
+        "split": cases.split,
+        "choices": {**asdict(how), "lpips": list(how.lpips), "light_grid": how.light_grid and list(how.light_grid)},
+    }
+    made = _made(evaluation, report["albedo_scale"], backend)
+    report["protocol"] = [*described(how), *made, *([CYCLES_PROTOCOL] if cycles else [])]
+    _write(output or run / "evaluation", report, page(report, evaluation.shown, how, asset))
     return report
 
 
-def shaded_views(relighter: Relighter, cameras: Sequence[Camera], progress: Progress) -> list[Prediction]:
-    """The layers of each view, and its picture under the recovered light with the albedo as it is."""
-    reconstruction, predictions = relighter.reconstruction, []
-    light = prepare(reconstruction.environment_map())
-    progress.phase("evaluate", len(cameras))
-    for camera in cameras:
-        shaded = relighter.relit(relighter.surface(camera), light).numpy()
-        predictions.append(Prediction(render_view(reconstruction, camera), shaded))
-        _stepped(progress, len(predictions), len(cameras))
-    return predictions
+def _distances(how: Protocol) -> dict[str, Lpips]:
+    """By the suffix of the figures' names: the first network has none."""
+    found = {"" if name == how.lpips[0] else f"_{name}": find_lpips(None, name) for name in how.lpips}
+    return {suffix: one for suffix, one in found.items() if one is not None}
 
 
-def relit_views(
-    relighter: Relighter,
-    predictions: Sequence[Prediction],
-    cameras: Sequence[Camera],
-    lights: Sequence[dict[str, np.ndarray]],
-    progress: Progress,
-) -> list[Prediction]:
-    """The predictions, and with them each view's pictures under its named lights."""
-    prepared, complete = {}, []
-    progress.phase("relight", len(cameras))
-    for prediction, camera, names in zip(predictions, cameras, lights, strict=True):
-        prepared |= {name: prepare(light) for name, light in names.items() if name not in prepared}
-        surface = relighter.surface(camera) if names else None
-        relit = {name: relighter.relit(surface, prepared[name]).numpy() for name in names} if surface else {}
-        complete.append(replace(prediction, relit=relit))
-        _stepped(progress, len(complete), len(cameras))
-    return complete
+def _spread(count: int, wanted: int) -> list[int]:
+    """At most so many numbers below `count`, evenly apart."""
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(wanted, count))}) if wanted else []
 
 
-def _stepped(progress: Progress, done: int, of: int) -> None:
-    progress.step(done)
-    if progress.cancelled:
-        raise Cancelled(f"stopped after {done} of {of} views")
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A view, its camera in the world of the run, and its truth."""
+
+    number: int
+    view: View
+    camera: Camera
+    truth: Truth
 
 
-def protocol(scale: Sequence[float] | None, backend: str) -> list[str]:
-    """How the figures were made, a line each: published ones differ in this and can't be compared otherwise."""
-    factors = "as estimated (no true albedo is known)" if scale is None else "times " + " ".join(f"{s:.4f}" for s in scale)
-    fitted = "" if scale is None else ", the median of true / estimated albedo per channel over all views"
-    return [
-        "Pictures: sRGB-encoded, clipped to 0..1, on black by their own alpha; means over the views, then over the lights.",
-        f"Shaded and relit pictures: {SAMPLES} samples per pixel, {backend} backend, denoised.",
-        f"Relit pictures: albedo {factors}{fitted}. Pictures under the recovered light: albedo as estimated.",
-        "Albedo: linear, times the true alpha, after that scale.",
-        "Environment: on the true map's grid, one least-squares scale per channel weighted by solid angle, sRGB-encoded, clipped to 0..1; "
-        "environment_psnr_unscaled without the scale.",
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """The views that are compared, and what is known of them, in the world of the run."""
+
+    split: str
+    of: int  # so many views has the split
+    views: list[View]
+    cameras: list[Camera]
+    scene: SceneTruth
+    to_world: np.ndarray
+
+    @classmethod
+    def read(
+        cls, reconstruction: Reconstruction, dataset: Path, settings: DataSettings, progress: Progress, wanted: int | None = None
+    ) -> Cases:
+        """The test views of a dataset, or its training views; `wanted` of them evenly spread."""
+        data = load_dataset(dataset, settings, progress)
+        split, every = ("test", data.test) if data.test else ("train", data.train)
+        views = every if wanted is None else [every[i] for i in _spread(len(every), max(wanted, 1))]
+        same = reconstruction.to_world @ np.linalg.inv(data.to_world)  # read on its own, a dataset may be placed otherwise
+        cameras = [view.camera.moved(same) for view in views]
+        scene = load_scene_truth(dataset, reconstruction.to_world)
+        return cls(split, len(every), views, cameras, scene, reconstruction.to_world)
+
+    @property
+    def unit(self) -> float:
+        """Lengths of the run's world that are one of the dataset's."""
+        return float(np.cbrt(np.linalg.det(self.to_world[:3, :3])))
+
+    def __iter__(self) -> Iterator[Case]:
+        """One view after the other: at full size, the truth of hundreds of views is more than fits in memory."""
+        for number, (view, camera) in enumerate(zip(self.views, self.cameras, strict=True)):
+            yield Case(number, view, camera, load_truth(view, self.scene, self.to_world))
+
+
+class Evaluation:
+    """The views of a run compared with their truth, one by one, twice: what is fitted to all views is known after the first time.
+
+    Args:
+        lpips: by the suffix of the figures' names.
+    """
+
+    def __init__(self, cases: Cases, relighter: Relighter, how: Protocol, lpips: dict[str, Lpips], progress: Progress) -> None:
+        self.cases, self.relighter, self.how, self.lpips, self.progress = cases, relighter, how, lpips, progress
+        self.fits, self.rows = Fits(how), [dict[str, float]() for _ in cases.views]
+        self.shown: dict[str, tuple[Prediction, Truth]] = {}  # some views with all their pictures
+        self.lit_by: dict[str, None] = {}  # names of lights, in order
+        self._prepared: dict[str, PreparedLight] = {}
+
+    def work(self) -> None:
+        """Compare all views. Raises Cancelled between two."""
+        shown = _spread(len(self.cases.views), SHOWN)
+        first = {case.number: self._as_it_is(case, case.number in shown) for case in self._told("evaluate")}
+        relighter = self.relighter.scaled(self.fits.albedo if self.how.relit_scaled else None)
+        for case in self._told("relight"):
+            kept = first.pop(case.number) or Prediction(render_view(relighter.reconstruction, case.camera), None)
+            prediction = replace(kept, relit=self._relit(relighter, case))
+            row = self.rows[case.number]
+            row |= relit_figures(prediction, case.truth, self.how, self.lpips)
+            row |= fitted_figures(prediction, case.truth, self.fits, self.how, self.cases.unit, self.lpips)
+            self.lit_by |= dict.fromkeys(prediction.relit)
+            if case.number in shown:
+                self.shown[case.view.name] = prediction, case.truth
+
+    def summary(self) -> dict[str, Any]:
+        """All figures of the views, and their means."""
+        relights, scale = [name for name in self.lit_by if name != self.cases.scene.train_light], self.fits.albedo
+        return {
+            "figures": averages(self.rows, relights, self.how),
+            "views": {view.name: row for view, row in zip(self.cases.views, self.rows, strict=True)},
+            "albedo_scale": None if scale is None else [float(s) for s in scale],
+        }
+
+    def _told(self, phase: str) -> Iterator[Case]:
+        """Every view; what is done is told."""
+        count = len(self.cases.views)
+        self.progress.phase(phase, count)
+        for case in self.cases:
+            yield case
+            self.progress.step(case.number + 1)
+            if self.progress.cancelled:
+                raise Cancelled(f"stopped after {case.number + 1} of {count} views")
+
+    def _as_it_is(self, case: Case, keep: bool) -> Prediction | None:
+        """Figures of layers and of the picture under the recovered light."""
+        own = case.view.light is None
+        shaded = self.relighter.relit(self.relighter.surface(case.camera), self._own_light).numpy() if own else None
+        prediction = Prediction(render_view(self.relighter.reconstruction, case.camera), shaded)
+        self.fits.gather(prediction, case.truth)
+        self.rows[case.number] |= view_figures(prediction, case.truth, self.how, self.lpips)
+        return prediction if keep else None
+
+    @cached_property
+    def _own_light(self) -> PreparedLight:
+        return prepare(self.relighter.reconstruction.environment_map())
+
+    def _relit(self, relighter: Relighter, case: Case) -> dict[str, np.ndarray]:
+        """Pictures under every light that is known, of as many views as the protocol says."""
+        known = case.truth.lights.keys() | self.cases.scene.lights.keys()
+        names = [name for name in case.truth.relit if name in known]
+        if not names or case.number >= (self.how.relit_views or len(self.cases.views)):
+            return {}
+        surface = relighter.surface(case.camera)
+        return {name: relighter.relit(surface, self._light(case.truth, name)).numpy() for name in names}
+
+    def _light(self, truth: Truth, name: str) -> PreparedLight:
+        """Of the view alone, or of the scene; those are prepared once for all views."""
+        if name in truth.lights:
+            return prepare(truth.lights[name])
+        if name not in self._prepared:
+            self._prepared[name] = prepare(self.cases.scene.lights[name])
+        return self._prepared[name]
+
+
+def _made(evaluation: Evaluation, scale: Sequence[float] | None, backend: str) -> list[str]:
+    """How the pictures of this very report were made."""
+    cases, how, lpips = evaluation.cases, evaluation.how, evaluation.lpips
+    unscaled = "its view's own" if how.scale_each_view else "as estimated (no true albedo is known)"
+    factors = unscaled if scale is None else "times " + " ".join(f"{s:.4f}" for s in scale)
+    lines = [
+        f"Shaded and relit pictures: {how.samples} samples per pixel, {backend} backend, denoised.",
+        f"Scale of the albedo: albedo {factors}.",
+        f"LPIPS: {', '.join(one.name for one in lpips.values())}." if lpips else NO_LPIPS,
     ]
+    if len(cases.views) < cases.of:
+        lines.append(f"Only {len(cases.views)} of the {cases.of} {cases.split} views, evenly spread: published tables are of all.")
+    return lines
 
 
-def summarise(views: Sequence[View], predictions: Sequence[Prediction], truths: Sequence[Truth], scene: SceneTruth) -> dict[str, Any]:
-    """All figures of the views, and their means."""
-    albedo_rows, scale = albedo_figures(predictions, truths)
-    rows = [view_figures(p, t) | a for p, t, a in zip(predictions, truths, albedo_rows, strict=True)]
-    relights = [name for name in scene.lights if name != scene.train_light]
-    return {
-        "figures": averages(rows, relights),
-        "views": {view.name: row for view, row in zip(views, rows, strict=True)},
-        "albedo_scale": None if scale is None else [float(s) for s in scale],
-    }
-
-
-def scene_figures(run: Path, reconstruction: Reconstruction, scene: SceneTruth) -> dict[str, float]:
-    """Figures of the light and of the mesh, where the truth is known."""
+def scene_figures(
+    run: Path, reconstruction: Reconstruction, scene: SceneTruth, how: Protocol = PLAIN, unit: float = 1.0
+) -> dict[str, float]:
+    """Figures of the light and of the mesh, where the truth is known; `unit` as in `fitted_figures`."""
     figures = {}
     if scene.train_light in scene.lights:
-        figures |= metrics.environment_figures(reconstruction.environment_map(), scene.lights[scene.train_light])
+        figures |= metrics.environment_figures(reconstruction.environment_map(), scene.lights[scene.train_light], how.light_grid)
     if scene.points is not None and (run / "mesh.ply").is_file():
-        figures |= metrics.mesh_distances(load_mesh_ply(run / "mesh.ply"), *scene.points)
+        mesh = load_mesh_ply(run / "mesh.ply")
+        figures |= metrics.mesh_distances(mesh, *scene.points)
+        if how.scale_free:
+            figures["shape_chamfer"] = CHAMFER_UNIT * metrics.squared_chamfer(mesh, scene.points[0]) / unit**2
     return figures
 
 

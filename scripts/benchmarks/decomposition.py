@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 from irgspp.core.evaluation import metrics, pictures
-from irgspp.core.evaluation.figures import Prediction
+from irgspp.core.evaluation.perceptual import NO_LPIPS, Lpips, find_lpips
+from irgspp.core.evaluation.prediction import Prediction
 from irgspp.core.evaluation.truth import Truth
 from irgspp.core.relight.backends import best_backend, open_relighter
 from irgspp.core.relight.lighting import prepare
@@ -21,7 +22,6 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.render import render_view
 
 from .bench import PRESETS, Bench, Scene
-from .lpips_metric import Lpips, find_lpips
 from .section import Block, Measurement, Note, Pictures, Table, Task
 from .store import Results
 
@@ -52,10 +52,6 @@ TABLES = {
         "environment_ssim": "SSIM ↑",
     },
 }
-NO_LPIPS = (
-    "LPIPS is not given: neither the package lpips with its weights nor a TorchScript file (--lpips FILE) was there. "
-    "Its weights can't be had without a download."
-)
 SAMPLES = 64
 
 

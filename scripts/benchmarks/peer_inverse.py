@@ -16,7 +16,8 @@ from irgspp.core.colour import decode_srgb, encode_srgb
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import View
 from irgspp.core.evaluation import metrics, pictures
-from irgspp.core.evaluation.figures import Prediction, albedo_figures, averages, view_figures
+from irgspp.core.evaluation.figures import albedo_figures, averages, view_figures
+from irgspp.core.evaluation.prediction import Prediction
 from irgspp.core.scene.buffers import ViewBuffers
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.render import render_view

@@ -359,18 +359,3 @@ def test_the_slope_of_random_samples_is_told(shown):
     blocks = shown("relighting", {f"without denoiser, {n} samples": figures for n, figures in points.items()})
     table = next(t for t in blocks["Table"] if "slope (−0.5: Monte Carlo)" in t.columns)
     assert table.rows[0][table.columns.index("slope (−0.5: Monte Carlo)")] == pytest.approx(-0.5)
-
-
-def test_lpips_comes_from_a_file_or_not_at_all(script, tmp_path):
-    class Distance(torch.nn.Module):
-        def forward(self, a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-            return (a - b).abs().mean() / 2
-
-    torch.jit.trace(Distance(), (torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8))).save(str(tmp_path / "metric.pt"))
-    lpips = script("benchmarks.lpips_metric").find_lpips(tmp_path / "metric.pt")
-    picture = np.random.default_rng(0).random((8, 8, 3))
-    assert lpips(picture, picture) == 0
-    assert lpips(np.zeros((8, 8, 3)), np.full((8, 8, 3), 0.25)) == pytest.approx(0.25)  # 0..1 is shown to it as -1..1
-    (tmp_path / "text.pt").write_text("no module")
-    with pytest.raises(InputError, match="is no TorchScript module"):
-        script("benchmarks.lpips_metric").find_lpips(tmp_path / "text.pt")

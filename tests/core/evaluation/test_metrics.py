@@ -7,6 +7,7 @@ from irgspp.core.colour import encode_srgb
 from irgspp.core.evaluation import metrics
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.shading.lights import sky_light
+from skimage.metrics import structural_similarity
 
 RANDOM = np.random.default_rng(0)
 
@@ -35,6 +36,37 @@ def test_ssim_falls_with_noise():
     a = RANDOM.random((32, 32, 3))
     values = [metrics.ssim(a, np.clip(a + s * RANDOM.normal(size=a.shape), 0, 1)) for s in (0, 0.05, 0.3)]
     assert values[0] == pytest.approx(1) and values[0] > values[1] > values[2]
+
+
+def test_ssim_is_that_of_the_library():
+    a, b = RANDOM.random((20, 31, 3)), RANDOM.random((20, 31, 3))
+    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1.0, "channel_axis": -1}
+    assert metrics.ssim(a, b) == pytest.approx(structural_similarity(a, b, **options), abs=1e-12)
+
+
+def test_ssim_of_constant_pictures_and_of_a_small_window():
+    a, b = np.full((13, 15, 3), 0.3), np.full((13, 15, 3), 0.5)
+    for window in (3, 11):
+        assert metrics.ssim(a, b, window) == pytest.approx((2 * 0.15 + 1e-4) / (0.09 + 0.25 + 1e-4))
+    a, b = RANDOM.random((5, 6, 3)), RANDOM.random((5, 6, 3))
+    w = np.exp(-np.array([1, 0, 1]) / (2 * 1.5**2))
+    w = np.outer(w, w)[..., None] / w.sum() ** 2
+    x, y = (np.pad(p, ((1, 1), (1, 1), (0, 0)), mode="reflect") for p in (a, b))
+    values = []
+    for i, j in np.ndindex(5, 6):
+        p, q = x[i : i + 3, j : j + 3], y[i : i + 3, j : j + 3]
+        m, n = (w * p).sum((0, 1)), (w * q).sum((0, 1))
+        v, u, c = (w * p * p).sum((0, 1)) - m * m, (w * q * q).sum((0, 1)) - n * n, (w * p * q).sum((0, 1)) - m * n
+        values.append((2 * m * n + 1e-4) * (2 * c + 9e-4) / ((m * m + n * n + 1e-4) * (v + u + 9e-4)))
+    assert metrics.ssim(a, b, 3) == pytest.approx(np.mean(values), abs=1e-12)
+
+
+def test_a_mask_loses_two_pixels_but_not_at_the_edge_of_the_picture():
+    mask = np.zeros((12, 14), bool)
+    mask[:7, 3:12] = True
+    expected = np.zeros_like(mask)
+    expected[:5, 5:10] = True
+    assert (metrics.eroded(mask) == expected).all()
 
 
 def test_angles_between_normals():
@@ -69,6 +101,13 @@ def test_environment_is_compared_up_to_a_scale_per_channel():
     assert "environment_ssim" not in metrics.environment_figures(truth[:4, :8], truth[:4, :8])  # too small for the window
 
 
+def test_environment_on_a_grid_of_its_own():
+    truth = np.repeat(np.repeat(RANDOM.uniform(0, 1, (8, 16, 3)), 4, 0), 4, 1)
+    coarse = metrics.environment_figures(truth * 3, truth, (16, 32))
+    assert coarse["environment_psnr"] == pytest.approx(100)
+    assert metrics.environment_figures(truth * 3, truth, (16, 32))["environment_psnr_unscaled"] < 15
+
+
 def globe(radius: float, rows: int = 60) -> Mesh:
     """A sphere of triangles, without the poles' caps closed: close enough for distances."""
     v, u = np.meshgrid(np.linspace(1e-3, np.pi - 1e-3, rows), np.linspace(0, 2 * np.pi, 2 * rows), indexing="ij")
@@ -98,3 +137,9 @@ def test_mesh_distances_are_those_of_concentric_spheres():
     half = points[points[:, 2] > 0]
     assert metrics.mesh_distances(globe(1.03), half, half, samples=50_000)["mesh_stray"] == pytest.approx(0.47, abs=0.04)
     assert metrics.mesh_distances(globe(2.0), points, points, samples=1000)["mesh_stray"] == 1
+
+
+def test_squared_chamfer_of_spheres_far_apart():
+    points = RANDOM.normal(size=(3000, 3))
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    assert metrics.squared_chamfer(globe(3.0), points) == pytest.approx(4, rel=0.01)

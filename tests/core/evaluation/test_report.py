@@ -3,14 +3,20 @@
 
 import json
 import re
+from dataclasses import replace
+from html import escape
 
 import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.evaluation import report, sheet
+from irgspp.core.evaluation.perceptual import NO_LPIPS, Lpips
+from irgspp.core.evaluation.protocols import PROTOCOLS, described
 from irgspp.core.progress import Silent
 from PIL import Image
+
+EDGES = {"tensoir": 27, "irgs": 33}  # dB that half-covered pixels leave, as these papers don't show them half covered
 
 
 class Known:
@@ -42,7 +48,7 @@ def known(demo, monkeypatch):
             self.reconstruction = known
 
         def scaled(self, scale):
-            return KnowingRelighter(float(np.mean(scale)))
+            return self if scale is None else KnowingRelighter(float(np.mean(scale)))
 
         def surface(self, camera):
             return camera
@@ -68,6 +74,7 @@ def test_report_of_a_perfect_run(demo, known, tmp_path):
     assert np.allclose(found["albedo_scale"], 1) and len(found["views"]) == 6 and found["split"] == "test"
     assert json.loads((tmp_path / "out" / "report.json").read_text()) == found
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
+    assert "Protocol plain: this program's own." in found["protocol"] and found["choices"]["name"] == "plain"
     assert any("albedo times 1.0000 1.0000 1.0000" in line for line in found["protocol"])
     lines = report.table(found).splitlines()
     assert any(re.fullmatch(r"normal_mae +0\.0\d+", line) for line in lines) and ["test", "views", "6"] in [line.split() for line in lines]
@@ -86,7 +93,43 @@ def test_page_is_self_contained(demo, known, tmp_path):
 def test_page_escapes_names(demo, known, tmp_path):
     found = report.evaluate(tmp_path, demo[0])
     _, dataset, _, truths, predictions = demo
-    assert "<script>" not in report.page(found | {"run": "<script>"}, dataset.test, predictions, truths)
+    shown = {dataset.test[0].name: (predictions[0], truths[0])}
+    assert "<script>" not in report.page(found | {"run": "<script>"}, shown)
+
+
+@pytest.mark.parametrize("name", [name for name in PROTOCOLS if name != "plain"])
+def test_report_of_a_perfect_run_by_each_protocol(demo, known, tmp_path, name):
+    found = report.evaluate(tmp_path / "run", demo[0], tmp_path / "out", protocol=name, views=3, samples=8)
+    figures, how = found["figures"], PROTOCOLS[name]
+    assert list(found["views"]) == [demo[1].test[i].name for i in (0, 2, 5)]
+    psnr = "psnr_ldr" if how.radiance else "psnr"
+    least = EDGES.get(name, 45)
+    assert figures[f"nvs_{psnr}"] > least and figures["normal_mae"] < 0.1 and figures["albedo_psnr"] > 90
+    if how.relit_scaled:
+        assert figures[f"relight_{psnr}"] > least  # the renderer of these tests is too dark where no scale is taken
+    else:
+        assert "relight_psnr_scaled" in figures or how.radiance
+    if how.scale_free:
+        assert figures["normal_cosine"] < 1e-5 and figures["depth_si_mse"] < 1e-12
+        assert found["albedo_scale"] is None
+    shown = report.table(found)
+    html = (tmp_path / "out" / "report.html").read_text()
+    for line in (*described(how), "Only 3 of the 6 test views, evenly spread: published tables are of all.", NO_LPIPS):
+        assert line in shown and escape(line) in html and line in found["protocol"]
+    assert "8 samples per pixel" in shown
+
+
+def test_as_many_views_are_relit_as_the_protocol_says(demo, known, tmp_path, monkeypatch):
+    monkeypatch.setitem(PROTOCOLS, "glossy", replace(PROTOCOLS["glossy"], relit_views=2))
+    views = report.evaluate(tmp_path, demo[0], protocol="glossy", samples=8)["views"]
+    assert [any(figure.startswith("relight") for figure in row) for row in views.values()] == [True, True, False, False, False, False]
+
+
+def test_lpips_of_a_file_is_in_the_table(demo, known, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "find_lpips", lambda file, *_: Lpips(file.name, lambda a, b: torch.tensor(0.125)))
+    found = report.evaluate(tmp_path, demo[0], lpips=tmp_path / "metric.pt", views=1)
+    names = ("nvs", "radiance", "relight", "relight_studio", "albedo")
+    assert all(found["figures"][f"{name}_lpips"] == 0.125 for name in names) and "LPIPS: metric.pt." in found["protocol"]
 
 
 def test_cancelling_leaves_no_report(demo, known, tmp_path):

@@ -13,7 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from irgspp.core.errors import InputError
+
+from ..errors import InputError
+
+NO_LPIPS = (
+    "LPIPS is not given: neither the package lpips with its weights nor a TorchScript file (--lpips FILE) was there. "
+    "Its weights can't be had without a download."
+)
 
 
 class Lpips:
@@ -32,8 +38,8 @@ class Lpips:
             return float(self._distance(*(torch.from_numpy(p.astype(np.float32)).permute(2, 0, 1)[None] * 2 - 1 for p in (a, b))))
 
 
-def find_lpips(file: Path | None) -> Lpips | None:
-    """From a TorchScript file, or else from the package lpips; None where there is neither.
+def find_lpips(file: Path | None, network: str = "alex") -> Lpips | None:
+    """From a TorchScript file, or else from the package lpips with that network (alex, vgg); None where there is neither.
 
     Raises InputError for a file that is none.
     """
@@ -47,7 +53,7 @@ def find_lpips(file: Path | None) -> Lpips | None:
     import lpips
 
     try:
-        return Lpips("lpips, AlexNet", lpips.LPIPS(net="alex", verbose=False).eval())
+        return Lpips(f"lpips, {network}", lpips.LPIPS(net=network, verbose=False).eval())
     except OSError as error:  # the package is there, its weights are not
         logging.getLogger(__name__).warning("lpips has no weights: %s", error)
         return None

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Published evaluation protocols: what each paper chose where figures of one name can be computed in several ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from ..errors import InputError
+
+Silhouette = Literal["own", "true", "hard", "eroded"]
+ScaleFit = Literal["median", "least squares"]
+
+SILHOUETTES = {
+    "own": "by their own alpha, so that a wrong silhouette costs",
+    "true": "by their own alpha and then times the true one",
+    "hard": "whole where their own alpha is above 0.5, the background elsewhere",
+    "eroded": "cut out by the true mask, made smaller by 2 pixels",
+}
+SCALE_PIXELS = {
+    "covered": "true alpha above 0.5",
+    "lit": "true alpha and every true channel above 0",
+    "any": "true alpha above 0",
+    "eroded": "the true mask made smaller by 2 pixels",
+}
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """The choices behind one table; names of figures are the same in all.
+
+    Attributes:
+        follows: whose tables these are.
+        samples: light samples of a pixel of a shaded or relit picture.
+        radiance: pictures are compared by Stanford-ORB's measures of linear radiance (psnr_hdr, psnr_ldr), scaled; otherwise sRGB-encoded.
+        background: grey value behind encoded pictures, 0 or 1. silhouette: a key of SILHOUETTES, of our pictures.
+        eight_bit: encoded pictures are rounded to 8 bits first. fitted: they are compared after a scale of each one's channels as well.
+        relit_views: at most so many of the first views are relit; None: all.
+        relit_scaled: relit with the albedo times the scale; otherwise as estimated.
+        scale: how the albedo's scale per channel is found; on which pixels (a key of SCALE_PIXELS), of how many views (None: all).
+        scale_each_view: every view has its own albedo scale, and no picture is relit with it.
+        albedo_white: albedo is set on white outside the true mask, clipped, and its PSNR taken at 1/2.2 power, pooled over all views;
+            otherwise on black, linear, the mean of the views'.
+        blended_normals: over the full picture, normals fade to +Z with alpha; otherwise no pixel without a true normal counts as an error.
+        scale_free: depth up to one factor of all views (depth_si_mse), cosine distance of normals, squared Chamfer distance.
+        light_grid: rows and columns on which light maps are compared; None: those of the true map.
+        lpips: networks of the perceptual distance, the first without a suffix in the figures' names.
+    """
+
+    name: str
+    follows: str
+    samples: int = 512
+    radiance: bool = False
+    background: float = 0.0
+    silhouette: Silhouette = "own"
+    eight_bit: bool = False
+    fitted: bool = False
+    relit_views: int | None = None
+    relit_scaled: bool = True
+    scale: ScaleFit = "median"
+    scale_pixels: Literal["covered", "lit", "any", "eroded"] = "covered"
+    scale_views: int | None = None
+    scale_each_view: bool = False
+    albedo_white: bool = False
+    blended_normals: bool = False
+    scale_free: bool = False
+    light_grid: tuple[int, int] | None = None
+    lpips: tuple[str, ...] = ("vgg",)
+
+
+PLAIN = Protocol("plain", "this program's own", samples=64)
+PROTOCOLS = {
+    one.name: one
+    for one in (
+        PLAIN,
+        Protocol(
+            "tensoir",
+            "TensoIR (CVPR 2023), its published evaluation code",
+            background=1.0,
+            silhouette="hard",
+            scale_pixels="any",
+            scale_views=20,
+            albedo_white=True,
+            blended_normals=True,
+            lpips=("vgg", "alex"),
+        ),
+        Protocol(
+            "irgs",
+            "IRGS (CVPR 2025) on TensoIR's scenes, its published evaluation code",
+            silhouette="true",
+            scale_pixels="lit",
+            blended_normals=True,
+        ),
+        Protocol(
+            "glossy",
+            "GS-ROR on GlossySynthetic, its published evaluation code",
+            background=1.0,
+            eight_bit=True,
+            fitted=True,
+            relit_views=16,
+            relit_scaled=False,
+            light_grid=(256, 512),
+        ),
+        Protocol(
+            "stanford-orb",
+            "Stanford-ORB (NeurIPS 2023), its published evaluation code",
+            radiance=True,
+            silhouette="eroded",
+            relit_scaled=False,
+            scale="least squares",
+            scale_pixels="eroded",
+            scale_each_view=True,
+            scale_free=True,
+        ),
+    )
+}
+
+
+def protocol_named(name: str) -> Protocol:
+    """One of PROTOCOLS. Raises InputError for another name."""
+    if name not in PROTOCOLS:
+        raise InputError("--protocol", f"there is no {name}", f"use {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[name]
+
+
+def described(how: Protocol) -> list[str]:
+    """Every choice as a line of text: published figures differ in these and can't be compared otherwise."""
+    return [
+        f"Protocol {how.name}: {how.follows}.",
+        _pictures(how),
+        _relit(how),
+        _albedo(how),
+        _geometry(how),
+        _light(how),
+    ]
+
+
+def _pictures(how: Protocol) -> str:
+    cut = SILHOUETTES[how.silhouette]
+    if how.radiance:
+        return (
+            f"Pictures: {cut}, after a least-squares scale per channel and picture. psnr_hdr: linear, both first made brighter by what the "
+            "sRGB curve does to the true one's mean, clipped to 0..4; psnr_ldr: sRGB-encoded, clipped to 0..1; errors are means over the "
+            "whole picture, and no figure is below that of a middle grey. SSIM with a window of 3 pixels; LPIPS of pictures encoded twice, "
+            "as that code has it. Means over the views, then over the lights."
+        )
+    bits = ", rounded to 8 bits" if how.eight_bit else ""
+    ground = "white" if how.background else "black"
+    fitted = "; *_scaled after a least-squares scale per channel and picture over all pixels, not clipped" if how.fitted else ""
+    return f"Pictures: sRGB-encoded, clipped to 0..1{bits}, on {ground} {cut}{fitted}; means over the views, then over the lights."
+
+
+def _relit(how: Protocol) -> str:
+    albedo = "times that scale" if how.relit_scaled else "as estimated"
+    views = f"the first {how.relit_views} views" if how.relit_views else "all views"
+    return f"Relit pictures: albedo {albedo}, {views}. Pictures under the recovered light: albedo as estimated."
+
+
+def _albedo(how: Protocol) -> str:
+    of = "its view's alone" if how.scale_each_view else f"{how.scale_views} views" if how.scale_views else "all views"
+    fit = "median of true / estimated" if how.scale == "median" else "least squares"
+    scale = f"one scale per channel, the {fit} over the pixels ({SCALE_PIXELS[how.scale_pixels]}) of {of}"
+    if how.albedo_white:
+        return f"Albedo: white outside the true mask, clipped to 0..1, after {scale}; PSNR at the power 1/2.2, pooled over all views."
+    cut = f"clipped to 0..1, {SILHOUETTES['eroded']}" if how.radiance else "times the true alpha, on black"
+    return f"Albedo: linear, {cut}, after {scale}; means of the views."
+
+
+def _geometry(how: Protocol) -> str:
+    if how.blended_normals:
+        full = "normal_mae_full over the whole picture, where both fade to +Z with their own alpha"
+    else:
+        full = "normal_mae_full over the whole picture, the background counted as no error"
+    said = f"Normals: normal_mae over the object (true alpha above 0.99), {full}"
+    if how.scale_free:
+        said += (
+            "; normal_cosine is 1 - cosine over the true mask made smaller by 2 pixels. Depth: depth_si_mse, after one least-squares "
+            "factor for all views, over the whole picture. Shape: shape_chamfer, half the sum of the mean squared distances from mesh to "
+            "truth and back, times 2000. Both in the dataset's units"
+        )
+    return said + "."
+
+
+def _light(how: Protocol) -> str:
+    grid = f"a grid of {how.light_grid[1]}x{how.light_grid[0]}" if how.light_grid else "the true map's grid"
+    return (
+        f"Environment: on {grid}, one least-squares scale per channel weighted by solid angle, sRGB-encoded, clipped to 0..1; "
+        "environment_psnr_unscaled without the scale."
+    )
