@@ -10,9 +10,29 @@ import OpenEXR
 
 from ..errors import InputError
 
+MAX_PIXELS = 178_000_000  # beyond any camera (Pillow's own limit): a header that claims more is damaged or hostile
+
+
+def exr_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the header alone. Raises InputError where it can't be read, or claims more than MAX_PIXELS."""
+    try:
+        low, high = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
+        width, height = int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+    except Exception as error:  # the library raises plain RuntimeError and TypeError for broken files
+        raise InputError(path, f"not a readable EXR picture ({error})") from error
+    check_pixels(path, width, height)
+    return width, height
+
+
+def check_pixels(path: Path, width: int, height: int) -> None:
+    """Raises InputError where a picture claims more than MAX_PIXELS."""
+    if width * height > MAX_PIXELS:
+        raise InputError(path, f"claims {width}x{height} pixels, more than the {MAX_PIXELS // 10**6} million allowed")
+
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:
-    """Channels of a single-part EXR by name, each (H, W) float32. Raises InputError where it can't be read."""
+    """Channels of a single-part EXR by name, each (H, W) float32. Raises InputError where it can't be read, or claims to be enormous."""
+    exr_size(path)
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {name: np.asarray(c.pixels, np.float32) for name, c in file.channels().items()}

@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from ..colour import decode_srgb
-from ..datasets.picture import MAX_PIXELS, read_picture, unit
+from ..datasets.picture import read_picture, unit
 from ..errors import InputError
-from .exr import read_exr_rgb
+from .exr import check_pixels, read_exr_rgb
 
 DIM = 1e-4  # stands for a light that is black everywhere
 HDR_SIGNATURES = (b"#?RADIANCE", b"#?RGBE")
+HDR_SIZE = re.compile(rb"\n[-+][XY] (\d{1,20}) [-+][XY] (\d{1,20})\n")
+HDR_HEADER = 1 << 16  # bytes in which it must stand
 
 
 def read_light(path: Path) -> tuple[np.ndarray, list[str]]:
@@ -59,10 +62,12 @@ def _read_hdr(path: Path) -> np.ndarray:
         raise InputError(path, f"can't be read ({error.strerror})") from error
     if not data.startswith(HDR_SIGNATURES):
         raise InputError(path, "not a Radiance picture")
+    if size := HDR_SIZE.search(data[:HDR_HEADER]):  # the decoder takes memory for whatever the header claims
+        check_pixels(path, int(size[1]), int(size[2]))
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     except cv2.error as error:
         raise InputError(path, f"not a readable Radiance picture ({error.err})") from error
-    if pixels is None or pixels.dtype != np.float32 or pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
+    if pixels is None or pixels.dtype != np.float32:
         raise InputError(path, "not a readable Radiance picture")
     return np.ascontiguousarray(pixels[..., ::-1])

@@ -97,11 +97,25 @@ def test_photographs_alone_have_only_a_picture(demo, tmp_path):
     assert truth.albedo is None and not truth.relit and truth.object.all()
 
 
-def test_truth_of_another_size_is_bad_input(demo):
+def test_truth_is_reduced_with_the_view(demo):
+    _, dataset, scene, truths, _ = demo
+    view, whole = dataset.test[0], truths[0]
+    small = View(view.name, view.camera.resized(32, 32), view.path, view.colour[::2, ::2], view.alpha[::2, ::2])
+    half = load_truth(small, scene, np.eye(4))
+    inside = whole.object.reshape(32, 2, 32, 2).all((1, 3))
+    assert half.albedo.shape == half.normal.shape == half.relit["studio"].shape == (32, 32, 3) and inside.sum() > 100
+    for name in ("albedo", "depth", "roughness"):
+        layer = getattr(whole, name)
+        blocks = layer.reshape(32, 2, 32, 2, *layer.shape[2:]).mean((1, 3))
+        assert np.allclose(getattr(half, name)[inside], blocks[inside], atol=1e-4)
+    assert np.allclose(np.linalg.norm(half.normal[inside], axis=-1), 1, atol=1e-4)
+
+
+def test_truth_of_another_shape_is_bad_input(demo):
     _, dataset, scene, _, _ = demo
     view = dataset.test[0]
-    small = View(view.name, view.camera.resized(32, 32), view.path, view.colour[::2, ::2], view.alpha[::2, ::2])
-    with pytest.raises(InputError, match="64x64, the view 32x32"):
+    small = View(view.name, view.camera.resized(32, 40), view.path, np.zeros((40, 32, 3), np.float32), np.ones((40, 32), np.float32))
+    with pytest.raises(InputError, match="64x64, the view 32x40"):
         load_truth(small, scene, np.eye(4))
 
 
