@@ -98,6 +98,7 @@ class SkipSettings:
     """What a scene may not need, rule by rule: "auto" decides by what is found on the scene; run.json has it for a reconstruction's."""
 
     outside: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
+    coarse: Choice = "auto"  # most disks and pixels, while the shape is found in outline
     trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind
     constants: Choice = "auto"  # what frozen geometry leaves the same in each step of the refinement: the disks of a pixel, their layout
     open: Choice = "auto"  # in relighting: rays towards the light where others of the same patch met nothing

@@ -69,6 +69,12 @@ class Gaussians:
         w, x, y, z = torch.nn.functional.normalize(self.quaternion, dim=0)
         return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
+    def tangents(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """(3, N) unit directions in the plane of each disk, along its first and its second scale."""
+        w, x, y, z = torch.nn.functional.normalize(self.quaternion, dim=0)
+        first = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+        return first, torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+
     def materials(self) -> torch.Tensor:
         """(5, N) albedo, roughness, metallic in 0..1."""
         return self.material.sigmoid()

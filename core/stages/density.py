@@ -73,8 +73,12 @@ class DensityControl:
             fresh = torch.full((len(clone) + 2 * len(split),), -1)
             optimizer.rebuild(grown, torch.cat([stay, fresh]))
         pruned = g.count - int(keep.sum())
-        self.pictures, self.gradient, self.seen = 0, torch.zeros(0), torch.zeros(0)
+        self.forget()
         return len(chosen), pruned
+
+    def forget(self) -> None:
+        """Begin to observe anew: the set of Gaussians is another."""
+        self.pictures, self.gradient, self.seen = 0, torch.zeros(0), torch.zeros(0)
 
     def _pull(self, count: int) -> torch.Tensor:
         if len(self.gradient) != count:
@@ -84,9 +88,7 @@ class DensityControl:
     def _half(self, g: Gaussians, index: torch.Tensor, generator: torch.Generator) -> Gaussians:
         """A smaller copy of each Gaussian, drawn from its own distribution in its plane."""
         half = g.select(index)
-        w, x, y, z = torch.nn.functional.normalize(half.quaternion, dim=0)
-        tu = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
-        tv = torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+        tu, tv = half.tangents()
         offset = torch.randn(2, half.count, generator=generator) * half.log_scale.exp()
         half.position += tu * offset[0] + tv * offset[1]
         half.log_scale -= math.log(SPLIT_SHRINK)

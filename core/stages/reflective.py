@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from ..progress import Checkpoint, Progress, Silent
 from ..scene.reconstruction import Reconstruction
 from ..skipping import decide
 from .appearance import separate_light
+from .coarse import LENGTH, starts_coarse
 from .hull import initial_gaussians
 from .target import object_box
 from .trainer import Trainer
@@ -55,7 +57,11 @@ def train(
     cut = surroundings(dataset, settings, progress)
     kind = kind_named(state["kind"], dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress, cut)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
-    trainer = Trainer(dataset, settings.reflective, gaussians, kind, settings.seed, hold_back, cut=cut)
+    coarse = starts_coarse(dataset, settings.skip, progress)
+    schedule = (
+        replace(settings.reflective, iterations=max(1, round(LENGTH * settings.reflective.iterations))) if coarse else settings.reflective
+    )
+    trainer = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut, coarse=coarse)
     if state is not None:
         trainer.restore(state)
     elif ends is not None:
@@ -65,7 +71,7 @@ def train(
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
     result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, kind.glossy, background)
-    return separate_light(result, settings.seed), trainer.settings.iterations / settings.reflective.iterations
+    return separate_light(result, settings.seed), trainer.settings.iterations / schedule.iterations
 
 
 def _set_pace(trainer: Trainer, settings: Settings, ends: float, progress: Progress) -> None:

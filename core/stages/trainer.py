@@ -19,6 +19,7 @@ from ..kernels.photometric import photometric_loss
 from ..kernels.rasterize import ScreenStatistics, rasterize
 from ..progress import Checkpoint, Progress
 from ..scene.gaussians import Gaussians
+from .coarse import CHILDREN, REDUCTION, SHARE, quartered, thinned_out
 from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
 from .kind import Kind
@@ -47,12 +48,19 @@ class Trainer:
         hold_back: int,
         reduction: int = 1,
         cut: bool = False,
+        coarse: bool = False,
     ) -> None:
-        """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the pictures, see `make_target`."""
+        """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the pictures, see `make_target`.
+
+        `coarse`: begin with few disks and small pictures.
+        """
         self.dataset, self.settings, self.kind = dataset, settings, kind
         views = torch.arange(len(dataset.train))
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
         self.targets = [make_target(view, reduction, cut) for view in dataset.train]
+        self.small = [make_target(view, REDUCTION * reduction, cut) for view in dataset.train] if coarse else []
+        if coarse:
+            gaussians = thinned_out(gaussians, math.ceil(gaussians.count / CHILDREN), seed)
         self.generator = torch.Generator().manual_seed(seed)
         self.masked = dataset.has_alpha
         self.light = torch.full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
@@ -80,7 +88,9 @@ class Trainer:
 
     def step(self) -> float:
         """One view, one step; returns the loss."""
-        target = self.targets[self._next_view()]
+        if self.small and self.done >= SHARE * self.settings.iterations:
+            self._refine()
+        target = (self.small or self.targets)[self._next_view()]
         picture, sums, statistics = self.render(target, self._degree())
         loss = photometric_loss(target.bounded(picture), target.picture)
         if target.alpha is not None:
@@ -98,6 +108,14 @@ class Trainer:
         self.done += 1
         self._control(statistics)
         return value
+
+    def _refine(self) -> None:
+        """From few disks and small pictures to all."""
+        children = quartered(self.optimizer.gaussians)
+        # Without their parents' moments but with their count of steps, which makes the first steps long: disks find their new places.
+        self.optimizer.rebuild(children, torch.full((children.count,), -1))
+        self.density.forget()
+        self.small, self._start = [], children.count
 
     def _degree(self) -> int:
         """SH degrees come one after the other, so that parallax is explained by geometry before it can be by view-dependent colour."""
@@ -179,6 +197,8 @@ class Trainer:
             "done": self.done,
             "iterations": self.settings.iterations,
             "kind": self.kind.name,
+            "coarse": bool(self.small),
+            "start": self._start,
             "optimizer": self.optimizer.state(),
             **density,
             **order,
@@ -188,6 +208,7 @@ class Trainer:
         """Go on from `state`."""
         self.done, self.order = int(state["done"]), state["order"]
         self.paced(int(state["iterations"]))
+        self.small, self._start = self.small if state["coarse"] else [], int(state["start"])
         self.generator.set_state(state["generator"])
         self.density.gradient, self.density.seen, self.density.pictures = state["gradient"], state["seen"], int(state["pictures"])
         self.optimizer.restore(state["optimizer"])
