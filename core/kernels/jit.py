@@ -36,7 +36,11 @@ def cache_folder() -> Path:
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
-    name = f"kernels-{digest.hexdigest()[:12]}"
+    return private_folder(f"kernels-{digest.hexdigest()[:12]}")
+
+
+def private_folder(name: str) -> Path:
+    """A writable folder of that name in the cache, or else in one of the user's own among the temporary files."""
     fallback = Path(tempfile.gettempdir()) / f"irgspp-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
     for root in (cache_root(), fallback):
         try:

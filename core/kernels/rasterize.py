@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from ..datasets.camera import Camera
+from .backend import by_warp
 from .binning import TILE, bin_tiles, depth_order
 from .pool import balanced_ranges, even_ranges, run_ranges, thread_count
 from .projection import GEOMETRY, NEAR, RECORD, project_backward_range, project_range
@@ -117,11 +118,19 @@ def rasterize(
     n, parameters = position.shape[1], (position, quaternion, log_scale, opacity, sh, extra)
     if n < MIN_GAUSSIANS:
         parameters = tuple(_filled(p) for p in parameters)
-    statistics = ScreenStatistics(torch.zeros(n))
+    statistics = ScreenStatistics(torch.zeros(n, device=position.device))
     cam = camera_numbers(camera, NEAR * scene_radius)
-    picture = _Rasterize.apply(*parameters, cam, (degree + 1) ** 2, statistics)
+    picture = _function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
     statistics.radius = statistics.radius[:n]
     return picture, statistics
+
+
+def _function(tensor: torch.Tensor) -> type[torch.autograd.Function]:
+    if not by_warp(tensor):
+        return _Rasterize
+    from .warp.rasterize import Rasterize  # an option, not installed everywhere
+
+    return Rasterize
 
 
 def _filled(parameter: torch.Tensor) -> torch.Tensor:

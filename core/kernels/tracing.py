@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
+from . import backend
 from .adjoint import GEOMETRY, disk_backward_range, trace_backward_range
 from .bvh import DiskTree, flat
 from .compositing import (
@@ -22,6 +24,9 @@ from .compositing import (
 )
 from .pool import balanced_ranges, even_ranges, run_ranges, thread_count
 from .trace import gather_range, transmittance_range
+
+if TYPE_CHECKING:
+    from .warp.tracing import DeviceLists, DeviceTree
 
 COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # columns of what `trace` returns; distance and opacity follow the extras
 
@@ -50,15 +55,32 @@ class HitLists:
         return len(self.start) - 1
 
 
-def _checked(origin: torch.Tensor, direction: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+def _device() -> Any:
+    """What does the work where warp does: an option, not installed everywhere."""
+    from .warp import tracing
+
+    return tracing
+
+
+def build_tree(position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> DiskTree | DeviceTree:
+    """A tree over raw parameters: (3, N) world, (4, N) w x y z of any length, (2, N) logs, (N,) logits; no gradients."""
+    kind = _device().DeviceTree if backend.by_warp(opacity) else DiskTree
+    return kind.build(position, quaternion, log_scale, opacity)
+
+
+def _check(origin: torch.Tensor, direction: torch.Tensor) -> None:
     if origin.shape != direction.shape or origin.ndim != 2 or origin.shape[1] != 3:
         raise ValueError(f"rays need origins and directions of one shape (R, 3), got {tuple(origin.shape)} and {tuple(direction.shape)}")
-    return flat(origin), flat(direction)
 
 
-def hit_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists:
+def hit_lists(tree: DiskTree | DeviceTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists | DeviceLists:
     """Hits of rays (R, 3) with unit directions, in exact order, until the transmittance falls below TRANSMITTANCE_MIN."""
-    o, d = _checked(origin, direction)
+    _check(origin, direction)
+    return _numba_lists(tree, origin, direction) if isinstance(tree, DiskTree) else _device().hit_lists(tree, origin, direction)
+
+
+def _numba_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists:
+    o, d = flat(origin), flat(direction)
     rays = len(origin)
     count, left = np.zeros(rays, np.int64), np.ones(rays, np.float32)
     parts = [(np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.float32))]
@@ -70,10 +92,12 @@ def hit_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> 
     return HitLists(start, index, weight, distance, left)
 
 
-def transmittance(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+def transmittance(tree: DiskTree | DeviceTree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
     """(R,) share of light that passes along rays (R, 3), 0 below TRANSMITTANCE_MIN; no gradients."""
-    o, d = _checked(origin, direction)
-    through = torch.ones(len(origin))
+    _check(origin, direction)
+    if not isinstance(tree, DiskTree):
+        return _device().transmittance(tree, origin, direction)
+    o, d, through = flat(origin), flat(direction), torch.ones(len(origin))
     if tree.depth and len(origin):
         arrays = (o, d, tree.node, tree.child, tree.leaf, tree.depth, through.numpy())
         run_ranges(transmittance_range, even_ranges(len(origin), 4 * thread_count()), *arrays)
@@ -110,7 +134,7 @@ class _Trace(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients):
-        lists = hit_lists(tree, origin, direction)
+        lists = _numba_lists(tree, origin, direction)
         rows = _pack(sh, extra, coefficients)
         out, lit, ranges = _composite(tree, lists, direction, rows, coefficients, len(extra))
         ctx.lists, ctx.lit, ctx.ranges, ctx.rays = lists, lit, ranges, (flat(origin), flat(direction))
@@ -156,7 +180,7 @@ def trace(
     extra: torch.Tensor,
     origin: torch.Tensor,
     direction: torch.Tensor,
-    tree: DiskTree,
+    tree: DiskTree | DeviceTree,
     degree: int = 3,
 ) -> torch.Tensor:
     """Composite 2D Gaussians along rays, in the exact order of their hits.
@@ -173,13 +197,14 @@ def trace(
         opacity, and opacity itself last (nearly opaque counts as opaque: there the sums are means).
 
     Raises:
-        ValueError: shapes that don't fit, or a tree of other Gaussians.
+        ValueError: shapes that don't fit, or a tree of other Gaussians (on a device: of other tensors, or of what was in them before).
     """
-    _checked(origin, direction)
+    _check(origin, direction)
     if not tree.matches(position, quaternion, log_scale, opacity):
         raise ValueError("the tree stands for other Gaussians; refit or rebuild it after they change")
     coefficients = 0 if sh is None else (degree + 1) ** 2
-    return _Trace.apply(position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients)
+    function = _Trace if isinstance(tree, DiskTree) else _device().Trace
+    return function.apply(position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients)
 
 
 class Seen:
@@ -188,14 +213,19 @@ class Seen:
     Args: tree, sh, extra: as for `trace`, whose degree follows from the coefficients there are.
     """
 
-    def __init__(self, tree: DiskTree, sh: torch.Tensor, extra: torch.Tensor) -> None:
+    def __init__(self, tree: DiskTree | DeviceTree, sh: torch.Tensor, extra: torch.Tensor) -> None:
+        self._device = None if isinstance(tree, DiskTree) else _device().Seen(tree, sh, extra)
+        if not isinstance(tree, DiskTree):
+            return
         self._tree, self._extras = tree, len(extra)
         self._coefficients = len(sh)
         self._rows = _pack(sh, extra, self._coefficients)
 
     def along(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
         """(R, 8 + E), the sums that `trace` returns, for rays (R, 3)."""
-        lists = hit_lists(self._tree, origin, direction)
+        if self._device is not None:
+            return self._device.along(origin, direction)
+        lists = _numba_lists(self._tree, origin, direction)
         return _composite(self._tree, lists, direction, self._rows, self._coefficients, self._extras)[0]
 
 
@@ -220,7 +250,7 @@ class _Blend(torch.autograd.Function):
         return out, None, None
 
 
-def blend(lists: HitLists, values: torch.Tensor, rows: torch.Tensor | None = None) -> torch.Tensor:
+def blend(lists: HitLists | DeviceLists, values: torch.Tensor, rows: torch.Tensor | None = None) -> torch.Tensor:
     """Sums over hits of weight x value, differentiable in the values.
 
     Args:
@@ -229,5 +259,8 @@ def blend(lists: HitLists, values: torch.Tensor, rows: torch.Tensor | None = Non
     Returns:
         (B, C), not divided by opacity.
     """
+    if not isinstance(lists, HitLists):
+        every = torch.arange(lists.rays, device=values.device) if rows is None else rows.detach().to(torch.int64).contiguous()
+        return _device().Blend.apply(values, lists, every)
     ray = np.arange(lists.rays) if rows is None else rows.detach().to(torch.int64).contiguous().numpy()
     return _Blend.apply(values, lists, ray)

@@ -6,11 +6,11 @@ import math
 import pytest
 import torch
 from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.kernels.bvh import DiskTree
 from irgspp.core.kernels.rasterize import rasterize
-from irgspp.core.kernels.tracing import hit_lists, trace, transmittance
+from irgspp.core.kernels.tracing import build_tree, hit_lists, trace, transmittance
 
 COUNT, BROKEN = 40, 9  # Gaussians, and how many of them are degenerate
+pytestmark = pytest.mark.usefixtures("engine")
 CAMERA = Camera(32, 32, 42.0, 42.0, 16.0, 16.0, look_at((3.0, 1.0, 2.0)))
 NOTHING = {  # what no ray may notice
     "no area": ("log_scale", slice(None), -1e30),
@@ -40,8 +40,8 @@ def rays() -> tuple[torch.Tensor, torch.Tensor]:
     return torch.tensor(CAMERA.centre, dtype=torch.float32).expand_as(directions).contiguous(), directions
 
 
-def traced(values: dict[str, torch.Tensor]) -> tuple[torch.Tensor, DiskTree]:
-    tree = DiskTree.build(*(values[name] for name in ("position", "quaternion", "log_scale", "opacity")))
+def traced(values: dict[str, torch.Tensor]):
+    tree = build_tree(*(values[name] for name in ("position", "quaternion", "log_scale", "opacity")))
     return trace(*values.values(), *rays(), tree), tree
 
 

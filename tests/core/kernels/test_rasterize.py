@@ -11,6 +11,7 @@ from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.reference import rasterize_reference
 
 NAMES = ("position", "quaternion", "log_scale", "opacity", "sh", "extra")
+pytestmark = pytest.mark.usefixtures("engine")
 
 
 def camera(width=37, height=29, off_centre=(2.5, -1.5)):

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The rasteriser on the device: lists of tiles without waiting for the host, pictures, and the way back."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import torch
+import warp as wp
+
+from ..binning import TILE
+from ..projection import GEOMETRY, RECORD
+from . import splats
+from .raster import PARTS, PIXELS, kernels
+from .runtime import launch
+
+SPARE = 2.0  # times the longest lists seen so far that there is room for; pictures of gradient descent change slowly
+_LAST = torch.iinfo(torch.int64).max
+
+
+class Room:
+    """How many entries the lists of one size of picture may have, so that no step of an optimisation has to wait for their number.
+
+    Their number is looked at two calls later, when it has long been known. Where nothing is optimised it is waited for.
+    """
+
+    def __init__(self) -> None:
+        self._entries = 0
+        self._coming: list[tuple[torch.Tensor, torch.cuda.Event | None]] = []
+        self.overflowed = 0  # pictures that lacked some of their splats
+
+    def entries(self, total: torch.Tensor, exact: bool) -> int:
+        """Entries to make room for, of which there are `total` (a tensor of one number)."""
+        if exact or not self._entries:
+            self._entries = max(self._entries, int(SPARE * int(total)) + PIXELS)
+            return int(total) if exact else self._entries
+        self._coming.append(_on_its_way(total))
+        if len(self._coming) > 2:
+            number, arrived = self._coming.pop(0)
+            if arrived is not None:
+                arrived.synchronize()
+            self.overflowed += int(number) > self._entries
+            self._entries = max(self._entries, int(SPARE * int(number)) + PIXELS)
+        return self._entries
+
+
+def _on_its_way(total: torch.Tensor) -> tuple[torch.Tensor, torch.cuda.Event | None]:
+    if not total.is_cuda:
+        return total, None
+    number = torch.empty(total.shape, dtype=total.dtype, pin_memory=True)
+    number.copy_(total, non_blocking=True)
+    arrived = torch.cuda.Event()
+    arrived.record()
+    return number, arrived
+
+
+ROOMS: dict[tuple[int, int, int], Room] = {}  # by number of Gaussians, width and height
+
+
+@lru_cache(4096)
+def _pinhole(cam: bytes) -> splats.Pinhole:
+    numbers, pinhole = np.frombuffer(cam, np.float32), splats.Pinhole()
+    pinhole.rotation = wp.mat33(*map(float, numbers[:9]))
+    pinhole.focal, pinhole.middle = wp.vec2(*map(float, numbers[9:11])), wp.vec2(*map(float, numbers[11:13]))
+    pinhole.eye = wp.vec3(*map(float, numbers[13:16]))
+    pinhole.width, pinhole.height, pinhole.near = int(numbers[16]), int(numbers[17]), float(numbers[18])
+    return pinhole
+
+
+class Rasterize(torch.autograd.Function):
+    """The face is that of the CPU's, core/kernels/rasterize.py."""
+
+    @staticmethod
+    def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, cam, coefficients, statistics):
+        device, n, extras = position.device, position.shape[1], extra.shape[0]
+        parameters = [p.detach().contiguous() for p in (position, quaternion, log_scale, opacity, sh, extra)]
+        pinhole, width, height = _pinhole(cam.tobytes()), int(cam[16]), int(cam[17])
+        record, feature = torch.empty(n, RECORD, device=device), torch.empty(n, 6 + extras, device=device)
+        box, tiles = torch.empty(n, 4, dtype=torch.int32, device=device), torch.empty(n, dtype=torch.int64, device=device)
+        launch(splats.project, n, *parameters, coefficients, extras, pinhole, n, record, feature, box, tiles)
+        end = torch.cumsum(tiles, 0)
+        room = ROOMS.setdefault((n, width, height), Room())
+        capacity = room.entries(end[-1], not any(ctx.needs_input_grad))
+        columns, rows = -(-width // TILE), -(-height // TILE)
+        key = torch.full((capacity,), _LAST, device=device)
+        owner = torch.empty(capacity, dtype=torch.int32, device=device)
+        launch(splats.emit, n, box, record, end, tiles, columns, capacity, key, owner)
+        key, index = torch.sort(key, stable=True)  # of one depth the first Gaussian comes first
+        edges = torch.arange(columns * rows + 1, device=device) << 32
+        start = torch.searchsorted(key, edges, out_int32=True)
+        picture = torch.empty(9 + extras, height, width, device=device)
+        lists = (start, index, owner, record, feature, box, columns, width, height)
+        launch(kernels(6 + extras)[0], columns * rows * PIXELS, *lists, picture)
+        ctx.parameters, ctx.pinhole, ctx.coefficients, ctx.statistics = parameters, pinhole, coefficients, statistics
+        ctx.lists, ctx.order, ctx.picture = lists, (end, tiles, capacity), picture
+        statistics.radius = (box[:, 2:] - box[:, :2]).amax(1).add(1).clamp_min(0)
+        return picture[:-1]
+
+    @staticmethod
+    def backward(ctx, gradient):
+        start, _, _, record, feature, *_ = ctx.lists
+        (end, tiles, capacity), (n, features), device = ctx.order, feature.shape, record.device
+        slots = torch.zeros(capacity * PARTS, GEOMETRY + features, device=device)
+        threads = (len(start) - 1) * PIXELS
+        launch(kernels(features)[1], threads, *ctx.lists, ctx.picture, gradient.contiguous(), slots)
+        sums = torch.empty(n, GEOMETRY + features, device=device)
+        launch(splats.sum_slots, sums.shape, slots, end, tiles, capacity, PARTS, sums)
+        gradients = [torch.empty_like(p) for p in ctx.parameters]
+        gradients[4][ctx.coefficients :] = 0.0
+        screen = torch.empty(n, device=device)
+        arrays = (*ctx.parameters[:5], ctx.coefficients, features - 6, ctx.pinhole, n, sums)
+        launch(splats.project_backward, n, *arrays, *gradients, screen)
+        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)]
+        return *gradients, None, None, None
