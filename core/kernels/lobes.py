@@ -12,8 +12,10 @@ so that both parts are linear in the light and neither knows the albedo.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+import torch
 
 from .jit import kernel
 from .pool import even_ranges, run_ranges, thread_count
@@ -124,7 +126,14 @@ def lobe_sums_range(
                 added[k, j, channel] = total(load(sums, j * 48 + 24 + channel * 8))
 
 
-def _subdivisions(fixed: tuple[np.ndarray, ...], texels: int) -> int:
+def _device() -> Any:
+    """What does the work on tensors: an option, not installed everywhere."""
+    from .warp import lobes
+
+    return lobes
+
+
+def _subdivisions(fixed: tuple[Any, ...], texels: int) -> int:
     """Directions in each texel; whole vectors of texels, as the kernels don't look where a row ends."""
     subs, left = divmod(fixed[0].shape[1], texels)
     if left or texels % 8:
@@ -132,10 +141,8 @@ def _subdivisions(fixed: tuple[np.ndarray, ...], texels: int) -> int:
     return subs
 
 
-def lobe_rows(
-    point: np.ndarray, view: np.ndarray, normal: np.ndarray, alpha: np.ndarray, fixed: tuple[np.ndarray, ...], texels: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What K views of points make of each texel.
+def lobe_rows(point: Any, view: Any, normal: Any, alpha: Any, fixed: tuple[Any, ...], texels: int) -> tuple[Any, Any, Any, Any]:
+    """What K views of points make of each texel: numpy's arrays on the CPU, tensors on a device, and the same comes out.
 
     Args:
         point: (K,) int64. view: (K, 3) unit. normal: (P, 3), alpha: (P,) GGX width.
@@ -146,6 +153,8 @@ def lobe_rows(
         The part that F0 scales and the part that Fresnel adds, (K, texels) each, and what both make of the indirect light, (K, 3) each.
     """
     k, subs = len(point), _subdivisions(fixed, texels)
+    if isinstance(view, torch.Tensor):
+        return _device().lobe_rows(point, view, normal, alpha, fixed, texels)
     rows = np.empty((2, k * texels), np.float32)
     rest = np.empty((2, k, 3), np.float32)
     arrays = (point, view, normal, alpha, *(f.reshape(-1) for f in fixed), *rows, *rest)
@@ -153,13 +162,14 @@ def lobe_rows(
     return rows[0].reshape(k, texels), rows[1].reshape(k, texels), rest[0], rest[1]
 
 
-def lobe_sums(
-    point: np.ndarray, view: np.ndarray, normal: np.ndarray, alphas: np.ndarray, fixed: tuple[np.ndarray, ...], light: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, fixed: tuple[Any, ...], light: Any) -> tuple[Any, Any]:
     """Both parts of the lobe over a light (texels, 3) and the indirect light, for J widths: (K, J, 3) each; else as `lobe_rows`."""
     k, texels = len(point), len(light)
+    subs = _subdivisions(fixed, texels)
+    if isinstance(view, torch.Tensor):
+        return _device().lobe_sums(point, view, normal, alphas, fixed, light)
     sums = np.empty((2, k, len(alphas), 3), np.float32)
     planes = np.ascontiguousarray(light.T, np.float32).reshape(-1)
     arrays = (point, view, normal, alphas, *(f.reshape(-1) for f in fixed), planes, *sums)
-    run_ranges(lobe_sums_range, even_ranges(k, 4 * thread_count()), texels, _subdivisions(fixed, texels), *arrays)
+    run_ranges(lobe_sums_range, even_ranges(k, 4 * thread_count()), texels, subs, *arrays)
     return sums[0], sums[1]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from .backend import by_warp
 from .jit import kernel
 from .pool import even_ranges, run_ranges, thread_count
 from .simd import load, splat, store
@@ -142,4 +143,8 @@ class _Photometric(torch.autograd.Function):
 
 def photometric_loss(picture: torch.Tensor, truth: torch.Tensor, ssim_share: float = 0.2) -> torch.Tensor:
     """(1 - s) mean |x - y| + s (1 - mean SSIM) of (C, H, W) float32 pictures in 0..1; differentiable in the first."""
-    return _Photometric.apply(picture, truth, ssim_share)
+    if not by_warp(picture):
+        return _Photometric.apply(picture, truth, ssim_share)
+    from .warp.photometric import Photometric  # an option, not installed everywhere
+
+    return Photometric.apply(picture, truth, ssim_share)

@@ -76,7 +76,7 @@ def _argument(value: Any, kind: Any) -> Any:
     if not isinstance(value, torch.Tensor):
         return value
     width, flat = getattr(kind.dtype, "_length_", 1), value.detach()
-    if width > 1 or kind.ndim == 1:
+    if kind.ndim == 1:
         flat = flat.view(-1, width) if width > 1 else flat.view(-1)
     if value.is_cuda or flat.numel():
         return wp.from_torch(flat, kind.dtype, requires_grad=False, return_ctype=True)

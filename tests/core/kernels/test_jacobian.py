@@ -2,12 +2,21 @@
 """The equations' rows against plain numpy."""
 
 import numpy as np
+import pytest
+import torch
 from irgspp.core.kernels.jacobian import jacobian
 
 TEXELS = 24
 
 
-def test_rows_and_coupling_are_those_of_plain_sums():
+def on_tensors(*arguments):
+    """Called with tensors, as on a device; what is written is written to the arrays."""
+    convert = lambda a: tuple(map(convert, a)) if isinstance(a, tuple) else torch.from_numpy(a)  # noqa: E731
+    return jacobian(*map(convert, arguments)).numpy()
+
+
+@pytest.mark.parametrize("jacobian", [jacobian, on_tensors], ids=["numba", "tensors"])
+def test_rows_and_coupling_are_those_of_plain_sums(jacobian):
     random = np.random.default_rng(0)
     lengths = np.array([3, 0, 1, 5, 2])  # a point may have no view at all
     start, views = np.concatenate([[0], np.cumsum(lengths)]), lengths.sum()

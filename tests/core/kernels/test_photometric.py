@@ -5,6 +5,8 @@ import pytest
 import torch
 from irgspp.core.kernels.photometric import TAPS, photometric_loss
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 def reference(x, y, share):
     window = torch.as_tensor(TAPS).double()

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The specular lobe against a fixed set of directions, on the device; definitions stand in core/kernels/lobes.py."""
+
+import math
+
+import torch
+import warp as wp
+
+from .runtime import launch
+
+_HALF_PI = wp.constant(0.5 / math.pi)
+
+
+@wp.func
+def lobe(v: wp.vec3, n: wp.vec3, n_v: float, d: wp.vec3, n_l: float, a2: float) -> wp.vec2:
+    """D V n.l in two parts, that which F0 scales and that which Fresnel adds, for n_l > 0."""
+    h = d + v
+    length2 = wp.max(wp.dot(h, h), 1.0e-7)
+    t = h - n * (n_l + n_v)
+    k = wp.dot(t, t) / length2 * (1.0 - a2) + a2
+    both = n_l * wp.sqrt(n_v * n_v * (1.0 - a2) + a2) + n_v * wp.sqrt(n_l * n_l * (1.0 - a2) + a2)
+    x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)
+    value = n_l * a2 * _HALF_PI / (k * k * both)
+    bias = value * (x * x) * (x * x) * x
+    return wp.vec2(value - bias, bias)
+
+
+@wp.func
+def direction_at(direction: wp.array2d(dtype=float), at: int) -> wp.vec3:
+    return wp.vec3(direction[0, at], direction[1, at], direction[2, at])
+
+
+@wp.kernel
+def rows(
+    texels: int, subs: int, point: wp.array(dtype=wp.int64), view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3),
+    alpha: wp.array(dtype=float), direction: wp.array2d(dtype=float), solid_angle: wp.array(dtype=float), visible: wp.array2d(dtype=float),
+    scaled: wp.array2d(dtype=float), added: wp.array2d(dtype=float),
+):  # fmt: skip
+    """Both parts per texel of the light."""
+    k, texel = wp.tid()
+    p = int(point[k])
+    n, v = normal[p], view[k]
+    n_v, a2 = wp.max(wp.dot(n, v), 1.0e-3), alpha[p] * alpha[p]
+    total = wp.vec2(0.0, 0.0)
+    for sub in range(subs):
+        at = sub * texels + texel
+        d = direction_at(direction, at)
+        n_l = wp.dot(n, d)
+        if n_l > 0.0:
+            total += lobe(v, n, n_v, d, n_l, a2) * (solid_angle[at] * visible[p, at])
+    scaled[k, texel] = total[0]
+    added[k, texel] = total[1]
+
+
+@wp.kernel
+def sums(
+    texels: int, count: int, point: wp.array(dtype=wp.int64), view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3),
+    alpha: wp.array(dtype=float), each: int, direction: wp.array2d(dtype=float), solid_angle: wp.array(dtype=float),
+    visible: wp.array2d(dtype=float), indirect: wp.array3d(dtype=float), light: wp.array(dtype=wp.vec3),
+    scaled: wp.array2d(dtype=wp.vec3), added: wp.array2d(dtype=wp.vec3),
+):  # fmt: skip
+    """Both parts over a light and the indirect light, (K, J); alpha is of the points where `each`, else J widths for all."""
+    k, j = wp.tid()
+    p = int(point[k])
+    n, v = normal[p], view[k]
+    width = alpha[j]
+    if each == 1:
+        width = alpha[p]
+    n_v = wp.max(wp.dot(n, v), 1.0e-3)
+    by_f0, by_fresnel = wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
+    for at in range(count):
+        d = direction_at(direction, at)
+        n_l = wp.dot(n, d)
+        if n_l > 0.0:
+            own = wp.vec3(indirect[p, 0, at], indirect[p, 1, at], indirect[p, 2, at])
+            incoming = (light[at % texels] * visible[p, at] + own) * solid_angle[at]
+            parts = lobe(v, n, n_v, d, n_l, width * width)
+            by_f0 += incoming * parts[0]
+            by_fresnel += incoming * parts[1]
+    scaled[k, j] = by_f0
+    added[k, j] = by_fresnel
+
+
+def lobe_sums(
+    point: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, alphas: torch.Tensor, fixed: tuple[torch.Tensor, ...],
+    light: torch.Tensor, each: bool = False,
+) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
+    """See core/kernels/lobes.py; `each`: alphas are the points' own, (P,), and J is 1."""
+    direction, angle, visible, indirect = fixed
+    scaled, added = view.new_zeros(2, len(point), 1 if each else len(alphas), 3)
+    seen = (point, view.contiguous(), normal.contiguous(), alphas.contiguous())
+    counts = (len(light), direction.shape[1])
+    if len(point):
+        launch(sums, scaled.shape[:2], *counts, *seen, int(each), direction, angle, visible, indirect, light.contiguous(), scaled, added)
+    return scaled, added
+
+
+def lobe_rows(
+    point: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, fixed: tuple[torch.Tensor, ...], texels: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """See core/kernels/lobes.py."""
+    direction, angle, visible, _ = fixed
+    scaled, added = view.new_zeros(2, len(point), texels)
+    subs = direction.shape[1] // texels
+    seen = (point, view.contiguous(), normal.contiguous(), alpha.contiguous())
+    if len(point):
+        launch(rows, scaled.shape, texels, subs, *seen, direction, angle, visible, scaled, added)
+    dark = view.new_zeros(texels, 3)
+    rest_scaled, rest_added = lobe_sums(point, view, normal, alpha, fixed, dark, each=True)
+    return scaled, added, rest_scaled[:, 0], rest_added[:, 0]

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""L1 + D-SSIM with its gradient on the device, in four passes; formulas and constants are those of core/kernels/photometric.py."""
+
+import torch
+import warp as wp
+
+from .. import photometric as cpu
+from .runtime import launch
+
+_RADIUS = wp.constant(cpu.RADIUS)
+_C1, _C2 = wp.constant(float(cpu.C1)), wp.constant(float(cpu.C2))
+
+
+@wp.func
+def at(values: wp.array(dtype=float), plane: int, row: int, column: int, height: int, width: int) -> float:
+    """A pixel of a plane, 0 outside."""
+    if row < 0 or row >= height or column < 0 or column >= width:
+        return 0.0
+    return values[(plane * height + row) * width + column]
+
+
+@wp.kernel
+def across(
+    x: wp.array(dtype=float), y: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, planes: int,
+    blurred: wp.array(dtype=float),
+):  # fmt: skip
+    """Horizontally blurred x, y, xx, yy, xy, one set of planes after the other."""
+    plane, row, column = wp.tid()
+    mx, my, xx, yy, xy = float(0.0), float(0.0), float(0.0), float(0.0), float(0.0)
+    for k in range(-_RADIUS, _RADIUS + 1):
+        a, b = at(x, plane, row, column + k, height, width), at(y, plane, row, column + k, height, width)
+        tap = taps[k + _RADIUS]
+        mx += tap * a
+        my += tap * b
+        xx += tap * a * a
+        yy += tap * b * b
+        xy += tap * a * b
+    here, size = (plane * height + row) * width + column, planes * height * width
+    blurred[here] = mx
+    blurred[size + here] = my
+    blurred[2 * size + here] = xx
+    blurred[3 * size + here] = yy
+    blurred[4 * size + here] = xy
+
+
+@wp.kernel
+def compare(
+    blurred: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, planes: int, similarity: wp.array(dtype=float),
+    slopes: wp.array(dtype=float),
+):  # fmt: skip
+    """SSIM of each pixel and its slopes by the means of x, xx and xy."""
+    plane, row, column = wp.tid()
+    mx, my, xx, yy, xy = float(0.0), float(0.0), float(0.0), float(0.0), float(0.0)
+    for k in range(-_RADIUS, _RADIUS + 1):
+        tap = taps[k + _RADIUS]
+        mx += tap * at(blurred, plane, row + k, column, height, width)
+        my += tap * at(blurred, planes + plane, row + k, column, height, width)
+        xx += tap * at(blurred, 2 * planes + plane, row + k, column, height, width)
+        yy += tap * at(blurred, 3 * planes + plane, row + k, column, height, width)
+        xy += tap * at(blurred, 4 * planes + plane, row + k, column, height, width)
+    a1, a2 = 2.0 * mx * my + _C1, 2.0 * (xy - mx * my) + _C2
+    b1, b2 = mx * mx + my * my + _C1, wp.max(xx - mx * mx, 0.0) + wp.max(yy - my * my, 0.0) + _C2
+    ssim = a1 * a2 / (b1 * b2)
+    here, size = (plane * height + row) * width + column, planes * height * width
+    similarity[here] = ssim
+    slopes[here] = 2.0 * my * (a2 - a1) / (b1 * b2) + 2.0 * mx * ssim * (1.0 / b2 - 1.0 / b1)
+    slopes[size + here] = -ssim / b2
+    slopes[2 * size + here] = 2.0 * a1 / (b1 * b2)
+
+
+@wp.kernel
+def across_slopes(slopes: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, blurred: wp.array(dtype=float)):
+    plane, row, column = wp.tid()
+    total = float(0.0)
+    for k in range(-_RADIUS, _RADIUS + 1):
+        total += taps[k + _RADIUS] * at(slopes, plane, row, column + k, height, width)
+    blurred[(plane * height + row) * width + column] = total
+
+
+@wp.kernel
+def gradient_of(
+    blurred: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, planes: int, x: wp.array(dtype=float),
+    y: wp.array(dtype=float), l1_weight: float, ssim_weight: float, gradient: wp.array(dtype=float),
+):  # fmt: skip
+    plane, row, column = wp.tid()
+    s0, s1, s2 = float(0.0), float(0.0), float(0.0)
+    for k in range(-_RADIUS, _RADIUS + 1):
+        tap = taps[k + _RADIUS]
+        s0 += tap * at(blurred, plane, row + k, column, height, width)
+        s1 += tap * at(blurred, planes + plane, row + k, column, height, width)
+        s2 += tap * at(blurred, 2 * planes + plane, row + k, column, height, width)
+    here = (plane * height + row) * width + column
+    a, b = x[here], y[here]
+    side = float(0.0)
+    if a > b:
+        side = 1.0
+    if a < b:
+        side = -1.0
+    gradient[here] = l1_weight * side - ssim_weight * (s0 + 2.0 * a * s1 + b * s2)
+
+
+class Photometric(torch.autograd.Function):
+    """The face is that of the CPU's; nothing makes the host wait."""
+
+    @staticmethod
+    def forward(ctx, picture, truth, ssim_share):
+        x, y = picture.detach().contiguous(), truth.contiguous()
+        planes, height, width = x.shape
+        taps = _taps(x.device)
+        blurred, slopes = x.new_empty(5, *x.shape), x.new_empty(3, *x.shape)
+        similarity, gradient = torch.empty_like(x), torch.empty_like(x)
+        size = (height, width)
+        launch(across, x.shape, x, y, taps, *size, planes, blurred)
+        launch(compare, x.shape, blurred, taps, *size, planes, similarity, slopes)
+        launch(across_slopes, (3 * planes, *size), slopes, taps, *size, blurred[:3])
+        weights = ((1 - ssim_share) / x.numel(), ssim_share / x.numel())
+        launch(gradient_of, x.shape, blurred[:3], taps, *size, planes, x, y, *weights, gradient)
+        ctx.save_for_backward(gradient)
+        return (1 - ssim_share) * (x - y).abs().mean() + ssim_share * (1 - similarity.mean())
+
+    @staticmethod
+    def backward(ctx, upstream):
+        return upstream * ctx.saved_tensors[0], None, None
+
+
+_known: dict[torch.device, torch.Tensor] = {}
+
+
+def _taps(device: torch.device) -> torch.Tensor:
+    if device not in _known:
+        _known[device] = torch.from_numpy(cpu.TAPS).to(device)
+    return _known[device]
