@@ -12,6 +12,7 @@ import numpy as np
 from ..config import DataSettings
 from ..errors import InputError
 from . import colmap
+from .bound import MARGIN
 from .camera import GL_TO_CV
 from .capture import Capture, Frame, Lens, find_picture
 from .dataset import Bound
@@ -61,7 +62,7 @@ def read_glossy_real(folder: Path, settings: DataSettings) -> Capture:
     normalise = np.eye(4)
     normalise[:3, :3] = size * _axes(folder, frames)
     normalise[:3, 3] = -normalise[:3, :3] @ centre
-    return replace(moved(capture, normalise), bound=Bound((0.0, 0.0, 0.0), 1.0))
+    return replace(moved(capture, normalise), bound=Bound((0.0, 0.0, 0.0), MARGIN))
 
 
 def _axes(folder: Path, frames: list[Frame]) -> np.ndarray:

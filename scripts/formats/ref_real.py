@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Ref-NeRF's real scenes: COLMAP with pictures at full, a quarter and an eighth of the size, a sphere of interest known by the name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from irgspp.core.datasets.ref_real import SPHERES  # pyright: ignore[reportMissingImports]
+from PIL import Image
+
+from .colmap_files import write_model
+from .glossy_synthetic import interleaved
+from .source import Source, moved_points, over, placed, save_png, similarity
+
+SCENE = "sedan"
+BACKDROP = 0.6
+REACH = 1.3  # of the scene's own object, which fills the published sphere
+
+
+def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
+    """Write folder/sedan."""
+    scene = folder / SCENE
+    centre, radius = SPHERES[SCENE]
+    world = similarity((70.0, -20.0, 10.0), radius / REACH, centre)
+    shots = {f"{i:05d}.png": s for i, s in enumerate(interleaved(source))}
+    for name, shot in shots.items():
+        pixels = over(shot.rgba, BACKDROP)
+        for factor, place in ((1, "images"), (4, "images_4"), (8, "images_8")):
+            save_png(scene / place / name, np.asarray(Image.fromarray(pixels).reduce(factor)))
+    width, height = source.size
+    poses = {name: placed(world, s.pose) for name, s in shots.items()}
+    points = moved_points(world, source.points)
+    write_model(scene / "sparse" / "0", "SIMPLE_RADIAL", source.size, [source.focal, width / 2, height / 2, 0.0], poses, points)
+    return scene, world

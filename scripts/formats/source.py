@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene that is written: pictures, cameras, layers and lights as scripts/render_dataset.py leaves them."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from irgspp.core.colour import decode_srgb, encode_srgb
+from irgspp.core.errors import InputError
+from irgspp.core.scene.exr import read_exr, read_exr_rgb, rgb_channels, write_exr
+from PIL import Image
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One view: pose (4, 4) camera to world as in Blender, rgba (H, W, 4) uint8 encoded straight; layers of a test view.
+
+    layers: albedo (H, W, 3) linear, normal (H, W, 3) world, depth (H, W) planar, material (H, W, 2) where it is known.
+    relit: light -> rgba uint8.
+    """
+
+    pose: np.ndarray
+    rgba: np.ndarray
+    layers: dict[str, np.ndarray] = field(default_factory=dict)
+    relit: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def alpha(self) -> np.ndarray:
+        """(H, W) 0..1."""
+        return self.rgba[..., 3] / 255
+
+    @property
+    def linear(self) -> np.ndarray:
+        """(H, W, 3) float32 straight colour."""
+        return decode_srgb(self.rgba[..., :3].astype(np.float32) / 255)
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A whole scene: views, the angle across a picture in radians, lights by name with that of the training first, surface points."""
+
+    name: str
+    angle: float
+    train: list[Shot]
+    test: list[Shot]
+    lights: dict[str, np.ndarray]
+    points: np.ndarray
+    normals: np.ndarray
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.train[0].rgba.shape[1], self.train[0].rgba.shape[0]
+
+    @property
+    def focal(self) -> float:
+        """In pixels."""
+        return 0.5 * self.size[0] / math.tan(0.5 * self.angle)
+
+    @property
+    def relights(self) -> list[str]:
+        """Names of the lights that test views were rendered under besides the training light."""
+        return list(self.lights)[1:]
+
+
+def load_source(folder: Path) -> Source:
+    """Read a scene that scripts/render_dataset.py wrote. Raises InputError where the folder is none."""
+    if not (folder / "meta.json").is_file():
+        raise InputError(folder, "is no rendered scene", "scripts/render_dataset.py writes one")
+    meta = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
+    names = [meta["train_light"], *meta["relights"]]
+    content = {split: json.loads((folder / f"transforms_{split}.json").read_text(encoding="utf-8")) for split in ("train", "test")}
+    shots = {split: [_shot(folder, f, names[1:]) for f in content[split]["frames"]] for split in content}
+    lights = {name: read_exr_rgb(folder / "envs" / f"{name}.exr") for name in names}
+    with np.load(folder / "surface_points.npz") as data:
+        points, normals = data["points"].astype(np.float64), data["normals"].astype(np.float64)
+    return Source(meta["name"], content["train"]["camera_angle_x"], shots["train"], shots["test"], lights, points, normals)
+
+
+def _shot(folder: Path, frame: dict[str, Any], relights: list[str]) -> Shot:
+    file = folder / (frame["file_path"] + ".png")
+    pose = np.array(frame["transform_matrix"])
+    if not (file.parent / "depth.exr").is_file():
+        return Shot(pose, read_rgba(file))
+    layers = {"albedo": read_exr_rgb(file.parent / "albedo.exr"), "normal": read_exr_rgb(file.parent / "normal.exr")}
+    layers["depth"] = read_exr(file.parent / "depth.exr")["Z"]
+    if (file.parent / "material.exr").is_file():
+        material = read_exr(file.parent / "material.exr")
+        layers["material"] = np.stack([material["R"], material["G"]], -1)
+    return Shot(pose, read_rgba(file), layers, {name: read_rgba(file.with_name(f"rgba_{name}.png")) for name in relights})
+
+
+def read_rgba(file: Path) -> np.ndarray:
+    """(H, W, 4) uint8."""
+    with Image.open(file) as image:
+        return np.asarray(image.convert("RGBA"))
+
+
+def save_png(file: Path, pixels: np.ndarray) -> None:
+    """Write uint8 or floats in 0..1, (H, W) or (H, W, 3 or 4), as an 8-bit PNG."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    pixels = pixels if pixels.dtype == np.uint8 else np.round(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
+    Image.fromarray(pixels).save(file)
+
+
+def save_exr(file: Path, linear: np.ndarray) -> None:
+    """Write (H, W, 3) linear."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_exr(file, rgb_channels(linear))
+
+
+def save_hdr(file: Path, linear: np.ndarray) -> None:
+    """Write (H, W, 3) linear as Radiance's shared exponents."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(file), np.ascontiguousarray(linear[..., ::-1], np.float32))
+
+
+def save_json(file: Path, content: object) -> None:
+    """Write JSON with folders."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def over(rgba: np.ndarray, backdrop: float | np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8: the encoded picture over an encoded backdrop, blended in linear light."""
+    alpha = rgba[..., 3:].astype(np.float32) / 255
+    linear = decode_srgb(rgba[..., :3].astype(np.float32) / 255) * alpha
+    behind = decode_srgb(np.broadcast_to(np.asarray(backdrop, np.float32), linear.shape))
+    return np.round(255 * encode_srgb(linear + behind * (1 - alpha))).astype(np.uint8)
+
+
+def placed(world: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """A pose (4, 4) after a similarity of the world, rigid again."""
+    moved = world @ pose
+    moved[:3, :3] /= np.cbrt(np.linalg.det(moved[:3, :3]))
+    return moved
+
+
+def moved_points(world: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(N, 3) after a similarity."""
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+def similarity(angles: tuple[float, float, float], scale: float, shift: tuple[float, float, float]) -> np.ndarray:
+    """(4, 4) from degrees about X, Y, Z in turn, a scale, and a shift."""
+    from scipy.spatial.transform import Rotation
+
+    world = np.eye(4)
+    world[:3, :3] = scale * Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    world[:3, 3] = shift
+    return world
+
+
+def upright_camera(pose: np.ndarray) -> np.ndarray:
+    """(4, 4) world to camera in OpenCV's axes."""
+    return np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(pose)
