@@ -49,7 +49,7 @@ def view_figures(prediction: Prediction, truth: Truth, how: Protocol = PLAIN, lp
     """Every figure of one view that needs no other view; names as in the report."""
     figures, own = {}, {} if prediction.shaded is None else {"nvs": prediction.shaded, "radiance": prediction.buffers.picture}
     for label, rgba in own.items():
-        figures |= _labelled(label, picture_figures(rgba, truth.picture, truth, how, lpips or {}))
+        figures |= _labelled(label, picture_figures(label, rgba, truth.picture, truth, how, lpips or {}))
     return figures | relit_figures(prediction, truth, how, lpips) | _labelled("", _layer_figures(prediction, truth, how))
 
 
@@ -57,7 +57,9 @@ def relit_figures(prediction: Prediction, truth: Truth, how: Protocol = PLAIN, l
     """Those of the pictures under other lights."""
     figures = {}
     for name in prediction.relit.keys() & truth.relit.keys():
-        figures |= _labelled(f"relight_{name}", picture_figures(prediction.relit[name], truth.relit[name], truth, how, lpips or {}))
+        figures |= _labelled(
+            f"relight_{name}", picture_figures("relight", prediction.relit[name], truth.relit[name], truth, how, lpips or {})
+        )
     return figures
 
 

@@ -19,8 +19,10 @@ SSIM_WINDOW = 11  # pixels that a picture must have along each side
 
 
 def shown(figure: float) -> str:
-    """A figure as text; counts without decimals."""
-    return str(figure) if isinstance(figure, int) else f"{figure:.4f}"
+    """A figure as text; counts without decimals, what four decimals don't show with a power of ten."""
+    if isinstance(figure, int):
+        return str(figure)
+    return f"{figure:.2e}" if 0 < abs(figure) < 1e-3 else f"{figure:.4f}"
 
 
 def on_black(rgba: np.ndarray) -> np.ndarray:

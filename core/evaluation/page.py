@@ -79,7 +79,8 @@ def _picture_row(prediction: Prediction, truth: Truth, how: Protocol) -> list[st
     if prediction.shaded is None:
         return []
     photograph = similarity.shown_truth(truth.picture, truth, how)
-    shaded, radiance = (similarity.shown(rgba, truth, how) for rgba in (prediction.shaded, prediction.buffers.picture))
+    shaded = similarity.shown("nvs", prediction.shaded, truth, how)
+    radiance = similarity.shown("radiance", prediction.buffers.picture, truth, how)
     return [
         _figure("photograph", _opaque(photograph)),
         _figure("rendered by its light", _opaque(shaded)),
@@ -112,7 +113,7 @@ def _layer_rows(prediction: Prediction, truth: Truth, scale: np.ndarray) -> list
 def _relit_row(prediction: Prediction, truth: Truth, how: Protocol) -> list[str]:
     row = []
     for name in (light for light in truth.relit if light in prediction.relit):
-        relit, true = similarity.shown(prediction.relit[name], truth, how), similarity.shown_truth(truth.relit[name], truth, how)
+        relit, true = similarity.shown("relight", prediction.relit[name], truth, how), similarity.shown_truth(truth.relit[name], truth, how)
         error = np.abs(relit - true).max(-1)
         row += [_figure(f"true, {name}", _opaque(true)), _figure(f"relit by {name}", _opaque(relit))]
         row.append(_figure("error, to 0.2", pictures.heat(error, 0.2)))

@@ -14,7 +14,7 @@ ScaleFit = Literal["median", "least squares"]
 SILHOUETTES = {
     "own": "by their own alpha, so that a wrong silhouette costs",
     "true": "by their own alpha and then times the true one",
-    "hard": "whole where their own alpha is above 0.5, the background elsewhere",
+    "hard": "opaque where their own alpha is above 0.5 and absent elsewhere",
     "eroded": "cut out by the true mask, made smaller by 2 pixels",
 }
 SCALE_PIXELS = {
@@ -33,7 +33,8 @@ class Protocol:
         follows: whose tables these are.
         samples: light samples of a pixel of a shaded or relit picture.
         radiance: pictures are compared by Stanford-ORB's measures of linear radiance (psnr_hdr, psnr_ldr), scaled; otherwise sRGB-encoded.
-        background: grey value behind encoded pictures, 0 or 1. silhouette: a key of SILHOUETTES, of our pictures.
+        background: grey value behind encoded pictures, 0 or 1. silhouette: a key of SILHOUETTES, of our pictures of the kinds in `cut`
+            ("nvs": under the recovered light, "radiance": by the Gaussians' own radiance, "relight"), those of the other kinds "own".
         eight_bit: encoded pictures are rounded to 8 bits first. fitted: they are compared after a scale of each one's channels as well.
         relit_views: at most so many of the first views are relit; None: all.
         relit_scaled: relit with the albedo times the scale; otherwise as estimated.
@@ -53,6 +54,7 @@ class Protocol:
     radiance: bool = False
     background: float = 0.0
     silhouette: Silhouette = "own"
+    cut: tuple[str, ...] = ("nvs", "radiance", "relight")
     eight_bit: bool = False
     fitted: bool = False
     relit_views: int | None = None
@@ -78,6 +80,7 @@ PROTOCOLS = {
             "TensoIR (CVPR 2023), its published evaluation code",
             background=1.0,
             silhouette="hard",
+            cut=("nvs", "relight"),
             scale_pixels="any",
             scale_views=20,
             albedo_white=True,
@@ -88,6 +91,7 @@ PROTOCOLS = {
             "irgs",
             "IRGS (CVPR 2025) on TensoIR's scenes, its published evaluation code",
             silhouette="true",
+            cut=("relight",),
             scale_pixels="lit",
             blended_normals=True,
         ),
@@ -144,10 +148,12 @@ def _pictures(how: Protocol) -> str:
             "whole picture, and no figure is below that of a middle grey. SSIM with a window of 3 pixels; LPIPS of pictures encoded twice, "
             "as that code has it. Means over the views, then over the lights."
         )
+    if how.silhouette != "own" and len(how.cut) < 3:
+        cut = f"{SILHOUETTES['own']}, except {', '.join(f'{kind}_*' for kind in how.cut)}: {cut}"
     bits = ", rounded to 8 bits" if how.eight_bit else ""
     ground = "white" if how.background else "black"
     fitted = "; *_scaled after a least-squares scale per channel and picture over all pixels, not clipped" if how.fitted else ""
-    return f"Pictures: sRGB-encoded, clipped to 0..1{bits}, on {ground} {cut}{fitted}; means over the views, then over the lights."
+    return f"Pictures: sRGB-encoded, clipped to 0..1{bits}, on {ground}, {cut}{fitted}; means over the views, then over the lights."
 
 
 def _relit(how: Protocol) -> str:
@@ -184,6 +190,6 @@ def _geometry(how: Protocol) -> str:
 def _light(how: Protocol) -> str:
     grid = f"a grid of {how.light_grid[1]}x{how.light_grid[0]}" if how.light_grid else "the true map's grid"
     return (
-        f"Environment: on {grid}, one least-squares scale per channel weighted by solid angle, sRGB-encoded, clipped to 0..1; "
-        "environment_psnr_unscaled without the scale."
+        f"Environment, measured in this program's own way: on {grid}, one least-squares scale per channel weighted by solid angle, "
+        "sRGB-encoded, clipped to 0..1; environment_psnr_unscaled without the scale."
     )

@@ -85,7 +85,7 @@ def evaluate(
         "run": str(run.resolve()),
         "dataset": str(dataset.resolve()),
         "split": cases.split,
-        "choices": {**asdict(how), "lpips": list(how.lpips), "light_grid": how.light_grid and list(how.light_grid)},
+        "choices": {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(how).items()},
     }
     made = _made(evaluation, report["albedo_scale"], backend)
     report["protocol"] = [*described(how), *made, *([CYCLES_PROTOCOL] if cycles else [])]

@@ -17,11 +17,14 @@ Metrics = Mapping[str, Lpips]  # suffix of the figure's name ("", "_alex") -> th
 HDR_PEAK = 4.0
 
 
-def picture_figures(rgba: np.ndarray, true: np.ndarray, truth: Truth, how: Protocol, lpips: Metrics) -> dict[str, float]:
-    """Figures of a picture (H, W, 4), linear premultiplied, against the true one (H, W, 3), encoded and times its alpha, of that view."""
+def picture_figures(kind: str, rgba: np.ndarray, true: np.ndarray, truth: Truth, how: Protocol, lpips: Metrics) -> dict[str, float]:
+    """Figures of a picture (H, W, 4), linear premultiplied, against the true one (H, W, 3), encoded and times its alpha, of that view.
+
+    `kind`: "nvs", "radiance" or "relight", see `Protocol.cut`.
+    """
     if how.radiance:
         return _radiance_figures(rgba, true, truth, lpips)
-    ours, true = shown(rgba, truth, how), shown_truth(true, truth, how)
+    ours, true = shown(kind, rgba, truth, how), shown_truth(true, truth, how)
     figures = _alike(ours, true, lpips)
     if truth.object.any():
         figures["psnr_object"] = metrics.psnr(ours, true, truth.object)
@@ -31,17 +34,17 @@ def picture_figures(rgba: np.ndarray, true: np.ndarray, truth: Truth, how: Proto
     return figures
 
 
-def shown(rgba: np.ndarray, truth: Truth, how: Protocol) -> np.ndarray:
-    """(H, W, 3) encoded: our linear premultiplied picture on the protocol's background."""
+def shown(kind: str, rgba: np.ndarray, truth: Truth, how: Protocol) -> np.ndarray:
+    """(H, W, 3) encoded: our linear premultiplied picture of some kind on the protocol's background."""
     if how.radiance:
         return metrics.on_black(rgba)
     alpha = np.clip(np.nan_to_num(rgba[..., 3:].astype(np.float64)), 0, 1)
-    ours = metrics.on_black(rgba)
-    if how.silhouette == "hard":
+    ours, silhouette = metrics.on_black(rgba), how.silhouette if kind in how.cut else "own"
+    if silhouette == "hard":
         ours = np.where(alpha > 0.5, ours / np.maximum(alpha, 0.5), how.background)
     else:
         ours = ours + how.background * (1 - alpha)
-    if how.silhouette == "true":
+    if silhouette == "true":
         ours = ours * truth.alpha[..., None]
     return _rounded(ours) if how.eight_bit else ours
 

@@ -61,9 +61,10 @@ def test_a_constant_offset_d_is_minus_20_log_d(name, error):
 @pytest.mark.parametrize(("name", "error"), [("plain", 0.6**2 / 2), ("tensoir", 0.4**2 / 2), ("irgs", 0.0), ("glossy", 0.4**2 / 2)])
 def test_an_object_too_large_costs_what_the_background_says(name, error):
     """Right on the object, and 0.6 where black or white should be; only IRGS takes the true mask to it."""
-    figures = view_figures(predicted(picture([0.6] * 3)), true_view([0.6] * 3, HALF), PROTOCOLS[name])
-    assert figures["nvs_psnr"] == (100 if error == 0 else pytest.approx(db(error), abs=1e-4))
-    assert figures["nvs_psnr_object"] == 100
+    truth = true_view([0.6] * 3, HALF)
+    figures = view_figures(predicted(relit={"a": picture([0.6] * 3)}), replace(truth, relit={"a": truth.picture}), PROTOCOLS[name])
+    assert figures["relight_a_psnr"] == (100 if error == 0 else pytest.approx(db(error), abs=1e-4))
+    assert figures["relight_a_psnr_object"] == 100
 
 
 @pytest.mark.parametrize(
@@ -78,7 +79,18 @@ def test_an_object_too_large_costs_what_the_background_says(name, error):
 )
 def test_what_is_half_transparent_is_shown_as_the_code_of_each_shows_it(name, alpha, value):
     rgba = picture([0.6] * 3, alpha * EVERYWHERE)
-    assert np.allclose(shown(rgba, true_view(alpha=0.8 * EVERYWHERE), PROTOCOLS[name]), value, atol=1e-5)
+    assert np.allclose(shown("relight", rgba, true_view(alpha=0.8 * EVERYWHERE), PROTOCOLS[name]), value, atol=1e-5)
+
+
+def test_pictures_of_radiance_keep_their_own_silhouette():
+    """TensoIR cuts what it shades, IRGS what it relights."""
+    rgba, truth = picture([0.6] * 3, 0.6 * EVERYWHERE), true_view(alpha=0.8 * EVERYWHERE)
+    soft = {"tensoir": 0.6 * 0.6 + 0.4, "irgs": 0.6 * 0.6}
+    cut = {"tensoir": 0.6, "irgs": 0.6 * 0.6 * 0.8}
+    for name, kinds in {"tensoir": ("nvs", "relight"), "irgs": ("relight",)}.items():
+        for kind in ("nvs", "radiance", "relight"):
+            expected = cut[name] if kind in kinds else soft[name]
+            assert np.allclose(shown(kind, rgba, truth, PROTOCOLS[name]), expected, atol=1e-5), (name, kind)
 
 
 def test_glossy_scales_each_picture_with_its_white_background():
@@ -257,12 +269,13 @@ def test_nothing_is_worse_than_a_middle_grey():
 
 def test_every_choice_is_said():
     other = {"name": "x", "follows": "x", "silhouette": "true", "scale": "least squares", "scale_pixels": "lit"}
-    other |= {"relit_views": 3, "scale_views": 3, "light_grid": (8, 16), "background": 1.0}
+    other |= {"relit_views": 3, "scale_views": 3, "light_grid": (8, 16), "background": 1.0, "cut": ("nvs",)}
     for field in fields(PLAIN):
         if field.name in ("samples", "lpips"):
             continue  # of what the report was made, which it says itself
+        how = replace(PLAIN, silhouette="true") if field.name == "cut" else PLAIN
         value = other.get(field.name, not getattr(PLAIN, field.name))
-        assert described(replace(PLAIN, **{field.name: value})) != described(PLAIN), field.name
+        assert described(replace(how, **{field.name: value})) != described(how), field.name
 
 
 def test_protocols_go_by_their_names():
