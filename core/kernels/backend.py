@@ -13,7 +13,7 @@ _forced: list[bool] = []
 
 def by_warp(tensor: torch.Tensor) -> bool:
     """True where the device's kernels are to do the work."""
-    return tensor.is_cuda or bool(_forced)
+    return tensor.device.type != "cpu" or bool(_forced)
 
 
 @contextmanager

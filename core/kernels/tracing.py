@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import torch
@@ -27,6 +27,9 @@ from .trace import gather_range, transmittance_range
 
 if TYPE_CHECKING:
     from .warp.tracing import DeviceLists, DeviceTree
+
+Tree: TypeAlias = "DiskTree | DeviceTree"
+Lists: TypeAlias = "HitLists | DeviceLists"
 
 COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # columns of what `trace` returns; distance and opacity follow the extras
 
@@ -62,7 +65,7 @@ def _device() -> Any:
     return tracing
 
 
-def build_tree(position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> DiskTree | DeviceTree:
+def build_tree(position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> Tree:
     """A tree over raw parameters: (3, N) world, (4, N) w x y z of any length, (2, N) logs, (N,) logits; no gradients."""
     kind = _device().DeviceTree if backend.by_warp(opacity) else DiskTree
     return kind.build(position, quaternion, log_scale, opacity)
@@ -73,7 +76,7 @@ def _check(origin: torch.Tensor, direction: torch.Tensor) -> None:
         raise ValueError(f"rays need origins and directions of one shape (R, 3), got {tuple(origin.shape)} and {tuple(direction.shape)}")
 
 
-def hit_lists(tree: DiskTree | DeviceTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists | DeviceLists:
+def hit_lists(tree: Tree, origin: torch.Tensor, direction: torch.Tensor) -> Lists:
     """Hits of rays (R, 3) with unit directions, in exact order, until the transmittance falls below TRANSMITTANCE_MIN."""
     _check(origin, direction)
     return _numba_lists(tree, origin, direction) if isinstance(tree, DiskTree) else _device().hit_lists(tree, origin, direction)
@@ -92,7 +95,7 @@ def _numba_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) 
     return HitLists(start, index, weight, distance, left)
 
 
-def transmittance(tree: DiskTree | DeviceTree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+def transmittance(tree: Tree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
     """(R,) share of light that passes along rays (R, 3), 0 below TRANSMITTANCE_MIN; no gradients."""
     _check(origin, direction)
     if not isinstance(tree, DiskTree):
@@ -180,7 +183,7 @@ def trace(
     extra: torch.Tensor,
     origin: torch.Tensor,
     direction: torch.Tensor,
-    tree: DiskTree | DeviceTree,
+    tree: Tree,
     degree: int = 3,
 ) -> torch.Tensor:
     """Composite 2D Gaussians along rays, in the exact order of their hits.
@@ -213,7 +216,7 @@ class Seen:
     Args: tree, sh, extra: as for `trace`, whose degree follows from the coefficients there are.
     """
 
-    def __init__(self, tree: DiskTree | DeviceTree, sh: torch.Tensor, extra: torch.Tensor) -> None:
+    def __init__(self, tree: Tree, sh: torch.Tensor, extra: torch.Tensor) -> None:
         self._device = None if isinstance(tree, DiskTree) else _device().Seen(tree, sh, extra)
         if not isinstance(tree, DiskTree):
             return
@@ -250,7 +253,7 @@ class _Blend(torch.autograd.Function):
         return out, None, None
 
 
-def blend(lists: HitLists | DeviceLists, values: torch.Tensor, rows: torch.Tensor | None = None) -> torch.Tensor:
+def blend(lists: Lists, values: torch.Tensor, rows: torch.Tensor | None = None) -> torch.Tensor:
     """Sums over hits of weight x value, differentiable in the values.
 
     Args:

@@ -55,6 +55,10 @@ class Gaussians:
         """The parameters by name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
+    def to(self, device: torch.device | str) -> Gaussians:
+        """The same disks on a device."""
+        return Gaussians(**{k: v.to(device) for k, v in self.tensors().items()})
+
     def select(self, index: torch.Tensor) -> Gaussians:
         """The disks at `index` (indices or a mask), detached copies."""
         return Gaussians(**{k: v.detach()[..., index].clone() for k, v in self.tensors().items()})
@@ -84,7 +88,7 @@ class Gaussians:
         with torch.no_grad():
             m = self.materials()
             parts = self.position.T, self.normals().T, self.opacity.sigmoid(), m[ALBEDO].T, m[ROUGHNESS], m[METALLIC]
-            return SurfaceSamples(*(p.contiguous().numpy().astype(np.float32) for p in parts))
+            return SurfaceSamples(*(p.contiguous().cpu().numpy().astype(np.float32) for p in parts))
 
 
 def quaternion_to(normal: torch.Tensor) -> torch.Tensor:
@@ -92,7 +96,7 @@ def quaternion_to(normal: torch.Tensor) -> torch.Tensor:
     w = 1 + normal[2]
     flipped = w < 1e-6  # straight down: half a turn about x
     axis = torch.stack([-normal[1], normal[0], torch.zeros_like(w)])
-    q = torch.cat([torch.where(flipped, 0.0, w)[None], torch.where(flipped, torch.eye(3)[:, :1], axis)])
+    q = torch.cat([torch.where(flipped, 0.0, w)[None], torch.where(flipped, torch.eye(3, device=normal.device)[:, :1], axis)])
     return torch.nn.functional.normalize(q, dim=0)
 
 

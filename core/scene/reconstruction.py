@@ -35,7 +35,7 @@ class Reflections:
         """Write an .npz in one step."""
         partial = path.with_name(path.name + ".part")
         with partial.open("wb") as file:
-            np.savez(file, material=self.material.detach().numpy(), environment=self.environment.detach().numpy())
+            np.savez(file, material=self.material.detach().cpu().numpy(), environment=self.environment.detach().cpu().numpy())
         os.replace(partial, path)
 
     @classmethod
@@ -77,7 +77,15 @@ class Reconstruction:
 
     def environment_map(self) -> np.ndarray:
         """The light as (H, W, 3) float32 numpy."""
-        return self.environment.detach().numpy()
+        return self.environment.detach().cpu().numpy()
+
+    def to(self, device: torch.device | str) -> Reconstruction:
+        """The same on a device."""
+        kept = self.reflections
+        reflections = None if kept is None else Reflections(kept.material.to(device), kept.environment.to(device))
+        background = None if self.background is None else self.background.to(device)
+        on_device = (self.gaussians.to(device), self.environment.to(device))
+        return replace(self, gaussians=on_device[0], environment=on_device[1], background=background, reflections=reflections)
 
     def surface_samples(self) -> SurfaceSamples:
         """The disks as surface points with materials."""
@@ -103,7 +111,7 @@ class Reconstruction:
         save_gaussians(self.gaussians, folder / "gaussians.ply")
         write_exr(folder / "environment.exr", rgb_channels(self.environment_map()))
         if self.background is not None:
-            write_exr(folder / "background.exr", rgb_channels(self.background.detach().numpy()))
+            write_exr(folder / "background.exr", rgb_channels(self.background.detach().cpu().numpy()))
         if self.reflections is not None:
             self.reflections.save(folder / "reflections.npz")
         frame = {"bound": asdict(self.bound), "to_world": self.to_world.tolist()}

@@ -36,9 +36,9 @@ class LightDistribution:
         angle = solid_angles(height, width, torch.float64).to(brightness.device)
         value = _blurred(brightness.double())
         mean = (value.sum(1) * angle).sum() / (4 * math.pi)
-        if not torch.isfinite(mean):
+        if mean.device.type == "cpu" and not torch.isfinite(mean):  # a device is not waited for: its losses would tell
             raise ValueError("the light map holds values that are not finite")
-        value = value + FLOOR * mean if mean > 0 else torch.ones_like(value)
+        value = torch.where(mean > 0, value + FLOOR * mean, 1.0)
         weight = value * angle[:, None]
         rows = weight.sum(1)
         # Both searches are one each: row r's share of the table lies in r..r+1.

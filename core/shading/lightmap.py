@@ -11,6 +11,8 @@ import math
 import numpy as np
 import torch
 
+from ..kernels.backend import by_warp
+
 POLE = 0.995  # height from which it says too little of the angle in float32, where rows of an 8k map are narrower than what it rounds to
 
 
@@ -20,7 +22,10 @@ def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor
     # Exactly at a pole atan2 has no slope; a nudge keeps the gradient finite and moves the texel by nothing.
     x = torch.where((x.abs() < 1e-6) & (y.abs() < 1e-6), torch.full_like(x, 1e-6), x)
     polar, near = torch.acos(z.clamp(-1 + 1e-6, 1 - 1e-6)), z.abs() > POLE
-    if near.any():
+    if by_warp(z):  # which directions are near would have to be waited for
+        sine = torch.asin((x * x + y * y).clamp(1e-30, 1 - 1e-6).sqrt())
+        polar = torch.where(near, torch.where(z > 0, sine, math.pi - sine), polar)
+    elif near.any():
         sine = torch.asin((x[near] ** 2 + y[near] ** 2).sqrt())
         polar = polar.masked_scatter(near, torch.where(z[near] > 0, sine, math.pi - sine))
     return 0.5 - torch.atan2(y, x) / (2 * math.pi), polar / math.pi

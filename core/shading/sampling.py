@@ -13,6 +13,7 @@ from functools import cache
 
 import torch
 
+from ..kernels.backend import by_warp
 from ..kernels.directions import draw_range
 from ..kernels.pool import even_ranges, run_ranges, thread_count
 from .brdf import facing, ggx_alpha, sample_visible_normal, visible_normal_density
@@ -52,6 +53,11 @@ def point_set(count: int) -> torch.Tensor:
     return torch.stack([(i * 0.6180339887498949) % 1, (i + 0.5) / max(count, 1)], -1)
 
 
+@cache
+def _points(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    return point_set(count).to(device, dtype)
+
+
 def draw(
     view: torch.Tensor,
     normal: torch.Tensor,
@@ -87,7 +93,7 @@ def draw(
             local = _uniform(_shifted(sum(counts), shift))
             return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
         local_view = facing(view, normal)[:, None] @ frame
-        plain = view.dtype == torch.float32 and view.device.type == "cpu"
+        plain = view.dtype == torch.float32 and not by_warp(view)
         first = counts[0] + counts[1] if light_only else 0
         return (_mixture if plain else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, first, light, shift)
 
@@ -120,7 +126,7 @@ def _mixture_reference(local_view, frame, alpha, counts, first: int, light: Ligh
 
 def _shifted(count: int, shift: torch.Tensor) -> torch.Tensor:
     """(P, count, 2) the point set, shifted for each of P points."""
-    u = point_set(count).to(shift)[None] + shift[:, None]
+    u = _points(count, shift.dtype, shift.device)[None] + shift[:, None]
     return u - (u >= 1).to(u)
 
 

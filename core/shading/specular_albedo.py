@@ -32,8 +32,14 @@ def brdf_table() -> torch.Tensor:
     return torch.stack([(ratio * (1 - fresnel)).mean(-1), (ratio * fresnel).mean(-1)], -1).float()
 
 
+@cache
+def _planes(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """(1, 2, TABLE, TABLE) the table as a picture."""
+    return brdf_table().to(device, dtype).permute(2, 0, 1)[None]
+
+
 def _scale_and_bias(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
-    table = brdf_table().to(n_v).permute(2, 0, 1)[None]
+    table = _planes(n_v.dtype, n_v.device)
     grid = torch.stack([n_v, roughness], -1) * 2 - 1
     pair = torch.nn.functional.grid_sample(table, grid[None, None], mode="bilinear", padding_mode="border", align_corners=True)
     return pair[0, :, 0]

@@ -19,6 +19,17 @@ LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness of the specular 
 
 
 @cache
+def _operator_on(device: torch.device, height: int, width: int, roughness: float | None) -> torch.Tensor:
+    """`_operator` on a device."""
+    return _operator(height, width, roughness).to(device)
+
+
+@cache
+def _knots(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    return torch.tensor(LEVELS, dtype=dtype, device=device)
+
+
+@cache
 def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
     """Fourier transform in azimuth of a normalised filter, (W/2 + 1, H out, H in); roughness None is the cosine filter."""
     out = texel_directions(height, width, torch.float64)[:, 0]  # one column represents its row
@@ -45,19 +56,19 @@ def _filter(spectrum: torch.Tensor, operator: torch.Tensor, width: int) -> torch
 
 def diffuse_light(light: torch.Tensor) -> torch.Tensor:
     """(H, W, C) radiance to (H, W, C) irradiance / pi: a constant map stays what it is."""
-    return _filter(_spectrum(light), _operator(*light.shape[:2], None), light.shape[1])
+    return _filter(_spectrum(light), _operator_on(light.device, *light.shape[:2], None), light.shape[1])
 
 
 def specular_light(light: torch.Tensor) -> torch.Tensor:
     """(H, W, C) radiance to the stack (L, H, W, C) filtered for LEVELS."""
     spectrum = _spectrum(light)
-    rough = [_filter(spectrum, _operator(*light.shape[:2], r), light.shape[1]) for r in LEVELS[1:]]
+    rough = [_filter(spectrum, _operator_on(light.device, *light.shape[:2], r), light.shape[1]) for r in LEVELS[1:]]
     return torch.stack([light, *rough])
 
 
 def stack_level(roughness: torch.Tensor) -> torch.Tensor:
     """(P,) roughness in 0..1 to the fractional level of the specular stack."""
-    knots = torch.tensor(LEVELS, dtype=roughness.dtype, device=roughness.device)
+    knots = _knots(roughness.dtype, roughness.device)
     i = torch.bucketize(roughness.detach(), knots[1:-1])
     return i + (roughness - knots[i]) / (knots[i + 1] - knots[i])
 

@@ -7,6 +7,7 @@ import math
 
 import torch
 
+from ..kernels.backend import by_warp
 from ..kernels.reflection import weighted_sums
 from .brdf import base_reflectance, facing, ggx_alpha, specular_lobe
 from .sampling import Samples
@@ -34,7 +35,7 @@ def reflect_light(
         Diffuse and specular (P, 3) linear: mean of f L cos / q. Differentiable in materials, normal, view and incoming.
     """
     view, alpha = facing(view, normal), ggx_alpha(roughness)
-    plain = incoming.dtype == torch.float32 and incoming.device.type == "cpu"
+    plain = incoming.dtype == torch.float32 and not by_warp(incoming)
     sums = (weighted_sums if plain else weighted_sums_reference)(view, normal, alpha, samples.direction, samples.density, incoming)
     irradiance, scaled, added = sums.unbind(1)  # colour comes last
     diffuse = (1 - metallic[:, None]) * albedo * irradiance / math.pi

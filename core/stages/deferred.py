@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from ..colour import encode_srgb
+from ..kernels.backend import by_warp
 from ..kernels.rasterize import COLOUR, EXTRA, NORMAL
 from ..shading.lightmap import lookup
 from ..shading.split_sum import specular_light, specular_radiance
@@ -36,15 +37,16 @@ class SurfacePixels:
     alpha: torch.Tensor
 
 
-def surface_pixels(picture: torch.Tensor, rays: torch.Tensor, threshold: float = REFLECTING) -> SurfacePixels:
+def surface_pixels(picture: torch.Tensor, rays: torch.Tensor, threshold: float = REFLECTING, every: bool = False) -> SurfacePixels:
     """Divide the sums of `rasterize` (13, H, W; extras: albedo, roughness, metallic) by opacity where it exceeds `threshold`.
 
-    rays: (3, H, W) world directions of any length.
+    rays: (3, H, W) world directions of any length. every: all pixels, fainter ones divided by the threshold: nobody has to wait for
+    their number.
     """
     flat = picture.flatten(1)
-    index = torch.nonzero(flat[-1].detach() > threshold)[:, 0]
-    at = flat[:, index]
-    mean = at[:-1] / at[-1]
+    index = torch.arange(flat.shape[1], device=flat.device) if every else torch.nonzero(flat[-1].detach() > threshold)[:, 0]
+    at = flat if every else flat[:, index]
+    mean = at[:-1] / (at[-1].clamp_min(threshold) if every else at[-1])
     view = -torch.nn.functional.normalize(rays.flatten(1)[:, index], dim=0).T
     normal = torch.nn.functional.normalize(mean[NORMAL], dim=0).T
     colour, albedo = mean[COLOUR].T, mean[EXTRA : EXTRA + 3].T
@@ -58,10 +60,13 @@ def splat_radiance(picture: torch.Tensor) -> torch.Tensor:
 
 def reflective_radiance(picture: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:
     """(3, H, W) straight linear radiance (1 - m) C_sh + split-sum reflection of the light (Ref-Gaussian, in linear light)."""
-    p = surface_pixels(picture, rays)
+    every = by_warp(picture)
+    p = surface_pixels(picture, rays, every=every)
     light = specular_radiance(p.view, p.normal, p.albedo, p.roughness, p.metallic, stack)
     shaded = (1 - p.metallic[:, None]) * p.colour + light
     base = splat_radiance(picture)
+    if every:
+        return torch.where(picture[-1] > REFLECTING, shaded.T.view_as(base), base)
     return base.flatten(1).index_copy(1, p.index, shaded.T).view_as(base)
 
 

@@ -39,7 +39,7 @@ class DensityControl:
     def observe(self, statistics: ScreenStatistics) -> None:
         """Add one picture's gradients."""
         if len(self.gradient) != len(statistics.radius):
-            self.gradient, self.seen = torch.zeros(len(statistics.radius)), torch.zeros(len(statistics.radius))
+            self.gradient, self.seen = torch.zeros_like(statistics.radius, dtype=torch.float32).repeat(2, 1)
         self.pictures += 1
         assert statistics.gradient is not None, "observe after the backward pass"
         self.gradient += statistics.gradient
@@ -70,7 +70,7 @@ class DensityControl:
             grown = g.select(stay).joined(g.select(clone))
             for half in halves:
                 grown = grown.joined(half)
-            fresh = torch.full((len(clone) + 2 * len(split),), -1)
+            fresh = stay.new_full((len(clone) + 2 * len(split),), -1)
             optimizer.rebuild(grown, torch.cat([stay, fresh]))
         pruned = g.count - int(keep.sum())
         self.forget()
@@ -82,14 +82,14 @@ class DensityControl:
 
     def _pull(self, count: int) -> torch.Tensor:
         if len(self.gradient) != count:
-            return torch.zeros(count)
+            return self.gradient.new_zeros(count)
         return self.gradient / self.seen.clamp_min(1)
 
     def _half(self, g: Gaussians, index: torch.Tensor, generator: torch.Generator) -> Gaussians:
         """A smaller copy of each Gaussian, drawn from its own distribution in its plane."""
         half = g.select(index)
         tu, tv = half.tangents()
-        offset = torch.randn(2, half.count, generator=generator) * half.log_scale.exp()
+        offset = torch.randn(2, half.count, generator=generator).to(half.log_scale) * half.log_scale.exp()
         half.position += tu * offset[0] + tv * offset[1]
         half.log_scale -= math.log(SPLIT_SHRINK)
         return half

@@ -9,6 +9,13 @@ import torch
 
 from ..errors import IrgsppError
 
+LOOK_EVERY = 50  # steps between looks at what a device computes, as the host has to wait for it
+
+
+def due(value: torch.Tensor, done: int) -> bool:
+    """Whether a value of step `done` is to be looked at: each on the CPU, now and then on a device, where NaN does not go away."""
+    return value.device.type == "cpu" or done % LOOK_EVERY == 0
+
 
 def require_finite(values: Mapping[str, torch.Tensor], when: str) -> None:
     """Raise IrgsppError for the first of the named tensors that holds something not finite; `when` says where in the work that is."""

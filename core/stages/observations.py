@@ -14,8 +14,7 @@ import torch
 
 from ..colour import decode_srgb
 from ..datasets.dataset import View
-from ..kernels.bvh import DiskTree
-from ..kernels.tracing import transmittance
+from ..kernels.tracing import Tree, transmittance
 from .target import SATURATED
 
 FACING = 0.15  # cosine below which a view says more about the silhouette than about the point
@@ -47,7 +46,7 @@ class Observations:
 
     def part(self, begin: int, end: int) -> Observations:
         """Points begin..end and their views."""
-        first, last = (int(k) for k in torch.searchsorted(self.point, torch.tensor([begin, end])))
+        first, last = (int(k) for k in torch.searchsorted(self.point, torch.tensor([begin, end], device=self.point.device)))
         views = slice(first, last)
         point = self.point[views] - begin
         return Observations(
@@ -63,11 +62,12 @@ def observe(
     position: np.ndarray,
     normal: np.ndarray,
     views: Sequence[View],
-    tree: DiskTree,
+    tree: Tree,
     offset: float,
     random: np.random.Generator,
     most: int,
     least: int = 3,
+    device: torch.device | str = "cpu",
 ) -> tuple[Observations, torch.Tensor]:
     """Look points (P, 3) up in the photographs that see them.
 
@@ -75,11 +75,13 @@ def observe(
         position, normal: (P, 3) float32, of the surface. views: the photographs. tree: what may stand in the way.
         offset: world units along the normal that clear the surface's own disks.
         most: views kept of each point, chosen by `random`. least: points seen by fewer are left out.
+        device: where the tree is, and where the result comes to be.
 
     Returns:
         The observations and which of the points they are of.
     """
-    found = [_one_view(position, normal, view, tree, offset) for view in views]
+    device = torch.device(device)
+    found = [_one_view(position, normal, view, tree, offset, device) for view in views]
     point, direction, colour, saturated = (np.concatenate(part) for part in zip(*found, strict=True))
     shuffled = random.permutation(len(point))
     order = shuffled[np.argsort(point[shuffled], kind="stable")]
@@ -90,10 +92,11 @@ def observe(
     number = np.full(len(position), -1)
     number[chosen] = np.arange(len(chosen))
     parts = (position[chosen], normal[chosen], number[point[kept]], direction[kept], colour[kept], saturated[kept])
-    return Observations(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts)), torch.from_numpy(chosen)
+    tensors = (torch.from_numpy(np.ascontiguousarray(part)).to(device) for part in parts)
+    return Observations(*tensors), torch.from_numpy(chosen).to(device)
 
 
-def _one_view(position, normal, view: View, tree: DiskTree, offset: float) -> tuple[np.ndarray, ...]:
+def _one_view(position, normal, view: View, tree: Tree, offset: float, device: torch.device) -> tuple[np.ndarray, ...]:
     """Index, direction, colour and saturation of the points that one photograph shows."""
     camera = view.camera
     seen = position @ camera.world_to_cv[:3, :3].T + camera.world_to_cv[:3, 3]
@@ -105,8 +108,9 @@ def _one_view(position, normal, view: View, tree: DiskTree, offset: float) -> tu
     index = np.flatnonzero(inside & ((direction * normal).sum(1) > FACING))
     if view.alpha is not None:
         index = index[np.min([view.alpha[at] for at, _ in _corners(place[index])], axis=0) > INSIDE]
-    start = torch.from_numpy((position[index] + offset * normal[index]).astype(np.float32))
-    index = index[transmittance(tree, start, torch.from_numpy(direction[index].astype(np.float32))).numpy() > FREE]
+    rays = position[index] + offset * normal[index], direction[index]
+    origin, towards = (torch.from_numpy(a.astype(np.float32)).to(device) for a in rays)
+    index = index[transmittance(tree, origin, towards).cpu().numpy() > FREE]
     corners = _corners(place[index])
     colour = sum(decode_srgb(view.colour[at].astype(np.float64)) * share[:, None] for at, share in corners)
     saturated = np.any([view.colour[at] >= SATURATED for at, _ in corners], axis=0)

@@ -9,6 +9,7 @@ import torch
 
 from ..errors import IrgsppError
 from ..scene.gaussians import Gaussians
+from .finite import due
 
 ROWS = {"sh_dc": ("sh", slice(0, 1)), "sh_rest": ("sh", slice(1, None)), "albedo": ("material", slice(0, 3))}
 ROWS |= {"roughness": ("material", slice(3, 4)), "metallic": ("material", slice(4, 5))}
@@ -34,7 +35,7 @@ class GaussianOptimizer:
 
     def __init__(self, gaussians: Gaussians, rates: dict[str, Rate], others: dict[str, torch.Tensor] | None = None) -> None:
         """`rates` by parameter or ROWS name; parameters without a rate stay as they are. `others`: further tensors, not per Gaussian."""
-        self.rates, self.others = rates, others or {}
+        self.rates, self.others, self._steps = rates, others or {}, 0
         self.adopt(gaussians)
         self.check_finite()
 
@@ -64,7 +65,9 @@ class GaussianOptimizer:
                 gradient = self.leaves[leaf].grad
                 group["params"][0].grad = None if gradient is None else gradient[rows]
         self.adam.step()
-        self.check_finite()
+        self._steps += 1
+        if due(self.leaves["position"], self._steps):
+            self.check_finite()
         for tensor in (*self.leaves.values(), *self.others.values()):
             tensor.grad = None
 
@@ -125,10 +128,11 @@ class GaussianOptimizer:
         """Go on from `state`."""
         for name, value in state["others"].items():
             self.others[name].data.copy_(value)
-        self.adopt(Gaussians(**state["values"]))
+        device = self.leaves["position"].device
+        self.adopt(Gaussians(**state["values"]).to(device))
         for group in self.adam.param_groups:
             prefix = group["name"] + "."
-            moments = {k.removeprefix(prefix): v for k, v in state["moments"].items() if k.startswith(prefix)}
+            moments = {k.removeprefix(prefix): v.to(device) for k, v in state["moments"].items() if k.startswith(prefix)}
             if moments:
                 self.adam.state[group["params"][0]] = moments
         self.check_finite()

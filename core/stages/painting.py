@@ -40,15 +40,15 @@ def paint(
 ) -> torch.Tensor:
     """(5, N) materials in 0..1 of all Gaussians under the light that was `found`; `step` is told the share done."""
     g, random = reconstruction.gaussians, np.random.default_rng(seed)
-    position = g.position.T.contiguous().numpy()
+    device, position = g.position.device, g.position.T.contiguous().cpu().numpy()
     normal = surface_normals(surface, position)
-    seen, chosen = observe(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, least=1)
+    seen, chosen = observe(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, least=1, device=device)
     if not reconstruction.glossy:
         seen = with_colour(seen, own_radiance(g, chosen[seen.point], seen.view))
-    _, nearest = KDTree(found.seen.position.numpy()).query(seen.position.numpy(), k=min(NEAREST, len(found.roughness)))
-    around = torch.from_numpy(np.asarray(nearest).reshape(len(seen.position), -1))
+    _, nearest = KDTree(found.seen.position.cpu().numpy()).query(seen.position.cpu().numpy(), k=min(NEAREST, len(found.roughness)))
+    around = torch.from_numpy(np.asarray(nearest).reshape(len(seen.position), -1)).to(device)
     roughness, metallic = found.roughness[around].mean(1), (found.metallic[around].mean(1) > METAL).float()
-    albedo = torch.empty(len(seen.position), 3)
+    albedo = torch.empty_like(seen.position)
     for begin in range(0, len(albedo), BATCH):
         part = slice(begin, begin + BATCH)
         batch = seen.part(begin, min(begin + BATCH, len(albedo)))
@@ -58,8 +58,8 @@ def paint(
     metal = metallic > 0
     albedo[metal] = medians(seen.position[metal], albedo[metal])
     materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(EDGE, 1 - EDGE)
-    _, source = KDTree(seen.position.numpy()).query(position)  # a Gaussian that no view sees is like its neighbour
-    return materials[torch.from_numpy(np.asarray(source))].T.contiguous()
+    _, source = KDTree(seen.position.cpu().numpy()).query(position)  # a Gaussian that no view sees is like its neighbour
+    return materials[torch.from_numpy(np.asarray(source)).to(device)].T.contiguous()
 
 
 def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
@@ -120,6 +120,7 @@ def medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     """
     if not len(position):
         return values
-    _, nearest = KDTree(position.numpy()).query(position.numpy(), k=min(AROUND, len(position)))
-    around = torch.from_numpy(np.asarray(nearest).reshape(len(position), -1))
+    places = position.cpu().numpy()
+    _, nearest = KDTree(places).query(places, k=min(AROUND, len(places)))
+    around = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
     return values[around].median(1).values

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from ..datasets.dataset import View
-from ..kernels.tracing import HitLists, hit_lists
+from ..kernels.tracing import HitLists, Lists, hit_lists
 from .target import SATURATED
 from .tracer import Tracer
 
@@ -29,7 +29,7 @@ class PixelPool:
         place: (B,) flat index of the pixel in its view.
     """
 
-    lists: HitLists
+    lists: Lists
     opacity: torch.Tensor
     point: torch.Tensor
     view: torch.Tensor
@@ -58,32 +58,32 @@ def _pixels_of(view: View, number: int, tracer: Tracer, count: int, random: np.r
     index = np.flatnonzero(inside)
     index = np.sort(random.permutation(index)[: 2 * count])
     ray = torch.from_numpy(camera.rays().reshape(-1, 3)[index]).float()
-    direction = torch.nn.functional.normalize(ray, dim=1)
-    origin = torch.from_numpy(camera.centre).float().expand_as(direction).contiguous()
+    direction = torch.nn.functional.normalize(ray, dim=1).to(tracer.device)
+    origin = torch.from_numpy(camera.centre).float().to(tracer.device).expand_as(direction).contiguous()
     lists = hit_lists(tracer.tree, origin, direction)
-    length = np.diff(lists.start)
-    at = np.repeat(np.arange(len(index)), length)
-    opacity = np.bincount(at, lists.weight, len(index))
-    distance = np.bincount(at, lists.weight * lists.distance, len(index)) / np.maximum(opacity, 1e-9)
-    kept = np.flatnonzero(opacity > INSIDE)
+    weight, distance, length = (torch.as_tensor(a) for a in (lists.weight, lists.distance, lists.start[1:] - lists.start[:-1]))
+    opacity = torch.segment_reduce(weight.double(), "sum", lengths=length, initial=0.0)
+    depth = torch.segment_reduce(weight.double() * distance, "sum", lengths=length, initial=0.0) / opacity.clamp_min(1e-9)
+    kept = np.flatnonzero(opacity.cpu().numpy() > INSIDE)
     kept = np.sort(random.permutation(kept)[:count])
-    point = origin[kept] + torch.from_numpy(distance[kept]).float()[:, None] * direction[kept]
-    colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float()
-    solid = torch.from_numpy(opacity[kept]).float()
+    ray = torch.from_numpy(kept).to(tracer.device)
+    colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float().to(tracer.device)
     return PixelPool(
         chosen(lists, kept),
-        solid,
-        point,
-        -direction[kept],
+        opacity[ray].float(),
+        origin[ray] + depth[ray].float()[:, None] * direction[ray],
+        -direction[ray],
         colour,
         colour >= SATURATED,
-        torch.full((len(kept),), number),
-        torch.from_numpy(index[kept]),
+        torch.full_like(ray, number),
+        torch.from_numpy(index[kept]).to(tracer.device),
     )
 
 
-def chosen(lists: HitLists, rays: np.ndarray) -> HitLists:
+def chosen(lists: Lists, rays: np.ndarray) -> Lists:
     """The lists of some of the rays, ascending."""
+    if not isinstance(lists, HitLists):
+        return lists.chosen(torch.from_numpy(rays).to(lists.start.device))
     length = np.diff(lists.start)
     kept = np.zeros(lists.rays, bool)
     kept[rays] = True
@@ -101,8 +101,10 @@ def part(lists: HitLists, rays: np.ndarray) -> tuple[HitLists, np.ndarray]:
     return HitLists(start, index.astype(np.int32), lists.weight[hits], lists.distance[hits], lists.left[rays]), met
 
 
-def joined(parts: Sequence[HitLists]) -> HitLists:
+def joined(parts: Sequence[Lists]) -> Lists:
     """Lists of several sets of rays, one after the other."""
+    if not isinstance(parts[0], HitLists):
+        return parts[0].joined(parts)
     offset = np.cumsum([0] + [len(part.index) for part in parts])
     start = np.concatenate([part.start[:-1] + o for part, o in zip(parts, offset, strict=False)] + [offset[-1:]])
     columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "weight", "distance", "left")]

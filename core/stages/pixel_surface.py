@@ -10,7 +10,7 @@ import torch
 
 from ..datasets.camera import Camera
 from ..kernels.rasterize import EXTRA, NORMAL, rasterize
-from ..kernels.tracing import blend
+from ..kernels.tracing import HitLists, blend
 from ..scene.gaussians import Gaussians
 from .pixel_pool import PixelPool, part
 
@@ -26,10 +26,12 @@ class KnownDisks:
 
     def chosen(self, among: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
         """(count,) pixels `among` (B,) to shade next: any."""
-        return among[torch.randint(len(among), (count,), generator=generator)]
+        return among[torch.randint(len(among), (count,), generator=generator).to(among.device)]
 
     def sums(self, gaussians: Gaussians, pixels: torch.Tensor) -> torch.Tensor:
         """(B, 8) normal and materials, not divided by opacity."""
+        if not isinstance(self._pool.lists, HitLists):  # all disks: how many the pixels show would have to be waited for
+            return blend(self._pool.lists, torch.cat([gaussians.normals() * self._side, gaussians.materials()]), pixels)
         lists, met = part(self._pool.lists, pixels.numpy())
         index = torch.from_numpy(met).long()
         few = replace(gaussians, quaternion=gaussians.quaternion.index_select(1, index), material=gaussians.material.index_select(1, index))
@@ -45,13 +47,13 @@ class DrawnViews:
     def chosen(self, among: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
         """(count,) pixels `among` (B,) to shade next: all of one view."""
         number = self._pool.number[among]
-        same = among[number == number[torch.randint(len(among), (1,), generator=generator)]]
-        return same[torch.randint(len(same), (count,), generator=generator)]
+        same = among[number == number[torch.randint(len(among), (1,), generator=generator).to(among.device)]]
+        return same[torch.randint(len(same), (count,), generator=generator).to(among.device)]
 
     def sums(self, gaussians: Gaussians, pixels: torch.Tensor) -> torch.Tensor:
         """(B, 8) normal and materials, not divided by opacity."""
         g, number = gaussians, self._pool.number[pixels]
-        out = torch.zeros(len(pixels), 8)
+        out = torch.zeros(len(pixels), 8, device=pixels.device)
         for view in number.unique().tolist():
             here = torch.nonzero(number == view)[:, 0]
             shape = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh.detach(), g.materials())

@@ -14,7 +14,7 @@ from ..kernels.photometric import photometric_loss
 from ..kernels.rasterize import rasterize
 from ..scene.reconstruction import Reconstruction, Reflections
 from .deferred import composite, radiance
-from .finite import require_finite
+from .finite import due, require_finite
 from .optimizer import GaussianOptimizer, Rate
 from .target import Target, make_target
 
@@ -36,15 +36,17 @@ def refit_radiance(
         others["light"] = mirrored.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
-    targets = [make_target(view) for view in views]
+    targets = [make_target(view).to(g.position.device) for view in views]
     order = torch.cat([torch.randperm(len(targets), generator=generator) for _ in range(math.ceil(iterations / len(targets)))])
     for done, index in enumerate(order[:iterations].tolist()):
         loss = _loss(optimizer, reconstruction, targets[index], others.get("light"))
-        require_finite({"the radiance's loss": loss}, f"at iteration {done + 1}")
+        if due(loss, done + 1):
+            require_finite({"the radiance's loss": loss}, f"at iteration {done + 1}")
         loss.backward()
         optimizer.step(done / iterations)
         if step(done + 1):
             break
+    optimizer.check_finite()
     fitted = optimizer.gaussians
     gaussians = replace(g, sh=fitted.sh.detach().clone())
     reflections = None
@@ -55,7 +57,7 @@ def refit_radiance(
 
 def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, target: Target, light: torch.Tensor | None) -> torch.Tensor:
     g = optimizer.gaussians
-    extra = torch.zeros(0, g.count) if light is None else g.materials()
+    extra = g.position.new_zeros(0, g.count) if light is None else g.materials()
     geometry = (g.position.detach(), g.quaternion.detach(), g.log_scale.detach(), g.opacity.detach())
     sums, _ = rasterize(*geometry, g.sh, extra, target.camera, reconstruction.bound.radius)
     straight = radiance(sums, target.world_rays, None if light is None else light.exp())

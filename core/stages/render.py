@@ -22,7 +22,7 @@ def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.T
         extra = g.materials() if more is None else torch.cat([g.materials(), more])
         inputs = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
         picture, _ = rasterize(*inputs, camera, reconstruction.bound.radius)
-    return picture, torch.from_numpy(camera.rays()).permute(2, 0, 1)
+    return picture, torch.from_numpy(camera.rays()).to(picture.device).permute(2, 0, 1)
 
 
 def render_view(reconstruction: Reconstruction, camera: Camera) -> ViewBuffers:
@@ -38,8 +38,8 @@ def render_view(reconstruction: Reconstruction, camera: Camera) -> ViewBuffers:
         pictures = (alpha, mean[-1], normal, shown * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
         behind = None
         if reconstruction.background is not None:
-            behind = background_radiance(reconstruction.background, rays).permute(1, 2, 0).contiguous().numpy()
-        moved = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().numpy() for p in pictures]
+            behind = background_radiance(reconstruction.background, rays).permute(1, 2, 0).contiguous().cpu().numpy()
+        moved = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().cpu().numpy() for p in pictures]
     return ViewBuffers(camera, *moved, background=behind)
 
 

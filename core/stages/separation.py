@@ -60,18 +60,18 @@ class Separation:
         metals: Sequence[float] = METALLIC,
     ) -> None:
         """roughness, metallic: (P,) start. metals: values of metallic that are searched."""
-        self.seen, self.transfer, self._metals = seen, transfer, torch.tensor(metals)
+        self.seen, self.transfer, self._metals = seen, transfer, seen.colour.new_tensor(metals)
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = seen.sums(seen.colour) / seen.lengths[:, None]
-        self.light = torch.full((2 * transfer.height**2, 3), 2 * float(mean.mean()))
+        self.light = mean.new_full((2 * transfer.height**2, 3), 2 * float(mean.mean()))
         self.albedo = torch.full_like(mean, 0.5)
         self.slope = encoding_slope(seen.colour)
         self.trust = torch.ones_like(seen.colour)
-        self._smoothness = SMOOTHNESS * _laplacian(transfer.height)
+        self._smoothness = SMOOTHNESS * _laplacian(transfer.height).to(mean)
         self.n_v = (seen.normal[seen.point] * seen.view).sum(1).clamp_min(1e-3)
-        self._start = np.concatenate([[0], np.cumsum(seen.lengths.numpy())])
-        self._rows = torch.empty(len(seen.point), len(self.light))
+        self._start = torch.nn.functional.pad(seen.lengths.cumsum(0), (1, 0))
+        self._rows = mean.new_empty(len(seen.point), len(self.light))
         self._neighbours, self._likeness = neighbourhood(seen.position, mean)
         self._trace_lobes()
 
@@ -143,10 +143,11 @@ class Separation:
         metal = self.metallic[point]
         root = weight.sqrt()
         views = (root, weight * factor / total.sqrt()[point], albedo * (1 - metal) * self.share[:, 0], albedo * metal)
-        root_array, share, *factors = (v.contiguous().numpy() for v in views)
-        transport = (self.transfer.irradiance.numpy(), self.scaled.numpy(), self.rest.numpy())
-        coupling = jacobian(self._start, root_array, share, (factors[0], factors[1]), transport, self._rows.numpy())
-        normal = gram(self._rows) - gram(torch.from_numpy(coupling))
+        matrices = (self.transfer.irradiance, self.scaled, self.rest, self._rows)
+        start, root_too, share, *factors = self.transfer.arrays(self._start, *(v.contiguous() for v in views))
+        *transport, rows = self.transfer.arrays(*matrices)
+        coupling = jacobian(start, root_too, share, (factors[0], factors[1]), (transport[0], transport[1], transport[2]), rows)
+        normal = gram(self._rows) - gram(torch.as_tensor(coupling))
         return normal / len(weight), self._rows.T @ (root * residual) / len(weight)
 
     def _albedo_prior(self, done: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -154,7 +155,7 @@ class Separation:
         if done < CONSTANT:
             return torch.full_like(self.albedo, 0.5), torch.full_like(self.albedo, 1e3)
         log_albedo = self.albedo.log()
-        others = log_albedo[torch.randperm(len(log_albedo), generator=self.generator)[:SAMPLE]]
+        others = log_albedo[torch.randperm(len(log_albedo), generator=self.generator)[:SAMPLE].to(log_albedo.device)]
         like = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
         share = like.sum(1, keepdim=True)
         strength = PRIOR[0] * (PRIOR[1] / PRIOR[0]) ** min(1.0, (done - CONSTANT) / RELEASE)
@@ -163,7 +164,7 @@ class Separation:
 
     def _search_materials(self) -> None:
         """Roughness and metallic that explain all views of a point and its neighbours best, each candidate with its own best albedo."""
-        knots, metals = torch.tensor(ROUGHNESS), self._metals
+        knots, metals = self._metals.new_tensor(ROUGHNESS), self._metals
         cost = self._costs(knots, metals)
         for _ in range(2):
             cost = torch.einsum("pn,pnmr->pmr", self._likeness, cost[self._neighbours])
@@ -171,7 +172,7 @@ class Separation:
         best = best + (metals % 1 > 0) * HALF_METAL * float(self.seen.lengths.float().mean())
         metal = best.argmin(1)
         self.metallic = metals[metal]
-        self.roughness = _vertex(knots, cost[torch.arange(len(cost)), metal])
+        self.roughness = _vertex(knots, cost[torch.arange(len(cost), device=cost.device), metal])
         self._trace_lobes()
 
     def _costs(self, knots: torch.Tensor, metals: torch.Tensor) -> torch.Tensor:
@@ -180,7 +181,7 @@ class Separation:
         scaled, added = self.transfer.sums(seen, knots, self.light)
         irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[seen.point]
         weight = self.trust * self.slope**2
-        cost = torch.empty(len(seen.position), len(metals), len(knots))
+        cost = metals.new_empty(len(seen.position), len(metals), len(knots))
         for j, knot in enumerate(knots):
             share = diffuse_share(self.n_v, knot.expand_as(self.n_v))[:, None]
             for i, metal in enumerate(metals):
@@ -206,8 +207,9 @@ def encoding_slope(colour: torch.Tensor) -> torch.Tensor:
 
 def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """The nearest NEIGHBOURS of each point, itself among them, (P, N), and their shares by likeness of colour (P, N), which sum to 1."""
-    _, nearest = KDTree(position.numpy()).query(position.numpy(), k=min(NEIGHBOURS, len(position)))
-    index = torch.from_numpy(np.asarray(nearest).reshape(len(position), -1))
+    places = position.cpu().numpy()
+    _, nearest = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)))
+    index = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
     hue, shade = colour / (colour.sum(1, keepdim=True) + 0.02), encode_srgb(colour)
     apart = 15 * (hue[:, None] - hue[index]).abs().sum(-1) + 3 * (shade[:, None] - shade[index]).abs().sum(-1)
     like = torch.exp(-apart)
@@ -225,7 +227,7 @@ def gram(rows: torch.Tensor) -> torch.Tensor:
 
 def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
     """(P,) the knot of least cost (P, J), moved to the vertex of the parabola through it and its neighbours."""
-    row, j = torch.arange(len(cost)), cost.argmin(1).clamp(1, len(knots) - 2)
+    row, j = torch.arange(len(cost), device=cost.device), cost.argmin(1).clamp(1, len(knots) - 2)
     below, least, above = cost[row, j - 1], cost[row, j], cost[row, j + 1]
     shift = ((below - above) / (2 * (below - 2 * least + above)).clamp_min(1e-6)).clamp(-1, 1)
     return knots[j] + torch.where(shift < 0, shift * (knots[j] - knots[j - 1]), shift * (knots[j + 1] - knots[j]))

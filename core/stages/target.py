@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import torch
 
@@ -37,6 +37,10 @@ class Target:
     world_rays: torch.Tensor
     rotation: torch.Tensor
     share: float = 1.0
+
+    def to(self, device: torch.device) -> Target:
+        """The same on a device."""
+        return replace(self, **{f.name: v.to(device) for f in fields(self) if isinstance(v := getattr(self, f.name), torch.Tensor)})
 
     def bounded(self, rendered: torch.Tensor) -> torch.Tensor:
         """`rendered` with what exceeds a saturated pixel cut off: a clipped highlight is a lower bound, not a value."""

@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
+from ..kernels.backend import by_warp
 from ..kernels.lobes import lobe_rows, lobe_sums
 from ..shading.brdf import ggx_alpha
 from ..shading.lightmap import solid_angles
@@ -44,27 +46,32 @@ class Transfer:
 
     Attributes:
         height: rows of the light; T = 2 height^2.
-        fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D), float32, as `core/kernels/lobes.py` wants them.
+        fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D), float32, as `core/kernels/lobes.py` wants them:
+            numpy's arrays on the CPU, tensors on a device.
         irradiance: (P, T) irradiance / pi per radiance of a texel. indirect: (P, 3) irradiance / pi from the object itself.
         bounces: False where the object's own light was left out.
     """
 
     height: int
-    fixed: tuple[np.ndarray, ...]
+    fixed: tuple[Any, ...]
     irradiance: torch.Tensor
     indirect: torch.Tensor
     bounces: bool
 
+    def arrays(self, *tensors: torch.Tensor) -> tuple[Any, ...]:
+        """Tensors as what `fixed` is: numpy's arrays of the same memory, or tensors as they are."""
+        return tensors if isinstance(self.fixed[0], torch.Tensor) else tuple(t.numpy() for t in tensors)
+
     def rows(self, seen: Observations, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Specular rows of all views for the points' roughness (P,): see `lobe_rows`."""
-        arrays = (seen.point.numpy(), seen.view.numpy(), seen.normal.numpy(), ggx_alpha(roughness).numpy())
-        return tuple(torch.from_numpy(a) for a in lobe_rows(*arrays, self.fixed, 2 * self.height**2))
+        point, view, normal, alpha = self.arrays(seen.point, seen.view, seen.normal, ggx_alpha(roughness))
+        return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, 2 * self.height**2)))
 
     def sums(self, seen: Observations, roughness: torch.Tensor, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Specular integrals (K, J, 3) of all views for J roughness values under a light (T, 3): see `lobe_sums`."""
-        arrays = (seen.point.numpy(), seen.view.numpy(), seen.normal.numpy(), ggx_alpha(roughness).numpy())
-        scaled, added = lobe_sums(*arrays, self.fixed, light.numpy())
-        return torch.from_numpy(scaled), torch.from_numpy(added)
+        point, view, normal, alphas, shining = self.arrays(seen.point, seen.view, seen.normal, ggx_alpha(roughness), light)
+        scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, shining)
+        return torch.as_tensor(scaled), torch.as_tensor(added)
 
 
 def trace_transfer(
@@ -81,28 +88,29 @@ def trace_transfer(
 
     `step` is told how many points are done and may raise.
     """
-    direction, angle = subdivided_directions(height, side, seed)
-    cosine = (normal @ torch.from_numpy(direction)).clamp_min(0)
+    direction, angle = (torch.from_numpy(a).to(position.device) for a in subdivided_directions(height, side, seed))
+    cosine = (normal @ direction).clamp_min(0)
     visible, other = _look_around(tracer.above(position, normal), direction, cosine > 0, tracer, step)
     if not indirect:
-        other[:] = 0
-    weight = cosine.numpy() * angle / np.float32(math.pi)
-    rows = (weight * visible).reshape(len(position), side * side, 2 * height * height).sum(1)
-    own = np.einsum("pd,pcd->pc", weight, other)
-    return Transfer(height, (direction, angle, visible, other), torch.from_numpy(rows), torch.from_numpy(own), indirect)
+        other.zero_()
+    weight = cosine * angle / math.pi
+    rows = (weight * visible).view(len(position), side * side, 2 * height * height).sum(1)
+    own = torch.einsum("pd,pcd->pc", weight, other)
+    fixed = (direction, angle, visible, other)
+    return Transfer(height, fixed if by_warp(position) else tuple(t.numpy() for t in fixed), rows, own, indirect)
 
 
 def _look_around(
-    origin: torch.Tensor, direction: np.ndarray, wanted: torch.Tensor, tracer: Tracer, step: Callable[[int], object]
-) -> tuple[np.ndarray, np.ndarray]:
+    origin: torch.Tensor, direction: torch.Tensor, wanted: torch.Tensor, tracer: Tracer, step: Callable[[int], object]
+) -> tuple[torch.Tensor, torch.Tensor]:
     """What P origins see in those of the directions (3, D) that are `wanted` (P, D): free (P, D) and radiance (P, 3, D), else 0."""
     points, count = wanted.shape
-    visible, other = np.zeros((points, count), np.float32), np.zeros((points, 3, count), np.float32)
-    toward, batch = torch.from_numpy(direction.T.copy()), max(1, 2 * RAYS // count)
+    visible, other = origin.new_zeros(points, count), origin.new_zeros(points, 3, count)
+    toward, batch = direction.T.contiguous(), max(1, 2 * RAYS // count)
     for begin in range(0, points, batch):
         p, d = torch.nonzero(wanted[begin : begin + batch], as_tuple=True)
         free, radiance = tracer.look(origin[begin + p], toward[d])
-        visible[begin + p, d] = free.numpy()
-        other[begin + p, :, d] = radiance.numpy()
+        visible[begin + p, d] = free
+        other[begin + p, :, d] = radiance
         step(min(begin + batch, points))
     return visible, other

@@ -19,7 +19,7 @@ FARTHEST = math.cos(math.radians(30))  # what differs by more is an edge, or on 
 def turned(gaussians: Gaussians, surface: Surface, share: float) -> Gaussians:
     """The disks with normals that are `share` (0..1) the surface's and the rest their own."""
     own = gaussians.normals()
-    other = torch.from_numpy(surface_normals(surface, np.ascontiguousarray(gaussians.position.T.numpy()))).T
+    other = torch.from_numpy(surface_normals(surface, np.ascontiguousarray(gaussians.position.T.cpu().numpy()))).to(own.device).T
     cosine = (own * other).sum(0)
     other = torch.where(cosine < 0, -other, other)
     mixed = torch.nn.functional.normalize((1 - share) * own + share * other, dim=0)

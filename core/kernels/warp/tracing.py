@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,6 +100,26 @@ class DeviceLists:
     def rays(self) -> int:
         """R."""
         return len(self.start) - 1
+
+    def chosen(self, rays: torch.Tensor) -> DeviceLists:
+        """The lists of some of the rays, ascending."""
+        length = self.start.diff()
+        kept = torch.zeros_like(length, dtype=torch.bool)
+        kept[rays] = True
+        hits, length = kept[self.of.long()], length[rays]
+        start = torch.nn.functional.pad(length.cumsum(0), (1, 0))
+        of = torch.repeat_interleave(torch.arange(len(rays), device=length.device), length).int()
+        return DeviceLists(start, self.index[hits], self.weight[hits], self.distance[hits], self.left[rays], of, self.longest)
+
+    def joined(self, parts: Sequence[Any]) -> DeviceLists:
+        """Several sets of rays, of which this is the first, one after the other."""
+        start, of, hits, rays = [self.start[:1]], [], 0, 0
+        for part in parts:
+            start.append(part.start[1:] + hits)
+            of.append(part.of + rays)
+            hits, rays = hits + len(part.index), rays + part.rays
+        rest = [torch.cat([getattr(part, name) for part in parts]) for name in ("index", "weight", "distance", "left")]
+        return DeviceLists(torch.cat(start), *rest, torch.cat(of), max(part.longest for part in parts))
 
 
 def _see(tree: DeviceTree, origin, direction, sh: torch.Tensor, coefficients: int, extra: torch.Tensor):
