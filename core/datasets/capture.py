@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
@@ -129,7 +130,7 @@ class Capture:
     def split(self, settings: DataSettings) -> tuple[list[Frame], list[Frame]]:
         """(train, test) as the settings say: the declared split, that of the dataset's paper, or every `holdout`-th view with a picture
         held out, where enough are left to learn from. Raises InputError where the paper's split is asked for and not known."""
-        every = [*self.train, *(self.test or [])]
+        every = self.train if self.test is None else sorted([*self.train, *self.test], key=lambda f: _natural(f.listed))
         if settings.split == "published":
             if not self.published:
                 raise InputError("data.split", f"no published split is known for the format {self.format}", "use auto or holdout")
@@ -141,6 +142,11 @@ class Capture:
         if holdout < 2 or len(frames) - len(frames[::holdout]) < MINIMUM_VIEWS:
             return frames, []
         return [f for i, f in enumerate(frames) if i % holdout], frames[::holdout]
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts numbers in names by their size."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def view_names(listed: list[str]) -> list[str]:

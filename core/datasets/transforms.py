@@ -60,9 +60,9 @@ def kind_of(file: Path, content: dict[str, Any], frames: list[Frame]) -> str:
         return "glossy-synthetic"
     if file.name == "transforms_train.json" and "camera_angle_x" in content and "fl_x" not in content:
         return "nerf-synthetic"
-    if any(key in content for key in NERFSTUDIO_KEYS):
-        return "nerfstudio"
-    return "instant-ngp" if "aabb_scale" in content or "sharpness" in content["frames"][0] else "transforms"
+    if "aabb_scale" in content:
+        return "instant-ngp"
+    return "nerfstudio" if any(key in content for key in NERFSTUDIO_KEYS) else "transforms"
 
 
 def _test_file(train: Path) -> Path | None:

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A scene of known geometry, light and materials, rendered once by Cycles: a mirror-like ball beside a block, under coloured axes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from irgspp.core.lock import FileLock
+from irgspp.core.scene.exr import rgb_channels, write_exr
+from irgspp.core.shading.lightmap import texel_directions
+
+ROOT = Path(__file__).resolve().parents[2]
+BALL, RADIUS = np.array([0.15, -0.08, 0.1]), 0.75
+SIZE = 44
+SCENE = """
+import bpy, sys
+x, y, z, radius = (float(v) for v in sys.argv[2:6])
+bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+def material(name, colour, roughness, metallic):
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    inputs = made.node_tree.nodes['Principled BSDF'].inputs
+    inputs['Base Color'].default_value = (*colour, 1)
+    inputs['Roughness'].default_value, inputs['Metallic'].default_value = roughness, metallic
+    bpy.context.object.data.materials.append(made)
+bpy.ops.mesh.primitive_uv_sphere_add(radius=radius, location=(x, y, z), segments=64, ring_count=32)
+bpy.ops.object.shade_smooth()
+material('ball', (0.9, 0.85, 0.8), 0.2, 1.0)
+bpy.ops.mesh.primitive_cube_add(size=0.6, location=(-0.5, 0.35, -0.35), rotation=(0.2, 0.1, 0.6))
+material('block', (0.6, 0.3, 0.15), 0.6, 0.0)
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+"""
+
+# Linear colours at +X, -X, +Y, -Y, +Z, -Z: none is another's neighbour after a quarter turn or in a mirror.
+AXES = {
+    "axes": [(0.9, 0.1, 0.1), (0.1, 0.7, 0.7), (0.15, 0.8, 0.1), (0.7, 0.1, 0.7), (0.6, 0.6, 0.9), (0.3, 0.25, 0.05)],
+    "second": [(0.1, 0.2, 0.9), (0.9, 0.5, 0.1), (0.8, 0.8, 0.7), (0.5, 0.05, 0.1), (0.1, 0.6, 0.2), (0.3, 0.1, 0.5)],
+    "third": [(0.7, 0.7, 0.1), (0.2, 0.1, 0.6), (0.1, 0.4, 0.5), (0.9, 0.3, 0.4), (0.4, 0.1, 0.1), (0.1, 0.7, 0.3)],
+}
+
+
+def axes_light(name: str, height: int = 64) -> np.ndarray:
+    """(H, 2H, 3) linear: each axis has its colour, and between them it changes smoothly."""
+    direction = texel_directions(height, 2 * height).numpy()
+    towards = np.stack([s * direction[..., i] for i in range(3) for s in (1, -1)], -1)
+    weight = np.clip(towards, 0, None) ** 3
+    return ((weight @ np.array(AXES[name])) / weight.sum(-1, keepdims=True)).astype(np.float32)
+
+
+def render_scene(folder: Path) -> Path:
+    """The scene as a dataset of scripts/render_dataset.py, 16 training and 3 test views, rendered by the first process that asks."""
+    folder.mkdir(parents=True, exist_ok=True)
+    done, lock = folder / "done", None
+    while not done.exists() and lock is None:
+        try:
+            lock = FileLock(folder / "lock")
+        except BlockingIOError:
+            time.sleep(0.2)
+    if lock is not None:
+        if not done.exists():
+            _render(folder)
+            done.touch()
+        lock.release()
+    return folder / "scene"
+
+
+def _render(folder: Path) -> None:
+    for name in AXES:
+        write_exr(folder / f"{name}.exr", rgb_channels(axes_light(name)))
+    _run(folder, "-c", SCENE, folder / "scene.blend", *BALL, RADIUS)
+    lights = ["--light", folder / "axes.exr", "--relight", folder / "second.exr", folder / "third.exr"]
+    numbers = ["--resolution", SIZE, "--train", 16, "--test", 3, "--samples", 24, "--points", 400]
+    _run(folder, ROOT / "scripts" / "render_dataset.py", folder / "scene.blend", "-o", folder / "scene", *lights, *numbers)
+
+
+def _run(folder: Path, *arguments: object) -> None:
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder), "OMP_WAIT_POLICY": "PASSIVE"}
+    done = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene of known geometry in each dataset's layout, and what a reader of it must find."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from formats_scene import BALL, RADIUS, ROOT, axes_light
+from irgspp.core.colour import decode_srgb
+from irgspp.core.datasets.camera import Camera
+from irgspp.core.shading.lightmap import lookup
+
+sys.path.insert(0, str(ROOT / "scripts"))
+from formats import WRITERS, stanford_orb
+from formats.source import Shot, Source, load_source, placed
+
+sys.path.remove(str(ROOT / "scripts"))
+
+__all__ = ["NAMES", "Shot", "Source", "Written", "load_source", "mirror_errors", "placed", "source_light", "stanford_orb"]
+
+NAMES = sorted(WRITERS)
+BLOCK, REACH = np.array([-0.5, 0.35, -0.35]), 0.6  # a ball around the block, whose reflection is none of the light's
+TINT = np.array([0.9, 0.85, 0.8])
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A dataset: what to read, and the similarity from the scene's world to its own frame."""
+
+    path: Path
+    world: np.ndarray
+    source: Source
+
+    @classmethod
+    def of(cls, name: str, source: Source, folder: Path) -> Written:
+        return cls(*WRITERS[name](source, folder), source)
+
+    @property
+    def shots(self) -> list[Shot]:
+        return [*self.source.train, *self.source.test]
+
+    def shot_of(self, pose: np.ndarray, to_world: np.ndarray) -> tuple[Shot, float]:
+        """The shot that a pose as read belongs to, and the largest difference to its true pose in units of the scene."""
+        size = float(np.cbrt(np.linalg.det((to_world @ self.world)[:3, :3])))
+        truths = [placed(to_world @ self.world, s.pose) for s in self.shots]
+        errors = [max(np.abs(t[:3, :3] - pose[:3, :3]).max(), np.abs(t[:3, 3] - pose[:3, 3]).max() / size) for t in truths]
+        return self.shots[int(np.argmin(errors))], float(min(errors))
+
+    def ball(self, to_world: np.ndarray) -> tuple[np.ndarray, float]:
+        """Centre and radius of the ball in our world."""
+        return _moved(to_world @ self.world, BALL), RADIUS * float(np.cbrt(np.linalg.det((to_world @ self.world)[:3, :3])))
+
+    def mirror_error(self, camera: Camera, alpha: np.ndarray | None, picture: np.ndarray, light: np.ndarray, to_world: np.ndarray) -> float:
+        """Mean difference, relative to what is seen, of a picture (H, W, 3), encoded, and a light (H', W', 3) mirrored in the ball."""
+        centre, radius = self.ball(to_world)
+        block = _moved(to_world @ self.world, BLOCK)
+        ray = camera.rays().astype(np.float64)
+        ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+        distance = _hit(np.broadcast_to(camera.centre, ray.shape), ray, centre, radius)
+        place = camera.centre + np.where(np.isfinite(distance), distance, 0)[..., None] * ray
+        normal = (place - centre) / radius
+        cosine = -(ray * normal).sum(-1)
+        away = ray + 2 * cosine[..., None] * normal
+        reach = REACH * radius / RADIUS
+        clear = np.isinf(_hit(np.broadcast_to(camera.centre, ray.shape), ray, block, reach)) & np.isinf(_hit(place, away, block, reach))
+        chosen = np.isfinite(distance) & clear & (cosine > 0.35) & (True if alpha is None else alpha > 0.99)
+        assert chosen.sum() > 40
+        seen = decode_srgb(np.clip(picture[chosen], 0, 1).astype(np.float64))
+        expected = np.clip(lookup(torch.from_numpy(light).double(), torch.from_numpy(away[chosen])).numpy() * TINT, 0, 1)
+        return float(np.abs(seen - expected).mean() / seen.mean())
+
+
+def mirror_errors(light: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """The light turned and mirrored in every way that axes are mistaken."""
+    quarter = light.shape[1] // 4
+    for turns in (1, 2, 3):
+        yield f"turned by {turns} quarters", np.roll(light, turns * quarter, 1)
+    yield "mirrored", light[:, ::-1].copy()
+    yield "mirrored and turned", np.roll(light[:, ::-1], quarter, 1).copy()
+    yield "upside down", light[::-1].copy()
+    yield "on its side", _on_its_side(light)
+
+
+def _on_its_side(light: np.ndarray) -> np.ndarray:
+    """+Y up taken for +Z up."""
+    from irgspp.core.evaluation.truth import turned
+
+    return turned(light, np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]))
+
+
+def source_light(name: str) -> np.ndarray:
+    """A light of the scene in Blender's world."""
+    return axes_light(name)
+
+
+def _moved(world: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
+    return world[:3, :3] @ np.asarray(point) + world[:3, 3]
+
+
+def _hit(origin: np.ndarray, ray: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
+    """Distance along unit rays to a ball, infinite where they miss it or leave it behind."""
+    towards = origin - centre
+    b, c = (ray * towards).sum(-1), (towards**2).sum(-1) - radius**2
+    under = b * b - c
+    distance = -b - np.sqrt(np.maximum(under, 0))
+    return np.where((under > 0) & (distance > 1e-9), distance, np.inf)
