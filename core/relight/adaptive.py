@@ -48,7 +48,7 @@ class Noise:
 
     def needed(self, error: float) -> torch.Tensor:
         """(T,) samples, of STEPS and no fewer than there are, fewest in all so that the picture errs by no more than `error`."""
-        steps = torch.tensor(STEPS).float()[:, None].maximum(self.samples)
+        steps = self.samples.new_tensor(STEPS)[:, None].maximum(self.samples)
         errors, room = self.error2(steps), error**2 * self.pixels.sum()
         low, high = -30.0, 5.0  # of the logarithm of what a sample is worth
         for _ in range(40):
@@ -65,7 +65,7 @@ def noise(raw: torch.Tensor, split: torch.Tensor, colour: torch.Tensor, samples:
     variance = (CAUTION if filtered else HALVES) * (split * slope).square().mean(1)
     change = ((raw - colour) * slope).square().mean(1)
     tile, pixels = tiles(surface)
-    sums = torch.zeros(3, len(pixels)).index_add_(1, tile, torch.stack([variance, change, samples.float()])) / pixels
+    sums = variance.new_zeros(3, len(pixels)).index_add_(1, tile, torch.stack([variance, change, samples.float()])) / pixels
     variance, change, samples = sums
     bias2 = (variance**2 / change.clamp_min(1e-30) - variance).clamp_min(0) if filtered else torch.full_like(variance, torch.inf)
     return Noise(variance, bias2, samples, pixels, tile)

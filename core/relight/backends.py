@@ -24,7 +24,7 @@ def best_backend(run: Path) -> Backend:
 def open_relighter(run: Path, reconstruction: Reconstruction, backend: Backend, settings: RelightSettings) -> Relighter:
     """The relighter of a run. Raises InputError where the run lacks what it needs, or settings are impossible."""
     file, radius = run / "mesh.ply", reconstruction.bound.radius
-    mesh = MeshQuery(load_mesh_ply(file), radius) if file.is_file() else None
+    mesh = MeshQuery(load_mesh_ply(file), radius, reconstruction.environment.device) if file.is_file() else None
     if backend == "gaussian":
         return Relighter(reconstruction, GaussianQuery(reconstruction), settings, mesh)
     if mesh is None:

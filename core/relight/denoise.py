@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..kernels.backend import by_warp
 from ..kernels.bilateral import bilateral_range, mean_range, weigh_range
 from ..kernels.pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
@@ -75,11 +76,15 @@ class Guides:
 
     def __init__(self, surface: Primary, radius: float, kept: bool = False) -> None:
         self._grid, self._radius, self._kept = Grid(surface.camera.width, surface.camera.height), radius, kept
+        self._surface = surface if by_warp(surface.index) else None
+        self._weights: dict[Filter, np.ndarray] = {}
+        if self._surface is not None:
+            self._values = _guides(surface).T.contiguous()
+            return
         index = surface.index.numpy()
         self._places = self._grid.places(index)
         self._groups = np.unique(self._places - index % surface.camera.width % 8)  # of 8 pixels
         self._planes = self._scattered(_guides(surface))
-        self._weights: dict[Filter, np.ndarray] = {}
 
     @property
     def size(self) -> int:
@@ -93,6 +98,8 @@ class Guides:
 
     def filtered(self, values: torch.Tensor, how: Filter) -> torch.Tensor:
         """(P, C) values at the surface's pixels; every pixel becomes a mean of its neighbours, with weights that sum to 1."""
+        if self._surface is not None:
+            return self._on_device(self._surface, values, how)
         planes, spatial = self._scattered(values.T), how.spatial()
         out, size = np.empty_like(planes), (self._grid.stride, self._grid.plane)
         parts = even_ranges(len(self._groups), BLOCKS * thread_count())
@@ -105,6 +112,13 @@ class Guides:
                 run_ranges(weigh_range, parts, self._groups, *guided, *size, self._weights[how])
             run_ranges(mean_range, parts, self._groups, self._weights[how], planes, len(spatial) // 2, *size, out)
         return torch.from_numpy(out.reshape(-1, self._grid.plane)[:, self._places].T.copy())
+
+    def _on_device(self, surface: Primary, values: torch.Tensor, how: Filter) -> torch.Tensor:
+        from ..kernels.warp.bilateral import filtered  # an option, not installed everywhere
+
+        spatial = torch.from_numpy(how.spatial()).to(values.device)
+        picture = (surface.index, self._grid.width, self._grid.height)
+        return filtered(*picture, self._values, spatial, how.epsilon * self._radius, how.doublings, values.contiguous())
 
     def _scattered(self, rows: torch.Tensor) -> np.ndarray:
         """(C, P) values as C flattened planes, 0 elsewhere."""
@@ -147,8 +161,8 @@ def _guides(surface: Primary) -> torch.Tensor:
     """(7, P) normal, depth, its slopes to the right and down, coverage."""
     camera = surface.camera
     # The tangent plane n.(x - p) = 0 gives the slopes without the noise of differences.
-    across = torch.from_numpy(camera.to_world[:3, 0] / camera.fx).float()
-    down = torch.from_numpy(-camera.to_world[:3, 1] / camera.fy).float()
+    across = torch.from_numpy(camera.to_world[:3, 0] / camera.fx).to(surface.depth)
+    down = torch.from_numpy(-camera.to_world[:3, 1] / camera.fy).to(surface.depth)
     facing = (surface.normal * surface.ray).sum(-1).clamp_max(-1e-2)
     slopes = [-surface.depth * (surface.normal @ step) / facing for step in (across, down)]
     return torch.cat([surface.normal.T, torch.stack([surface.depth, *slopes, surface.alpha])])

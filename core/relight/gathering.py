@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 
+from ..kernels.backend import by_warp
 from ..kernels.gathering import gather_range, terms_range
 from ..kernels.pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance, facing, ggx_alpha
@@ -55,9 +57,9 @@ class Met:
     place: torch.Tensor
 
     @property
-    def arrays(self) -> list:
+    def tensors(self) -> list[torch.Tensor]:
         """For kernels."""
-        return [getattr(self, field.name).contiguous().numpy() for field in fields(self)]
+        return [getattr(self, field.name).contiguous() for field in fields(self)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +76,14 @@ class Surroundings:
     def along(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, Met]:
         """(R,) int32 which hit is each ray's, -1 for none, and the hits; origin, direction: (R, 3)."""
         hits = self.query.hits(origin, direction)
-        row = torch.full((len(origin),), -1, dtype=torch.int32)
-        row[hits.ray] = torch.arange(len(hits.ray), dtype=torch.int32)
+        row = torch.full((len(origin),), -1, dtype=torch.int32, device=origin.device)
+        row[hits.ray] = torch.arange(len(hits.ray), dtype=torch.int32, device=origin.device)
         return row, self._met(hits, -direction[hits.ray])
 
     def _met(self, hits: Hits, view: torch.Tensor) -> Met:
         """What is seen against `view` (K, 3): split-sum shading without its light."""
         if self.scale is None:
-            return Met(hits.opacity, torch.zeros_like(view), torch.zeros_like(view), torch.zeros(len(view), 5))
+            return Met(hits.opacity, torch.zeros_like(view), torch.zeros_like(view), view.new_zeros(len(view), 5))
         n_v = (view * hits.normal).sum(-1).clamp(1e-3, 1)
         albedo, metallic = hits.albedo * self.scale, hits.metallic[:, None]
         body = (1 - metallic) * albedo
@@ -116,14 +118,24 @@ class SecondaryRays:
         return sum(t.numel() * t.element_size() for t in (self.terms, self.row, *vars(self.met).values()))
 
 
+def _device() -> Any:
+    """What does the work where warp does: an option, not installed everywhere."""
+    from ..kernels.warp import light
+
+    return light
+
+
 def trace_samples(surroundings: Surroundings, points: Points, samples: Samples) -> SecondaryRays:
     """Trace the samples of P points that lie above the horizon; their density is for all of them together."""
     count = samples.direction.shape[1]
-    terms = torch.empty(len(points.normal), count, 6)
-    arrays = (points.view, points.normal, points.alpha, samples.direction, samples.density.contiguous(), terms)
-    run_ranges(terms_range, even_ranges(len(terms), 4 * thread_count()), *(t.numpy() for t in arrays))
+    terms = points.normal.new_empty(len(points.normal), count, 6)
+    tensors = (points.view, points.normal, points.alpha, samples.direction.contiguous(), samples.density.contiguous(), terms)
+    if by_warp(terms):
+        _device().terms(*tensors)
+    else:
+        run_ranges(terms_range, even_ranges(len(terms), 4 * thread_count()), *(t.numpy() for t in tensors))
     above = torch.nonzero(terms[..., 2].flatten() > 0)[:, 0]
-    row = torch.full((terms.shape[0] * count,), -1, dtype=torch.int32)
+    row = torch.full((terms.shape[0] * count,), -1, dtype=torch.int32, device=terms.device)
     row[above], met = surroundings.along(points.origin[above // count], samples.direction.view(-1, 3)[above])
     return SecondaryRays(terms, row.view(-1, count), met)
 
@@ -134,10 +146,14 @@ def gather(rays: SecondaryRays, light: PreparedLight, share: float) -> torch.Ten
     share: times the light's own density comes to that of the rays.
     """
     assert light.distribution is not None
-    sums = torch.zeros(len(rays.terms), 2, SUMS)
+    sums = rays.terms.new_zeros(len(rays.terms), 2, SUMS)
     theirs = (light.radiance[None], light.diffuse[None], light.specular, light.distribution.texels)
-    arrays = [rays.terms.numpy(), rays.row.numpy(), *rays.met.arrays, *(t.contiguous().numpy() for t in theirs)]
-    run_ranges(gather_range, even_ranges(len(sums), 4 * thread_count()), *arrays, share, light.turn, sums.numpy())
+    tensors = (rays.terms, rays.row, *rays.met.tensors, *(t.contiguous() for t in theirs))
+    if by_warp(sums):
+        _device().gather(*tensors, share, light.turn, sums)
+    else:
+        parts = even_ranges(len(sums), 4 * thread_count())
+        run_ranges(gather_range, parts, *(t.numpy() for t in tensors), share, light.turn, sums.numpy())
     return sums
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import torch
 
-from ..kernels.bvh import DiskTree
-from ..kernels.tracing import trace
+from ..kernels.tracing import build_tree, trace
 from ..scene.reconstruction import Reconstruction
 from .primary import Primary
 from .query import Hits
@@ -25,11 +24,11 @@ class GaussianQuery:
     def __init__(self, reconstruction: Reconstruction, offset: float = OFFSET) -> None:
         g, bound = reconstruction.gaussians, reconstruction.bound
         with torch.no_grad():
-            inside = (g.position - torch.tensor(bound.centre)[:, None]).norm(dim=0) <= bound.radius
+            inside = (g.position - g.position.new_tensor(bound.centre)[:, None]).norm(dim=0) <= bound.radius
             self._disks = g.select(inside)
             self._materials = self._disks.materials()
         self._geometry = (self._disks.position, self._disks.quaternion, self._disks.log_scale, self._disks.opacity)
-        self._tree = DiskTree.build(*self._geometry)
+        self._tree = build_tree(*self._geometry)
         self._offset = offset * bound.radius
 
     def origins(self, surface: Primary) -> torch.Tensor:

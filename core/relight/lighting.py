@@ -38,6 +38,13 @@ class PreparedLight:
     table: torch.Tensor
     turn: float = 0.0
 
+    def to(self, device: torch.device) -> PreparedLight:
+        """The same on a device."""
+        if self.radiance.device == device:
+            return self
+        moved = {name: getattr(self, name).to(device) for name in ("radiance", "diffuse", "specular", "table")}
+        return dataclasses.replace(self, **moved, distribution=None if self.distribution is None else LightDistribution(moved["radiance"]))
+
     def turned(self, degrees: float) -> PreparedLight:
         """The same light turned further about +Z, counter-clockwise from above: nothing is computed anew, and no texel is interpolated."""
         return dataclasses.replace(self, turn=(self.turn + degrees / 360) % 1)
@@ -50,18 +57,18 @@ class PreparedLight:
         return lookup(self.diffuse, back) * math.pi
 
 
-def prepare(light: np.ndarray) -> PreparedLight:
-    """A light map (H, W, 3), finite and >= 0, with all that is derived from it."""
-    radiance = torch.from_numpy(np.ascontiguousarray(light, np.float32))
-    small = reduced(light)
+def prepare(light: np.ndarray, device: torch.device | str = "cpu") -> PreparedLight:
+    """A light map (H, W, 3), finite and >= 0, with all that is derived from it, on a device."""
+    radiance = torch.from_numpy(np.ascontiguousarray(light, np.float32)).to(device)
+    small = reduced(light).to(device)
     distribution = LightDistribution(radiance) if float(radiance.max()) > 0 else None
-    table = torch.zeros(0, 0, 7) if distribution is None else _table(radiance, distribution)
+    table = radiance.new_zeros(0, 0, 7) if distribution is None else _table(radiance, distribution)
     return PreparedLight(radiance, distribution, diffuse_light(small), specular_light(small), table)
 
 
 def _table(radiance: torch.Tensor, distribution: LightDistribution) -> torch.Tensor:
     """See `PreparedLight`."""
-    direction = distribution.sample(_strata()).float()
+    direction = distribution.sample(_strata().to(radiance.device)).float()
     flat = direction.view(-1, 3)
     values = (flat, distribution.density(flat)[:, None], lookup(radiance, flat))
     return torch.cat(values, 1).view(*direction.shape[:2], 7).contiguous()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Secondary rays on the mesh: Embree's closest hit, vertex materials interpolated."""
+"""Secondary rays on the mesh: the closest hit, vertex materials interpolated."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ import dataclasses
 
 import numpy as np
 import torch
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
-from ..kernels.pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
 from .primary import Primary
 from .query import Hits
+from .triangles import triangles_of
 
 # Of the scene radius:
 CLEARANCE = 0.002  # rays start this much above the mesh,
@@ -25,17 +23,14 @@ class MeshQuery:
     """A mesh as `SurfaceQuery`: a ray meets it or it does not.
 
     Args:
-        mesh: the mesh. radius: of the scene, which lengths are measured by.
+        mesh: the mesh. radius: of the scene, which lengths are measured by. device: where rays come from.
     """
 
-    def __init__(self, mesh: Mesh, radius: float) -> None:
-        self._faces, self._radius = torch.from_numpy(mesh.faces.astype(np.int64)), radius
+    def __init__(self, mesh: Mesh, radius: float, device: torch.device | str = "cpu") -> None:
+        self._faces, self._radius = torch.from_numpy(mesh.faces.astype(np.int64)).to(device), radius
         rows = (mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None])
-        self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32))
-        self._scene = EmbreeScene()
-        TriangleMesh(self._scene, np.ascontiguousarray(mesh.vertices[mesh.faces], np.float32))
-        # The first query commits the scene, which threads must not race for.
-        self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+        self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32)).to(device)
+        self._triangles = triangles_of(mesh, device)
 
     def origins(self, surface: Primary) -> torch.Tensor:
         """See `SurfaceQuery`. Rays start on the mesh: the Gaussians' surface lies inside it here and outside there."""
@@ -61,7 +56,7 @@ class MeshQuery:
         Before: along a silhouette that has something behind it a pixel's mean depth lies between both, often inside what is in front.
         """
         direction = -surface.view
-        origin = _centre(surface).expand_as(direction)
+        origin = _centre(surface).expand_as(direction).contiguous()
         hits, distance = self._closest(origin, direction)
         near = distance < (surface.point[hits.ray] - origin[hits.ray]).norm(dim=1) + NEAR * self._radius
         chosen = Hits(*(getattr(hits, field.name)[near] for field in dataclasses.fields(hits)))
@@ -70,31 +65,21 @@ class MeshQuery:
     def _closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[Hits, torch.Tensor]:
         """Hits and their distances (K,)."""
         triangle, u, v, distance = self.closest(origin, direction)
-        ray = np.flatnonzero(triangle >= 0)
-        share = torch.from_numpy(np.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1))
-        return self._hits(torch.from_numpy(ray), torch.from_numpy(triangle[ray]), share, direction), torch.from_numpy(distance[ray])
+        ray = torch.nonzero(triangle >= 0)[:, 0]
+        share = torch.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1)
+        return self._hits(ray, triangle[ray].long(), share, direction), distance[ray]
 
-    def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Embree's answer for rays (R, 3) and no more: triangle, -1 for none, u and v in it, distance, (R,) each."""
-        origins, directions = origin.contiguous().numpy(), direction.contiguous().numpy()
-        triangle = np.empty(len(origins), np.int32)
-        u, v, distance = np.empty((3, len(origins)), np.float32)
-
-        def run(begin: int, end: int) -> None:
-            found = self._scene.run(origins[begin:end], directions[begin:end], query="INTERSECT", output=True)
-            for to, name in ((triangle, "primID"), (u, "u"), (v, "v"), (distance, "tfar")):
-                to[begin:end] = found[name]
-
-        run_ranges(run, even_ranges(len(origins), thread_count()))
-        return triangle, u, v, distance
+    def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What rays (R, 3) meet first and no more: triangle, -1 for none, u and v in it, distance, (R,) each."""
+        return self._triangles.closest(origin, direction)
 
     def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, share: torch.Tensor, direction: torch.Tensor) -> Hits:
         at = torch.einsum("kc,kca->ka", share, self._attributes[self._faces[triangle]])
         normal = torch.nn.functional.normalize(at[:, :3], dim=1)
         away = (normal * direction[ray]).sum(1, keepdim=True) > 0
         materials = (at[:, 3:6], at[:, 6].contiguous(), at[:, 7])
-        return Hits(ray, torch.ones(len(ray)), *materials, torch.where(away, -normal, normal))
+        return Hits(ray, torch.ones_like(at[:, 0]), *materials, torch.where(away, -normal, normal))
 
 
 def _centre(surface: Primary) -> torch.Tensor:
-    return torch.from_numpy(surface.camera.centre).float()
+    return torch.from_numpy(surface.camera.centre).to(surface.depth)

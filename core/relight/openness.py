@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..kernels.backend import by_warp
 from ..kernels.light_samples import survey_range
 from .gathering import SecondaryRays
 
@@ -40,8 +41,8 @@ class Openness:
 
 def survey(direction: torch.Tensor, rays: SecondaryRays, index: torch.Tensor, width: int) -> Openness:
     """From P points' rays in directions (P, M, 3), at flat pixel indices (P,) of a picture of a width."""
-    if not len(index):
-        return Openness.unknown(0)
+    if not len(index) or by_warp(index):  # a device traces its few rays sooner than it finds out which it could do without
+        return Openness.unknown(len(index))
     down, across = index // width // TILE, index % width // TILE
     down, across = down - down.min(), across - across.min()
     rows, columns = int(down.max()) + 1, int(across.max()) + 1

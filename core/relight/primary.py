@@ -49,7 +49,7 @@ class Primary:
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
         """(P, 3) straight colours of the points as an (H, W, 4) linear premultiplied picture."""
-        rgba = torch.zeros(self.coverage.numel(), 4)
+        rgba = colour.new_zeros(self.coverage.numel(), 4)
         rgba[self.index, :3] = colour * self.alpha[:, None]
         rgba[:, 3] = self.coverage.flatten()
         return rgba.view(*self.coverage.shape, 4)
@@ -62,6 +62,6 @@ def primary_surface(reconstruction: Reconstruction, camera: Camera, albedo_scale
         p = surface_pixels(picture, rays, NOTHING)
         ray = rays.flatten(1)[:, p.index].T.contiguous()
         depth = picture[-2].flatten()[p.index] / p.alpha
-        point = torch.from_numpy(camera.centre).float() + depth[:, None] * ray
+        point = torch.from_numpy(camera.centre).to(depth) + depth[:, None] * ray
         materials = (p.albedo * albedo_scale, p.roughness, p.metallic, p.alpha)
         return Primary(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, picture[-1].contiguous(), point)

@@ -19,6 +19,7 @@ import torch
 from ..config import SkipSettings
 from ..datasets.camera import Camera
 from ..errors import InputError
+from ..kernels.backend import by_warp
 from ..scene.reconstruction import Reconstruction
 from ..shading.sampling import Samples, draw
 from .adaptive import PILOT, ROUNDS, noise
@@ -34,6 +35,7 @@ from .query import SurfaceQuery
 from .samples import Counts, pixel_shifts, sample_counts
 
 RAYS = 1 << 17  # at a time: few enough for the cache, enough for every thread
+RAYS_ON_DEVICE = 1 << 22  # enough for a GPU, at some 200 bytes each
 KEPT_BYTES = 1 << 28  # of secondary rays that are kept from light to light
 
 
@@ -113,7 +115,8 @@ class Relighter:
         if settings.error is not None and settings.denoise == "paper":
             raise InputError("--error", "the paper's filter errs the same whatever the samples", "use another denoiser")
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
-        self._scale = torch.tensor(settings.albedo_scale)
+        self.device = reconstruction.environment.device
+        self._scale = torch.tensor(settings.albedo_scale, device=self.device)
         self._kept: WeakKeyDictionary[Primary, dict[int, Lasting]] = WeakKeyDictionary()
         self._guides: WeakKeyDictionary[Primary, Guides] = WeakKeyDictionary()
         self.tally = Tally()
@@ -135,9 +138,12 @@ class Relighter:
         return dataclasses.replace(surface, origin=self.query.origins(surface))
 
     def relit(self, surface: Primary, light: PreparedLight) -> torch.Tensor:
-        """(H, W, 4) linear premultiplied RGBA of a surface under a light. Another light on the same surface is cheaper than the first."""
+        """(H, W, 4) linear premultiplied RGBA of a surface under a light, on the CPU. Another light on it is cheaper than the first."""
+        return self._relit(surface, light.to(self.device)).cpu()
+
+    def _relit(self, surface: Primary, light: PreparedLight) -> torch.Tensor:
         if light.distribution is None:
-            return surface.composite(torch.zeros(len(surface.index), 3))
+            return surface.composite(torch.zeros_like(surface.albedo))
         with torch.no_grad():
             if self.settings.error is not None:
                 return surface.composite(self._to_error(surface, light, self.settings.error))
@@ -147,7 +153,7 @@ class Relighter:
 
     def _to_error(self, surface: Primary, light: PreparedLight, error: float) -> torch.Tensor:
         """(P, 3) colours, with as many samples in each tile as it takes."""
-        sums, samples = self._sums(surface, self._counts(PILOT), light), torch.full((len(surface.index),), PILOT)
+        sums, samples = self._sums(surface, self._counts(PILOT), light), torch.full_like(surface.index, PILOT)
         for left in reversed(range(ROUNDS)):
             estimate = estimated(sums, samples[:, None], surface, light, self.settings.conserving)
             colour = denoised(estimate, surface, self._guides_of(surface), self.settings.denoise)
@@ -180,7 +186,8 @@ class Relighter:
 
     def _sums(self, surface: Primary, counts: Counts, light: PreparedLight) -> torch.Tensor:
         """(P, 2, 12) sums over samples, see `gather`."""
-        count, step = len(surface.index), max(1, RAYS // sum(counts))
+        rays = RAYS_ON_DEVICE if by_warp(surface.index) else RAYS
+        count, step = len(surface.index), max(1, rays // sum(counts))
         parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
         return torch.cat([self._gathered(surface, part, counts, light) for part in parts])
 

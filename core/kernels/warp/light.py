@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sums over samples of the light that they find, on the device; definitions stand in core/kernels/{gathering,light_samples}.py.
+
+Of light samples every one is traced: what the CPU saves by knowing directions in which nothing stands costs a GPU more than its rays.
+"""
+
+import math
+from typing import Any
+
+import torch
+import warp as wp
+
+from ..reflection import SHORTEST2
+from .runtime import launch
+
+_SHORTEST2, _PI, _TURN = wp.constant(SHORTEST2), wp.constant(math.pi), wp.constant(2 * math.pi)
+Sums = wp.types.vector(length=12, dtype=wp.float32)
+
+
+@wp.struct
+class Point:
+    """A point to be lit: normal, view, alpha^2, n.v and the root that its visibility has of it."""
+
+    n: wp.vec3
+    v: wp.vec3
+    a2: float
+    n_v: float
+    root: float
+
+
+@wp.func
+def point_of(view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), p: int) -> Point:
+    point = Point()
+    point.n = normal[p]
+    point.v = view[p]
+    point.a2 = alpha[p] * alpha[p]
+    point.n_v = wp.dot(point.n, point.v)
+    point.root = wp.sqrt(point.n_v * point.n_v * (1.0 - point.a2) + point.a2)
+    return point
+
+
+@wp.func
+def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
+    """D V in two parts, that which F0 scales and that which Fresnel adds."""
+    h = d + point.v
+    length2 = wp.max(wp.dot(h, h), _SHORTEST2)
+    t = h - point.n * (n_l + point.n_v)
+    k = point.a2 + wp.dot(t, t) / length2 * (1.0 - point.a2)
+    sums = n_l * point.root + point.n_v * wp.sqrt(n_l * n_l * (1.0 - point.a2) + point.a2)
+    value = point.a2 / (_PI * k * k) * 0.5 / sums
+    x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)
+    bias = value * (x * x) * (x * x) * x
+    return wp.vec2(value - bias, bias)
+
+
+@wp.func
+def place_of(d: wp.vec3) -> wp.vec2:
+    """u, v of a direction in a lat-long map."""
+    return wp.vec2(0.5 - wp.atan2(d[1], d[0]) / _TURN, wp.atan2(wp.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) / _PI)
+
+
+@wp.func
+def turned(u: float, turn: float) -> float:
+    shifted = u + turn
+    return wp.where(shifted >= 1.0, shifted - 1.0, shifted)
+
+
+@wp.func
+def bilinear(maps: wp.array3d(dtype=wp.vec3), level: int, u: float, v: float) -> wp.vec3:
+    """One of the maps (L, H, W), wrapped in u."""
+    height, width = maps.shape[1], maps.shape[2]
+    x, y = u * float(width) - 0.5, wp.clamp(v * float(height) - 0.5, 0.0, float(height) - 1.0)
+    x0, top = int(wp.floor(x)), int(wp.floor(y))
+    fx, fy = x - float(x0), y - float(top)
+    left = wp.where(x0 < 0, x0 + width, wp.min(x0, width - 1))
+    right = wp.where(left + 1 < width, left + 1, 0)
+    bottom = wp.min(top + 1, height - 1)
+    upper = maps[level, top, left] * (1.0 - fx) + maps[level, top, right] * fx
+    lower = maps[level, bottom, left] * (1.0 - fx) + maps[level, bottom, right] * fx
+    return upper * (1.0 - fy) + lower * fy
+
+
+@wp.func
+def reflected(
+    k: int, body: wp.array(dtype=wp.vec3), gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float),
+    diffuse: wp.array3d(dtype=wp.vec3), specular: wp.array3d(dtype=wp.vec3), turn: float,
+) -> wp.vec3:  # fmt: skip
+    """What hit k sends along its ray."""
+    even = bilinear(diffuse, 0, turned(place[k, 0], turn), place[k, 1])
+    u, v, level = turned(place[k, 2], turn), place[k, 3], place[k, 4]
+    low = wp.min(int(level), specular.shape[0] - 2)
+    share = level - float(low)
+    sharp = bilinear(specular, low, u, v) * (1.0 - share) + bilinear(specular, low + 1, u, v) * share
+    return wp.cw_mul(body[k], even) + wp.cw_mul(gloss[k], sharp)
+
+
+@wp.func
+def lit(sums: Sums, weight: float, value: float, bias: float, light: wp.vec3, free: wp.vec3) -> Sums:
+    """The sums with a sample more: light that arrives for each lobe, and what would if nothing were in its way."""
+    out = sums
+    for channel in range(3):
+        out[channel] += weight * light[channel]
+        out[3 + channel] += value * light[channel]
+        out[6 + channel] += bias * light[channel]
+        out[9 + channel] += weight * free[channel]
+    return out
+
+
+@wp.kernel
+def terms_kernel(
+    view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), direction: wp.array2d(dtype=wp.vec3),
+    density: wp.array2d(dtype=float), out: wp.array3d(dtype=float),
+):  # fmt: skip
+    """Of each ray u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
+    p, i = wp.tid()
+    point, d = point_of(view, normal, alpha, p), direction[p, i]
+    n_l = wp.dot(point.n, d)
+    for c in range(6):
+        out[p, i, c] = 0.0
+    if n_l > 0.0:
+        parts, place = lobe(point, d, n_l), place_of(d)
+        out[p, i, 0] = place[0]
+        out[p, i, 1] = place[1]
+        out[p, i, 2] = n_l
+        out[p, i, 3] = parts[0] * n_l
+        out[p, i, 4] = parts[1] * n_l
+        out[p, i, 5] = density[p, i]
+
+
+@wp.kernel
+def gather_kernel(
+    terms: wp.array3d(dtype=float), row: wp.array2d(dtype=int), opacity: wp.array(dtype=float), body: wp.array(dtype=wp.vec3),
+    gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float), light: wp.array3d(dtype=wp.vec3), diffuse: wp.array3d(dtype=wp.vec3),
+    specular: wp.array3d(dtype=wp.vec3), texels: wp.array(dtype=float), share: float, turn: float, sums: wp.array3d(dtype=float),
+):  # fmt: skip
+    """Half the samples of a point, even or odd ones: see the CPU's `gather_range`."""
+    p, half = wp.tid()
+    height, width = light.shape[1], light.shape[2]
+    acc = Sums(0.0)
+    i = int(half)
+    while i < terms.shape[1]:
+        n_l = terms[p, i, 2]
+        if n_l > 0.0:
+            u, v = turned(terms[p, i, 0], turn), terms[p, i, 1]
+            column, line = wp.clamp(int(u * float(width)), 0, width - 1), wp.clamp(int(v * float(height)), 0, height - 1)
+            weight = 1.0 / (terms[p, i, 5] + share * texels[line * width + column])
+            free = bilinear(light, 0, u, v)
+            seen = free
+            k = row[p, i]
+            if k >= 0:
+                seen = free + (reflected(k, body, gloss, place, diffuse, specular, turn) - free) * opacity[k]
+            acc = lit(acc, n_l * weight, terms[p, i, 3] * weight, terms[p, i, 4] * weight, seen, free)
+        i += 2
+    for c in range(12):
+        sums[p, half, c] = sums[p, half, c] + acc[c]
+
+
+@wp.kernel
+def draw_light_kernel(
+    view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), shift: wp.array2d(dtype=float),
+    points: wp.array2d(dtype=float), n_c: int, n_g: int, table: wp.array3d(dtype=float), turn: float, entry: wp.array2d(dtype=int),
+    direction: wp.array2d(dtype=wp.vec3), weights: wp.array2d(dtype=wp.vec3),
+):  # fmt: skip
+    """Of each light sample its entry of the table, -1 below the horizon, direction, and the weights of the three lobes."""
+    p, i = wp.tid()
+    size = table.shape[0]
+    across, down = points[i, 0] + shift[p, 0], points[i, 1] + shift[p, 1]
+    line = wp.min(int(wp.where(down >= 1.0, down - 1.0, down) * float(size)), size - 1)
+    column = wp.min(int(wp.where(across >= 1.0, across - 1.0, across) * float(size)), size - 1)
+    cosine, sine = wp.cos(_TURN * turn), wp.sin(_TURN * turn)
+    x, y = table[line, column, 0], table[line, column, 1]
+    d = wp.vec3(cosine * x - sine * y, sine * x + cosine * y, table[line, column, 2])
+    point = point_of(view, normal, alpha, p)
+    n_l = wp.dot(point.n, d)
+    entry[p, i] = -1
+    direction[p, i] = d
+    if n_l > 0.0:
+        parts = lobe(point, d, n_l)
+        sum_l = n_l * point.root + point.n_v * wp.sqrt(n_l * n_l * (1.0 - point.a2) + point.a2)
+        masked = 0.5 / (point.n_v + point.root)
+        q = float(points.shape[0]) * table[line, column, 3] + float(n_c) / _PI * n_l
+        q += float(n_g) * masked * (parts[0] + parts[1]) * 2.0 * sum_l
+        weight = n_l / q
+        entry[p, i] = line * size + column
+        weights[p, i] = wp.vec3(weight, parts[0] * weight, parts[1] * weight)
+
+
+@wp.kernel
+def settle_kernel(
+    entry: wp.array2d(dtype=int), weights: wp.array2d(dtype=wp.vec3), row: wp.array2d(dtype=int), opacity: wp.array(dtype=float),
+    body: wp.array(dtype=wp.vec3), gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float), table: wp.array3d(dtype=float),
+    diffuse: wp.array3d(dtype=wp.vec3), specular: wp.array3d(dtype=wp.vec3), turn: float, sums: wp.array3d(dtype=float),
+):  # fmt: skip
+    """Half the light samples of a point, even or odd ones, added to its sums."""
+    p, half = wp.tid()
+    size = table.shape[0]
+    acc = Sums(0.0)
+    i = int(half)
+    while i < entry.shape[1]:
+        at = entry[p, i]
+        if at >= 0:
+            line, column = at / size, at % size
+            free = wp.vec3(table[line, column, 4], table[line, column, 5], table[line, column, 6])
+            seen = free
+            k = row[p, i]
+            if k >= 0:
+                seen = free + (reflected(k, body, gloss, place, diffuse, specular, turn) - free) * opacity[k]
+            w = weights[p, i]
+            acc = lit(acc, w[0], w[1], w[2], seen, free)
+        i += 2
+    for c in range(12):
+        sums[p, half, c] = sums[p, half, c] + acc[c]
+
+
+def terms(*tensors: torch.Tensor) -> None:
+    """Fill the last of the tensors, (P, M, 6); the others as `terms_kernel` takes them."""
+    if tensors[-1].numel():
+        launch(terms_kernel, tensors[-1].shape[:2], *tensors)
+
+
+def gather(*arguments: Any) -> None:
+    """Add to the last of the arguments, (P, 2, 12); the others as `gather_kernel` takes them."""
+    if len(arguments[-1]):
+        launch(gather_kernel, arguments[-1].shape[:2], *arguments)
+
+
+def draw_light(
+    view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, shift: torch.Tensor, points: torch.Tensor, n_c: int, n_g: int,
+    table: torch.Tensor, turn: float,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # fmt: skip
+    """Entry (P, n_e) int32, direction and weights (P, n_e, 3) of light samples."""
+    shape = (len(view), len(points))
+    entry, direction = torch.empty(shape, dtype=torch.int32, device=view.device), view.new_empty(*shape, 3)
+    weights = torch.empty_like(direction)
+    if entry.numel():
+        launch(draw_light_kernel, shape, view, normal, alpha, shift, points, n_c, n_g, table, turn, entry, direction, weights)
+    return entry, direction, weights
+
+
+def settle(*arguments: Any) -> None:
+    """Add to the last of the arguments, (P, 2, 12); the others as `settle_kernel` takes them."""
+    if len(arguments[-1]):
+        launch(settle_kernel, arguments[-1].shape[:2], *arguments)
