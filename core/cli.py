@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: `irgspp demo|inspect|reconstruct|render|evaluate|export|bake|devices`."""
+"""The command line: `irgspp demo|inspect|reconstruct|render|evaluate|batch|export|bake|devices`."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
+import io
 import json
 import os
 import re
@@ -18,7 +20,7 @@ from pathlib import Path
 
 from . import render_command, serve_command
 from .config import PRESETS, Settings, preset
-from .errors import Cancelled, IrgsppError
+from .errors import Cancelled, InputError, IrgsppError
 from .evaluation.protocols import PROTOCOLS
 from .journal import JobJournal, JobNotes
 from .overrides import from_dict, with_overrides
@@ -151,6 +153,32 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
+def batch(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Many jobs from a list; a line for each on stdout."""
+    from .batch.batch import notes_of, run_batch
+    from .batch.jobs import read_jobs
+
+    jobs = read_jobs(args.jobs, check_words)
+    states = run_batch(jobs, notes_of(args.jobs), lambda: terminal.cancelled, args.at_once, args.dask)
+    for job in jobs:
+        state = states[job.name]
+        print(f"{job.name}: {state.state}{': ' if state.error else ''}{state.error}")
+    return int(any(state.state == "failed" for state in states.values()))
+
+
+def check_words(words: Sequence[str]) -> None:
+    """Raise InputError where these words after `irgspp` are no command, in one line; nothing is done."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            args = parser().parse_args(list(words))
+    except SystemExit:
+        lines = said.getvalue().strip().splitlines()
+        raise InputError(words[0], lines[-1].partition("error: ")[2] if lines else "is not understood") from None
+    if args.command is reconstruct:
+        with_overrides(preset(args.preset or "balanced"), args.set)
+
+
 def export(args: argparse.Namespace, terminal: Terminal) -> int:
     """Copy or write what a run made, by the file's suffix."""
     from .export import export
@@ -240,6 +268,11 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--size", type=int, metavar="N", help="texels along a side (default: as before)")
     one.add_argument("--triangles", type=int, metavar="N", help="make a new mesh of at most so many")
     one.add_argument("--mesh", metavar="FILE", type=Path, help="a PLY in the run's frame that takes the mesh's place; its UVs are kept")
+
+    one = _command(commands, "batch", batch, "many jobs from a list, several at a time or on many machines")
+    one.add_argument("jobs", metavar="JOBS.toml", type=Path, help="[defaults] and [[job]] tables, see docs/batch.md")
+    one.add_argument("-j", dest="at_once", type=_positive, default=1, metavar="N", help="jobs at a time on this machine (default: 1)")
+    one.add_argument("--dask", metavar="ADDRESS", help="on the workers of this scheduler (tcp://HOST:PORT), which see the same folders")
 
     one = _command(commands, "devices", devices, "print what can be used to compute on")
     one.add_argument("--json", action="store_true")

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lists of jobs: what their words become, and one line for whatever is wrong with them."""
+
+from pathlib import Path
+
+import pytest
+from irgspp.core.batch.jobs import read_jobs
+from irgspp.core.cli import check_words
+from irgspp.core.errors import InputError
+
+GOOD = """
+[defaults]
+preset = "draft"
+set = ["surface.texture=2048"]
+after = ["evaluate --protocol irgs"]
+
+[[job]]
+dataset = "captures/bear"
+output = "runs/bear"
+
+[[job]]
+dataset = "/elsewhere/fox photos"
+output = "runs/fox"
+name = "the fox"
+preset = "balanced"
+seed = 3
+time = "5m"
+set = ["data.masks=no"]
+after = ["render --orbit 12 -o '{output} turning'", "export -o {name}.glb"]
+"""
+
+
+def jobs_of(folder: Path, text: str):
+    (folder / "jobs.toml").write_text(text, encoding="utf-8")
+    return read_jobs(folder / "jobs.toml", check_words)
+
+
+def test_a_list_becomes_commands(tmp_path):
+    bear, fox = jobs_of(tmp_path, GOOD)
+    run = str(tmp_path / "runs/bear")
+    photos = str(tmp_path / "captures/bear")
+    words = ("reconstruct", photos, "-o", run, "--preset", "draft", "--set", "surface.texture=2048")
+    assert (bear.name, bear.run, bear.base) == ("bear", Path(run), tmp_path)
+    assert bear.steps == (words, ("evaluate", run, photos, "--protocol", "irgs"))
+    run = str(tmp_path / "runs/fox")
+    words = ("reconstruct", "/elsewhere/fox photos", "-o", run, "--preset", "balanced", "--seed", "3", "--time", "5m")
+    words += ("--set", "surface.texture=2048", "--set", "data.masks=no")  # the list's, then the job's own
+    after = (("render", run, "--orbit", "12", "-o", f"{run} turning"), ("export", run, "-o", "the fox.glb"))
+    assert fox.name == "the fox" and fox.steps == (words, *after)
+
+
+JOB = '[[job]]\ndataset = "d"\noutput = "o"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[job]\n", "is not TOML"),
+        ("", "lists no jobs"),
+        ("job = 3", "lists no jobs"),
+        ("[[jobs]]\n", "unknown jobs"),
+        ("[[job]]\noutput = 'o'", "job 1: lacks dataset"),
+        ("[[job]]\ndataset = 3\noutput = 'o'", "job 1: lacks dataset"),
+        (JOB + "presets = 'draft'", "job 1: has an unknown presets"),
+        ("[defaults]\noutput = 'o'\n" + JOB, "unknown output"),
+        ("defaults = 3\n" + JOB, "is not a table"),
+        (JOB + "preset = 'fast'", "job 1 (o): reconstruct: .*invalid choice: 'fast'"),
+        (JOB + "set = ['surface.texure=1']", "surface.texture"),
+        (JOB + "set = 'surface.texture=64'", "set is not a list of texts"),
+        (JOB + "seed = 1.5", "seed = 1.5 is neither"),
+        (JOB + "name = '../a'", "is no name"),
+        (JOB + "after = ['reconstruct x -o y']", "reconstruct is no step; use bake, evaluate, export, render"),
+        (JOB + "after = ['']", "is no command"),
+        (JOB + "after = ['render \"x']", "is no command"),
+        (JOB + "after = ['render --orbit 3']", "render: .*required: -o"),
+        (JOB + "after = ['evaluate --protocol nerf']", "evaluate: .*invalid choice: 'nerf'"),
+        (JOB + JOB, "two jobs are called o"),
+        (JOB + JOB + "name = 'p'", "o and p both write to"),
+        (JOB + JOB.replace("'o'", "").replace('"o"', '"o/inside"'), "o and inside both write to"),
+        (JOB + "after = ['export -o a.glb']\n" + JOB.replace('"o"', '"p"') + "after = ['export -o ./a.glb']", "both write to"),
+    ],
+)
+def test_what_is_wrong_is_one_line_that_says_where(tmp_path, text, said):
+    with pytest.raises(InputError, match=said.replace("(o)", r"\(o\)")) as error:
+        jobs_of(tmp_path, text)
+    assert "\n" not in str(error.value) and "jobs.toml" in str(error.value)
+
+
+def test_a_list_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match="can't be read"):
+        read_jobs(tmp_path / "jobs.toml", check_words)
+    (tmp_path / "jobs.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="is not TOML"):
+        read_jobs(tmp_path / "jobs.toml", check_words)
