@@ -57,7 +57,7 @@ def relit_folders(folder: Path) -> dict[str, Path]:
     scene = folder.resolve().name.removesuffix("_blender")
     for parent in list(folder.resolve().parents)[:2]:
         for place in (parent / "relight_gt", parent / "glossy_relight" / "relight_gt"):
-            found = {f.name.removeprefix(scene + "_"): f for f in sorted(place.glob(scene + "_*")) if f.is_dir()}
+            found = {f.name.removeprefix(scene + "_"): inside(f, place) for f in sorted(place.glob(scene + "_*")) if f.is_dir()}
             if found:
                 return found
     return {}
@@ -66,7 +66,7 @@ def relit_folders(folder: Path) -> dict[str, Path]:
 def light_files(folder: Path) -> dict[str, Path]:
     """The maps of those lights (hdr2k beside relight_gt), in Blender's frame."""
     files = {light: relit.parent.parent / "hdr2k" / f"{light}.exr" for light, relit in relit_folders(folder).items()}
-    return {light: file for light, file in files.items() if file.is_file()}
+    return {light: inside(file, file.parent) for light, file in files.items() if file.is_file()}
 
 
 def depth_of(picture: Path) -> Path:

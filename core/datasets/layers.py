@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..scene.exr import MAX_PIXELS
 from . import glossy_synthetic, stanford_orb
 from .dataset import View
+from .paths import inside
 from .picture import read_picture, unit
 
 # From a map's axes (+Z up, -X at the edges) to those of a camera that has -Z in the middle and +X on the right of its map, as skylibs has.
@@ -79,7 +80,7 @@ def _found(train: str, names: list[str], places: tuple[str, ...], folder: Path) 
     """Maps of these names in folders of these names, in the dataset's or up to two above it."""
     homes = [parent / place for place in places for parent in (folder, *list(folder.resolve().parents)[:2])]
     files = {n: next((f for h in homes for s in (".hdr", ".exr") if (f := h / (n + s)).is_file()), None) for n in names}
-    found = {name: MapFile(file) for name, file in files.items() if file is not None}
+    found = {name: MapFile(inside(file, file.parent)) for name, file in files.items() if file is not None}
     return (train if train in found else None), found
 
 
@@ -90,7 +91,7 @@ def _tensoir(view: View) -> Layers:
 
 
 def _tensoir_relit(picture: Path) -> dict[str, Path]:
-    return {f.stem.removeprefix("rgba_"): f for f in sorted(picture.parent.glob("rgba_*.png"))}
+    return {f.stem.removeprefix("rgba_"): inside(f, picture.parent) for f in sorted(picture.parent.glob("rgba_*.png"))}
 
 
 def _synthetic4relight(view: View) -> Layers:
@@ -108,7 +109,7 @@ def _synthetic4relight(view: View) -> Layers:
 def _synthetic4relight_relit(picture: Path) -> dict[str, Path]:
     name = picture.name.removesuffix("_rgba.png")
     files = sorted((picture.parent.parent / "test_rli").glob(f"envmap*_{name}.png"))
-    return {f.stem.removesuffix("_" + name): f for f in files}
+    return {f.stem.removesuffix("_" + name): inside(f, picture.parent.parent) for f in files}
 
 
 def _glossy_synthetic(view: View) -> Layers:
@@ -122,7 +123,7 @@ def _glossy_synthetic(view: View) -> Layers:
 def _stanford_orb(view: View) -> Layers:
     """The frame of these scenes is ours, so the view's camera says how what is stored in the camera's frame is turned."""
     folder, name, turn = stanford_orb.truth_folder(view.path), view.path.stem, view.camera.to_world[:3, :3]
-    light = folder / "env_map" / f"{name}.exr"
+    light = inside(folder / "env_map" / f"{name}.exr", folder)
     lights = {folder.name: MapFile(light, turn @ MAP_TO_CAMERA)} if light.is_file() else {}
     if view.light is not None:
         return Layers(lights=lights)
@@ -152,7 +153,7 @@ READERS: dict[str, Callable[[View], Layers]] = {
 
 def _png(path: Path) -> np.ndarray | None:
     """(H, W, 3) float32 as stored, 0..1, or None where there is no such file."""
-    return unit(read_picture(path).colour) if path.is_file() else None
+    return unit(read_picture(inside(path, path.parent)).colour) if path.is_file() else None
 
 
 def _png_alpha(path: Path) -> np.ndarray | None:
@@ -174,10 +175,13 @@ def _npy(path: Path) -> np.ndarray | None:
     """(H, W) or (H, W, 3) float32, or None where there is no such file."""
     if not path.is_file():
         return None
+    inside(path, path.parent)
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)  # a header that promises more than the file has is found out here
-    except (OSError, ValueError) as error:
-        raise InputError(path, f"not a readable array ({error})") from error
+        array = np.load(
+            inside(path, path.parent), mmap_mode="r", allow_pickle=False
+        )  # a header that promises more than the file has is found out here
+    except Exception as error:  # numpy raises OSError, ValueError, EOFError, SyntaxError, ... for broken files
+        raise InputError(path, f"not a readable array ({type(error).__name__}: {error})") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[..., 0]
     if array.dtype.kind != "f" or array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or array.size > 3 * MAX_PIXELS:

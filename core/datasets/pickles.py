@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import InputError
 
 LARGEST = 64 << 20  # bytes; cameras of thousands of pictures take less
-VALUES = 1_000_000  # that a pickle may hold, each counted as often as it is named
+VALUES = 200_000  # that a pickle may hold, each counted as often as it is named
 NUMBERS = re.compile(r"[biufU]\d+")
 
 
@@ -85,10 +85,15 @@ def _latin(text: str, encoding: str) -> bytes:
     return text.encode("latin1")
 
 
+def _no_bytes() -> bytes:
+    return b""
+
+
 KNOWN = {
     ("numpy", "ndarray"): _Array,
     ("numpy", "dtype"): _Dtype,
     ("_codecs", "encode"): _latin,  # bytes, in pickles of Python 2's protocols
+    ("__builtin__", "bytes"): _no_bytes,  # where they are empty
 }
 for _core in ("numpy.core", "numpy._core"):
     KNOWN[_core + ".multiarray", "_reconstruct"] = _reconstruct

@@ -42,11 +42,13 @@ def picture_size(path: Path) -> tuple[int, int]:
     """(width, height) from the header alone. Raises InputError where it is no PNG, JPEG or EXR, or claims to be enormous."""
     try:
         with path.open("rb") as file:
-            head = file.read(4)
+            head = file.read(24)
     except OSError as error:
         raise InputError(path, f"can't be read ({error.strerror})") from error
-    if head == EXR_SIGNATURE:
+    if head[:4] == EXR_SIGNATURE:
         return exr_size(path)
+    if head[:8] == PNG_SIGNATURE and head[12:16] == b"IHDR":
+        check_pixels(path, int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big"))
     width, height = _raster_size(path)
     check_pixels(path, width, height)
     return width, height

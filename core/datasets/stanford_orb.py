@@ -25,13 +25,14 @@ def with_novel(capture: Capture) -> Capture:
     pictures = [listed_picture(root / scene, e["file_path"]) for scene, e in zip(scenes, content["frames"], strict=True)]
     size = next((picture_size(p) for p in pictures if p is not None), capture.train[0].lens.size)
     frames = frames_of(file, content, pictures, size)
-    return replace(capture, root=capture.root, novel=[_other(f, scene, root) for f, scene in zip(frames, scenes, strict=True)])
+    return replace(capture, novel=[_other(f, scene, root) for f, scene in zip(frames, scenes, strict=True)])
 
 
 def truth_folder(picture: Path) -> Path:
-    """ground_truth/SCENE of the collection that a picture blender_*/SCENE/test/NAME belongs to."""
+    """ground_truth/SCENE of the collection that a picture blender_*/SCENE/test/NAME belongs to; an InputError where it leads elsewhere."""
     scene = picture.resolve().parent.parent
-    return scene.parent.parent / "ground_truth" / scene.name
+    truth = scene.parent.parent / "ground_truth"
+    return inside(truth / scene.name, truth)
 
 
 def _other(frame: Frame, scene: str, root: Path) -> Frame:

@@ -186,7 +186,7 @@ def _points(file: Path, content: dict[str, Any]) -> PointCloud | None:
     name = content.get("ply_file_path")
     if not isinstance(name, str) or not name:
         return None
-    path = inside(file.parent / name, file.parent)
+    path = inside(file.parent / name.replace("\\", "/"), file.parent)
     if not path.is_file():
         raise InputError(path, "no such file", f"it is named by {file.name} as ply_file_path")
     return read_points(path)

@@ -14,6 +14,7 @@ from ..config import DataSettings
 from ..datasets.dataset import View
 from ..datasets.detect import read_capture
 from ..datasets.layers import MapFile, layers_of, light_files, relit_names
+from ..datasets.paths import inside
 from ..errors import InputError
 from ..scene.exr import read_exr, read_exr_rgb
 from ..scene.light_files import read_light
@@ -94,7 +95,7 @@ def _rendered_scene(folder: Path, to_world: np.ndarray) -> SceneTruth:
         materials = [m for m in dict(meta.get("materials", {})).values() if isinstance(m, dict)]
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise InputError(file, f"is not the description of a rendered dataset ({error})") from error
-    files = {name: folder / "envs" / f"{name}.exr" for name in [train, *relights] if name}
+    files = {name: inside(folder / "envs" / f"{name}.exr", folder) for name in [train, *relights] if name}
     lights = {name: turned(read_exr_rgb(path), to_world) for name, path in files.items() if path.is_file()}
     plain = len(materials) == 1 and not meta.get("has_material_maps") and all(k in materials[0] for k in ("roughness", "metallic"))
     constants = (float(materials[0]["roughness"]), float(materials[0]["metallic"])) if plain else None
@@ -129,6 +130,8 @@ def _rendered_layers(view: View, scene: SceneTruth) -> tuple[dict[str, np.ndarra
     folder = view.path.parent
     if view.path.stem != "rgba" or not (folder / "depth.exr").is_file():
         return {}, {}
+    for name in ("depth", "albedo", "normal", "material", *scene.lights):
+        inside(folder / (f"rgba_{name}.png" if name in scene.lights else f"{name}.exr"), folder)
     layers: dict[str, np.ndarray | None] = {"depth": read_exr(folder / "depth.exr")["Z"]}
     if (folder / "albedo.exr").is_file():
         layers["albedo"] = read_exr_rgb(folder / "albedo.exr")
