@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 # Heavy imports (torch, numba) stand inside the functions: `irgspp --help` answers at once.
 
+MOST_FRAMES = 1_000_000
 LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 
@@ -88,7 +90,13 @@ def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: R
         cameras = cameras_of(args.views, settings, reconstruction.to_world)
     else:
         cameras = [(placed.name, placed.camera) for placed in load_cameras(args.run / "cameras.json")]
-    return cameras if args.orbit is None else orbit(args.orbit, [camera for _, camera in cameras], reconstruction.bound)
+    if args.orbit is not None:
+        cameras = orbit(args.orbit, [camera for _, camera in cameras], reconstruction.bound)
+    if args.frames is None:
+        return cameras
+    if (last := max(args.frames)) >= len(cameras):
+        raise InputError("--frames", f"{last}: there are views 0 to {len(cameras) - 1}")
+    return [cameras[frame] for frame in args.frames]
 
 
 def add_options(one: argparse.ArgumentParser) -> None:
@@ -96,6 +104,8 @@ def add_options(one: argparse.ArgumentParser) -> None:
     views = "whose cameras; split train, test or all; without one the test views, or all where there are none of their own"
     one.add_argument("--views", metavar="DATASET[:split]", help=views)
     one.add_argument("--orbit", type=int, metavar="N", help="N views on a circle around the object instead")
+    some = "only these of the views, counted from 0: 0-9,20; several machines can share a turntable so"
+    one.add_argument("--frames", type=_frames, metavar="A-B,C", help=some)
     one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the pictures")
     one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")
     _light_options(one)
@@ -128,6 +138,18 @@ def _relight_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
     scale = "multiply the albedo: an unknown light leaves its brightness open, `irgspp evaluate` tells the best factors"
     one.add_argument("--albedo-scale", type=_factor, nargs=3, default=(1.0, 1.0, 1.0), metavar=("R", "G", "B"), help=scale)
+
+
+def _frames(text: str) -> list[int]:
+    """Numbers from 0, each once and in order."""
+    found: set[int] = set()
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)(?:\s*(?:-|\.\.)\s*(\d+))?\s*", part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if not first <= last < MOST_FRAMES:
+            raise argparse.ArgumentTypeError(f"{text} is no list of frames, such as 0-9,20")
+        found |= set(range(first, last + 1))
+    return sorted(found)
 
 
 def _factor(text: str) -> float:

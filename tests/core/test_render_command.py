@@ -63,6 +63,23 @@ def test_lights_that_do_not_match(words):
         _lights(parsed(*words))
 
 
+def test_some_frames_alone(run):
+    scene = Reconstruction.load(run)
+    around = ("--views", f"{DEMO_DATA}:test", "--orbit", "12")
+    every = _cameras(parsed(*around), DataSettings(), scene)
+    some = _cameras(parsed(*around, "--frames", "9..11, 2,0-2"), DataSettings(), scene)
+    assert [name for name, _ in some] == [every[i][0] for i in (0, 1, 2, 9, 10, 11)]
+    assert np.array_equal(some[3][1].to_world, every[9][1].to_world)
+    with pytest.raises(InputError, match="--frames: 12: there are views 0 to 11"):
+        _cameras(parsed(*around, "--frames", "3-12"), DataSettings(), scene)
+
+
+@pytest.mark.parametrize("text", ["", "a", "-3", "5-3", "1,,2", "0-99999999999"])
+def test_frames_that_are_none(text, capsys):
+    assert main(["render", "run", "-o", "out", "--orbit", "3", f"--frames={text}"]) == 2
+    assert "is no list of frames" in capsys.readouterr().err
+
+
 def test_cameras_of_a_dataset_or_around_it(run):
     scene = Reconstruction.load(run)
     views = _cameras(parsed("--views", f"{DEMO_DATA}:test"), DataSettings(), scene)
