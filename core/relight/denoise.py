@@ -76,9 +76,9 @@ class Guides:
 
     def __init__(self, surface: Primary, radius: float, kept: bool = False) -> None:
         self._grid, self._radius, self._kept = Grid(surface.camera.width, surface.camera.height), radius, kept
-        self._surface = surface if by_warp(surface.index) else None
         self._weights: dict[Filter, np.ndarray] = {}
-        if self._surface is not None:
+        self._index = surface.index if by_warp(surface.index) else None  # on a device
+        if self._index is not None:
             self._values = _guides(surface).T.contiguous()
             return
         index = surface.index.numpy()
@@ -98,8 +98,8 @@ class Guides:
 
     def filtered(self, values: torch.Tensor, how: Filter) -> torch.Tensor:
         """(P, C) values at the surface's pixels; every pixel becomes a mean of its neighbours, with weights that sum to 1."""
-        if self._surface is not None:
-            return self._on_device(self._surface, values, how)
+        if self._index is not None:
+            return self._on_device(self._index, values, how)
         planes, spatial = self._scattered(values.T), how.spatial()
         out, size = np.empty_like(planes), (self._grid.stride, self._grid.plane)
         parts = even_ranges(len(self._groups), BLOCKS * thread_count())
@@ -113,11 +113,11 @@ class Guides:
             run_ranges(mean_range, parts, self._groups, self._weights[how], planes, len(spatial) // 2, *size, out)
         return torch.from_numpy(out.reshape(-1, self._grid.plane)[:, self._places].T.copy())
 
-    def _on_device(self, surface: Primary, values: torch.Tensor, how: Filter) -> torch.Tensor:
+    def _on_device(self, index: torch.Tensor, values: torch.Tensor, how: Filter) -> torch.Tensor:
         from ..kernels.warp.bilateral import filtered  # an option, not installed everywhere
 
         spatial = torch.from_numpy(how.spatial()).to(values.device)
-        picture = (surface.index, self._grid.width, self._grid.height)
+        picture = (index, self._grid.width, self._grid.height)
         return filtered(*picture, self._values, spatial, how.epsilon * self._radius, how.doublings, values.contiguous())
 
     def _scattered(self, rows: torch.Tensor) -> np.ndarray:

@@ -11,6 +11,7 @@ from irgspp.core.relight.denoise import PICTURE, Filter, Guides, denoised
 from irgspp.core.relight.estimate import Estimate
 from irgspp.core.relight.primary import Primary
 
+pytestmark = pytest.mark.usefixtures("engine")
 CAMERA = Camera(61, 43, 60.0, 60.0, 30.5, 21.5, np.eye(4))
 
 

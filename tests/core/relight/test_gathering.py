@@ -13,6 +13,7 @@ from irgspp.core.shading.lights import studio_light
 from irgspp.core.shading.sampling import Samples, draw
 from irgspp.core.shading.transport import reflect_light
 
+pytestmark = pytest.mark.usefixtures("engine")
 COUNTS = (9, 6, 5)
 SCALE = torch.tensor([1.0, 0.8, 0.6])
 
@@ -87,7 +88,7 @@ def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backe
         assert ((sums - expected).abs().median(0).values < 0.03 * expected.mean(0)).all()
 
 
-def test_rays_that_nothing_hides_are_not_traced_and_bring_the_light_itself(relighter, camera, light):
+def test_rays_that_nothing_hides_are_not_traced_and_bring_the_light_itself(relighter, camera, light, engine):
     one = relighter("mesh", balls=((np.zeros(3), 1.0),))
     surface = one.surface(camera)
     points, shift = points_of(surface)
@@ -96,5 +97,6 @@ def test_rays_that_nothing_hides_are_not_traced_and_bring_the_light_itself(relig
     known = Openness(unknown.tile, torch.ones_like(unknown.clear))
     sums = torch.zeros(2, len(shift), 2, 12)
     asked = [add_light_samples(part, points, shift, COUNTS, light, o, around) for part, o in zip(sums, (unknown, known), strict=True)]
-    assert asked[0][0] == asked[0][1] == asked[1][0] > 0 and asked[1][1] == 0
+    assert asked[0][0] == asked[0][1] == asked[1][0] > 0
+    assert asked[1][1] == (0 if engine == "numba" else asked[1][0])  # a device traces them all
     assert ((sums[0] - sums[1]).abs() < 1e-5).float().mean() > 0.99  # but for a few that meet the triangle next to theirs

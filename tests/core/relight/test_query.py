@@ -11,6 +11,7 @@ from irgspp.core.relight.relighter import RelightSettings
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.shading.sampling import point_set
 
+pytestmark = pytest.mark.usefixtures("engine")
 BACKENDS = ("mesh", "gaussian")
 BALL = ((np.zeros(3), 1.0),)
 
