@@ -19,7 +19,7 @@ from .jobs import Job
 from .notes import JobFolder, State
 from .work import CANCEL, work_off
 
-DEATHS = 5  # of workers under a job, before it is taken for the cause
+DEATHS = 2  # how often a job is given out again that dask gave up, as one worker after the other died under it
 CONNECT_SECONDS = 20
 
 
