@@ -6,11 +6,19 @@ from __future__ import annotations
 import os
 import platform
 import sys
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+from . import cuda
 from .errors import InputError, IrgsppError
 from .version import VERSION, problems
 
+if TYPE_CHECKING:
+    import torch
+
+WARP_ON_CPU = "warp-cpu"  # for tests: the GPU's kernels on warp's CPU device, slowly
 SIMD = ("avx512f", "avx2", "fma", "neon", "sve", "sse4.2")
 
 
@@ -29,7 +37,8 @@ def devices() -> dict[str, Any]:
     from .kernels.pool import thread_count
 
     features = llvm.get_host_cpu_features()
-    notes = ["this version computes on the CPU alone"] if torch.cuda.is_available() else []
+    hindered = cuda.obstacle(cuda.probe())
+    notes = ["cuda can be used"] if hindered is None else [f"cuda can't be used: {'; '.join(hindered)}"]
     return {
         "irgspp": VERSION,
         "python": platform.python_version(),
@@ -44,10 +53,44 @@ def devices() -> dict[str, Any]:
     }
 
 
-def check_device(name: str) -> None:
-    """Raise InputError where the device of that name can't be used; "auto" and "cpu" always can."""
+@dataclass(frozen=True)
+class Chosen:
+    """What a job computes on: a device of torch's, and why it is this one."""
+
+    device: torch.device
+    why: str
+    warp: bool = False  # the GPU's kernels work, whatever the device
+    free: int = 0  # bytes of the GPU's memory
+
+
+def choose(name: str, probe: Callable[[], cuda.Findings] = cuda.probe) -> Chosen:
+    """The device of the name auto, cpu or cuda: auto is a GPU that will do, else the CPU.
+
+    Raises InputError where cuda is asked for and can't be used.
+    """
+    import torch
+
+    if name == WARP_ON_CPU:
+        return Chosen(torch.device("cpu"), "asked for, for a test", True)
+    if name == "cpu":
+        return Chosen(torch.device("cpu"), "asked for")
+    found = probe()
+    hindered = cuda.obstacle(found)
+    if hindered is None:
+        return Chosen(torch.device("cuda", 0), "asked for" if name == "cuda" else "a GPU that will do", True, found.free)
     if name == "cuda":
-        raise InputError("--device cuda", "this version has kernels for the CPU alone", "use --device auto or cpu")
+        raise InputError("--device cuda", *hindered)
+    return Chosen(torch.device("cpu"), f"cuda can't be used: {hindered[0]}")
+
+
+@contextmanager
+def computing_on(chosen: Chosen, resumable: bool = False) -> Iterator[None]:
+    """Within it, the chosen device's kernels do the work, and its errors are told in one line."""
+    from .kernels.backend import warp_on_cpu
+
+    forced = warp_on_cpu() if chosen.warp and chosen.device.type == "cpu" else nullcontext()
+    with forced, cuda.faults(resumable):
+        yield
 
 
 def _cuda(index: int) -> dict[str, Any]:
