@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A whole benchmark: every scene below a folder reconstructed and evaluated as its paper does, and the paper's table with our row in it.
+
+python scripts/reproduce.py DATASETS [-o OUT] [--preset balanced] [--scenes a,b] [--views N]
+
+OUT gets tables.md, tables.json and tables.html, the runs and their reports. The same command goes on after an interruption: what is
+done is not done again, a run that was stopped resumes.
+"""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from irgspp.core.batch.batch import notes_of, run_batch
+from irgspp.core.batch.jobs import Job
+from irgspp.core.batch.notes import State
+from irgspp.core.cli import check_words
+from irgspp.core.config import PRESETS
+from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.evaluation.protocols import PROTOCOLS
+from irgspp.core.run_folder import read_run, write_atomic
+from irgspp.core.terminal import Terminal
+from reproduction.scenes import Scene, find_scenes, job_of
+from reproduction.tables import Result, as_html, as_json, as_markdown, benchmark_of, tables_of
+
+
+def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("root", type=Path, metavar="DATASETS", help="folder with scenes in it or below")
+    parser.add_argument("-o", dest="out", type=Path, default=Path("reproduction"), metavar="OUT", help="default: reproduction")
+    parser.add_argument("--scenes", metavar="A,B", help="some of them (default: all)")
+    parser.add_argument("--preset", choices=list(PRESETS), default="balanced", help="default: balanced")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the reconstructions (repeatable)")
+    parser.add_argument("--protocol", choices=list(PROTOCOLS), help="default: that of each dataset's published table")
+    parser.add_argument("--views", type=int, metavar="N", help="so many test views of each scene, evenly spread (default: all)")
+    parser.add_argument("--samples", type=int, metavar="N", help="light samples per pixel (default: the protocol's)")
+    parser.add_argument("--lpips", type=Path, metavar="FILE", help="the metric LPIPS as TorchScript")
+    parser.add_argument("-j", dest="at_once", type=int, default=1, metavar="N", help="scenes at a time on this machine (default: 1)")
+    parser.add_argument("--dask", metavar="ADDRESS", help="on the workers of this scheduler, which see the same folders")
+    return parser.parse_args(argv)
+
+
+def jobs_of(args: argparse.Namespace, scenes: Sequence[Scene], out: Path) -> list[Job]:
+    """A job for each scene that can be read. Raises InputError for options that the commands refuse."""
+    reconstruct = ["--preset", args.preset, *(word for text in args.set for word in ("--set", text))]
+    given = {"--views": args.views, "--samples": args.samples, "--lpips": args.lpips and args.lpips.resolve()}
+    evaluate = [word for option, value in given.items() if value is not None for word in (option, str(value))]
+    jobs = []
+    for scene in (scene for scene in scenes if not scene.trouble):
+        jobs.append(job_of(scene, out, args.protocol or benchmark_of(scene.format)["protocol"], reconstruct, evaluate))
+    for step in jobs[0].steps if jobs else ():
+        check_words(step)
+    return jobs
+
+
+def result_of(scene: Scene, states: Mapping[str, State], out: Path) -> Result:
+    """What came of a scene."""
+    run, report = out / "runs" / scene.name, out / "reports" / scene.name / "report.json"
+    state = states.get(scene.name, State("failed", scene.trouble))
+    if state.state != "done":
+        return Result(scene.name, scene.known_as, scene.format, None, trouble=state.error or state.state)
+    seconds = sum(phase["seconds"] for phase in read_run(run)["phases"].values())
+    found = json.loads(report.read_text(encoding="utf-8"))
+    return Result(scene.name, scene.known_as, scene.format, found, seconds / 60, sheet=run / "contact_sheet.png")
+
+
+def write(out: Path, results: Sequence[Result], ours: str) -> str:
+    """The tables as files; returns the Markdown."""
+    tables = tables_of(results, ours)
+    text = as_markdown(tables)
+    for name, content in (("md", text), ("json", json.dumps(as_json(tables), indent=1)), ("html", as_html(tables, results))):
+        write_atomic(out / f"tables.{name}", content.encode())
+    return text
+
+
+def reproduce(args: argparse.Namespace, terminal: Terminal) -> int:
+    out = args.out.resolve()
+    scenes = find_scenes(args.root, args.scenes.split(",") if args.scenes else None)
+    jobs = jobs_of(args, scenes, out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(out, f"can't be made ({error.strerror})") from error
+    states = run_batch(jobs, notes_of(out / "scenes"), lambda: terminal.cancelled, max(1, args.at_once), args.dask)
+    results = [result_of(scene, states, out) for scene in scenes]
+    print(write(out, results, f"ours, {args.preset}"))
+    print(out / "tables.html")
+    return int(any(result.report is None for result in results))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    args = arguments(argv)
+    try:
+        with Terminal().signals() as terminal:
+            return reproduce(args, terminal)
+    except IrgsppError as error:
+        print(f"reproduce: {error}", file=sys.stderr)
+        return error.exit_status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The papers' tables, with published rows beside ours: as Markdown, JSON and one HTML page."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import base64
+import io
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from irgspp.core.evaluation.page import STYLE
+from PIL import Image
+
+PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
+MEASURED = "measured here"
+LONGEST = 1400  # pixels of a contact sheet that is shown
+TABLE_STYLE = (
+    "td:first-child, td.text, th { text-align: left } tr.ours td { color: #f2c14e } .failed { color: #e8718d } img { max-width: 100% }"
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of one scene: the JSON of its report, minutes of its reconstruction, or why there is none.
+
+    `known_as`: what papers call it.
+    """
+
+    scene: str
+    known_as: str
+    format: str
+    report: dict[str, Any] | None
+    minutes: float | None = None
+    trouble: str = ""
+    sheet: Path | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table; `figures` by the columns' keys."""
+
+    of: str
+    by: str
+    source: str
+    figures: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Table:
+    """All scenes of one format: columns (key -> heading), rows, and what has to be known to read them."""
+
+    title: str
+    columns: dict[str, str]
+    rows: list[Row]
+    notes: list[str]
+
+
+def benchmark_of(form: str) -> dict[str, Any]:
+    """The published table of a format of datasets; the one without published rows where there is none."""
+    return PUBLISHED.get(form, PUBLISHED["other"])
+
+
+def tables_of(results: Sequence[Result], ours: str) -> list[Table]:
+    """A table for each format among the results; `ours`: what our rows are called."""
+    by_format: dict[str, list[Result]] = {}
+    for result in results:
+        if result.format:
+            by_format.setdefault(result.format, []).append(result)
+    return [_table(form, of_format, ours) for form, of_format in sorted(by_format.items())]
+
+
+def _table(form: str, results: Sequence[Result], ours: str) -> Table:
+    known, told = benchmark_of(form), [result for result in results if result.report]
+    columns = dict(known["columns"])
+    rows = [Row("mean", row["method"], row["source"], row["figures"]) for row in known.get("rows", [])]
+    minutes = [result.minutes for result in told if result.minutes is not None]
+    if told:
+        mean = _mean([_figures(result, columns) for result in told])
+        rows.append(Row(f"mean of {len(told)}", ours, MEASURED, mean | ({"minutes": float(np.mean(minutes))} if minutes else {})))
+    for result in told:
+        for row in known.get("rows", []):
+            if result.known_as in row.get("scenes", {}):
+                rows.append(Row(result.scene, row["method"], row["source"], row["scenes"][result.known_as]))
+        spent = {} if result.minutes is None else {"minutes": result.minutes}
+        rows.append(Row(result.scene, ours, MEASURED, _figures(result, columns) | spent))
+    columns["minutes"] = "minutes"
+    there = {name for row in rows for name in row.figures}
+    return Table(known["title"], {key: text for key, text in columns.items() if key in there}, rows, _notes(known, results))
+
+
+def _figures(result: Result, columns: Mapping[str, str]) -> dict[str, float]:
+    assert result.report is not None
+    return {key: result.report["figures"][key] for key in columns if key in result.report["figures"]}
+
+
+def _mean(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Of the figures that every scene has: a mean over some would look like one over all."""
+    return {key: float(np.mean([row[key] for row in rows])) for key in rows[0] if all(key in row for row in rows)}
+
+
+def _notes(known: Mapping[str, Any], results: Sequence[Result]) -> list[str]:
+    """What is of other scenes, views or samples than what was published; and how ours were computed."""
+    told = [result for result in results if result.report]
+    notes = [f"{result.scene} is missing: {result.trouble}" for result in results if not result.report]
+    if known.get("rows") and {result.known_as for result in told} != set(known["scenes"]):
+        notes.append(f"Ours is not a mean over the published scenes ({', '.join(known['scenes'])}): the means can't be compared.")
+    said = [line for result in told for line in (result.report or {})["protocol"]]
+    return [*notes, *known["notes"], *dict.fromkeys(line for line in said if not line.startswith("Scale of the albedo"))]
+
+
+# --- written
+
+
+def as_markdown(tables: Sequence[Table]) -> str:
+    """Tables with a heading each."""
+    return "\n\n".join(_markdown(table) for table in tables) + "\n"
+
+
+def _markdown(table: Table) -> str:
+    lines = [f"## {table.title}", "", _line(["scene", "by", "source", *table.columns.values()])]
+    lines.append(_line(["---"] * 3 + ["---:"] * len(table.columns)))
+    lines += [_line([row.of, row.by, row.source, *(shown(row.figures.get(key)) for key in table.columns)]) for row in table.rows]
+    return "\n".join([*lines, "", *(f"- {note}" for note in table.notes)])
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def as_json(tables: Sequence[Table]) -> list[dict[str, Any]]:
+    """The same as plain objects."""
+    return [asdict(table) for table in tables]
+
+
+def as_html(tables: Sequence[Table], results: Sequence[Result]) -> str:
+    """One page with everything inside, and each scene's contact sheet."""
+    parts = "".join(_html(table) for table in tables)
+    troubles = "".join(f"<p class='failed'>{escape(r.scene)}: {escape(r.trouble)}</p>" for r in results if r.trouble)
+    sheets = "".join(_sheet(result) for result in results if result.sheet is not None and result.sheet.is_file())
+    style = STYLE + TABLE_STYLE
+    head = f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Reproduction</title><style>{style}</style>"
+    return f"{head}<h1>Published tables and ours</h1>{troubles}{parts}{sheets}</html>\n"
+
+
+def _html(table: Table) -> str:
+    heads = "".join(f"<th>{escape(text)}</th>" for text in ("scene", "by", "source", *table.columns.values()))
+    rows = "".join(
+        f"<tr{' class=ours' if row.source == MEASURED else ''}>"
+        + "".join(f"<td class='text'>{escape(text)}</td>" for text in (row.of, row.by, row.source))
+        + "".join(f"<td>{shown(row.figures.get(key))}</td>" for key in table.columns)
+        + "</tr>"
+        for row in table.rows
+    )
+    notes = "<br>".join(escape(note) for note in table.notes)
+    return f"<h2>{escape(table.title)}</h2><table><tr>{heads}</tr>{rows}</table><p>{notes}</p>"
+
+
+def _sheet(result: Result) -> str:
+    assert result.sheet is not None
+    with Image.open(result.sheet) as image:
+        picture = image.convert("RGB")
+    picture.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
+    data = io.BytesIO()
+    picture.save(data, "JPEG", quality=90)
+    source = base64.b64encode(data.getvalue()).decode()
+    return f"<h2>{escape(result.scene)}</h2><img alt='{escape(result.scene)}' src='data:image/jpeg;base64,{source}'>"
+
+
+def shown(value: float | None) -> str:
+    """A figure in as many digits as tables have; a dash where there is none."""
+    if value is None:
+        return "–"
+    return f"{value:.2e}" if 0 < abs(value) < 1e-3 else f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
