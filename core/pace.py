@@ -1,33 +1,55 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long schedules may be for a job to end within the time it is given."""
+"""How long schedules may be for a job to end within the time it is given.
+
+The first stage gets what is left once the phases that nobody can shorten are paid for, by estimate; the second, which begins when most
+of the job is done, what is then left, so that it makes up for what the estimate missed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import statistics
+import time
+from collections.abc import Callable
 
-from .config import Settings
+from .config import TransportSettings
 
-MEASURED = 40  # steps of the first stage after which the cost of one is known
-GROWTH = 1.2  # what a step costs on average, by then: colour comes to depend on the view
-REST, PACED = 1000, 350  # what other phases cost, in steps of the first stage: whatever the pace, and at the preset's own
+MEASURED = 20  # steps after which the cost of one is known
+GROWTH = 1.2  # what a step of the first stage costs on average, by then: colour comes to depend on the view
+REST = 850  # what the phases of fixed length cost, in steps of the first stage
+SECOND = 400  # the same of the second stage's schedules at the preset's own length
+FUSED = 2.5  # what follows the second stage takes so many times as long as fusing the surface did
+RADIANCE = 0.8  # a step that fits the radiance, in steps of the refinement
 SLOWEST, FASTEST = 10.0, 0.1  # times the preset's own schedules
 
 
-def affordable(settings: Settings, seconds: float, step: float) -> float:
-    """Times the preset's schedules that so many seconds pay for, where a step of the first stage takes `step` seconds."""
-    preset = GROWTH * settings.reflective.iterations + PACED
-    return min(max((seconds / step - REST) / preset, FASTEST), SLOWEST)
+def seconds_a_step(step: Callable[[], object], steps: int = MEASURED) -> float:
+    """Median seconds that `step` takes."""
+    taken = []
+    for _ in range(max(1, steps)):
+        began = time.monotonic()
+        step()
+        taken.append(time.monotonic() - began)
+    return statistics.median(taken)
 
 
-def paced(settings: Settings, pace: float) -> Settings:
-    """Settings with all schedules times `pace`."""
-    reflective, transport = settings.reflective, settings.transport
-    return replace(
-        settings,
-        reflective=replace(reflective, iterations=max(1, round(pace * reflective.iterations))),
-        transport=replace(
-            transport,
-            iterations=round(pace * transport.iterations),
-            radiance_iterations=round(pace * transport.radiance_iterations),
-        ),
-    )
+def first_pace(iterations: int, seconds: float, step: float, fine_step: float, coarse_share: float = 0.0) -> float:
+    """Times the preset's schedules of both stages that so many seconds pay for.
+
+    Args:
+        iterations: of the preset's first stage. step: seconds that one takes in the beginning, which is `coarse_share` of the schedule;
+        fine_step: seconds that one takes afterwards.
+    """
+    mean = coarse_share * step + (1 - coarse_share) * GROWTH * fine_step
+    preset = mean * iterations + SECOND * fine_step
+    return min(max((seconds - REST * fine_step) / preset, FASTEST), SLOWEST)
+
+
+def second_pace(settings: TransportSettings, seconds: float, step: float) -> float:
+    """Times the preset's schedules of the second stage that so many seconds pay for, where a step of the refinement takes `step`."""
+    preset = step * (settings.iterations + RADIANCE * settings.radiance_iterations)
+    return min(max(seconds / preset, FASTEST), SLOWEST) if preset > 0 else 1.0
+
+
+def times(pace: float, iterations: int) -> int:
+    """A schedule `pace` times as long; none stays none."""
+    return max(1, round(pace * iterations)) if iterations else 0

@@ -23,7 +23,7 @@ from .evaluation.sheet import contact_sheet
 from .export import write_blend
 from .journal import Journal
 from .memory import peak_memory, reset_peak_memory
-from .pace import paced
+from .pace import FUSED
 from .progress import Progress, Silent
 from .relight.backends import best_backend, open_relighter
 from .relight.relighter import RelightSettings
@@ -71,8 +71,8 @@ def reconstruct(
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
     try:
         with folder.job():
+            ends = None if settings.time is None else began + settings.time - folder.spent
             folder.record("read", time.monotonic() - began, peak_memory(), finished=True)
-            ends = None if settings.time is None else began + settings.time
             Job(data, folder, settings, Journal(folder, watcher), ends).run()
     finally:
         folder.close()
@@ -103,7 +103,7 @@ class Job:
     def fit(self) -> None:
         """First stage: Gaussians, their radiance and a first guess of materials and light from the photographs."""
         fitted, pace = train(self.data, self.settings, self.progress, self.folder, self.ends)
-        self.folder.state["pace"] = pace
+        self.folder.state.setdefault("pace", {})["first"] = round(pace, 3)
         fitted.save(self.folder.path / FIRST_STAGE)
         self.folder.state["training"].update(self.progress.figures)
 
@@ -116,8 +116,11 @@ class Job:
 
     def separate(self) -> None:
         """Second stage: materials and light, by all the light that reaches the surface."""
-        settings = paced(self.settings, self.folder.state.get("pace", 1.0))
-        solve_transport(self.first, self.surface, self.data, settings, self.progress).save(self.folder.path)
+        after = FUSED * self.folder.seconds("geometry")
+        ends = None if self.ends is None else self.ends - after
+        solved, pace = solve_transport(self.first, self.surface, self.data, self.settings, self.progress, ends)
+        self.folder.state.setdefault("pace", {})["second"] = round(pace, 3)
+        solved.save(self.folder.path)
 
     def mesh(self) -> None:
         """Surface and Gaussians to a mesh with textures."""

@@ -71,7 +71,8 @@ class RunFolder(Notes):
     """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
 
     `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, versions, dataset, settings, seed,
-    phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace, training {figure: value}.
+    phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace
+    {stage: times the settings' schedules that its own were}, training {figure: value}.
     """
 
     def __init__(self, path: Path, state: dict[str, Any], lock: FileLock) -> None:
@@ -133,6 +134,15 @@ class RunFolder(Notes):
     def finished(self, phase: str) -> bool:
         """True where an earlier start of this run has done the phase."""
         return bool(self.state["phases"].get(phase, {}).get("finished"))
+
+    def seconds(self, phase: str) -> float:
+        """What a phase has taken so far; 0 before it has begun."""
+        return float(self.state["phases"].get(phase, {}).get("seconds", 0.0))
+
+    @property
+    def spent(self) -> float:
+        """Seconds that all phases have taken so far, in earlier starts too."""
+        return sum(self.seconds(phase) for phase in self.state["phases"])
 
     def record(self, phase: str, seconds: float, peak: int, finished: bool) -> None:
         """Put a phase into run.json; the seconds of interrupted starts add up."""
@@ -213,6 +223,7 @@ def _state(path: Path, settings: Settings, dataset: str, resume: bool, overwrite
         "settings": to_dict(settings),
         "seed": settings.seed,
         "phases": {},
+        "pace": {},
         "skipped": [],
         "training": {},
     }

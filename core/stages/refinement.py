@@ -76,18 +76,28 @@ class Refinement:
         self.trained = torch.nonzero(~held)[:, 0]
         self.counts = split(settings.samples, SHARES["metal" if metal else "low-gloss"])
         self._neighbours, self._likeness = likeness(g)
+        self.done = 0
 
     def run(self, step=lambda done: None) -> None:
         """All steps; `step` is told how many are done, may raise, and ends the run where it returns True."""
-        for done in range(self.settings.iterations):
-            loss = self._loss()
-            if not loss.isfinite():
-                self.optimizer.check_finite()  # names the parameter where it is one
-            require_finite({"the second stage's loss": loss}, f"at iteration {done + 1}")
-            loss.backward()
-            self.optimizer.step(done / self.settings.iterations)
-            if step(done + 1):
+        while self.done < self.settings.iterations:
+            self.step()
+            if step(self.done):
                 return
+
+    def step(self) -> None:
+        """One step of the schedule."""
+        loss = self._loss()
+        if not loss.isfinite():
+            self.optimizer.check_finite()  # names the parameter where it is one
+        require_finite({"the second stage's loss": loss}, f"at iteration {self.done + 1}")
+        loss.backward()
+        self.optimizer.step(self.done / self.settings.iterations)
+        self.done += 1
+
+    def paced(self, iterations: int) -> None:
+        """Go on with a schedule of another length."""
+        self.settings = replace(self.settings, iterations=iterations)
 
     def test(self) -> float:
         """PSNR in dB of shaded pixels of the held-back views, always by the same samples."""

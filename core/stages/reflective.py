@@ -11,12 +11,12 @@ import torch
 
 from ..config import Settings
 from ..datasets.dataset import Dataset
-from ..pace import MEASURED, affordable, paced
+from ..pace import first_pace, seconds_a_step, times
 from ..progress import Checkpoint, Progress, Silent
 from ..scene.reconstruction import Reconstruction
 from ..skipping import decide
 from .appearance import separate_light
-from .coarse import LENGTH, starts_coarse
+from .coarse import LENGTH, SHARE, starts_coarse
 from .hull import initial_gaussians
 from .target import object_box
 from .trainer import Trainer
@@ -65,7 +65,8 @@ def train(
     if state is not None:
         trainer.restore(state)
     elif ends is not None:
-        _set_pace(trainer, settings, ends, progress)
+        fine = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut) if coarse else trainer
+        _set_pace(trainer, fine, ends, progress)
     progress.phase("reflective", trainer.settings.iterations)
     trainer.run(progress, checkpoint)
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
@@ -74,14 +75,14 @@ def train(
     return separate_light(result, settings.seed), trainer.settings.iterations / schedule.iterations
 
 
-def _set_pace(trainer: Trainer, settings: Settings, ends: float, progress: Progress) -> None:
-    """Do the first steps, and make the schedule as long as what is left of the time allows."""
-    seconds = []
-    for _ in range(min(MEASURED, settings.reflective.iterations)):
-        began = time.monotonic()
-        trainer.step()
-        seconds.append(time.monotonic() - began)
-    step, left = float(np.median(seconds)), ends - time.monotonic()
-    pace = affordable(settings, left, step)
-    trainer.paced(paced(settings, pace).reflective.iterations)
-    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: schedules are {pace:.2f} times the preset's")
+def _set_pace(trainer: Trainer, fine: Trainer, ends: float, progress: Progress) -> None:
+    """Do the first steps, and make the schedule as long as what is left of the time allows.
+
+    `fine`: what `trainer` becomes when it is no longer coarse, to be thrown away; `trainer` itself where it never was.
+    """
+    fine_step = seconds_a_step(fine.step)
+    step = fine_step if fine is trainer else seconds_a_step(trainer.step)
+    left, iterations = ends - time.monotonic(), trainer.settings.iterations
+    pace = first_pace(iterations, left, step, fine_step, 0.0 if fine is trainer else SHARE)
+    trainer.paced(times(pace, iterations))
+    progress.message(f"{left:.0f} s left at {1000 * fine_step:.0f} ms a step: the first stage is {pace:.2f} times the preset's")

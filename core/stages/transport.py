@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from ..config import Settings
 from ..datasets.camera import Camera
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
+from ..pace import second_pace, seconds_a_step, times
 from ..progress import Progress
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
@@ -36,11 +38,17 @@ SIDE = 2  # rays through each texel of the light, along a side
 
 
 def solve_transport(
-    reconstruction: Reconstruction, surface: Surface, dataset: Dataset, settings: Settings, progress: Progress
-) -> Reconstruction:
+    reconstruction: Reconstruction,
+    surface: Surface,
+    dataset: Dataset,
+    settings: Settings,
+    progress: Progress,
+    ends: float | None = None,
+) -> tuple[Reconstruction, float]:
     """Tell light and material apart: materials and light are new, disks turn a little, and their radiance is fitted again to that.
 
-    Positions, sizes and opacities stay what they are.
+    Positions, sizes and opacities stay what they are. `ends`: when to be done, in seconds of the monotonic clock. Also returns how
+    many times as long as the settings have them schedules were.
 
     Raises:
         Cancelled: the user stopped the work. IrgsppError: too little of the surface is seen, or something is not finite.
@@ -58,13 +66,13 @@ def solve_transport(
     enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     told_apart = reconstruction.relabelled(torch.logit(materials), enlarged)
-    result = refined(told_apart, reconstruction, dataset, tracer, separation, settings, progress)
-    iterations = settings.transport.radiance_iterations
+    result, pace = refined(told_apart, reconstruction, dataset, tracer, separation, settings, progress, ends)
+    iterations = times(pace, settings.transport.radiance_iterations)
     if iterations:
         progress.phase("radiance", iterations)
         watched = (settings.seed, lambda done: _step(progress, done) or progress.finish_early)
         result = refit_radiance(result, dataset.train, iterations, *watched)
-    return result
+    return result, pace
 
 
 def refined(
@@ -75,15 +83,16 @@ def refined(
     separation: Separation,
     settings: Settings,
     progress: Progress,
-) -> Reconstruction:
-    """The better start, judged by views held back, after gradient descent; without it where that did not serve them."""
+    ends: float | None,
+) -> tuple[Reconstruction, float]:
+    """The better start, judged by views held back, after gradient descent; without it where that did not serve them. And its pace."""
     if settings.transport.iterations == 0:
-        return told_apart
+        return told_apart, 1.0
     progress.phase("refine", settings.transport.iterations)
     pool = pool_pixels(dataset.train, tracer, settings.transport.pool, np.random.default_rng(settings.seed))
     if not pool.count:
         progress.message("not refined: no pixel shows the object alone")
-        return told_apart
+        return told_apart, 1.0
     starts = [told_apart]
     if first.glossy and float(separation.metallic.mean()) > MOSTLY_METAL:
         starts.append(first.relabelled(either_metal_or_not(first.gaussians), first.environment))
@@ -96,10 +105,22 @@ def refined(
         progress.picture(lambda: albedo_picture(trials[best].result(), dataset.train[0].camera))
         return progress.finish_early
 
+    pace = 1.0 if ends is None else _set_pace(trials[best], ends, progress)
     trials[best].run(stepped)
     after = trials[best].test()
     progress.message(f"shaded views held back: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
-    return trials[best].result() if after > before[best] else starts[best]
+    return trials[best].result() if after > before[best] else starts[best], pace
+
+
+def _set_pace(refinement: Refinement, ends: float, progress: Progress) -> float:
+    """Do the first steps, and make the schedule as long as what is left of the time allows; how many times the preset's that is."""
+    step = seconds_a_step(refinement.step)
+    left, iterations = ends - time.monotonic(), refinement.settings.iterations
+    pace = second_pace(refinement.settings, left, step)
+    refinement.paced(times(pace, iterations))
+    progress.phase("refine", refinement.settings.iterations)
+    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the second stage is {pace:.2f} times the preset's")
+    return pace
 
 
 def prepared(

@@ -1,29 +1,44 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Schedules made to fit a time."""
 
+from dataclasses import replace
+
 import pytest
 from irgspp.core.config import preset
-from irgspp.core.pace import FASTEST, GROWTH, PACED, REST, SLOWEST, affordable, paced
+from irgspp.core.pace import FASTEST, GROWTH, RADIANCE, REST, SECOND, SLOWEST, first_pace, second_pace, seconds_a_step, times
 
 SETTINGS = preset("balanced")
 
 
 @pytest.mark.parametrize("pace", [0.2, 1.0, 4.0])
-def test_what_is_afforded_costs_what_there_is(pace):
-    step = 0.02
-    cost = step * (REST + pace * (PACED + GROWTH * SETTINGS.reflective.iterations))
-    assert affordable(SETTINGS, cost, step) == pytest.approx(pace)
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_what_the_first_stage_is_given_costs_what_there_is(pace, share):
+    step, fine = 0.008, 0.02
+    steps = pace * SETTINGS.reflective.iterations
+    cost = REST * fine + steps * (share * step + (1 - share) * GROWTH * fine) + pace * SECOND * fine
+    assert first_pace(SETTINGS.reflective.iterations, cost, step, fine, share) == pytest.approx(pace)
+
+
+@pytest.mark.parametrize("pace", [0.2, 1.0, 4.0])
+def test_what_the_second_stage_is_given_costs_what_there_is(pace):
+    transport = SETTINGS.transport
+    cost = pace * 0.03 * (transport.iterations + RADIANCE * transport.radiance_iterations)
+    assert second_pace(transport, cost, 0.03) == pytest.approx(pace)
 
 
 def test_pace_has_limits():
-    assert affordable(SETTINGS, -5.0, 0.02) == FASTEST
-    assert affordable(SETTINGS, 1e6, 0.02) == SLOWEST
+    assert first_pace(1500, -5.0, 0.02, 0.02) == second_pace(SETTINGS.transport, -5.0, 0.02) == FASTEST
+    assert first_pace(1500, 1e6, 0.02, 0.02) == second_pace(SETTINGS.transport, 1e6, 0.02) == SLOWEST
+    assert second_pace(replace(SETTINGS.transport, iterations=0, radiance_iterations=0), 10.0, 0.02) == 1.0
 
 
-def test_all_schedules_scale_and_nothing_else_changes():
-    half = paced(SETTINGS, 0.5)
-    assert half.reflective.iterations == SETTINGS.reflective.iterations // 2
-    assert half.transport.iterations == SETTINGS.transport.iterations // 2
-    assert half.transport.radiance_iterations == SETTINGS.transport.radiance_iterations // 2
-    assert paced(SETTINGS, 1.0) == SETTINGS
-    assert paced(SETTINGS, 1e-9).reflective.iterations == 1
+def test_a_schedule_is_at_least_a_step_unless_it_is_none():
+    assert [times(0.5, 300), times(1e-9, 300), times(10.0, 0)] == [150, 1, 0]
+
+
+def test_a_step_costs_its_median(monkeypatch):
+    clock = iter([0.0, 5.0, 5.0, 6.0, 6.0, 7.5])
+    monkeypatch.setattr("irgspp.core.pace.time.monotonic", lambda: next(clock))
+    done = []
+    assert seconds_a_step(lambda: done.append(1), 3) == 1.5
+    assert len(done) == 3

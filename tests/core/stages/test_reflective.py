@@ -195,7 +195,7 @@ def test_a_hopeless_kind_is_given_up_and_others_go_on(sphere_dataset, camera_rin
 def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camera_ring, monkeypatch):
     dataset, memory = sphere_dataset(camera_ring(9, 32)), Memory()
     chosen = settings("materials=low-gloss", "reflective.iterations=20")
-    monkeypatch.setattr("irgspp.core.stages.reflective.affordable", lambda settings, seconds, step: 2.0)
+    monkeypatch.setattr("irgspp.core.stages.reflective.first_pace", lambda *_: 2.0)
     with pytest.raises(Cancelled):
         train(dataset, chosen, StopAfter(30), memory, ends=time.monotonic() + 60)
     assert train(dataset, chosen, checkpoint=memory, ends=time.monotonic() + 60)[1] == 2.0
