@@ -16,6 +16,7 @@ from irgspp.core.datasets.detect import LOOKED_FOR, read_capture
 from irgspp.core.errors import InputError
 
 DEEPEST = 3  # folders below the root
+TRUTH = {"relight_gt", "ground_truth"}  # what collections keep beside their scenes, with cameras of its own
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def _scenes(folder: Path, root: Path, deeper: int) -> Iterator[Scene]:
             yield Scene(name, folder, "", str(error))
             return
     for below in sorted(folder.iterdir()) if deeper else []:
-        if below.is_dir() and not below.name.startswith("."):
+        if below.is_dir() and below.name not in TRUTH and not below.name.startswith("."):
             yield from _scenes(below, root, deeper - 1)
 
 

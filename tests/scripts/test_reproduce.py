@@ -72,6 +72,7 @@ def bench(tmp_path, monkeypatch, script):
     write_scene(root / "tensoir" / "hotdog", "tensoir")
     write_scene(root / "tensoir" / "lego", "tensoir")
     write_scene(root / "mine")
+    write_scene(root / "relight_gt" / "mine_golf")
     (root / "empty").mkdir()
     (root / "torn").mkdir()
     (root / "torn" / "transforms.json").write_text("{")
