@@ -16,7 +16,7 @@ from .blender import NoBlender
 from .config import Settings
 from .datasets.dataset import Dataset, View
 from .datasets.load import load_dataset
-from .devices import check_device
+from .devices import choose
 from .errors import Cancelled, InputError, IrgsppError
 from .evaluation.metrics import on_black, psnr
 from .evaluation.sheet import contact_sheet
@@ -63,7 +63,7 @@ def reconstruct(
     """
     watcher = progress or Silent()
     overrides.check(settings)
-    check_device(settings.device)
+    choose(settings.device)
     check_claim(run, resume, overwrite)
     began = time.monotonic()
     reset_peak_memory()
