@@ -63,6 +63,7 @@ class Dataset:
         points: sparse points, or None.
         warnings: lines worth telling the user.
         lenses: the real cameras as the dataset states them, one line each (the views' cameras are undistorted).
+        novel: how many views there are besides under other lights, by light; `load.load_novel_views` reads them.
     """
 
     path: Path
@@ -74,6 +75,7 @@ class Dataset:
     points: PointCloud | None = None
     warnings: list[str] = field(default_factory=list)
     lenses: list[str] = field(default_factory=list)
+    novel: dict[str, int] = field(default_factory=dict)
 
     @property
     def has_alpha(self) -> bool:

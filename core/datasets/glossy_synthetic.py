@@ -102,7 +102,7 @@ def _arrays(camera: Path) -> tuple[np.ndarray, np.ndarray]:
     content = read_pickle(camera)
     if isinstance(content, (list, tuple)) and len(content) == 2 and all(isinstance(a, np.ndarray) for a in content):
         pose, intrinsics = content
-        if pose.shape == (3, 4) and intrinsics.shape == (3, 3) and pose.dtype.kind == intrinsics.dtype.kind == "f":
+        if pose.shape == (3, 4) and intrinsics.shape == (3, 3) and pose.dtype.kind == "f" and intrinsics.dtype.kind in "fi":
             return pose.astype(np.float64), intrinsics.astype(np.float64)
     raise InputError(camera, "does not hold a 3x4 pose and a 3x3 matrix of intrinsics")
 

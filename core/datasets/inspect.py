@@ -21,10 +21,10 @@ def describe(dataset: Dataset) -> str:
 def facts(dataset: Dataset) -> dict[str, Any]:
     """The same as plain values for JSON.
 
-    path, format; train, test: numbers of views; sizes: [[width, height, pictures]], the most common first; kinds: of files; lenses: the
-    real cameras, one line each; distorted: photographs that show lens distortion; masked: training views with a mask; object_share: of
-    their pixels, or None; points: their number, or None; centre, radius: the object's bound in our world; to_world: (4, 4) from the
-    dataset's own frame to it; warnings; rows: [[name, text]] as `describe` puts them.
+    path, format; train, test: numbers of views; novel: of those under other lights, by light; sizes: [[width, height, pictures]], the most
+    common first; kinds: of files; lenses: the real cameras, one line each; distorted: photographs that show lens distortion; masked:
+    training views with a mask; object_share: of their pixels, or None; points: their number, or None; centre, radius: the object's bound
+    in our world; to_world: (4, 4) from the dataset's own frame to it; warnings; rows: [[name, text]] as `describe` puts them.
     """
     views = [*dataset.train, *dataset.test]
     masks = [v.alpha for v in dataset.train if v.alpha is not None]
@@ -32,6 +32,7 @@ def facts(dataset: Dataset) -> dict[str, Any]:
         "path": str(dataset.path),
         "format": dataset.format,
         "train": len(dataset.train),
+        "novel": dataset.novel,
         "test": len(dataset.test),
         "sizes": [[*size, count] for size, count in Counter((v.camera.width, v.camera.height) for v in views).most_common()],
         "kinds": sorted({v.path.suffix.lower().lstrip(".") for v in views}),
@@ -53,6 +54,7 @@ def _rows(dataset: Dataset) -> list[tuple[str, str]]:
         ("dataset", str(dataset.path)),
         ("format", dataset.format),
         ("views", f"{len(dataset.train)} training, {len(dataset.test)} test"),
+        *([("relit", _novel(dataset))] if dataset.novel else []),
         ("pictures", _sizes([*dataset.train, *dataset.test])),
         *(("camera" if i == 0 else "", line) for i, line in enumerate(_shortened(dataset.lenses))),
         ("used as", _pinholes(dataset.train)),
@@ -70,6 +72,10 @@ def _sizes(views: list[View]) -> str:
     sizes = [f"{w}x{h}" + (f" ({n})" if len(counts) > 1 else "") for (w, h), n in counts.most_common(SHOWN)]
     kinds = Counter(v.path.suffix.lower().lstrip(".") for v in views)
     return ", ".join(sizes) + f", {', '.join(sorted(kinds))}"
+
+
+def _novel(dataset: Dataset) -> str:
+    return f"{sum(dataset.novel.values())} views under other lights: {', '.join(dataset.novel)}"
 
 
 def _pinholes(views: list[View]) -> str:

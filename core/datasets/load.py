@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -63,7 +64,8 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     views, checks = _settle_alpha(views, checks, warnings)
     bound = _bound(capture, views, settings, warnings)
     lenses = sorted({str(s.frame.lens) for s in shots})
-    return Dataset(path, capture.format, views, checks, bound, capture.to_world, capture.points, warnings, lenses)
+    novel = Counter(f.light for f in _present(capture.novel) if f.light is not None)
+    return Dataset(path, capture.format, views, checks, bound, capture.to_world, capture.points, warnings, lenses, dict(novel))
 
 
 def load_cameras(

@@ -23,13 +23,14 @@ SPHERES = {
 
 def is_ref_real(folder: Path) -> bool:
     """True where the pictures are there whole, at a quarter and at an eighth, and not at a half as in other collections."""
-    return all((folder / name).is_dir() for name in ("images", "images_4", "images_8")) and not (folder / "images_2").is_dir()
+    there = {n for n in (2, 4, 8) if (folder / f"images_{n}").is_dir()}
+    return (folder / "images").is_dir() and there == {4, 8}
 
 
 def published_sphere(capture: Capture) -> Capture:
     """The capture of such a scene, with the sphere of interest as its bound where it is one of those with a published one.
 
-    A scene that has nothing but the name in common with them is told by its cameras, which don't stand around that sphere.
+    A scene that has nothing but the name in common with them is told by its cameras, which look at something outside that sphere.
     """
     capture = replace(capture, format="ref-real")
     if capture.root.name not in SPHERES:
@@ -37,7 +38,7 @@ def published_sphere(capture: Capture) -> Capture:
     centre, radius = SPHERES[capture.root.name]
     place = capture.to_world[:3, :3] @ centre + capture.to_world[:3, 3]
     focus = focus_of([rough_camera(f) for f in capture.train])
-    if np.linalg.norm(place - focus.point) > focus.distance:
+    if np.linalg.norm(place - focus.point) > radius:
         return replace(capture, warnings=[*capture.warnings, f"{capture.root}: the published sphere of interest does not fit the cameras"])
     x, y, z = (float(v) for v in place)
     return replace(capture, bound=Bound((x, y, z), radius))
