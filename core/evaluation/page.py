@@ -42,7 +42,8 @@ def page(
     rows = [f"<tr><th>{escape(name)}</th><td>{metrics.shown(value)}</td></tr>" for name, value in report["figures"].items()]
     if report["albedo_scale"]:
         rows.append(f"<tr><th>albedo_scale</th><td>{' '.join(f'{s:.3f}' for s in scale)}</td></tr>")
-    views = f"{len(report['views'])} {escape(report['split'])} views"
+    views = f"{len(report['views']) - report['novel']} {escape(report['split'])} views"
+    views += f" and {report['novel']} under other lights" if report["novel"] else ""
     about = f"{escape(str(report['run']))} against the {views} of {escape(str(report['dataset']))}."
     if report["albedo_scale"]:
         about += " Albedo is shown after the scale per channel that the figures use."

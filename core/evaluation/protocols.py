@@ -158,7 +158,7 @@ def _pictures(how: Protocol) -> str:
 
 def _relit(how: Protocol) -> str:
     albedo = "times that scale" if how.relit_scaled else "as estimated"
-    views = f"the first {how.relit_views} views" if how.relit_views else "all views"
+    views = f"the first {how.relit_views} views under each light" if how.relit_views else "all views"
     return f"Relit pictures: albedo {albedo}, {views}. Pictures under the recovered light: albedo as estimated."
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,6 @@ from typing import Any
 import numpy as np
 
 from ..config import DataSettings
-from ..datasets.camera import Camera
-from ..datasets.dataset import View
-from ..datasets.load import load_dataset
 from ..errors import Cancelled, InputError
 from ..progress import Progress, Silent
 from ..relight.backends import best_backend, open_relighter
@@ -26,13 +23,14 @@ from ..scene.ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..stages.render import render_view
 from . import metrics
+from .cases import Case, Cases, read_cases, spread
 from .cycles import compare
 from .figures import Fits, averages, fitted_figures, relit_figures, view_figures
 from .page import SHOWN, page
 from .perceptual import NO_LPIPS, Lpips, find_lpips
 from .prediction import Prediction
 from .protocols import PLAIN, Protocol, described, protocol_named
-from .truth import SceneTruth, Truth, load_scene_truth, load_truth
+from .truth import SceneTruth, Truth
 
 CHAMFER_UNIT = 2000  # what Stanford-ORB's tables multiply by
 CYCLES_PROTOCOL = (
@@ -57,8 +55,8 @@ def evaluate(
     """Compare a run with the test views of a dataset (its training views where it has no others).
 
     Writes `report.json` and `report.html` (self-contained) into `output`, `run/evaluation` where that is None, and returns what is in
-    the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split", "protocol" (a
-    line for each choice), "choices" (the same for programs).
+    the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split", "novel" (how many
+    of the views are under other lights), "protocol" (a line for each choice), "choices" (the same for programs).
     `settings` say how the dataset is read. So many views as `cycles` says are rendered by Cycles too, from the asset, under the lights
     that are known (the recovered one where none is). `protocol`: whose choices, see protocols.py; `views`: evenly spread, instead of all;
     `samples`: light samples of a pixel, instead of the protocol's; `lpips`: that distance as TorchScript. Raises InputError for a folder
@@ -69,7 +67,7 @@ def evaluate(
     how = how if samples is None else replace(how, samples=samples)
     distances = {"": found} if lpips is not None and (found := find_lpips(lpips)) else _distances(how)
     reconstruction = Reconstruction.load(run)
-    cases = Cases.read(reconstruction, dataset, settings or DataSettings(), progress, views)
+    cases = read_cases(reconstruction, dataset, settings or DataSettings(), progress, how.relit_views, views)
     backend = best_backend(run)
     relighter = open_relighter(run, reconstruction, backend, RelightSettings(samples=how.samples))
     evaluation = Evaluation(cases, relighter, how, distances, progress)
@@ -77,7 +75,7 @@ def evaluate(
     report = evaluation.summary()
     report["figures"] |= scene_figures(run, reconstruction, cases.scene, how, cases.unit)
     known = cases.scene.lights or {"recovered": reconstruction.environment_map()}
-    chosen = {cases.views[i].name: cases.cameras[i] for i in _spread(len(cases.views), cycles)}
+    chosen = {cases.names[i]: cases.cameras[i] for i in spread(cases.own, cycles)}
     asset = compare(relighter, run, chosen, known, progress) if cycles else []
     report["figures"] |= averages([one.figures for one in asset], ())
     report["cycles"] = [{"view": one.view, "light": one.light, **one.figures} for one in asset]
@@ -99,56 +97,6 @@ def _distances(how: Protocol) -> dict[str, Lpips]:
     return {suffix: one for suffix, one in found.items() if one is not None}
 
 
-def _spread(count: int, wanted: int) -> list[int]:
-    """At most so many numbers below `count`, evenly apart."""
-    return sorted({round(i) for i in np.linspace(0, count - 1, min(wanted, count))}) if wanted else []
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """A view, its camera in the world of the run, and its truth."""
-
-    number: int
-    view: View
-    camera: Camera
-    truth: Truth
-
-
-@dataclass(frozen=True, eq=False)
-class Cases:
-    """The views that are compared, and what is known of them, in the world of the run."""
-
-    split: str
-    of: int  # so many views has the split
-    views: list[View]
-    cameras: list[Camera]
-    scene: SceneTruth
-    to_world: np.ndarray
-
-    @classmethod
-    def read(
-        cls, reconstruction: Reconstruction, dataset: Path, settings: DataSettings, progress: Progress, wanted: int | None = None
-    ) -> Cases:
-        """The test views of a dataset, or its training views; `wanted` of them evenly spread."""
-        data = load_dataset(dataset, settings, progress)
-        split, every = ("test", data.test) if data.test else ("train", data.train)
-        views = every if wanted is None else [every[i] for i in _spread(len(every), max(wanted, 1))]
-        same = reconstruction.to_world @ np.linalg.inv(data.to_world)  # read on its own, a dataset may be placed otherwise
-        cameras = [view.camera.moved(same) for view in views]
-        scene = load_scene_truth(dataset, reconstruction.to_world)
-        return cls(split, len(every), views, cameras, scene, reconstruction.to_world)
-
-    @property
-    def unit(self) -> float:
-        """Lengths of the run's world that are one of the dataset's."""
-        return float(np.cbrt(np.linalg.det(self.to_world[:3, :3])))
-
-    def __iter__(self) -> Iterator[Case]:
-        """One view after the other: at full size, the truth of hundreds of views is more than fits in memory."""
-        for number, (view, camera) in enumerate(zip(self.views, self.cameras, strict=True)):
-            yield Case(number, view, camera, load_truth(view, self.scene, self.to_world))
-
-
 class Evaluation:
     """The views of a run compared with their truth, one by one, twice: what is fitted to all views is known after the first time.
 
@@ -165,7 +113,7 @@ class Evaluation:
 
     def work(self) -> None:
         """Compare all views. Raises Cancelled between two."""
-        shown = _spread(len(self.cases.views), SHOWN)
+        shown = spread(len(self.cases.views), SHOWN)
         first = {case.number: self._as_it_is(case, case.number in shown) for case in self._told("evaluate")}
         relighter = self.relighter.scaled(self.fits.albedo if self.how.relit_scaled else None)
         for case in self._told("relight"):
@@ -176,14 +124,15 @@ class Evaluation:
             row |= fitted_figures(prediction, case.truth, self.fits, self.how, self.cases.unit, self.lpips)
             self.lit_by |= dict.fromkeys(prediction.relit)
             if case.number in shown:
-                self.shown[case.view.name] = prediction, case.truth
+                self.shown[self.cases.names[case.number]] = prediction, case.truth
 
     def summary(self) -> dict[str, Any]:
         """All figures of the views, and their means."""
         relights, scale = [name for name in self.lit_by if name != self.cases.scene.train_light], self.fits.albedo
         return {
             "figures": averages(self.rows, relights, self.how),
-            "views": {view.name: row for view, row in zip(self.cases.views, self.rows, strict=True)},
+            "views": dict(zip(self.cases.names, self.rows, strict=True)),
+            "novel": len(self.cases.views) - self.cases.own,
             "albedo_scale": None if scale is None else [float(s) for s in scale],
         }
 
@@ -214,7 +163,8 @@ class Evaluation:
         """Pictures under every light that is known, of as many views as the protocol says."""
         known = case.truth.lights.keys() | self.cases.scene.lights.keys()
         names = [name for name in case.truth.relit if name in known]
-        if not names or case.number >= (self.how.relit_views or len(self.cases.views)):
+        beyond = case.view.light is None and self.how.relit_views is not None and case.number >= self.how.relit_views
+        if not names or beyond:
             return {}
         surface = relighter.surface(case.camera)
         return {name: relighter.relit(surface, self._light(case.truth, name)).numpy() for name in names}
@@ -238,8 +188,10 @@ def _made(evaluation: Evaluation, scale: Sequence[float] | None, backend: str) -
         f"Scale of the albedo: albedo {factors}.",
         f"LPIPS: {', '.join(one.name for one in lpips.values())}." if lpips else NO_LPIPS,
     ]
-    if len(cases.views) < cases.of:
-        lines.append(f"Only {len(cases.views)} of the {cases.of} {cases.split} views, evenly spread: published tables are of all.")
+    if novel := len(cases.views) - cases.own:
+        lines.append(f"{novel} of {cases.novel} views are photographs under other lights, which only relit pictures are compared with.")
+    if cases.own < cases.of:
+        lines.append(f"Only {cases.own} of the {cases.of} {cases.split} views, evenly spread: published tables are of all.")
     return lines
 
 
@@ -263,7 +215,8 @@ def table(report: dict[str, Any]) -> str:
     lines = [f"{name:28s} {metrics.shown(value):>10s}" for name, value in report["figures"].items()]
     if report["albedo_scale"]:
         lines.append(f"{'albedo_scale':28s} " + " ".join(f"{s:10.4f}" for s in report["albedo_scale"]))
-    lines.append(f"{report['split'] + ' views':28s} {len(report['views']):10d}")
+    lines.append(f"{report['split'] + ' views':28s} {len(report['views']) - report['novel']:10d}")
+    lines += [f"{'views under other lights':28s} {report['novel']:10d}"] if report["novel"] else []
     return "\n".join([*lines, *report["protocol"]])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import Cancelled, InputError
-from irgspp.core.evaluation import report, sheet
+from irgspp.core.evaluation import cases, report, sheet
 from irgspp.core.evaluation.perceptual import NO_LPIPS, Lpips
 from irgspp.core.evaluation.protocols import PROTOCOLS, described
 from irgspp.core.progress import Silent
@@ -123,6 +123,24 @@ def test_as_many_views_are_relit_as_the_protocol_says(demo, known, tmp_path, mon
     monkeypatch.setitem(PROTOCOLS, "glossy", replace(PROTOCOLS["glossy"], relit_views=2))
     views = report.evaluate(tmp_path, demo[0], protocol="glossy", samples=8)["views"]
     assert [any(figure.startswith("relight") for figure in row) for row in views.values()] == [True, True, False, False, False, False]
+
+
+def test_photographs_under_other_lights_are_what_relit_pictures_are_compared_with(demo, known, tmp_path, monkeypatch):
+    """Those of the demonstration's relit truth, as if somebody had taken them: each view's own picture is under another light."""
+    _, dataset, _, truths, _ = demo
+    novel = []
+    for light in ("studio", "sunset"):
+        for view, truth in list(zip(dataset.test, truths, strict=True))[:3]:
+            novel.append(replace(view, light=light, colour=truth.relit[light] / np.maximum(truth.alpha, 1e-6)[..., None]))
+    monkeypatch.setattr(cases, "load_novel_views", lambda *_: novel)
+    found, (first, _, third) = report.evaluate(tmp_path, demo[0], views=2, samples=8), [view.name for view in dataset.test[:3]]
+    assert list(found["views"])[2:] == [f"{light}_{name}" for light in ("studio", "sunset") for name in (first, third)]
+    assert "4 of 6 views are photographs under other lights" in found["protocol"][-2]
+    row = found["views"][f"sunset_{third}"]
+    assert row["relight_sunset_psnr"] > 50 and not [figure for figure in row if figure.startswith(("nvs", "radiance"))]
+    assert "2 test views and 4 under other lights" in (tmp_path / "evaluation" / "report.html").read_text()
+    lines = [line.split() for line in report.table(found).splitlines()]
+    assert ["test", "views", "2"] in lines and ["views", "under", "other", "lights", "4"] in lines
 
 
 def test_lpips_of_a_file_is_in_the_table(demo, known, tmp_path, monkeypatch):
