@@ -178,4 +178,4 @@ def shown(value: float | None) -> str:
     """A figure in as many digits as tables have; a dash where there is none."""
     if value is None:
         return "–"
-    return f"{value:.2e}" if 0 < abs(value) < 1e-3 else f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
+    return f"{value:.2e}" if 0 < abs(value) < 1e-3 else f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}"
