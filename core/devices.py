@@ -7,7 +7,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -88,8 +88,7 @@ def computing_on(chosen: Chosen, resumable: bool = False) -> Iterator[None]:
     """Within it, the chosen device's kernels do the work, and its errors are told in one line."""
     from .kernels.backend import warp_on_cpu
 
-    forced = warp_on_cpu() if chosen.warp and chosen.device.type == "cpu" else nullcontext()
-    with forced, cuda.faults(resumable):
+    with warp_on_cpu(chosen.warp), cuda.faults(resumable):
         yield
 
 

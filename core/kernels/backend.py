@@ -13,13 +13,13 @@ _forced: list[bool] = []
 
 def by_warp(tensor: torch.Tensor) -> bool:
     """True where the device's kernels are to do the work."""
-    return tensor.device.type != "cpu" or bool(_forced)
+    return tensor.device.type != "cpu" or (bool(_forced) and _forced[-1])
 
 
 @contextmanager
-def warp_on_cpu() -> Iterator[None]:
-    """Within it, warp's CPU device stands in for numba: the way to test the device's kernels where there is no GPU. It is slow."""
-    _forced.append(True)
+def warp_on_cpu(wanted: bool = True) -> Iterator[None]:
+    """Within it, warp's CPU device stands in for numba, where `wanted`: the way to test the device's kernels without a GPU. It is slow."""
+    _forced.append(wanted)
     try:
         yield
     finally:

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The GPU's kernels: on a GPU where there is one (`pytest -m cuda`), else on warp's CPU device; and compiled for GPUs in any case."""
+
+import importlib
+import shutil
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from irgspp.core.cuda import obstacle, probe
+from irgspp.core.datasets.camera import Camera, look_at
+from irgspp.core.kernels.backend import warp_on_cpu
+from irgspp.core.kernels.photometric import photometric_loss
+from irgspp.core.kernels.rasterize import rasterize
+from irgspp.core.kernels.tracing import blend, build_tree, hit_lists, trace, transmittance
+from irgspp.core.relight.triangles import EmbreeTriangles, triangles_of
+from irgspp.core.scene.mesh import Mesh
+
+pytest.importorskip("warp")
+CAMERA = Camera(75, 53, 90.0, 88.0, 37.0, 26.0, look_at((2.5, 1.5, 2.0)))
+DEVICES = ["warp-cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
+
+
+@pytest.fixture(params=DEVICES)
+def device(request):
+    if request.param == "cuda":
+        hindered = obstacle(probe())
+        if hindered is not None:
+            pytest.skip("; ".join(hindered))
+    with warp_on_cpu() if request.param == "warp-cpu" else nullcontext():
+        yield torch.device("cpu" if request.param == "warp-cpu" else "cuda")
+
+
+def cloud(n, seed):
+    g = torch.Generator().manual_seed(seed)
+    shapes = [(3,), (4,), (2,), (), (16, 3), (5,)]
+    values = [torch.randn(*shape, n, generator=g) for shape in shapes]
+    return [values[0] * 0.5, values[1], values[2] * 0.4 - 2.2, values[3] + 1.0, values[4] * 0.3, values[5].sigmoid()]
+
+
+def rays(count, seed):
+    g = torch.Generator().manual_seed(seed)
+    direction = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
+    return torch.randn(count, 3, generator=g) * 0.6, direction
+
+
+def on(device, tensors, wanted=True):
+    return [t.detach().clone().to(device).requires_grad_(wanted) for t in tensors]
+
+
+def gradients(out, weight, values):
+    return [g.cpu() for g in torch.autograd.grad((out * weight.to(out.device)).sum(), values)]
+
+
+def agree(a, b, share=2e-3):
+    """Rows (R, C) are the same but for a few that fall to the other side of a threshold, or where two hits are as good as one."""
+    apart = (a - b).abs().amax(1) / b.abs().amax(1).clamp_min(1e-2)
+    assert (apart > 1e-4).float().mean() <= share
+    assert apart.max() < 0.2
+    return apart < 1e-4
+
+
+def numba_and(device, function, inputs):
+    """Results and gradients by both, gradients only of rows that agree."""
+    with warp_on_cpu(False):
+        expected = function(*(here := on("cpu", inputs)))
+    found = function(*(there := on(device, inputs)))
+    same = agree(found.detach().cpu(), expected.detach())
+    weight = torch.randn(expected.shape, generator=torch.Generator().manual_seed(1)) * same[:, None]
+    with warp_on_cpu(False):
+        truth = gradients(expected, weight, here)
+    return gradients(found, weight, there), truth
+
+
+def test_rasteriser_is_numbas(device):
+    found, truth = numba_and(device, lambda *p: rasterize(*p, CAMERA, 1.0)[0].flatten(1).T, cloud(600, 1))
+    for a, b in zip(found, truth, strict=True):
+        assert (a - b).norm() < 1e-3 * b.norm()
+
+
+def test_tracer_is_numbas(device):
+    inputs = [*cloud(600, 2), *rays(800, 3)]
+    found, truth = numba_and(device, lambda *v: trace(*v, build_tree(*v[:4])), inputs)
+    for a, b in zip(found, truth, strict=True):
+        assert (a - b).norm() < 1e-3 * b.norm()
+
+
+def test_lists_and_transmittance_are_numbas(device):
+    parameters, lines = cloud(400, 4), rays(500, 5)
+    with warp_on_cpu(False):
+        tree = build_tree(*parameters[:4])
+        lists, through = hit_lists(tree, *lines), transmittance(tree, *lines)
+        expected = blend(lists, parameters[5])
+    parameters, lines = on(device, parameters, False), on(device, lines, False)
+    tree = build_tree(*parameters[:4])
+    mine = hit_lists(tree, *lines)
+    assert (mine.start.diff().cpu() != torch.from_numpy(np.diff(lists.start))).float().mean() < 4e-3
+    agree(blend(mine, parameters[5]).cpu(), expected, 4e-3)
+    agree(transmittance(tree, *lines).cpu()[:, None], through[:, None], 4e-3)
+
+
+def test_loss_is_numbas(device):
+    pictures = [torch.rand(3, 50, 71, generator=torch.Generator().manual_seed(i)) for i in range(2)]
+    with warp_on_cpu(False):
+        x = pictures[0].clone().requires_grad_()
+        expected = photometric_loss(x, pictures[1])
+        truth = torch.autograd.grad(expected, x)[0]
+    x = pictures[0].clone().to(device).requires_grad_()
+    loss = photometric_loss(x, pictures[1].to(device))
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
+    assert (torch.autograd.grad(loss, x)[0].cpu() - truth).norm() < 1e-4 * truth.norm()
+
+
+def test_mesh_rays_are_embrees(device):
+    torus = trimesh.creation.torus(1.0, 0.4, 24, 16)
+    n = len(torus.vertices)
+    arrays = (torus.vertices, torus.vertex_normals, np.zeros((n, 2)))
+    flat = (np.zeros((n, 3), np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32))
+    mesh = Mesh(*(np.asarray(a, np.float32) for a in arrays), np.asarray(torus.faces, np.int32), *flat)
+    lines = rays(2000, 6)
+    expected = EmbreeTriangles(mesh).closest(*lines)
+    found = [a.cpu() for a in triangles_of(mesh, device).closest(*on(device, lines, False))]
+    same = found[0] == expected[0]
+    hit = same & (found[0] >= 0)
+    assert same.float().mean() > 0.998 and hit.float().mean() > 0.1
+    for a, b in zip(found[1:], expected[1:], strict=True):
+        assert (a - b)[hit].abs().max() < 1e-3
+
+
+def test_a_run_repeats_bit_by_bit(device):
+    inputs, results = [*cloud(300, 7), *rays(400, 8)], []
+    for _ in range(2):
+        values = on(device, inputs)
+        seen, drawn = trace(*values, build_tree(*values[:4])), rasterize(*values[:6], CAMERA, 1.0)[0]
+        (seen.square().sum() + drawn.square().sum()).backward()
+        results.append([seen, drawn, *(v.grad for v in values)])
+    assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
+
+
+MODULES = ("splats", "disks", "adjoint", "mesh", "photometric", "lobes", "light")
+
+
+@pytest.mark.long
+def test_kernels_compile_for_gpus(tmp_path: Path):
+    """By NVIDIA's compiler in warp's wheel, which needs no GPU."""
+    import warp as wp
+    from irgspp.core.kernels.warp import bilateral, disks, raster
+
+    modules = [importlib.import_module(f"irgspp.core.kernels.warp.{name}") for name in MODULES]
+    special = [*raster.kernels(11), disks.composite(5), bilateral._kernel(4)]
+    for module in [*modules, *(kernel.module for kernel in special)]:
+        made = wp.compile_aot_module(module, arch=75, module_dir=tmp_path)
+        assert made and all(path.stat().st_size > 1000 for path in made)
+    shutil.rmtree(tmp_path)
