@@ -12,22 +12,27 @@ from ..datasets.dataset import Dataset
 from ..progress import Progress
 from ..scene.gaussians import Gaussians
 from ..skipping import decide
+from .kind import Kind
 
 SHARE = 0.4  # of the schedule
-LENGTH = 0.8  # of a schedule all of which is fine, for the same result
+LENGTH = 0.9  # of a schedule all of which is fine, for the same result
 REDUCTION = 2  # pixels along a side that become one
 CHILDREN = 4  # of a disk
 APART, SHRINK = 0.5, 1.6  # children lie so many standard deviations from the middle, and are so much smaller
 SMALLEST = 96  # pixels along the longest side; half of less shows too little
 
 
-def starts_coarse(dataset: Dataset, choice: SkipSettings, progress: Progress) -> bool:
-    """True where the first stage is to begin coarse: on a hull, since disks on sparse points multiply by what the pictures ask for."""
+def starts_coarse(dataset: Dataset, kind: Kind, choice: SkipSettings, progress: Progress) -> bool:
+    """True where the first stage is to begin coarse: on a hull, since disks on sparse points multiply by what the pictures ask for.
+
+    And where the object reflects: reflections set normals right again, while a matt surface keeps the facets that large disks leave.
+    """
     if not dataset.has_alpha:
         progress.decided("coarse", False, "without masks disks multiply by themselves")
         return False
     side = max(max(view.camera.width, view.camera.height) for view in dataset.train)
-    return decide(choice, "coarse", side >= SMALLEST, f"pictures are {side} pixels along their longest side", progress)
+    evidence = f"the object is {'glossy' if kind.glossy else 'low-gloss'}, pictures are {side} pixels along their longest side"
+    return decide(choice, "coarse", kind.glossy and side >= SMALLEST, evidence, progress)
 
 
 def thinned_out(gaussians: Gaussians, count: int, seed: int) -> Gaussians:

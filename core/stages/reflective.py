@@ -57,7 +57,7 @@ def train(
     cut = surroundings(dataset, settings, progress)
     kind = kind_named(state["kind"], dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress, cut)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
-    coarse = starts_coarse(dataset, settings.skip, progress)
+    coarse = starts_coarse(dataset, kind, settings.skip, progress)
     schedule = (
         replace(settings.reflective, iterations=max(1, round(LENGTH * settings.reflective.iterations))) if coarse else settings.reflective
     )
