@@ -15,10 +15,10 @@ from .config import TransportSettings
 
 MEASURED = 20  # steps after which the cost of one is known
 GROWTH = 1.2  # what a step of the first stage costs on average, by then: colour comes to depend on the view
-REST = 850  # what the phases of fixed length cost, in steps of the first stage
+REST, REST_GLOSSY = 1000, 600  # what the phases of fixed length cost, in steps of the first stage; one that reflects costs more
 SECOND = 400  # the same of the second stage's schedules at the preset's own length
 FUSED = 2.5  # what follows the second stage takes so many times as long as fusing the surface did
-RADIANCE = 0.8  # a step that fits the radiance, in steps of the refinement
+RADIANCE, RADIANCE_GLOSSY = 1.2, 2.3  # a step that fits the radiance, in steps of the refinement
 SLOWEST, FASTEST = 10.0, 0.1  # times the preset's own schedules
 
 
@@ -32,21 +32,21 @@ def seconds_a_step(step: Callable[[], object], steps: int = MEASURED) -> float:
     return statistics.median(taken)
 
 
-def first_pace(iterations: int, seconds: float, step: float, fine_step: float, coarse_share: float = 0.0) -> float:
+def first_pace(iterations: int, seconds: float, glossy: bool, step: float, fine_step: float, coarse_share: float = 0.0) -> float:
     """Times the preset's schedules of both stages that so many seconds pay for.
 
     Args:
-        iterations: of the preset's first stage. step: seconds that one takes in the beginning, which is `coarse_share` of the schedule;
+        iterations: of the preset's first stage, which shows reflections where `glossy`. step: seconds that one takes in the beginning, which is `coarse_share` of the schedule;
         fine_step: seconds that one takes afterwards.
     """
     mean = coarse_share * step + (1 - coarse_share) * GROWTH * fine_step
     preset = mean * iterations + SECOND * fine_step
-    return min(max((seconds - REST * fine_step) / preset, FASTEST), SLOWEST)
+    return min(max((seconds - (REST_GLOSSY if glossy else REST) * fine_step) / preset, FASTEST), SLOWEST)
 
 
-def second_pace(settings: TransportSettings, seconds: float, step: float) -> float:
+def second_pace(settings: TransportSettings, seconds: float, glossy: bool, step: float) -> float:
     """Times the preset's schedules of the second stage that so many seconds pay for, where a step of the refinement takes `step`."""
-    preset = step * (settings.iterations + RADIANCE * settings.radiance_iterations)
+    preset = step * (settings.iterations + (RADIANCE_GLOSSY if glossy else RADIANCE) * settings.radiance_iterations)
     return min(max(seconds / preset, FASTEST), SLOWEST) if preset > 0 else 1.0
 
 

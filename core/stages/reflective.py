@@ -41,18 +41,21 @@ def train(
     progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
     ends: float | None = None,
+    device: torch.device | str = "cpu",
+    resident: bool = True,
 ) -> tuple[Reconstruction, float]:
-    """Fit Gaussians to the training views. Returns them, and how many times as long as the settings have them schedules are to be.
+    """Fit Gaussians to the training views on a device. Returns them, on the CPU, and how many times as long as the settings have them schedules are to be.
 
     Goes on from the checkpoint "reflective" where there is one; the result is then that of an undisturbed run. `ends`: when the whole
-    job is to be done, in seconds of the monotonic clock; schedules follow from the time that the first steps take.
+    job is to be done, in seconds of the monotonic clock; schedules follow from the time that the first steps take. `resident`: whether
+    the photographs are kept on the device.
 
     Raises:
         Cancelled: the user stopped the work; the checkpoint is written. IrgsppError: the loss is not finite, or no Gaussian is left.
     """
     progress = progress or Silent()
     torch.manual_seed(settings.seed)
-    gaussians = initial_gaussians(dataset, settings.reflective.gaussians, np.random.default_rng(settings.seed))
+    gaussians = initial_gaussians(dataset, settings.reflective.gaussians, np.random.default_rng(settings.seed)).to(device)
     state = checkpoint.load("reflective") if checkpoint is not None else None
     cut = surroundings(dataset, settings, progress)
     kind = kind_named(state["kind"], dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress, cut)
@@ -61,18 +64,19 @@ def train(
     schedule = (
         replace(settings.reflective, iterations=max(1, round(LENGTH * settings.reflective.iterations))) if coarse else settings.reflective
     )
-    trainer = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut, coarse=coarse)
+    trainer = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut, coarse=coarse, resident=resident)
     if state is not None:
         trainer.restore(state)
     elif ends is not None:
-        fine = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut) if coarse else trainer
+        fine = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut, resident=resident) if coarse else trainer
         _set_pace(trainer, fine, ends, progress)
     progress.phase("reflective", trainer.settings.iterations)
     trainer.run(progress, checkpoint)
+    trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
     result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, kind.glossy, background)
-    return separate_light(result, settings.seed), trainer.settings.iterations / schedule.iterations
+    return separate_light(result.to("cpu"), settings.seed), trainer.settings.iterations / schedule.iterations
 
 
 def _set_pace(trainer: Trainer, fine: Trainer, ends: float, progress: Progress) -> None:
@@ -83,6 +87,6 @@ def _set_pace(trainer: Trainer, fine: Trainer, ends: float, progress: Progress) 
     fine_step = seconds_a_step(fine.step)
     step = fine_step if fine is trainer else seconds_a_step(trainer.step)
     left, iterations = ends - time.monotonic(), trainer.settings.iterations
-    pace = first_pace(iterations, left, step, fine_step, 0.0 if fine is trainer else SHARE)
+    pace = first_pace(iterations, left, trainer.kind.glossy, step, fine_step, 0.0 if fine is trainer else SHARE)
     trainer.paced(times(pace, iterations))
     progress.message(f"{left:.0f} s left at {1000 * fine_step:.0f} ms a step: the first stage is {pace:.2f} times the preset's")

@@ -116,7 +116,7 @@ def _set_pace(refinement: Refinement, ends: float, progress: Progress) -> float:
     """Do the first steps, and make the schedule as long as what is left of the time allows; how many times the preset's that is."""
     step = seconds_a_step(refinement.step)
     left, iterations = ends - time.monotonic(), refinement.settings.iterations
-    pace = second_pace(refinement.settings, left, step)
+    pace = second_pace(refinement.settings, left, refinement.start.glossy, step)
     refinement.paced(times(pace, iterations))
     progress.phase("refine", refinement.settings.iterations)
     progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the second stage is {pace:.2f} times the preset's")
@@ -147,7 +147,7 @@ def separated(
     transport, random = settings.transport, np.random.default_rng(settings.seed)
     tracer = Tracer(reconstruction)
     position, normal = surface.samples(transport.points, random)
-    seen, _ = observe(position, normal, dataset.train, tracer.tree, tracer.offset, random, transport.views)
+    seen, _ = observe(position, normal, dataset.train, tracer.tree, tracer.offset, random, transport.views, device=tracer.device)
     if len(seen.position) < LEAST_POINTS:
         raise IrgsppError(
             f"only {len(seen.position)} points of the surface are seen by three photographs: materials can't be told from light"
@@ -170,8 +170,8 @@ def _separation(
 ) -> Separation:
     """Started from the first stage and run to its end; `metals` are the values of metallic that are tried."""
     g = reconstruction.gaussians
-    _, nearest = KDTree(g.position.T.numpy()).query(seen.position.numpy())
-    roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest))]
+    _, nearest = KDTree(g.position.T.cpu().numpy()).query(seen.position.cpu().numpy())
+    roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
     separation = Separation(seen, transfer, roughness, (metallic > 0.5).float(), seed, metals)
     progress.phase("transport", STEPS)
     separation.run(lambda done: _step(progress, done) or progress.finish_early)

@@ -5,31 +5,45 @@ from dataclasses import replace
 
 import pytest
 from irgspp.core.config import preset
-from irgspp.core.pace import FASTEST, GROWTH, RADIANCE, REST, SECOND, SLOWEST, first_pace, second_pace, seconds_a_step, times
+from irgspp.core.pace import (
+    FASTEST,
+    GROWTH,
+    RADIANCE,
+    RADIANCE_GLOSSY,
+    REST,
+    REST_GLOSSY,
+    SECOND,
+    SLOWEST,
+    first_pace,
+    second_pace,
+    seconds_a_step,
+    times,
+)
 
 SETTINGS = preset("balanced")
 
 
 @pytest.mark.parametrize("pace", [0.2, 1.0, 4.0])
-@pytest.mark.parametrize("share", [0.0, 0.4])
-def test_what_the_first_stage_is_given_costs_what_there_is(pace, share):
+@pytest.mark.parametrize(("share", "glossy", "rest"), [(0.0, False, REST), (0.4, True, REST_GLOSSY)])
+def test_what_the_first_stage_is_given_costs_what_there_is(pace, share, glossy, rest):
     step, fine = 0.008, 0.02
     steps = pace * SETTINGS.reflective.iterations
-    cost = REST * fine + steps * (share * step + (1 - share) * GROWTH * fine) + pace * SECOND * fine
-    assert first_pace(SETTINGS.reflective.iterations, cost, step, fine, share) == pytest.approx(pace)
+    cost = rest * fine + steps * (share * step + (1 - share) * GROWTH * fine) + pace * SECOND * fine
+    assert first_pace(SETTINGS.reflective.iterations, cost, glossy, step, fine, share) == pytest.approx(pace)
 
 
 @pytest.mark.parametrize("pace", [0.2, 1.0, 4.0])
-def test_what_the_second_stage_is_given_costs_what_there_is(pace):
+@pytest.mark.parametrize(("glossy", "radiance"), [(False, RADIANCE), (True, RADIANCE_GLOSSY)])
+def test_what_the_second_stage_is_given_costs_what_there_is(pace, glossy, radiance):
     transport = SETTINGS.transport
-    cost = pace * 0.03 * (transport.iterations + RADIANCE * transport.radiance_iterations)
-    assert second_pace(transport, cost, 0.03) == pytest.approx(pace)
+    cost = pace * 0.03 * (transport.iterations + radiance * transport.radiance_iterations)
+    assert second_pace(transport, cost, glossy, 0.03) == pytest.approx(pace)
 
 
 def test_pace_has_limits():
-    assert first_pace(1500, -5.0, 0.02, 0.02) == second_pace(SETTINGS.transport, -5.0, 0.02) == FASTEST
-    assert first_pace(1500, 1e6, 0.02, 0.02) == second_pace(SETTINGS.transport, 1e6, 0.02) == SLOWEST
-    assert second_pace(replace(SETTINGS.transport, iterations=0, radiance_iterations=0), 10.0, 0.02) == 1.0
+    assert first_pace(1500, -5.0, False, 0.02, 0.02) == second_pace(SETTINGS.transport, -5.0, False, 0.02) == FASTEST
+    assert first_pace(1500, 1e6, False, 0.02, 0.02) == second_pace(SETTINGS.transport, 1e6, False, 0.02) == SLOWEST
+    assert second_pace(replace(SETTINGS.transport, iterations=0, radiance_iterations=0), 10.0, False, 0.02) == 1.0
 
 
 def test_a_schedule_is_at_least_a_step_unless_it_is_none():
