@@ -36,7 +36,8 @@ def first_pace(iterations: int, seconds: float, glossy: bool, step: float, fine_
     """Times the preset's schedules of both stages that so many seconds pay for.
 
     Args:
-        iterations: of the preset's first stage, which shows reflections where `glossy`. step: seconds that one takes in the beginning, which is `coarse_share` of the schedule;
+        iterations: of the preset's first stage, which shows reflections where `glossy`.
+        step: seconds that one takes in the beginning, which is `coarse_share` of the schedule;
         fine_step: seconds that one takes afterwards.
     """
     mean = coarse_share * step + (1 - coarse_share) * GROWTH * fine_step
