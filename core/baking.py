@@ -12,6 +12,7 @@ import numpy as np
 
 from . import overrides
 from .config import SurfaceSettings
+from .devices import best
 from .errors import InputError, IrgsppError
 from .export import write_blend
 from .lock import FileLock
@@ -77,7 +78,7 @@ def _lock(run: Path) -> FileLock:
 
 def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: Path | None, progress: Progress) -> Mesh:
     given = load_edited_mesh(edited) if edited else None
-    reconstruction = Reconstruction.load(run)
+    reconstruction = Reconstruction.load(run).to(best())
     if given is not None and edited is not None:
         _check_place(given, reconstruction, edited)
     cameras = [placed.camera for placed in load_cameras(run / "cameras.json") if placed.split == "train"]

@@ -111,7 +111,7 @@ class Settings:
 
     preset: Literal["draft", "balanced", "paper"] = "balanced"
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: Literal["auto", "cpu", "cuda", "warp-cpu"] = "auto"  # the last is for tests: the GPU's kernels on the CPU, slowly
     materials: Literal["auto", "low-gloss", "glossy"] = "auto"
     time: Annotated[float | None, Range(1)] = None  # seconds the job may take; schedules are made as long or short as that allows
     data: DataSettings = field(default_factory=DataSettings)
@@ -135,7 +135,10 @@ PRESETS: dict[str, Settings] = {
         preset="paper",
         data=replace(DataSettings(), resolution=800),
         reflective=replace(ReflectiveSettings(), iterations=50_000, gaussians=100_000),
-        transport=replace(TransportSettings(), points=6000, views=12, rows=24, light_height=128),
+        # 2^18 rays an iteration, as many from each pixel as in relighting of high quality
+        transport=replace(
+            TransportSettings(), points=6000, views=12, rows=24, light_height=128, iterations=10_000, pixels=512, samples=512, pool=400_000
+        ),
         surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
     ),
 }

@@ -83,6 +83,11 @@ def choose(name: str, probe: Callable[[], cuda.Findings] = cuda.probe) -> Chosen
     return Chosen(torch.device("cpu"), f"cuda can't be used: {hindered[0]}")
 
 
+def best() -> torch.device:
+    """A GPU that will do, else the CPU."""
+    return choose("auto").device
+
+
 @contextmanager
 def computing_on(chosen: Chosen, resumable: bool = False) -> Iterator[None]:
     """Within it, the chosen device's kernels do the work, and its errors are told in one line."""

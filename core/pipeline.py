@@ -10,13 +10,15 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from . import overrides
 from .blender import NoBlender
 from .config import Settings
 from .datasets.dataset import Dataset, View
 from .datasets.load import load_dataset
-from .devices import choose
+from .device_memory import plan
+from .devices import Chosen, choose, computing_on
 from .errors import Cancelled, InputError, IrgsppError
 from .evaluation.metrics import on_black, psnr
 from .evaluation.sheet import contact_sheet
@@ -41,6 +43,7 @@ from .stages.transport import solve_transport
 from .surface.geometry import extract_geometry
 from .surface.texturing import textured_mesh
 
+CPU = torch.device("cpu")
 FIRST_STAGE = Path("checkpoint", "first")  # in the run folder: what the first stage found, until the job is done
 GEOMETRY = "geometry"  # checkpoint of the bare surface
 SHEET_SAMPLES = "efficient"
@@ -63,20 +66,30 @@ def reconstruct(
     """
     watcher = progress or Silent()
     overrides.check(settings)
-    choose(settings.device)
+    chosen = choose(settings.device)
     check_claim(run, resume, overwrite)
     began = time.monotonic()
     reset_peak_memory()
     data = load_dataset(dataset, settings.data, watcher)
+    resident = keeps_photographs(data, settings, chosen)
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
     try:
-        with folder.job():
+        with folder.job(), computing_on(chosen, resumable=True):
+            folder.state["computed_on"] = {"device": str(chosen.device), "why": chosen.why}
             ends = None if settings.time is None else began + settings.time - folder.spent
             folder.record("read", time.monotonic() - began, peak_memory(), finished=True)
-            Job(data, folder, settings, Journal(folder, watcher), ends).run()
+            Job(data, folder, settings, Journal(folder, watcher), ends, chosen.device, resident).run()
     finally:
         folder.close()
     return run
+
+
+def keeps_photographs(data: Dataset, settings: Settings, chosen: Chosen) -> bool:
+    """Whether they stay on the device during the first stage. Raises InputError where a GPU's memory is too little for the job."""
+    if chosen.device.type == "cpu":
+        return True
+    width, height = (max(getattr(view.camera, side) for view in data.train) for side in ("width", "height"))
+    return plan(settings, len(data.train), width, height, chosen.free).targets
 
 
 @dataclass
@@ -88,6 +101,8 @@ class Job:
     settings: Settings
     progress: Journal
     ends: float | None = None  # seconds of the monotonic clock
+    device: torch.device = CPU
+    resident: bool = True  # photographs stay on the device
 
     def run(self) -> None:
         """All phases that are not done yet, in order."""
@@ -102,7 +117,7 @@ class Job:
 
     def fit(self) -> None:
         """First stage: Gaussians, their radiance and a first guess of materials and light from the photographs."""
-        fitted, pace = train(self.data, self.settings, self.progress, self.folder, self.ends)
+        fitted, pace = train(self.data, self.settings, self.progress, self.folder, self.ends, self.device, self.resident)
         self.folder.state.setdefault("pace", {})["first"] = round(pace, 3)
         fitted.save(self.folder.path / FIRST_STAGE)
         self.folder.state["training"].update(self.progress.figures)
@@ -153,7 +168,7 @@ class Job:
     @cached_property
     def first(self) -> Reconstruction:
         """Of the first stage."""
-        return Reconstruction.load(self.folder.path / FIRST_STAGE)
+        return Reconstruction.load(self.folder.path / FIRST_STAGE).to(self.device)
 
     @cached_property
     def surface(self) -> Surface:
@@ -166,7 +181,7 @@ class Job:
     @cached_property
     def reconstruction(self) -> Reconstruction:
         """Of both stages."""
-        return Reconstruction.load(self.folder.path)
+        return Reconstruction.load(self.folder.path).to(self.device)
 
     def _views(self, reconstruction: Reconstruction) -> RenderedViews:
         return RenderedViews(reconstruction, [view.camera for view in self.data.train])

@@ -28,6 +28,7 @@ LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
     """Views of a run as picture files."""
+    from .devices import best
     from .relight.backends import best_backend, open_relighter
     from .relight.relighter import RelightSettings
     from .rendering import load_light, render_views
@@ -35,7 +36,7 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     lights = [load_light(*one, progress=terminal) for one in _lights(args)]
-    reconstruction = Reconstruction.load(args.run)
+    reconstruction = Reconstruction.load(args.run).to(best())
     how = RelightSettings(
         samples=args.samples,
         sampling=args.sampling,

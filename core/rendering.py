@@ -73,7 +73,7 @@ def render_views(
     shown = lights or [Light("", relighter.reconstruction.environment_map())]
     if len({light.name for light in shown}) < len(shown):
         raise InputError("--environment", "two lights have the same name", "tell them apart by --name")
-    prepared = [(light.name, prepare(light.picture)) for light in shown] if "rgba" in layers else []
+    prepared = [(light.name, prepare(light.picture, relighter.device)) for light in shown] if "rgba" in layers else []
     progress.phase("render", len(cameras))
     for i, (name, camera) in enumerate(cameras):
         folder = out / name

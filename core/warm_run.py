@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from .datasets.camera import Camera
+from .devices import best
 from .errors import InputError
 from .relight.backends import Backend
 from .relight.gaussian_query import GaussianQuery
@@ -120,9 +121,10 @@ class WarmRun:
 
     def __init__(self, run: Path, tick: Callable[[float], None] = lambda share: None) -> None:
         self._run, self._tick = run, tick
-        self.reconstruction = Reconstruction.load(run)
+        self._device = best()
+        self.reconstruction = Reconstruction.load(run).to(self._device)
         file = run / "mesh.ply"
-        self._mesh = MeshQuery(load_mesh_ply(file), self.reconstruction.bound.radius) if file.is_file() else None
+        self._mesh = MeshQuery(load_mesh_ply(file), self.reconstruction.bound.radius, self._device) if file.is_file() else None
         self._gaussians: GaussianQuery | None = None
         self._maps, self._lights, self._surfaces, self._relighters = Latest(2), Latest(3), Latest(6), Latest(4)
 
@@ -167,9 +169,9 @@ class WarmRun:
 
     def _light(self, source: LightSource | None) -> PreparedLight:
         if source is None:
-            return self._lights.get(None, lambda: prepare(self.reconstruction.environment_map()))
+            return self._lights.get(None, lambda: prepare(self.reconstruction.environment_map(), self._device))
         upright, degrees = source.upright()
-        return self._lights.get(upright, lambda: prepare(self._map(upright).picture(LIGHT_ROWS))).turned(degrees)
+        return self._lights.get(upright, lambda: prepare(self._map(upright).picture(LIGHT_ROWS), self._device)).turned(degrees)
 
     def _map(self, source: LightSource) -> LightMap:
         texels = self._maps.get(source.file, lambda: _read_map(source.file))

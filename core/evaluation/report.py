@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..config import DataSettings
+from ..devices import best
 from ..errors import Cancelled, InputError
 from ..progress import Progress, Silent
 from ..relight.backends import best_backend, open_relighter
@@ -66,7 +67,7 @@ def evaluate(
     how = protocol_named(protocol)
     how = how if samples is None else replace(how, samples=samples)
     distances = {"": found} if lpips is not None and (found := find_lpips(lpips)) else _distances(how)
-    reconstruction = Reconstruction.load(run)
+    reconstruction = Reconstruction.load(run).to(best())
     cases = read_cases(reconstruction, dataset, settings or DataSettings(), progress, how.relit_views, views)
     backend = best_backend(run)
     relighter = open_relighter(run, reconstruction, backend, RelightSettings(samples=how.samples))

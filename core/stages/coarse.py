@@ -46,7 +46,7 @@ def thinned_out(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
 def quartered(gaussians: Gaussians) -> Gaussians:
     """Each disk as four smaller ones in its plane, side by side, so that the order in space is kept."""
     children = gaussians.select(torch.arange(gaussians.count).repeat_interleave(CHILDREN))
-    sign = torch.tensor([[1.0, 1, -1, -1], [1, -1, 1, -1]]).repeat(1, gaussians.count)
+    sign = gaussians.position.new_tensor([[1.0, 1, -1, -1], [1, -1, 1, -1]]).repeat(1, gaussians.count)
     offset = APART * sign * children.log_scale.exp()
     for tangent, way in zip(children.tangents(), offset, strict=True):
         children.position += tangent * way

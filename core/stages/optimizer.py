@@ -97,6 +97,7 @@ class GaussianOptimizer:
 
     def rebuild(self, gaussians: Gaussians, origin: torch.Tensor) -> None:
         """Go on with other Gaussians: moments come from Gaussian origin[i] of the old set, or are zero where origin is -1."""
+        origin = origin.to(self.leaves["position"].device)
         old = {g["name"]: self.adam.state.get(g["params"][0], {}) for g in self.adam.param_groups}
         self.adopt(gaussians)
         for group in self.adam.param_groups:

@@ -18,12 +18,13 @@ from scipy.spatial import KDTree
 from ..colour import encode_srgb
 from ..config import TransportSettings
 from ..datasets.camera import Camera
+from ..kernels.backend import by_warp
 from ..scene.gaussians import METALLIC, Gaussians
 from ..scene.reconstruction import Reconstruction
 from ..shading.lightmap import lookup
 from ..shading.sampling import LightDistribution, Samples, draw
 from ..shading.transport import reflect_light
-from .finite import require_finite
+from .finite import due, require_finite
 from .optimizer import GaussianOptimizer, Rate
 from .pixel_pool import PixelPool
 from .pixel_surface import DrawnViews, KnownDisks
@@ -70,9 +71,9 @@ class Refinement:
         radius = reconstruction.bound.radius
         self.surface = DrawnViews(pool, cameras, radius) if cameras else KnownDisks(pool, facing_side(g, pool))
         views = int(pool.number.max()) + 1
-        held = (pool.number % HOLD_BACK == HOLD_BACK // 2) if views >= HOLD_BACK else torch.zeros(pool.count, dtype=torch.bool)
+        held = (pool.number % HOLD_BACK == HOLD_BACK // 2) if views >= HOLD_BACK else torch.zeros_like(pool.number, dtype=torch.bool)
         tested = torch.nonzero(held if held.any() else ~held)[:, 0]
-        self.tested = tested[torch.randperm(len(tested), generator=self.generator)[:TEST_PIXELS]]
+        self.tested = tested[torch.randperm(len(tested), generator=self.generator)[:TEST_PIXELS].to(tested.device)]
         self.trained = torch.nonzero(~held)[:, 0]
         self.counts = split(settings.samples, SHARES["metal" if metal else "low-gloss"])
         self._neighbours, self._likeness = likeness(g)
@@ -88,9 +89,10 @@ class Refinement:
     def step(self) -> None:
         """One step of the schedule."""
         loss = self._loss()
-        if not loss.isfinite():
-            self.optimizer.check_finite()  # names the parameter where it is one
-        require_finite({"the second stage's loss": loss}, f"at iteration {self.done + 1}")
+        if due(loss, self.done + 1):
+            if not loss.isfinite():
+                self.optimizer.check_finite()  # names the parameter where it is one
+            require_finite({"the second stage's loss": loss}, f"at iteration {self.done + 1}")
         loss.backward()
         self.optimizer.step(self.done / self.settings.iterations)
         self.done += 1
@@ -145,16 +147,25 @@ class Refinement:
     def _incoming(self, point: torch.Tensor, normal: torch.Tensor, samples: Samples, light: torch.Tensor) -> torch.Tensor:
         """(B, N, 3) V L + indirect, 0 below the horizon."""
         direction = samples.direction
+        if by_warp(direction):  # all rays, those below as ones that go nowhere: their number would have to be waited for
+            over = direction @ normal[..., None] > 0
+            ray = torch.where(over, direction, 0.0).view(-1, 3)
+            origin = self.tracer.above(point, normal)[:, None].expand_as(direction).reshape(-1, 3)
+            return torch.where(over, self._seen(origin, ray, light).view_as(direction), 0.0)
         above = torch.nonzero((direction @ normal[..., None])[..., 0].flatten() > 0)[:, 0]
         ray = direction.view(-1, 3)[above]
         origin = self.tracer.above(point, normal)[above // direction.shape[1]]
-        free, indirect = self.tracer.look(origin.contiguous(), ray.contiguous())
-        radiance = lookup(light, ray) * free[:, None] + (indirect if self.settings.indirect else 0.0)
+        radiance = self._seen(origin.contiguous(), ray.contiguous(), light)
         return torch.zeros(direction.numel() // 3, 3).index_copy(0, above, radiance).view_as(direction)
+
+    def _seen(self, origin: torch.Tensor, ray: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
+        """(R, 3) V L + indirect along rays (R, 3)."""
+        free, indirect = self.tracer.look(origin, ray)
+        return lookup(light, ray) * free[:, None] + (indirect if self.settings.indirect else 0.0)
 
     def _smoothness(self) -> torch.Tensor:
         """Differences of materials between neighbours of like albedo."""
-        pick = torch.randperm(len(self._likeness), generator=self.generator)[:SMOOTHED]
+        pick = torch.randperm(len(self._likeness), generator=self.generator)[:SMOOTHED].to(self._likeness.device)
         materials, around = self.optimizer.gaussians.materials(), self._neighbours[pick]
         # gather, not [around]: the gradient of an index adds up in whatever order the threads come.
         others = materials.gather(1, around.reshape(1, -1).expand(len(materials), -1)).view(-1, *around.shape)
@@ -176,18 +187,18 @@ def is_metal(gaussians: Gaussians) -> bool:
 
 def facing_side(gaussians: Gaussians, pool: PixelPool) -> torch.Tensor:
     """(N,) +1 or -1, by which normals are multiplied to look at those who see them."""
-    index = torch.from_numpy(pool.lists.index).long()
-    ray = torch.repeat_interleave(torch.arange(pool.count), torch.from_numpy(np.diff(pool.lists.start)))
-    cosine = (gaussians.normals().detach()[:, index] * pool.view[ray].T).sum(0) * torch.from_numpy(pool.lists.weight)
-    total = np.bincount(pool.lists.index, cosine.numpy(), gaussians.count)
-    return torch.from_numpy(np.where(total < 0, -1.0, 1.0).astype(np.float32))
+    index, weight, start = (torch.as_tensor(a).cpu() for a in (pool.lists.index, pool.lists.weight, pool.lists.start))
+    ray = torch.repeat_interleave(torch.arange(pool.count), start.diff())
+    cosine = (gaussians.normals().detach().cpu()[:, index.long()] * pool.view.cpu()[ray].T).sum(0) * weight
+    total = np.bincount(index.numpy(), cosine.numpy(), gaussians.count)
+    return torch.from_numpy(np.where(total < 0, -1.0, 1.0).astype(np.float32)).to(pool.view.device)
 
 
 def likeness(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:
     """The nearest Gaussians of each, (N, K), and how alike their albedo is, (N, K) in 0..1."""
-    position, albedo = gaussians.position.detach().T.numpy(), gaussians.materials().detach()[:3].T
+    position, albedo = gaussians.position.detach().T.cpu().numpy(), gaussians.materials().detach()[:3].T
     _, nearest = KDTree(position).query(position, k=NEIGHBOURS + 1)
-    index = torch.from_numpy(np.asarray(nearest)[:, 1:])
+    index = torch.from_numpy(np.asarray(nearest)[:, 1:]).to(albedo.device)
     return index, torch.exp(-LIKE * (albedo[:, None] - albedo[index]).abs().sum(-1))
 
 

@@ -22,6 +22,7 @@ from ..scene.gaussians import Gaussians
 from .coarse import CHILDREN, REDUCTION, SHARE, quartered, thinned_out
 from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
+from .finite import due
 from .kind import Kind
 from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
@@ -49,48 +50,54 @@ class Trainer:
         reduction: int = 1,
         cut: bool = False,
         coarse: bool = False,
+        resident: bool = True,
     ) -> None:
         """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the pictures, see `make_target`.
 
-        `coarse`: begin with few disks and small pictures.
+        `coarse`: begin with few disks and small pictures. `resident`: photographs are kept on the Gaussians' device, else each is
+        brought there for its step.
         """
         self.dataset, self.settings, self.kind = dataset, settings, kind
         views = torch.arange(len(dataset.train))
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
-        self.targets = [make_target(view, reduction, cut) for view in dataset.train]
-        self.small = [make_target(view, REDUCTION * reduction, cut) for view in dataset.train] if coarse else []
+        self.device = gaussians.position.device
+        home = self.device if resident else torch.device("cpu")
+        self.targets = [make_target(view, reduction, cut).to(home) for view in dataset.train]
+        self.small = [make_target(view, REDUCTION * reduction, cut).to(home) for view in dataset.train] if coarse else []
         if coarse:
             gaussians = thinned_out(gaussians, math.ceil(gaussians.count / CHILDREN), seed)
         self.generator = torch.Generator().manual_seed(seed)
         self.masked = dataset.has_alpha
-        self.light = torch.full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
-        self.background = border_radiance(self.targets).log().expand(64, 128, 3).clone()
+        self.light = gaussians.position.new_full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
+        self.background = border_radiance(self.targets).log().expand(64, 128, 3).clone().to(self.device)
         others, table = {}, kind.rates(dataset.bound.radius)
         if kind.glossy:
             others["light"] = self.light.requires_grad_()
         if not self.masked:
             others["background"] = self.background.requires_grad_()
             table["background"] = Rate(3e-2, 0.2)
-        gaussians = replace(gaussians, material=torch.logit(torch.tensor(kind.material))[:, None].repeat(1, gaussians.count))
+        gaussians = replace(
+            gaussians, material=torch.logit(gaussians.position.new_tensor(kind.material))[:, None].repeat(1, gaussians.count)
+        )
         self.optimizer = GaussianOptimizer(gaussians, table, others)
         self._start = gaussians.count
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
-        self.done, self.order = 0, torch.zeros(0, dtype=torch.long)
+        self.done, self.order, self._loss = 0, torch.zeros(0, dtype=torch.long), math.nan
 
     def render(self, target: Target, degree: int = 3):
         """The encoded picture (3, H, W), the rasterised sums and the screen statistics."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
-        extra = g.materials() if self.kind.glossy else torch.zeros(0, g.count)
+        extra = g.materials() if self.kind.glossy else g.position.new_zeros(0, g.count)
         sums, statistics = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, target.camera, radius, degree)
         straight = radiance(sums, target.world_rays, self.light.exp() if self.kind.glossy else None)
         background = None if self.masked else self.background.exp()
         return composite(straight, sums[-1], target.world_rays, background), sums, statistics
 
     def step(self) -> float:
-        """One view, one step; returns the loss."""
+        """One view, one step; returns the loss, on a device that of the last step that was looked at."""
         if self.small and self.done >= SHARE * self.settings.iterations:
             self._refine()
-        target = (self.small or self.targets)[self._next_view()]
+        target = (self.small or self.targets)[self._next_view()].to(self.device)
         picture, sums, statistics = self.render(target, self._degree())
         loss = photometric_loss(target.bounded(picture), target.picture)
         if target.alpha is not None:
@@ -99,14 +106,19 @@ class Trainer:
         loss = loss * target.share  # all losses are means over the pixels; where a picture was cut off they are 0
         if self.kind.glossy:
             loss = loss + self.settings.light_smoothness * _roughness_of(self.light)
-        value = loss.item()
-        if not math.isfinite(value):
-            self.optimizer.check_finite()  # names the parameter where it is one
-            raise IrgsppError(f"the first stage's loss is not finite at iteration {self.done + 1}")
+        if due(loss, self.done + 1):
+            self._loss = self._looked_at(loss)
         loss.backward()
         self.optimizer.step(self.done / self.settings.iterations)
         self.done += 1
         self._control(statistics)
+        return self._loss
+
+    def _looked_at(self, loss: torch.Tensor) -> float:
+        value = loss.item()
+        if not math.isfinite(value):
+            self.optimizer.check_finite()  # names the parameter where it is one
+            raise IrgsppError(f"the first stage's loss is not finite at iteration {self.done + 1}")
         return value
 
     def _refine(self) -> None:
@@ -154,7 +166,7 @@ class Trainer:
         """Mean PSNR in dB over the held-back views, or None where there are none."""
         values = []
         for index in torch.nonzero(self.held_back)[:, 0].tolist():
-            target = self.targets[index]
+            target = self.targets[index].to(self.device)
             with torch.no_grad():
                 error = (self.render(target)[0].clamp(0, 1) - target.picture).square().mean() * target.share
             values.append(-10 * math.log10(max(error.item(), 1e-10)))
@@ -164,8 +176,9 @@ class Trainer:
         """(H, W, 3) uint8: the first training view as it is now, small."""
         camera = self.targets[0].camera
         with torch.no_grad():
-            rendered = self.render(make_target(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST)))[0]
-        return eight_bits(rendered.permute(1, 2, 0).numpy())
+            small = make_target(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST))
+            rendered = self.render(small.to(self.device))[0]
+        return eight_bits(rendered.permute(1, 2, 0).cpu().numpy())
 
     def paced(self, iterations: int) -> None:
         """Go on with a schedule of another length."""
@@ -210,7 +223,8 @@ class Trainer:
         self.paced(int(state["iterations"]))
         self.small, self._start = self.small if state["coarse"] else [], int(state["start"])
         self.generator.set_state(state["generator"])
-        self.density.gradient, self.density.seen, self.density.pictures = state["gradient"], state["seen"], int(state["pictures"])
+        self.density.gradient, self.density.seen = state["gradient"].to(self.device), state["seen"].to(self.device)
+        self.density.pictures = int(state["pictures"])
         self.optimizer.restore(state["optimizer"])
 
 
