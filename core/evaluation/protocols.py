@@ -182,7 +182,7 @@ def _geometry(how: Protocol) -> str:
         said += (
             "; normal_cosine is 1 - cosine over the true mask made smaller by 2 pixels. Depth: depth_si_mse, after one least-squares "
             "factor for all views, over the whole picture. Shape: shape_chamfer, half the sum of the mean squared distances from mesh to "
-            "truth and back, times 2000. Both in the dataset's units"
+            "truth and back, times 2000, 30 000 points on each (that code takes the scan's vertices). Both in the dataset's units"
         )
     return said + "."
 
