@@ -162,7 +162,8 @@ def batch(args: argparse.Namespace, terminal: Terminal) -> int:
     states = run_batch(jobs, notes_of(args.jobs), lambda: terminal.cancelled, args.at_once, args.dask)
     for job in jobs:
         state = states[job.name]
-        print(f"{job.name}: {state.state}{': ' if state.error else ''}{state.error}")
+        more = f": {state.error} (more in {notes_of(args.jobs) / job.name / 'log.txt'})" if state.state == "failed" else ""
+        print(f"{job.name}: {state.state}{more}")
     return int(any(state.state == "failed" for state in states.values()))
 
 

@@ -17,6 +17,7 @@ from .pools import Ticket, pool_for
 from .work import CANCEL
 
 LOOK_SECONDS = 0.2
+LOCK = ".lock"
 
 
 def notes_of(path: Path) -> Path:
@@ -59,7 +60,7 @@ def run_batch(
 def _claim(notes: Path) -> FileLock:
     try:
         notes.mkdir(parents=True, exist_ok=True)
-        return FileLock(notes / "lock")
+        return FileLock(notes / LOCK)
     except BlockingIOError:
         raise InputError(notes, "another process works on this list", "wait for it") from None
     except OSError as error:

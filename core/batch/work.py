@@ -17,7 +17,7 @@ from ..errors import IrgsppError
 from .jobs import Job
 from .notes import JobFolder, State, is_there
 
-CANCEL = "cancel"  # file in the folder of a batch: all of its jobs stop
+CANCEL = ".cancel"  # file in the folder of a batch: all of its jobs stop; no job is called so
 LOOK_SECONDS = 0.2
 THREADS = "IRGSPP_THREADS"
 

@@ -77,7 +77,7 @@ def test_cores_are_shared_by_jobs_that_run_at_a_time(stand_in, notes, monkeypatc
 
 def test_two_batches_of_one_list(stand_in, notes):
     notes.mkdir()
-    lock = FileLock(notes / "lock")
+    lock = FileLock(notes / batches.LOCK)
     with pytest.raises(InputError, match="another process works on this list"):
         run_batch([stand_in("a")], notes, never)
     lock.release()
@@ -106,7 +106,7 @@ def test_exit_statuses_and_a_line_for_each_job(listed, capsys, tmp_path, monkeyp
     assert capsys.readouterr().out.splitlines() == ["0: done", "1: done"]
     assert main(["batch", listed("good", "bad")]) == 1
     captured = capsys.readouterr()
-    assert captured.out.splitlines() == ["0: done", "1: failed: bad: no such thing"]
+    assert captured.out.splitlines() == ["0: done", f"1: failed: bad: no such thing (more in {tmp_path / 'jobs.batch' / '1' / 'log.txt'})"]
     assert "1                    failed    bad: no such thing" in captured.err
     monkeypatch.setattr(batches, "_watch", lambda tickets, states, *_: states.update(dict.fromkeys(tickets, State("cancelled"))))
     assert main(["batch", listed("good", "bad")]) == 130

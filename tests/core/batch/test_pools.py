@@ -5,6 +5,7 @@ import pytest
 from irgspp.core.batch.jobs import Job
 from irgspp.core.batch.notes import JobFolder, State
 from irgspp.core.batch.pools import DEATHS, DaskPool
+from irgspp.core.batch.work import CANCEL
 
 
 class KilledWorker(Exception):
@@ -72,5 +73,5 @@ def test_what_nobody_has_begun_with_is_taken_back(job, tmp_path):
     JobFolder(tmp_path / "a").write(State("waiting"))
     ticket.withdraw()
     assert ticket.done() and ticket.result() == State("failed", "on the cluster: cancelled")  # by whom, if nobody asked?
-    (tmp_path / "cancel").touch()
+    (tmp_path / CANCEL).touch()
     assert ticket.result() == State("cancelled")
