@@ -44,7 +44,7 @@ def train(
     device: torch.device | str = "cpu",
     resident: bool = True,
 ) -> tuple[Reconstruction, float]:
-    """Fit Gaussians to the training views on a device. Returns them on the CPU, and how many times the settings' length schedules are to be.
+    """Fit Gaussians to the training views on a device. Returns them on the CPU, and how many times as long as set schedules are to be.
 
     Goes on from the checkpoint "reflective" where there is one; the result is then that of an undisturbed run. `ends`: when the whole
     job is to be done, in seconds of the monotonic clock; schedules follow from the time that the first steps take. `resident`: whether
