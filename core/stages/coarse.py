@@ -12,7 +12,7 @@ from ..datasets.dataset import Dataset
 from ..progress import Progress
 from ..scene.gaussians import Gaussians
 from ..skipping import decide
-from .kind import Kind
+from .kind import METAL, Kind
 
 SHARE = 0.4  # of the schedule
 LENGTH = 0.9  # of a schedule all of which is fine, for the same result
@@ -25,14 +25,14 @@ SMALLEST = 96  # pixels along the longest side; half of less shows too little
 def starts_coarse(dataset: Dataset, kind: Kind, choice: SkipSettings, progress: Progress) -> bool:
     """True where the first stage is to begin coarse: on a hull, since disks on sparse points multiply by what the pictures ask for.
 
-    And where the object reflects: reflections set normals right again, while a matt surface keeps the facets that large disks leave.
+    And where it is metal: reflections set normals right again, while others keep the facets that large disks leave, and albedo suffers.
     """
     if not dataset.has_alpha:
         progress.decided("coarse", False, "without masks disks multiply by themselves")
         return False
     side = max(max(view.camera.width, view.camera.height) for view in dataset.train)
-    evidence = f"the object is {'glossy' if kind.glossy else 'low-gloss'}, pictures are {side} pixels along their longest side"
-    return decide(choice, "coarse", kind.glossy and side >= SMALLEST, evidence, progress)
+    evidence = f"the object is {kind.name}, pictures are {side} pixels along their longest side"
+    return decide(choice, "coarse", kind is METAL and side >= SMALLEST, evidence, progress)
 
 
 def thinned_out(gaussians: Gaussians, count: int, seed: int) -> Gaussians:

@@ -12,7 +12,7 @@ from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.stages.coarse import CHILDREN, SHARE, SHRINK, quartered, starts_coarse, thinned_out
 from irgspp.core.stages.hull import initial_gaussians
-from irgspp.core.stages.kind import COATED, LOW_GLOSS
+from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL
 from irgspp.core.stages.trainer import Trainer
 
 
@@ -66,10 +66,10 @@ def test_the_schedule_turns_fine_at_its_share_and_a_checkpoint_knows(sphere_data
     assert [resumed.step() for _ in range(2)] == losses
 
 
-def test_it_needs_gloss_and_pictures_that_bear_it(sphere_dataset, camera_ring):
+def test_it_needs_metal_and_pictures_that_bear_it(sphere_dataset, camera_ring):
     small, large = sphere_dataset(camera_ring(3, 64)), sphere_dataset(camera_ring(3, 96))
-    assert not starts_coarse(small, COATED, SkipSettings(), Silent())
-    assert not starts_coarse(large, LOW_GLOSS, SkipSettings(), Silent())
-    assert starts_coarse(large, COATED, SkipSettings(), Silent())
+    assert not starts_coarse(small, METAL, SkipSettings(), Silent())
+    assert not starts_coarse(large, COATED, SkipSettings(), Silent())
+    assert starts_coarse(large, METAL, SkipSettings(), Silent())
     assert starts_coarse(small, LOW_GLOSS, SkipSettings(coarse="on"), Silent())
-    assert not starts_coarse(large, COATED, SkipSettings(coarse="off"), Silent())
+    assert not starts_coarse(large, METAL, SkipSettings(coarse="off"), Silent())
