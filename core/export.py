@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
 from .blender import run_in_blender
 from .errors import InputError, IrgsppError
 from .progress import Progress, Silent
+from .replacing import whole
 
 COPIES = {".glb": "asset.glb", ".ply": "gaussians.ply", ".exr": "environment.exr"}
 
@@ -51,6 +51,5 @@ def write_blend(run: Path, target: Path, material: str, progress: Progress) -> N
 def _copy(source: Path, target: Path) -> None:
     if not source.is_file():
         raise InputError(source, "is missing", "finish the reconstruction first")
-    partial = target.with_name(target.name + ".part")
-    shutil.copyfile(source, partial)
-    os.replace(partial, target)
+    with whole(target) as partial:
+        shutil.copyfile(source, partial)

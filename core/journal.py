@@ -8,7 +8,7 @@ import time
 
 from .notes import Notes
 from .progress import Draw, Progress, TimeLeft
-from .run_folder import write_atomic
+from .replacing import write_atomic
 from .terminal import Terminal
 
 EVENT_SECONDS = 0.25  # at most one step event in this time: thousands of steps a minute would only fill the disk

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from ..errors import Cancelled
 from ..progress import Progress
 from ..relight.lighting import PreparedLight, prepare
 from ..relight.relighter import Relighter
+from ..replacing import whole
 from ..shading.lights import studio_light, sunset_light
 from ..stages.render import render_view
 from . import pictures
@@ -43,9 +43,8 @@ def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: 
         tiles.append(view_row(view, relighter, prepared))
         progress.step(len(tiles))
     sheet = compose(tiles, COLUMNS)
-    partial = path.with_name(path.name + ".part")
-    sheet.save(partial, "PNG", optimize=True)
-    os.replace(partial, path)
+    with whole(path) as partial:
+        sheet.save(partial, "PNG", optimize=True)
 
 
 def spread(views: Sequence[View], count: int) -> list[View]:

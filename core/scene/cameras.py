@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from ..datasets.camera import Camera
 from ..datasets.dataset import Dataset, View
 from ..errors import InputError
+from ..replacing import write_atomic
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ def save_views(path: Path, views: Iterable[tuple[str, View]]) -> None:
     """The same for (split, view) pairs, which are taken one by one."""
     folder = path.parent.resolve()
     records = [_record(split, view, folder) for split, view in views]
-    _replace(path, json.dumps(records, indent=1).encode())
+    write_atomic(path, json.dumps(records, indent=1).encode())
 
 
 def load_cameras(path: Path) -> list[PlacedCamera]:
@@ -87,10 +87,4 @@ def _save_undistorted(view: View, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     data = io.BytesIO()
     Image.fromarray(np.round(255 * np.clip(view.colour, 0, 1)).astype(np.uint8)).save(data, "JPEG", quality=92)
-    _replace(target, data.getvalue())
-
-
-def _replace(path: Path, data: bytes) -> None:
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(data)
-    os.replace(partial, path)
+    write_atomic(target, data.getvalue())

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from ..datasets.inspect import facts
 from ..datasets.load import full_size_views
 from ..errors import Cancelled, InputError
 from ..progress import Progress
+from ..replacing import write_atomic
 from .cameras import save_views
 
 
@@ -35,8 +35,8 @@ def save_dataset(dataset: Dataset, settings: DataSettings, folder: Path, progres
         if dataset.points is not None:
             data = io.BytesIO()
             np.savez(data, position=dataset.points.position, colour=np.round(255 * np.clip(dataset.points.colour, 0, 1)).astype(np.uint8))
-            _replace(folder / "points.npz", data.getvalue())
-        _replace(folder / "dataset.json", json.dumps(facts(dataset), indent=1).encode())
+            write_atomic(folder / "points.npz", data.getvalue())
+        write_atomic(folder / "dataset.json", json.dumps(facts(dataset), indent=1).encode())
     except OSError as error:
         raise InputError(folder, f"can't be written ({error.strerror})") from error
 
@@ -48,9 +48,3 @@ def _told(dataset: Dataset, settings: DataSettings, progress: Progress) -> Itera
             raise Cancelled("stopped while photographs were being exported")
         yield pair
         progress.step(done)
-
-
-def _replace(path: Path, data: bytes) -> None:
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(data)
-    os.replace(partial, path)

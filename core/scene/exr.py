@@ -9,6 +9,7 @@ import numpy as np
 import OpenEXR
 
 from ..errors import InputError
+from ..replacing import whole
 
 MAX_PIXELS = 178_000_000  # beyond any camera (Pillow's own limit): a header that claims more is damaged or hostile
 
@@ -54,10 +55,8 @@ def write_exr(path: Path, channels: dict[str, np.ndarray], half: bool = False) -
     """Write (H, W) arrays as float channels, 32 or 16 bits, ZIP-compressed, through a temporary file so that none is left half-written."""
     pixels = {name: np.ascontiguousarray(c, np.float16 if half else np.float32) for name, c in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    partial = path.with_name(path.name + ".part.exr")
-    with OpenEXR.File(header, pixels) as file:
+    with whole(path) as partial, OpenEXR.File(header, pixels) as file:
         file.write(str(partial))
-    partial.replace(path)
 
 
 def rgb_channels(picture: np.ndarray) -> dict[str, np.ndarray]:

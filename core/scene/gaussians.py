@@ -11,6 +11,7 @@ import torch
 from plyfile import PlyData, PlyElement
 
 from ..errors import InputError
+from ..replacing import whole
 from .buffers import SurfaceSamples
 
 SH_COEFFICIENTS = 16  # degree 3
@@ -111,10 +112,9 @@ def save_gaussians(gaussians: Gaussians, path: Path) -> None:
     table = np.empty(g.count, [(name, "f4") for name in columns])
     for name, row in zip(columns, rows.detach().cpu().numpy(), strict=True):
         table[name] = row
-    partial = path.with_name(path.name + ".part")
     comments = ["IRGS++ 2D Gaussians; SH is linear radiance; world +Z up"]
-    PlyData([PlyElement.describe(table, "vertex")], comments=comments).write(str(partial))
-    partial.replace(path)
+    with whole(path) as partial:
+        PlyData([PlyElement.describe(table, "vertex")], comments=comments).write(str(partial))
 
 
 def load_gaussians(path: Path) -> Gaussians:

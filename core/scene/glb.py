@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
+from ..replacing import write_atomic
 from .mesh import Mesh
 from .textures import occlusion_roughness_metallic
 
@@ -26,10 +26,7 @@ def save_glb(mesh: Mesh, path: Path) -> None:
         _colour_vertices(body, mesh)
     scene = trimesh.Scene()
     scene.add_geometry(body, node_name="object", geom_name="object")
-    data = export_glb(scene, include_normals=True)
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(data)
-    os.replace(partial, path)
+    write_atomic(path, export_glb(scene, include_normals=True))
 
 
 def _y_up(vectors: np.ndarray) -> np.ndarray:

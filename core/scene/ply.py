@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 
 from ..colour import encode_srgb
 from ..errors import InputError
+from ..replacing import whole
 from .mesh import Mesh
 
 COLUMNS = {
@@ -37,9 +37,8 @@ def save_mesh_ply(mesh: Mesh, path: Path) -> None:
         vertex[name] = colour[:, i]
     face = np.empty(len(mesh.faces), [("vertex_indices", "i4", (3,))])
     face["vertex_indices"] = mesh.faces
-    partial = path.with_name(path.name + ".part")
-    PlyData([PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")], byte_order="<").write(str(partial))
-    os.replace(partial, path)
+    with whole(path) as partial:
+        PlyData([PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")], byte_order="<").write(str(partial))
 
 
 def load_mesh_ply(path: Path) -> Mesh:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import torch
 
 from ..datasets.dataset import Bound
 from ..errors import InputError
+from ..replacing import whole, write_atomic
 from .buffers import SurfaceSamples
 from .exr import read_exr_rgb, rgb_channels, write_exr
 from .gaussians import Gaussians, load_gaussians, save_gaussians
@@ -33,10 +33,8 @@ class Reflections:
 
     def save(self, path: Path) -> None:
         """Write an .npz in one step."""
-        partial = path.with_name(path.name + ".part")
-        with partial.open("wb") as file:
-            np.savez(file, material=self.material.detach().cpu().numpy(), environment=self.environment.detach().cpu().numpy())
-        os.replace(partial, path)
+        with whole(path) as partial:
+            np.savez(partial, material=self.material.detach().cpu().numpy(), environment=self.environment.detach().cpu().numpy())
 
     @classmethod
     def load(cls, path: Path, count: int) -> Reflections:
@@ -116,9 +114,7 @@ class Reconstruction:
             self.reflections.save(folder / "reflections.npz")
         frame = {"bound": asdict(self.bound), "to_world": self.to_world.tolist()}
         about = {**frame, "glossy": self.glossy, "background": self.background is not None, "reflections": self.reflections is not None}
-        partial = folder / "reconstruction.json.part"
-        partial.write_text(json.dumps(about, indent=1))
-        os.replace(partial, folder / "reconstruction.json")
+        write_atomic(folder / "reconstruction.json", json.dumps(about, indent=1).encode())
 
     @classmethod
     def load(cls, folder: Path) -> Reconstruction:

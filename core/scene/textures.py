@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from ..errors import InputError
+from ..replacing import whole
 
 CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3}
 
@@ -18,9 +18,8 @@ def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:
     """Write each texture of `Mesh.textures` as folder/<name>.png, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, texture in textures.items():
-        partial = folder / f"{name}.png.part"
-        Image.fromarray(texture).save(partial, format="PNG")
-        os.replace(partial, folder / f"{name}.png")
+        with whole(folder / f"{name}.png") as partial:
+            Image.fromarray(texture).save(partial)
 
 
 def load_textures(folder: Path) -> dict[str, np.ndarray]:
