@@ -25,6 +25,7 @@ from .evaluation.protocols import PROTOCOLS
 from .journal import JobJournal, JobNotes
 from .overrides import from_dict, with_overrides
 from .run_folder import read_run
+from .shortage import shortage
 from .terminal import Terminal
 
 JOB_FOLDER = "IRGSPP_JOB"  # variable of the environment
@@ -61,7 +62,9 @@ def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobJou
         _complain(terminal, str(error))
         return error.exit_status
     except Exception as error:  # a fault of ours or of the machine: one line here, the rest where it can be read later
-        _complain(terminal, f"failed: {type(error).__name__}: {' '.join(str(error).split())} (more in {_keep_traceback(args)})")
+        short, log = shortage(error, getattr(args, "run", Path())), _keep_traceback(args)
+        line = str(short) if short else f"failed: {type(error).__name__}: {' '.join(str(error).split())}"
+        _complain(terminal, line + (f" (more in {log})" if log else ""))
         return 1
 
 
@@ -70,17 +73,20 @@ def _complain(terminal: Terminal | JobJournal, line: str) -> None:
     print(f"irgspp: {line}", file=sys.stderr, flush=True)
 
 
-def _keep_traceback(args: argparse.Namespace) -> Path:
-    """Append the traceback to the run's log.txt, or to a new temporary file where the command has no run folder."""
+def _keep_traceback(args: argparse.Namespace) -> Path | None:
+    """Append the traceback to the run's log.txt, or to a new temporary file where the command has no run folder; None on a full disk."""
     run = getattr(args, "run", None)
-    if run is not None and (run / "log.txt").exists():
-        log = run / "log.txt"
-    else:
-        handle, name = tempfile.mkstemp(prefix="irgspp-", suffix=".log")
-        os.close(handle)
-        log = Path(name)
-    with log.open("a", encoding="utf-8") as file:
-        traceback.print_exc(file=file)
+    try:
+        if run is not None and (run / "log.txt").exists():
+            log = run / "log.txt"
+        else:
+            handle, name = tempfile.mkstemp(prefix="irgspp-", suffix=".log")
+            os.close(handle)
+            log = Path(name)
+        with log.open("a", encoding="utf-8") as file:
+            traceback.print_exc(file=file)
+    except OSError:
+        return None
     return log
 
 

@@ -10,7 +10,7 @@ import shutil
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +22,15 @@ from .lock import FileLock
 from .memory import peak_memory, reset_peak_memory
 from .notes import Notes
 from .overrides import differences, from_dict, to_dict
+from .replacing import whole, write_atomic
+from .shortage import told
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
 RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
 FOLDERS = ("checkpoint", "textures", "evaluation", "photographs", "previews")
-NOTES = ("events.jsonl", "log.txt", "cancel", "finish", "run.json")  # run.json last: without it the folder is no run any more
+NOTES = ("events.jsonl", "log.txt", "cancel", "finish")
 LOCK = ".lock"
-
-
-def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file whole: under a temporary name, on the disk, then renamed over the old one."""
-    partial = path.with_name(f".{path.name}.part")
-    with partial.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)
+BEGUN = (LOCK, ".run.part.json")  # all there is of a run that was killed right at its beginning
 
 
 def read_run(path: Path) -> dict[str, Any]:
@@ -59,7 +52,7 @@ def check_claim(path: Path, resume: bool, overwrite: bool) -> None:
         raise InputError(path, f"can't be made, {parent} is a file" if parent != path else "is a file, not a folder")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(path, "is not writable")
-    if not path.exists() or not any(p.name != LOCK for p in path.iterdir()):
+    if not path.exists() or not any(p.name not in BEGUN for p in path.iterdir()):
         return
     if not (path / "run.json").is_file():
         raise InputError(path, "is not empty and not a run folder", "name another folder")
@@ -70,7 +63,8 @@ def check_claim(path: Path, resume: bool, overwrite: bool) -> None:
 class RunFolder(Notes):
     """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
 
-    `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, versions, dataset, settings, seed,
+    `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, replaces (True while files of the run
+    before are being removed), versions, dataset, settings, seed,
     phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace
     {stage: times the settings' schedules that its own were}, training {figure: value}.
     """
@@ -100,11 +94,15 @@ class RunFolder(Notes):
             raise
 
     def _started(self) -> RunFolder:
+        self.state.update(status="running", error=None)
+        self.write()  # before anything else: only with it the folder is a run's
+        if self.state.get("replaces"):
+            clear(self.path)
+            del self.state["replaces"]
+            self.write()
         for name in ("cancel", "finish"):
             (self.path / name).unlink(missing_ok=True)
         (self.path / "checkpoint").mkdir(exist_ok=True)
-        self.state.update(status="running", error=None)
-        self.write()
         return self
 
     def close(self) -> None:
@@ -169,16 +167,21 @@ class RunFolder(Notes):
     def job(self) -> Iterator[None]:
         """Run the block as this folder's job: its end becomes the status, an error is logged with its traceback."""
         try:
-            yield
+            with told(self.path):
+                yield
         except BaseException as error:
-            stopped = isinstance(error, Cancelled | KeyboardInterrupt)
-            self.log("cancelled" if stopped else "".join(traceback.format_exception(error)).rstrip())
-            self.state.update(status="cancelled" if stopped else "failed", error=None if stopped else f"{type(error).__name__}: {error}")
-            self.write()
+            with suppress(OSError):  # a full disk, which the error itself tells; run.json is then as after a kill
+                self._ended(error)
             raise
         self.state.update(status="done", error=None)
         shutil.rmtree(self.path / "checkpoint", ignore_errors=True)
         self.write()
+
+    def _ended(self, error: BaseException) -> None:
+        stopped = isinstance(error, Cancelled | KeyboardInterrupt)
+        self.state.update(status="cancelled" if stopped else "failed", error=None if stopped else f"{type(error).__name__}: {error}")
+        self.write()
+        self.log("cancelled" if stopped else "".join(traceback.format_exception(error)).rstrip())
 
     # --- Checkpoint
 
@@ -188,12 +191,8 @@ class RunFolder(Notes):
 
         folder = self.path / "checkpoint"
         folder.mkdir(exist_ok=True)
-        partial = folder / f".{name}.part"
-        with partial.open("wb") as file:
-            torch.save(_as_tensors(state), file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, folder / f"{name}.pt")
+        with whole(folder / f"{name}.pt") as partial:
+            torch.save(_as_tensors(state), partial)
 
     def load(self, name: str) -> dict[str, Any] | None:
         """What `save` kept under a name, on the CPU, or None. Raises InputError where the file is damaged."""
@@ -210,13 +209,12 @@ class RunFolder(Notes):
 
 def _state(path: Path, settings: Settings, dataset: str, resume: bool, overwrite: bool) -> dict[str, Any]:
     """The state to start with: that of the run to go on with, or a new one."""
-    if (path / "run.json").is_file():
-        if resume:
-            return _resumed(path, settings, dataset)
-        if overwrite:
-            clear(path)
+    there = (path / "run.json").is_file()
+    if there and resume:
+        return _resumed(path, settings, dataset)
     return {
         "status": "running",
+        **({"replaces": True} if there else {}),
         "error": None,
         "versions": versions(),
         "dataset": dataset,
@@ -240,7 +238,7 @@ def _resumed(path: Path, settings: Settings, dataset: str) -> dict[str, Any]:
 
 
 def clear(path: Path) -> None:
-    """Remove a run's own files from its folder and nothing else."""
+    """Remove a run's own files from its folder and nothing else; run.json, without which the folder would be no run's, stays."""
     for name in FOLDERS:
         shutil.rmtree(path / name, ignore_errors=True)
     for name in (*RESULTS, *NOTES):
