@@ -17,6 +17,7 @@ from .progress import Progress
 
 LAUNCHER = Path(__file__).resolve().parent.parent / "irgspp_addon" / "launch.py"
 BLENDER = "IRGSPP_BLENDER"  # the environment variable that names a Blender executable; the extension sets it to the one it runs in
+TIED = "IRGSPP_TIED"  # set where launch.py is to end its process once stdin does
 
 
 class NoBlender(IrgsppError):
@@ -46,8 +47,13 @@ def run_in_blender(module: str, arguments: Sequence[str], progress: Progress) ->
     """
     command = [*blender_command(), module, *arguments]
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
-        status = _wait(child, progress)
+        # Its stdin ends when this process does, however it does: then it must not go on writing beside the next one.
+        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors, env={**os.environ, TIED: "1"})
+        try:
+            status = _wait(child, progress)
+        finally:
+            assert child.stdin is not None
+            child.stdin.close()
         errors.seek(0)
         said = [line.strip() for line in errors if line.strip() and "not freed memory" not in line.lower()]
     return status, said[-1] if said else "no message"

@@ -7,8 +7,10 @@ blender --background --python launch.py -- irgspp_addon.write_blend ARGUMENTS
 """
 
 import importlib.util
+import os
 import runpy
 import sys
+import threading
 from pathlib import Path
 
 
@@ -21,6 +23,13 @@ def mount(folder: Path) -> None:
     spec.loader.exec_module(package)
 
 
+def end_with_parent() -> None:
+    """End this process once the one that started it is gone, which held the other end of stdin."""
+    while os.read(0, 1):  # not sys.stdin, whose lock this thread would still hold when the interpreter ends
+        continue
+    os._exit(1)
+
+
 if __name__ == "__main__":
     if sys.version_info < (3, 11):  # noqa: UP036 (read by whatever Python was chosen)
         print(f"irgspp: this is Python {sys.version_info[0]}.{sys.version_info[1]}, 3.11 or newer is needed", file=sys.stderr)
@@ -30,6 +39,8 @@ if __name__ == "__main__":
     here = Path(__file__).resolve().parent
     if sys.path and Path(sys.path[0]).resolve() == here:
         del sys.path[0]  # our modules must not be found under their bare names
+    if os.environ.pop("IRGSPP_TIED", ""):
+        threading.Thread(target=end_with_parent, daemon=True).start()
     mount(here.parent)
     module = f"irgspp.{sys.argv.pop(1)}"
     runpy.run_module(module, run_name="__main__", alter_sys=True)
