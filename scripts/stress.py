@@ -41,25 +41,30 @@ td:nth-child(1){width:17%}td:nth-child(2){width:36%}"""
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the chosen cases and report; returns the exit status."""
-    options = parsed(arguments)
     for name in GROUPS:
         importlib.import_module(f"stresses.{name}")
-    chosen = selected(CASES, options.quick, options.only)
+    return examine(CASES, "stress", "Numerical stress test", arguments)
+
+
+def examine(cases: Sequence[Case], stem: str, title: str, arguments: Sequence[str] | None) -> int:
+    """Run those of the cases that the arguments choose and report under a name and a title; returns the exit status."""
+    options = parsed(arguments, stem, title)
+    chosen = selected(cases, options.quick, options.only)
     if not chosen:
-        print(f"stress: no case has {options.only!r} in its name", file=sys.stderr)
+        print(f"{stem}: no case has {options.only!r} in its name", file=sys.stderr)
         return 2
     outcomes = run(chosen)
     print(table(outcomes))
     if options.output is not None:
-        write(options.output, outcomes)
+        write(options.output, outcomes, stem, title)
     return 0 if all(outcome.passed for outcome in outcomes) else 1
 
 
-def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def parsed(arguments: Sequence[str] | None, stem: str, title: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=title)
     parser.add_argument("--quick", action="store_true", help="only the cases that take seconds")
     parser.add_argument("--only", metavar="TEXT", default="", help="only cases with this in their group or name")
-    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="also write stress.json and stress.html there")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help=f"also write {stem}.json and {stem}.html there")
     return parser.parse_args(arguments)
 
 
@@ -118,8 +123,8 @@ def about() -> dict[str, str | int]:
     return {"machine": platform.machine(), "system": platform.system(), "threads": thread_count(), **versions}
 
 
-def write(folder: Path, outcomes: Sequence[Outcome]) -> None:
-    """stress.json and stress.html into `folder`."""
+def write(folder: Path, outcomes: Sequence[Outcome], stem: str, title: str) -> None:
+    """Report as `stem`.json and `stem`.html into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     records = [
         {
@@ -135,12 +140,12 @@ def write(folder: Path, outcomes: Sequence[Outcome]) -> None:
         for o in outcomes
     ]
     report = {"about": about(), "when": time.strftime("%Y-%m-%d %H:%M:%S"), "cases": records}
-    (folder / "stress.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    (folder / "stress.html").write_text(page(outcomes), encoding="utf-8")
-    print(f"{folder / 'stress.html'}")
+    (folder / f"{stem}.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    (folder / f"{stem}.html").write_text(page(outcomes, title), encoding="utf-8")
+    print(f"{folder / f'{stem}.html'}")
 
 
-def page(outcomes: Sequence[Outcome]) -> str:
+def page(outcomes: Sequence[Outcome], title: str) -> str:
     """The table as a page, a heading for each group."""
     passed, parts = sum(o.passed for o in outcomes), []
     for name in dict.fromkeys(o.case.group for o in outcomes):
@@ -151,8 +156,8 @@ def page(outcomes: Sequence[Outcome]) -> str:
             parts.append(f'<tr class="{verdict(outcome).lower()}">{row}</tr>')
         parts.append("</table>")
     facts = ", ".join(f"{key} {value}" for key, value in about().items())
-    head = f"<h1>Numerical stress test</h1><p>{passed} of {len(outcomes)} cases hold. {html.escape(facts)}.</p>"
-    style = f"<meta charset='utf-8'><title>Numerical stress test</title><style>{STYLE}</style>"
+    head = f"<h1>{title}</h1><p>{passed} of {len(outcomes)} cases hold. {html.escape(facts)}.</p>"
+    style = f"<meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>"
     return f"<!doctype html>\n<html lang='en'><head>{style}</head><body>{head}\n{''.join(chr(10) + p for p in parts)}\n</body></html>\n"
 
 

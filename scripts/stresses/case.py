@@ -76,12 +76,12 @@ class Outcome:
 CASES: list[Case] = []
 
 
-def group(name: str) -> Callable[..., Callable[[Callable[[Measured], None]], Callable[[Measured], None]]]:
-    """A decorator (name, holds, quick) that registers cases of this group."""
+def group(name: str, cases: list[Case] = CASES) -> Callable[..., Callable[[Callable[[Measured], None]], Callable[[Measured], None]]]:
+    """A decorator (name, holds, quick) that registers cases of this group, among those of the numerical stress test by default."""
 
     def case(title: str, holds: str, quick: bool = True) -> Callable[[Callable[[Measured], None]], Callable[[Measured], None]]:
         def register(function: Callable[[Measured], None]) -> Callable[[Measured], None]:
-            CASES.append(Case(name, title, " ".join(holds.split()), function, quick))
+            cases.append(Case(name, title, " ".join(holds.split()), function, quick))
             return function
 
         return register

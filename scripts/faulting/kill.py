@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The worker killed at any moment: the next one goes on to the result of a run that nobody disturbed."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from irgspp.core.run_folder import RunFolder, read_run
+from irgspp.core.scene.reconstruction import Reconstruction
+from stresses.case import Measured
+
+from .cases import case_of
+from .tiny import Doom, Nursery, differing, kill_after, phase_of, settings, work, write_dataset
+
+case = case_of("kill")
+
+
+def killed_and_resumed(measured: Measured, moments: int, seed: int = 0) -> None:
+    """Half of the moments are of the clock, half are just before an operation on the run's files."""
+    chance, nursery = random.Random(seed), Nursery()
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        folder = Path(name)
+        data, calm, count = write_dataset(folder / "photographs"), folder / "calm", folder / "operations"
+        began = time.monotonic()
+        measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom(counted=str(count))) == 0)
+        seconds, operations = time.monotonic() - began, int(count.read_text())
+        phases: Counter[str] = Counter()
+        for i in range(moments):
+            share = (i // 2 + chance.random()) / ((moments + 1) // 2)  # spread over the whole job
+            run = folder / "run"
+            if i % 2:
+                status = nursery.run(work, str(data), str(run), False, Doom(1 + int(share * operations)))
+                killed = status == -9
+            else:
+                killed = kill_after(nursery.start(work, str(data), str(run), False, Doom()), share * seconds)
+            phases[phase_of(run) if killed else "too late"] += 1
+            _resumed(measured, nursery, data, run, calm, f"moment {i} ({phase_of(run)})")
+            shutil.rmtree(run)
+        measured.note(f"killed while at {', '.join(f'{phase} {n}' for phase, n in phases.items())}")
+        measured.at_least("moments", moments - phases["too late"], 0.9 * moments)
+
+
+def _resumed(measured: Measured, nursery: Nursery, data: Path, run: Path, calm: Path, where: str) -> None:
+    """Go on with a killed run."""
+    for what in unreadable(run):
+        measured.holds(f"{where}: {what} is readable", False)
+    there = (run / "run.json").is_file()
+    status = nursery.run(work, str(data), str(run), there, Doom())
+    measured.holds(f"{where}: the next start ends well, not with status {status}", status == 0)
+    if status == 0:
+        measured.holds(f"{where}: run.json says done", read_run(run)["status"] == "done")
+        unlike = differing(run, calm)
+        measured.holds(f"{where}: the same bits, not others in {', '.join(unlike)}", not unlike)
+
+
+def unreadable(run: Path) -> list[str]:
+    """What a killed process left under its final name but can't be read."""
+    found = []
+    if not (run / "run.json").is_file():
+        return found
+    folder = RunFolder.open(run, settings(), read_run(run)["dataset"], resume=True)
+    try:
+        for path in sorted((run / "checkpoint").glob("*.pt")):
+            _try(found, path.name, lambda path=path: folder.load(path.stem))
+        for place in (run, run / "checkpoint" / "first"):
+            if (place / "reconstruction.json").is_file():
+                _try(found, f"{place.name}/gaussians.ply", lambda place=place: Reconstruction.load(place))
+    finally:
+        folder.close()
+    return found
+
+
+def _try(found: list[str], name: str, read) -> None:
+    try:
+        read()
+    except Exception as error:
+        found.append(f"{name} ({error})")
+
+
+@case(
+    "4 moments of a job of seconds",
+    """SIGKILL at random moments of the clock and before random operations on files: what is on the disk can be read, and the next start
+    ends with the same bits as an undisturbed run.""",
+)
+def some_moments(measured: Measured) -> None:
+    killed_and_resumed(measured, 4)
+
+
+@case("50 moments of a job of seconds", "The same at 50 moments, spread over all phases.", quick=False)
+def many_moments(measured: Measured) -> None:
+    killed_and_resumed(measured, 50, seed=1)
+
+
+@case(
+    "replacing another run",
+    """A job that replaces another run is killed before each of its operations on the old run's files: the next start has nothing of the
+    old run left, and the same bits as an undisturbed run.""",
+    quick=False,
+)
+def replaced(measured: Measured) -> None:
+    nursery = Nursery()
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        folder = Path(name)
+        data, calm = write_dataset(folder / "photographs"), folder / "calm"
+        measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom()) == 0)
+        for operation in range(1, 12):
+            run = shutil.copytree(calm, folder / "run")
+            (run / "checkpoint").mkdir(exist_ok=True)
+            (run / "checkpoint" / "reflective.pt").write_bytes(b"another run's")
+            status = nursery.run(work, str(data), str(run), False, Doom(operation), True)
+            measured.holds(f"operation {operation} is met", status == -9)
+            _resumed_or_replaced(measured, nursery, data, run, calm, operation)
+            shutil.rmtree(run)
+
+
+def _resumed_or_replaced(measured: Measured, nursery: Nursery, data: Path, run: Path, calm: Path, operation: int) -> None:
+    done = read_run(run)["status"] == "done"  # killed before anything was changed
+    status = nursery.run(work, str(data), str(run), not done, Doom(), done)
+    measured.holds(f"operation {operation}: the next start ends well, not with status {status}", status == 0)
+    unlike = differing(run, calm)
+    measured.holds(f"operation {operation}: the same bits, not others in {', '.join(unlike)}", not unlike)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A job that takes seconds, in processes of its own that may be killed at any moment."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from irgspp.core.config import Settings, preset
+from irgspp.core.overrides import with_overrides
+from irgspp.core.pipeline import DEMO_DATA
+
+VIEWS, CHECKS = 20, 1  # of the demonstration's photographs
+SETTINGS = (
+    "materials=low-gloss",
+    "data.resolution=32",
+    "reflective.iterations=80",
+    "reflective.gaussians=1000",
+    "transport.points=200",
+    "transport.rows=8",
+    "transport.iterations=8",
+    "transport.pool=1000",
+    "transport.radiance_iterations=8",
+    "surface.voxels=24",
+    "surface.triangles=500",
+    "surface.texture=64",
+)
+CHECKPOINT_SECONDS = 0.05
+EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree")  # of the interpreter, before it does it
+CHATTER = ("events.jsonl", "log.txt")  # what is only appended to
+UNLIKE = ("run.json", "scene.blend", "reflective.pt")  # have times, addresses or the moment of a checkpoint in them
+
+
+def settings() -> Settings:
+    """Those of the job."""
+    return with_overrides(preset("draft"), SETTINGS)
+
+
+def write_dataset(folder: Path) -> Path:
+    """A few views of the demonstration's photographs."""
+    for name, count in (("train", VIEWS), ("test", CHECKS)):
+        content = json.loads((DEMO_DATA / f"transforms_{name}.json").read_text())
+        content["frames"] = content["frames"][:: len(content["frames"]) // count][:count]
+        for entry in content["frames"]:
+            picture = Path(entry["file_path"] if entry["file_path"].endswith(".png") else entry["file_path"] + ".png")
+            (folder / picture).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(DEMO_DATA / picture, folder / picture)
+        (folder / f"transforms_{name}.json").write_text(json.dumps(content))
+    return folder
+
+
+@dataclass(frozen=True)
+class Doom:
+    """When a process ends itself: before its so-manieth operation on files of the run, 0 for never. counted: where to note how many."""
+
+    operation: int = 0
+    counted: str = ""
+
+
+def work(dataset: str, run: str, resume: bool, doom: Doom, overwrite: bool = False) -> None:
+    """The job, from its command line, what it says to RUN.txt; ends the process with its exit status."""
+    with open(f"{run}.txt", "w") as said:
+        for stream in (1, 2):
+            os.dup2(said.fileno(), stream)
+    from irgspp.core.cli import main
+    from irgspp.core.stages import trainer
+
+    trainer.CHECKPOINT_SECONDS = CHECKPOINT_SECONDS
+    operations = _watch(Path(run), doom)
+    words = [word for text in SETTINGS for word in ("--set", text)]
+    given = [] if resume else ["--preset", "draft", *words]
+    status = main(["reconstruct", dataset, "-o", run, *given, *(["--resume"] if resume else []), *(["--overwrite"] if overwrite else [])])
+    if doom.counted:
+        Path(doom.counted).write_text(str(len(operations)))
+    sys.stdout.flush()
+    os._exit(status)
+
+
+def _watch(run: Path, doom: Doom) -> list[str]:
+    """Count what is done to the run's files, and die before the one that is named."""
+    operations: list[str] = []
+
+    def look(event: str, arguments: tuple[Any, ...]) -> None:
+        if event not in EVENTS or not arguments or not isinstance(arguments[0], (str, bytes, os.PathLike)):
+            return
+        path = os.fsdecode(arguments[0])
+        writes = event != "open" or (isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"))
+        if not writes or not path.startswith(str(run)) or path.endswith(CHATTER):
+            return
+        operations.append(f"{event} {path}")
+        if len(operations) == doom.operation:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(look)
+    return operations
+
+
+class Nursery:
+    """Starts jobs quickly: a process that has loaded the libraries is copied for each."""
+
+    def __init__(self) -> None:
+        name = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+        self._context = multiprocessing.get_context(name)
+        if name == "forkserver":
+            self._context.set_forkserver_preload(["irgspp.core.pipeline", "irgspp.core.cli", "faulting.tiny"])
+
+    def start(self, function: Callable[..., None], *arguments: Any) -> BaseProcess:
+        """A process at work on `function(*arguments)`."""
+        process = self._context.Process(target=function, args=arguments)  # pyright: ignore[reportAttributeAccessIssue]
+        process.start()
+        return process
+
+    def run(self, function: Callable[..., None], *arguments: Any) -> int:
+        """Its exit status once it has ended, negative where a signal ended it."""
+        process = self.start(function, *arguments)
+        process.join()
+        assert process.exitcode is not None
+        return process.exitcode
+
+
+def kill_after(process: BaseProcess, seconds: float) -> bool:
+    """Kill a process at that moment; False where it had ended before."""
+    process.join(seconds)
+    if process.exitcode is not None:
+        return False
+    process.kill()
+    process.join()
+    return True
+
+
+def differing(run: Path, other: Path) -> list[str]:
+    """Names of the files that are not the same in both runs, bit by bit, or are in one alone."""
+    names = {p.relative_to(f).as_posix() for f in (run, other) for p in f.rglob("*") if p.is_file()}
+    kept = [n for n in sorted(names) if not n.endswith((*UNLIKE, *CHATTER)) and not n.startswith("previews/") and n != ".lock"]
+    return [n for n in kept if not (run / n).is_file() or not (other / n).is_file() or (run / n).read_bytes() != (other / n).read_bytes()]
+
+
+def phase_of(run: Path) -> str:
+    """What the run was doing last, by its events."""
+    try:
+        lines = (run / "events.jsonl").read_text().splitlines()
+    except OSError:
+        return "read"
+    told = [json.loads(line).get("phase") for line in lines if line.endswith("}")]
+    return next((name for name in reversed(told) if name), "read")
+
+
+def said(run: Path) -> list[str]:
+    """The lines that the last job of this run folder ended with: those for the user."""
+    return [line for line in run.with_name(run.name + ".txt").read_text().splitlines() if line.startswith(("irgspp: ", "Traceback"))]
