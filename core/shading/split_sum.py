@@ -26,7 +26,7 @@ def _operator_on(device: torch.device, height: int, width: int, roughness: float
 
 @cache
 def _knots(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    return torch.tensor(LEVELS, dtype=dtype, device=device)
+    return torch.tensor(LEVELS, dtype=dtype).to(device)
 
 
 @cache

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Steps of both stages on a pretended GPU: where a tensor is left on the CPU, or the host waits for a value, torch says so.
+
+Torch's fake tensors have a device and a shape, but no values: whoever asks for one gets an error, as does an operation on tensors of two
+devices. Kernels are not started; what they would be given is looked at.
+"""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Any
+
+import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
+import numpy as np
+import torch
+from irgspp.core.config import ReflectiveSettings, TransportSettings
+from irgspp.core.datasets.camera import Camera, look_at
+from irgspp.core.datasets.dataset import Bound, Dataset, View
+from irgspp.core.kernels import backend
+from irgspp.core.kernels.warp import (
+    adjoint,  # noqa: F401
+    rasterize,
+    runtime,
+    tracing,
+)
+from irgspp.core.kernels.warp import photometric as losses
+from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.stages.hull import disks
+from irgspp.core.stages.kind import KINDS
+from irgspp.core.stages.pixel_pool import pool_pixels
+from irgspp.core.stages.refinement import Refinement
+from irgspp.core.stages.tracer import Tracer
+from irgspp.core.stages.trainer import Trainer
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils import backend_registration
+
+NAME = "pretended"
+backend_registration._setup_privateuseone_for_python_backend(NAME)
+GPU = torch.device(NAME, 0)
+launched: list[str] = []
+
+
+def launch(kernel: Any, dim: Any, *inputs: Any) -> None:
+    """In place of a kernel: its tensors lie side by side on the GPU, and without gaps."""
+    for value in inputs:
+        if isinstance(value, torch.Tensor):
+            assert value.device.type == NAME, f"{kernel.key}: a tensor on {value.device}"
+            assert value.is_contiguous(), f"{kernel.key}: a tensor with gaps"
+    assert len(inputs) == len(kernel.adj.args), f"{kernel.key}: {len(inputs)} arguments"
+    launched.append(kernel.key)
+
+
+def moved(value: Any, seen: dict[int, Any]) -> Any:
+    """An object with all its tensors on the pretended GPU; the generator, and what the host decides by, stay."""
+    if id(value) in seen:
+        return seen[id(value)]
+    if isinstance(value, torch.Tensor):
+        made = value.detach().to(GPU).requires_grad_(value.requires_grad)
+        seen[id(value)] = made
+        return made
+    if isinstance(value, (list, tuple)):
+        made = [moved(v, seen) for v in value]
+        return made if isinstance(value, list) else type(value)(*made) if hasattr(value, "_fields") else tuple(made)
+    if isinstance(value, dict):
+        return {k: moved(v, seen) for k, v in value.items()}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type) and type(value).__module__.startswith("irgspp"):
+        seen[id(value)] = made = object.__new__(type(value))
+        for name, inner in vars(value).items():
+            object.__setattr__(made, name, moved(inner, seen))
+        return made
+    if type(value).__module__.startswith("irgspp") and hasattr(value, "__dict__") and not isinstance(value, type):
+        seen[id(value)] = made = object.__new__(type(value))
+        made.__dict__.update({name: moved(inner, seen) for name, inner in vars(value).items()})
+        return made
+    return value
+
+
+def sphere(views: int = 9, size: int = 24, count: int = 300) -> tuple[Dataset, Reconstruction]:
+    """Photographs of nothing much, and disks on a sphere."""
+    z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.399963
+    r = np.sqrt(1 - z**2)
+    points = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+    splats = disks(points, points, np.full((count, 3), 0.5), np.full(count, 2 * np.sqrt(4 * np.pi / count)), 0.95)
+    bound, taken = Bound((0.0, 0.0, 0.0), 1.5), []
+    for i in range(views):
+        camera = Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at((4 * np.cos(i), 4 * np.sin(i), 1.0)))
+        alpha = np.ones((size, size), np.float32)
+        taken.append(View(f"{i}", camera, Path(f"{i}.png"), np.full((size, size, 3), 0.5, np.float32), alpha))
+    data = Dataset(Path("sphere"), "transforms", taken, [], bound, np.eye(4), None)
+    return data, Reconstruction(splats, torch.ones(8, 16, 3), bound, np.eye(4))
+
+
+def main() -> None:
+    """Take steps; an error ends the process."""
+    data, start = sphere()
+    with backend.warp_on_cpu():
+        trainers = [
+            Trainer(data, ReflectiveSettings(iterations=100, gaussians=300, light_height=8), start.gaussians, kind, 0, 0)
+            for kind in KINDS[:2]
+        ]
+        settings, refinements = TransportSettings(iterations=100, pixels=16, samples=16), []
+        for glossy in (False, True):
+            known = dataclasses.replace(start, glossy=glossy)
+            tracer = Tracer(known)
+            pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0))
+            refinements.append(Refinement(known, pool, tracer, settings, 0))
+    for module in (rasterize, tracing, losses):
+        module.launch = launch
+    rasterize._on_its_way = lambda total: (0, None)
+    room = rasterize.Room()
+    room._entries = 4000
+    rasterize.ROOMS = type("Rooms", (dict,), {"setdefault": lambda self, key, default: room})()
+    runtime.launch = launch
+    with FakeTensorMode(allow_non_fake_inputs=True):
+        for trainer in trainers:
+            there = moved(trainer, {})
+            there.device, there._next_view = GPU, lambda: 0  # the host's own choice, which pretended tensors cannot make
+            there.optimizer.others = {name: getattr(there, name) for name in there.optimizer.others}
+            there.optimizer.adopt(there.optimizer.gaussians)
+            for _ in range(3):
+                there.step()
+        for refinement in refinements:
+            there = moved(refinement, {})
+            there.tracer.device = GPU
+            there.optimizer.others = {"light": there.light}
+            there.optimizer.adopt(there.optimizer.gaussians)
+            for _ in range(3):
+                there.step()
+    print(" ".join(sorted(set(launched))))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
