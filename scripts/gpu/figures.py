@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is measured on a GPU, one figure after the other."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from irgspp.core.config import ReflectiveSettings, TransportSettings, preset
+from irgspp.core.overrides import with_overrides
+from irgspp.core.pipeline import reconstruct
+from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.mesh_query import MeshQuery
+from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.stages.kind import KINDS
+from irgspp.core.stages.pixel_pool import pool_pixels
+from irgspp.core.stages.refinement import Refinement
+from irgspp.core.stages.tracer import Tracer
+from irgspp.core.stages.trainer import Trainer
+
+from .scene import RADIUS, Work, ring
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A line of the table."""
+
+    name: str
+    measured: str
+    target: str = ""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is done; the first are the sizes that targets are stated for."""
+
+    gaussians: int = 100_000
+    picture: int = 800
+    triangles: int = 200_000
+    pixels: int = 512  # of the second stage's step, times
+    samples: int = 512  # rays of each: 2^18
+    repeats: int = 50
+    warm: int = 10
+
+
+QUICK = Size(2000, 64, 2000, 32, 16, 3, 1)
+
+
+def synchronised(device: torch.device) -> float:
+    """Seconds, when all is done that was asked for."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def seconds_each(work: Callable[[], object], size: Size, device: torch.device) -> float:
+    """Of one of many, one after the other, as in an optimisation."""
+    for _ in range(size.warm):
+        work()
+    began = synchronised(device)
+    for _ in range(size.repeats):
+        work()
+    return (synchronised(device) - began) / size.repeats
+
+
+def correctness(device: torch.device, quick: bool) -> Figure:
+    """The kernels' tests on this device."""
+    what = ["tests/core/kernels/test_devices.py"] if quick else ["tests/core", "-m", "cuda"]
+    words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *what, *(["-k", "warp"] if quick else [])]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    said = (done.stdout.strip().splitlines() or ["nothing was said"])[-1]
+    return Figure(f"correctness: tests on {device.type}", f"{'green' if done.returncode == 0 else 'FAILED'}: {said}", "green")
+
+
+def refinement(work: Work, size: Size) -> Refinement:
+    """The second stage, ready for its steps."""
+    tracer = Tracer(work.reconstruction)
+    pool = pool_pixels(work.dataset.train, tracer, 100_000, np.random.default_rng(0))
+    settings = replace(TransportSettings(), iterations=10_000, pixels=size.pixels, samples=size.samples)
+    return Refinement(work.reconstruction, pool, tracer, settings, 0)
+
+
+def trainer(work: Work, size: Size) -> Trainer:
+    """The first stage, ready for its steps."""
+    settings = replace(ReflectiveSettings(), iterations=10_000, gaussians=size.gaussians)
+    return Trainer(work.dataset, settings, work.reconstruction.gaussians, KINDS[1], 0, 0)
+
+
+def steps(work: Work, size: Size, device: torch.device) -> list[Figure]:
+    """Of both stages."""
+    second, first = refinement(work, size), trainer(work, size)
+    rays = size.pixels * size.samples
+    about = f"{size.gaussians:,} Gaussians, {size.picture}x{size.picture}"
+    later = seconds_each(second.step, size, device)
+    sooner = seconds_each(first.step, size, device)
+    return [
+        Figure(f"second stage's iteration, {about}, {rays:,} rays", f"{1000 * later:.2f} ms", "<= 12 ms"),
+        Figure(f"first stage's iteration, {about}", f"{1000 * sooner:.2f} ms", "<= 9 ms (for 50,000 in 10 minutes)"),
+    ]
+
+
+def relighting(work: Work, size: Size, device: torch.device) -> list[Figure]:
+    """Pictures a second, mesh backend, each with a camera of its own: nothing is kept from one to the next."""
+    query = MeshQuery(work.mesh, RADIUS, device)
+    light = prepare(work.reconstruction.environment_map(), device)
+    found = []
+    for samples in (16, 32):
+        relighter = Relighter(work.reconstruction, query, RelightSettings(samples=samples), query)
+        cameras = iter(ring(size.warm + size.repeats, size.picture))
+        each = seconds_each(lambda r=relighter, c=cameras: r.relit(r.surface(next(c)), light), size, device)
+        name = f"relighting, {size.picture}x{size.picture}, {samples} samples, mesh of {len(work.mesh.faces):,} triangles"
+        found.append(Figure(name, f"{1 / each:.1f} FPS", ">= 60 FPS (paper, RTX 3090: 25)"))
+    return found
+
+
+def memory(device: torch.device) -> Figure:
+    """Most of the GPU's memory that was in use."""
+    if device.type != "cuda":
+        return Figure("the GPU's memory at most", "no GPU", "about 10 GB (paper)")
+    return Figure("the GPU's memory at most", f"{torch.cuda.max_memory_allocated(device) / 1e9:.2f} GB", "about 10 GB (paper)")
+
+
+def job(dataset: Path, run: Path, device: str, changes: tuple[str, ...]) -> list[Figure]:
+    """A whole reconstruction by the preset `paper`."""
+    settings = with_overrides(replace(preset("paper"), device=device), changes)
+    reconstruct(dataset, run, settings, overwrite=True)
+    state = json.loads((run / "run.json").read_text())
+    phases = {name: phase["seconds"] for name, phase in state["phases"].items()}
+    psnr = state["training"].get("test_radiance_psnr")
+    found = [Figure(f"whole job, paper, {dataset.name}", f"{sum(phases.values()) / 60:.1f} min", "<= 10 min (paper: 40)")]
+    found += [Figure(f"  of it: {name}", f"{seconds:.0f} s") for name, seconds in phases.items()]
+    return found + ([] if psnr is None else [Figure("its test views", f"{psnr:.2f} dB PSNR (own radiance)")])
+
+
+def profile(work: Work, size: Size, device: torch.device, most: int = 12) -> list[Figure]:
+    """Where the time of both stages' iterations goes."""
+    second, first = refinement(work, size), trainer(work, size)
+    kinds = [torch.profiler.ProfilerActivity.CPU, *([torch.profiler.ProfilerActivity.CUDA] if device.type == "cuda" else [])]
+    found = []
+    for name, step in (("second stage", second.step), ("first stage", first.step)):
+        for _ in range(size.warm):
+            step()
+        with torch.profiler.profile(activities=kinds) as watched:
+            for _ in range(5):
+                step()
+            synchronised(device)
+        spent = [(e.self_device_time_total if device.type == "cuda" else e.self_cpu_time_total, e) for e in watched.key_averages()]
+        total = sum(time for time, _ in spent) or 1
+        for time_spent, event in sorted(spent, key=lambda pair: -pair[0])[:most]:
+            share = f"{time_spent / 5000:.3f} ms an iteration, {time_spent / total:.0%}, {event.count // 5} calls"
+            found.append(Figure(f"  {name}: {event.key[:70]}", share))
+    return found
+
+
+def bandwidth(work: Work, size: Size, device: torch.device) -> Figure:
+    """What the loss's passes move through memory a second: they read and write planes in order, and compute little."""
+    from irgspp.core.kernels.photometric import photometric_loss
+
+    a, b = (torch.rand(3, size.picture, size.picture, device=device) for _ in range(2))
+    a.requires_grad_()
+    each = seconds_each(lambda: photometric_loss(a, b), size, device)
+    moved = a.numel() * 4 * (2 + 5 + 5 + 4 + 3 + 3 + 3 + 2 + 1 + 3 + 1)
+    return Figure("bandwidth of the loss's passes", f"{moved / each / 1e9:.0f} GB/s", "4,800 GB/s is an H200's peak")

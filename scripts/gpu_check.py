@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything there is to show on an NVIDIA GPU, in one command and one table: `python scripts/gpu_check.py [--dataset DATASET]`.
+
+`--device cpu --quick` runs all of it small, by the same kernels on warp's CPU device: that proves this script, and says nothing of GPUs.
+"""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
+import torch
+from gpu import figures
+from gpu.figures import QUICK, Figure, Size
+from gpu.scene import make_work
+from irgspp.core.cuda import probe
+from irgspp.core.devices import WARP_ON_CPU, choose, computing_on
+from irgspp.core.errors import IrgsppError
+from irgspp.core.pipeline import DEMO_DATA
+
+TINY = ("data.resolution=64", "reflective.gaussians=2000", "reflective.iterations=60", "reflective.trial_iterations=10",
+        "reflective.trial_gaussians=500", "transport.points=300", "transport.rows=8", "transport.views=4", "transport.iterations=5",
+        "transport.pixels=32", "transport.samples=16", "transport.pool=2000", "transport.radiance_iterations=5", "surface.voxels=48",
+        "surface.triangles=2000", "surface.texture=128", "materials=low-gloss")  # fmt: skip
+
+
+def main() -> int:
+    """Measure what was asked for and print it; 1 where something failed, 2 where there is no such device."""
+    args = _arguments()
+    try:
+        chosen = choose(WARP_ON_CPU if args.device == "cpu" else "cuda")
+    except IrgsppError as error:
+        print(f"gpu_check: {error}", file=sys.stderr)
+        return 2
+    size, device = QUICK if args.quick else Size(), chosen.device
+    table = [Figure("device", _name(device)), Figure("driver, torch, warp", _versions())]
+    with tempfile.TemporaryDirectory() as scratch, computing_on(chosen):
+        work = make_work(size.gaussians, size.picture, size.triangles, device)
+        dataset = args.dataset or (DEMO_DATA if args.quick else None)
+        parts: list[tuple[str, Callable[[], Figure | list[Figure]]]] = [
+            ("correctness", lambda: figures.correctness(device, args.quick)),
+            ("iterations", lambda: figures.steps(work, size, device)),
+            ("relighting", lambda: figures.relighting(work, size, device)),
+            ("memory of these", lambda: figures.memory(device)),
+            ("bandwidth", lambda: figures.bandwidth(work, size, device)),
+            ("profile", lambda: figures.profile(work, size, device)),
+        ]
+        if dataset is not None:
+            name = WARP_ON_CPU if args.device == "cpu" else "cuda"
+            run = args.run or Path(scratch, "run")
+            parts.insert(3, ("job", lambda: figures.job(dataset, run, name, TINY if args.quick else ())))
+        else:
+            table.append(Figure("whole job", "not run: give --dataset", "<= 10 min"))
+        failed = _measure(parts, args.only, table)
+    _print(table)
+    if args.json is not None:
+        args.json.write_text(json.dumps([asdict(figure) for figure in table], indent=1))
+    return int(failed)
+
+
+def _measure(parts: list[tuple[str, Callable[[], Figure | list[Figure]]]], only: list[str], table: list[Figure]) -> bool:
+    """Add every figure to the table; what fails is told there, and the others are measured all the same."""
+    failed = False
+    for name, measure in parts:
+        if only and not any(word in name for word in only):
+            continue
+        print(f"gpu_check: {name} ...", file=sys.stderr, flush=True)
+        began = time.monotonic()
+        try:
+            found = measure()
+        except Exception as error:  # a figure less is better than no table
+            failed, found = True, Figure(name, f"FAILED: {type(error).__name__}: {' '.join(str(error).split())[:200]}")
+        table += found if isinstance(found, list) else [found]
+        failed |= any("FAILED" in figure.measured for figure in table)
+        print(f"gpu_check: {name} took {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+    return failed
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--device", choices=("cuda", "cpu"), default="cuda", help="cpu: the GPU's kernels on warp's CPU device")
+    parser.add_argument("--quick", action="store_true", help="everything small")
+    parser.add_argument("--dataset", type=Path, help="for the whole job, such as one that scripts/render_dataset.py made at 800x800")
+    parser.add_argument("--run", type=Path, help="where to leave that job's run (default: it is deleted)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="the table for programs")
+    parser.add_argument("--only", action="append", default=[], metavar="WORD", help="only parts with this word in their name")
+    return parser.parse_args()
+
+
+def _name(device: torch.device) -> str:
+    if device.type == "cuda":
+        properties = torch.cuda.get_device_properties(device)
+        return f"{properties.name}, {properties.total_memory / 2**30:.0f} GiB, compute capability {properties.major}.{properties.minor}"
+    return f"warp's CPU device, {platform.machine()}: says nothing of GPUs"
+
+
+def _versions() -> str:
+    import warp
+
+    found = probe()
+    driver = "none" if found.driver is None else "CUDA {}.{}".format(*found.driver)
+    return f"{driver}; {torch.__version__} (CUDA {found.torch_cuda}); {warp.config.version}"
+
+
+def _print(table: list[Figure]) -> None:
+    rows = [Figure("figure", "measured", "target"), *table]
+    wide = [max(len(getattr(row, name)) for row in rows) for name in ("name", "measured")]
+    for row in rows:
+        print(f"{row.name:{wide[0]}}  {row.measured:{wide[1]}}  {row.target}".rstrip())
+
+
+if __name__ == "__main__":
+    sys.exit(main())
