@@ -15,7 +15,7 @@ from .config import TransportSettings
 
 MEASURED = 20  # steps after which the cost of one is known
 GROWTH = 1.2  # what a step of the first stage costs on average, by then: colour comes to depend on the view
-REST, REST_GLOSSY = 1000, 600  # what the phases of fixed length cost, in steps of the first stage; one that reflects costs more
+REST, REST_GLOSSY = 1000, 750  # what the phases of fixed length cost, in steps of the first stage; one that reflects costs more
 SECOND = 400  # the same of the second stage's schedules at the preset's own length
 FUSED = 2.5  # what follows the second stage takes so many times as long as fusing the surface did
 RADIANCE, RADIANCE_GLOSSY = 1.2, 2.3  # a step that fits the radiance, in steps of the refinement
