@@ -30,6 +30,7 @@ from .progress import Progress, Silent
 from .relight.backends import best_backend, open_relighter
 from .relight.relighter import RelightSettings
 from .rendered_views import RenderedViews
+from .room import check_room
 from .run_folder import RunFolder, check_claim
 from .scene.cameras import save_cameras
 from .scene.glb import save_glb
@@ -71,6 +72,7 @@ def reconstruct(
     began = time.monotonic()
     reset_peak_memory()
     data = load_dataset(dataset, settings.data, watcher)
+    check_room(run, settings, data)
     resident = keeps_photographs(data, settings, chosen)
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
     try:
