@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import stress
 from faulting.cases import CASES
 
-GROUPS = ("kill",)
+GROUPS = ("kill", "disk")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import random
 import shutil
 import tempfile
-import time
 from collections import Counter
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from irgspp.core.run_folder import RunFolder, read_run
@@ -15,7 +15,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from stresses.case import Measured
 
 from .cases import case_of
-from .tiny import Doom, Nursery, differing, kill_after, phase_of, settings, work, write_dataset
+from .tiny import Doom, Nursery, differing, kill_after, phase_of, phase_seconds, settings, work, write_dataset
 
 case = case_of("kill")
 
@@ -26,23 +26,29 @@ def killed_and_resumed(measured: Measured, moments: int, seed: int = 0) -> None:
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
         data, calm, count = write_dataset(folder / "photographs"), folder / "calm", folder / "operations"
-        began = time.monotonic()
         measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom(counted=str(count))) == 0)
-        seconds, operations = time.monotonic() - began, int(count.read_text())
-        phases: Counter[str] = Counter()
+        operations, lengths, phases = int(count.read_text()), phase_seconds(calm), Counter()
         for i in range(moments):
             share = (i // 2 + chance.random()) / ((moments + 1) // 2)  # spread over the whole job
             run = folder / "run"
             if i % 2:
-                status = nursery.run(work, str(data), str(run), False, Doom(1 + int(share * operations)))
-                killed = status == -9
+                killed = nursery.run(work, str(data), str(run), False, Doom(1 + int(0.9 * share * operations))) == -9
             else:
-                killed = kill_after(nursery.start(work, str(data), str(run), False, Doom()), share * seconds)
+                phase, seconds = lengths[int(share * len(lengths))]
+                process = nursery.start(work, str(data), str(run), False, Doom())
+                killed = kill_in(process, run, phase, chance.uniform(0, 0.8) * seconds)
             phases[phase_of(run) if killed else "too late"] += 1
             _resumed(measured, nursery, data, run, calm, f"moment {i} ({phase_of(run)})")
             shutil.rmtree(run)
         measured.note(f"killed while at {', '.join(f'{phase} {n}' for phase, n in phases.items())}")
-        measured.at_least("moments", moments - phases["too late"], 0.9 * moments)
+        measured.at_least("moments", moments - phases["too late"], 0.8 * moments)
+
+
+def kill_in(process: BaseProcess, run: Path, phase: str, seconds: float) -> bool:
+    """Kill a job so many seconds after it has begun a phase; False where it had ended before."""
+    while process.exitcode is None and phase_of(run) != phase:
+        process.join(0.005)
+    return kill_after(process, seconds)
 
 
 def _resumed(measured: Measured, nursery: Nursery, data: Path, run: Path, calm: Path, where: str) -> None:
@@ -83,12 +89,12 @@ def _try(found: list[str], name: str, read) -> None:
 
 
 @case(
-    "4 moments of a job of seconds",
+    "2 moments of a job of seconds",
     """SIGKILL at random moments of the clock and before random operations on files: what is on the disk can be read, and the next start
     ends with the same bits as an undisturbed run.""",
 )
 def some_moments(measured: Measured) -> None:
-    killed_and_resumed(measured, 4)
+    killed_and_resumed(measured, 2)
 
 
 @case("50 moments of a job of seconds", "The same at 50 moments, spread over all phases.", quick=False)

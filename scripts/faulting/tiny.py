@@ -66,9 +66,9 @@ class Doom:
     counted: str = ""
 
 
-def work(dataset: str, run: str, resume: bool, doom: Doom, overwrite: bool = False) -> None:
-    """The job, from its command line, what it says to RUN.txt; ends the process with its exit status."""
-    with open(f"{run}.txt", "w") as said:
+def work(dataset: str, run: str, resume: bool, doom: Doom, overwrite: bool = False, said_to: str = "") -> None:
+    """The job, from its command line, what it says to RUN.txt unless told elsewhere; ends the process with its exit status."""
+    with open(said_to or f"{run}.txt", "w") as said:
         for stream in (1, 2):
             os.dup2(said.fileno(), stream)
     from irgspp.core.cli import main
@@ -146,14 +146,24 @@ def differing(run: Path, other: Path) -> list[str]:
 
 def phase_of(run: Path) -> str:
     """What the run was doing last, by its events."""
+    return next((str(event["phase"]) for event in reversed(_events(run)) if event.get("phase")), "read")
+
+
+def phase_seconds(run: Path) -> list[tuple[str, float]]:
+    """The phases of a finished run in order, with the seconds from each one's beginning to the next one's."""
+    begun = [(event["phase"], event["time"]) for event in _events(run) if event.get("step") == 0]
+    ends = [time for _, time in begun[1:]] + [_events(run)[-1]["time"]]
+    return [("read", 0.3), *((name, end - time) for (name, time), end in zip(begun, ends, strict=True))]
+
+
+def _events(run: Path) -> list[dict[str, Any]]:
     try:
         lines = (run / "events.jsonl").read_text().splitlines()
     except OSError:
-        return "read"
-    told = [json.loads(line).get("phase") for line in lines if line.endswith("}")]
-    return next((name for name in reversed(told) if name), "read")
+        return []
+    return [json.loads(line) for line in lines if line.endswith("}")]  # a killed process may have left half a line
 
 
-def said(run: Path) -> list[str]:
-    """The lines that the last job of this run folder ended with: those for the user."""
-    return [line for line in run.with_name(run.name + ".txt").read_text().splitlines() if line.startswith(("irgspp: ", "Traceback"))]
+def said(file: Path) -> list[str]:
+    """The lines that a job ended with: those for the user."""
+    return [line for line in file.read_text().splitlines() if line.startswith(("irgspp: ", "Traceback"))]

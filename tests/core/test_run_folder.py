@@ -222,3 +222,33 @@ def test_peak_memory_sees_an_allocation_and_forgets_it():
     del block
     reset_peak_memory()
     assert peak_memory() < peak
+
+
+def test_killed_before_run_json_was_written(tmp_path):
+    """Nothing stands in the folder but the lock and half a run.json: a new run may be made there."""
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".lock").touch()
+    (tmp_path / "run" / ".run.part.json").write_text('{"sta')
+    for how in ({}, {"resume": True}, {"overwrite": True}):
+        run_folder.check_claim(tmp_path / "run", how.get("resume", False), how.get("overwrite", False))
+    RunFolder.open(tmp_path / "run", Settings(), "photos", resume=True).close()
+
+
+@pytest.mark.parametrize("cut", ["rmtree", "unlink"])
+def test_killed_while_another_run_was_being_replaced(run, monkeypatch, cut):
+    """What is left of the old run must not pass for the new one's: it was finished, and its checkpoint is of other settings."""
+    run.save("reflective", {"step": 1})
+    run.record("reflective", 1.0, 1, finished=True)
+    (run.path / "mesh.ply").write_text("old")
+
+    def killed(*_, **__):
+        raise SystemError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run_folder.shutil if cut == "rmtree" else run_folder.Path, cut, killed)
+        with pytest.raises(SystemError):
+            reopen(run, preset("draft"), overwrite=True)
+    again = RunFolder.open(run.path, preset("draft"), "photos", resume=True)
+    assert not again.finished("reflective") and again.load("reflective") is None
+    assert not (run.path / "mesh.ply").exists() and "replaces" not in read_run(run.path)
+    again.close()

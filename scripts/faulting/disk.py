@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Disks that are full, read-only or limited: one clear line, the last good state kept, and the job goes on once there is room."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from irgspp.core.run_folder import read_run
+from stresses.case import Measured
+
+from .cases import case_of
+from .kill import unreadable
+from .tiny import Doom, Nursery, differing, said, work, write_dataset
+
+case = case_of("disk")
+PLENTY = 64 << 20
+LEFT_OUT = "left out: this user may not mount a small disk"
+
+
+@contextlib.contextmanager
+def small_disk(folder: Path, size: int) -> Iterator[Path]:
+    """A file system of so many bytes in memory. Raises OSError where this user may not mount one."""
+    place = folder / "disk"
+    place.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError(done.stderr.strip())
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def remount(place: Path, options: str) -> None:
+    """Change how it is mounted."""
+    subprocess.run(["mount", "-o", f"remount,{options}", str(place)], check=True)
+
+
+def can_mount() -> bool:
+    """True where this user may make small disks: on Linux, as root."""
+    return sys.platform == "linux" and os.geteuid() == 0 and shutil.which("mount") is not None
+
+
+def filled(place: Path, left: int) -> Path:
+    """A file that takes all of a disk but so many bytes."""
+    ballast = place / "ballast"
+    with ballast.open("wb") as file:
+        for _ in range(max(0, shutil.disk_usage(place).free - left) // 4096):
+            file.write(bytes(4096))
+    return ballast
+
+
+def starved(dataset: str, run: str, resume: bool, left: int) -> None:
+    """The job, on a disk that is filled up to so many bytes once it has begun."""
+    from irgspp.core import pipeline
+
+    begin = pipeline.Job.run
+
+    def fill(job: pipeline.Job) -> None:
+        filled(Path(run).parent, left)
+        begin(job)
+
+    pipeline.Job.run = fill
+    _apart(dataset, run, resume)
+
+
+def limited(dataset: str, run: str, resume: bool, size: int) -> None:
+    """The job, none of whose files may become larger than `size`."""
+    from irgspp.core import pipeline
+
+    begin = pipeline.Job.run
+
+    def limit(job: pipeline.Job) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+        begin(job)
+
+    pipeline.Job.run = limit
+    _apart(dataset, run, resume)
+
+
+def read_only(dataset: str, run: str, resume: bool) -> None:
+    """The job, on a disk that becomes read-only once it has begun."""
+    from irgspp.core import pipeline
+
+    begin = pipeline.Job.run
+
+    def harden(job: pipeline.Job) -> None:
+        remount(Path(run).parent, "ro")
+        begin(job)
+
+    pipeline.Job.run = harden
+    _apart(dataset, run, resume)
+
+
+def _apart(dataset: str, run: str, resume: bool) -> None:
+    """The work itself; what it says goes where there is room."""
+    work(dataset, run, resume, Doom(), said_to=str(Path(run).parent.parent / "said.txt"))
+
+
+def told(measured: Measured, folder: Path, status: int, wanted: int, words: str, where: str) -> None:
+    """One line for the user with these words, and no traceback."""
+    lines = said(folder / "said.txt")
+    measured.holds(f"{where}: exit status {wanted}, not {status}", status == wanted)
+    measured.holds(f"{where}: one line with {words!r}, not {lines}", len(lines) == 1 and words in lines[0])
+
+
+def survives(measured: Measured, size: int, faults: list[tuple]) -> None:
+    """Each fault (name, function, further arguments, words, how to mend it) and the next start, on one small disk."""
+    if not can_mount():
+        measured.note(LEFT_OUT)
+        return
+    nursery = Nursery()
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name, small_disk(Path(name), size) as disk:
+        folder = Path(name)
+        data, calm = write_dataset(folder / "photographs"), folder / "calm"
+        measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom()) == 0)
+        for label, function, more, words, mend in faults:
+            run = disk / "run"
+            told(measured, folder, nursery.run(function, str(data), str(run), False, *more), 1, words, label)
+            mend(disk)
+            for what in unreadable(run):
+                measured.holds(f"{label}: {what} is readable", False)
+            status = nursery.run(work, str(data), str(run), True, Doom())
+            measured.holds(f"{label}: goes on with room, not status {status}: {said(Path(f'{run}.txt'))}", status == 0)
+            unlike = differing(run, calm)
+            measured.holds(f"{label}: the same bits, not others in {', '.join(unlike)}", not unlike and read_run(run)["status"] == "done")
+            shutil.rmtree(run)
+        measured.note(f"{len(faults)} faults")
+
+
+def free(disk: Path) -> None:
+    """Make room again."""
+    (disk / "ballast").unlink()
+
+
+@case(
+    "full while the job works",
+    """A disk in memory that runs full at different moments: exit status 1, one line that says so, what is under a final name can be read,
+    and the next start, with room, ends with the same bits as an undisturbed run.""",
+)
+def full(measured: Measured) -> None:
+    survives(measured, PLENTY, [("700 kB left", starved, (700_000,), "the disk is full", free)])
+
+
+@case("full at 12 moments", "The same with from 0 bytes to 3 MB left.", quick=False)
+def full_often(measured: Measured) -> None:
+    sizes = (0, 8192, 40_000, 120_000, 250_000, 350_000, 500_000, 700_000, 1_000_000, 1_500_000, 2_000_000, 3_000_000)
+    survives(measured, PLENTY, [(f"{left} bytes left", starved, (left,), "the disk is full", free) for left in sizes])
+
+
+@case("read-only while the job works", "A disk that becomes read-only: the same.", quick=False)
+def hardened(measured: Measured) -> None:
+    survives(measured, PLENTY, [("read-only", read_only, (), "can only be read", lambda disk: remount(disk, "rw"))])
+
+
+@case(
+    "limit of a file's size",
+    "The largest file that the user may write is met (ulimit -f, as quotas of some systems): the same.",
+    quick=False,
+)
+def quota(measured: Measured) -> None:
+    sizes = (100_000, 300_000, 600_000)
+    survives(measured, PLENTY, [(f"{size} bytes", limited, (size,), "larger than", lambda disk: None) for size in sizes])
+
+
+@case(
+    "not started without room",
+    """On a disk of 1 MB, full or read-only, nothing is begun and nothing is left behind: exit status 2, and a line that says what is needed
+    and what is free.""",
+)
+def no_room(measured: Measured) -> None:
+    if not can_mount():
+        measured.note(LEFT_OUT)
+        return
+    nursery = Nursery()
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name, small_disk(Path(name), 1 << 20) as disk:
+        folder = Path(name)
+        data, run = write_dataset(folder / "photographs"), disk / "run"
+        told(measured, folder, nursery.run(_apart, str(data), str(run), False), 2, "the job needs about", "little room")
+        remount(disk, "ro")
+        told(measured, folder, nursery.run(_apart, str(data), str(run), False), 2, "is not writable", "read-only")
+        remount(disk, "rw")
+        measured.holds("nothing is left behind", not list(disk.iterdir()))
+        measured.note("both are told in one line")
