@@ -18,8 +18,8 @@ WORLD = similarity((0.0, 0.0, 65.0), 1.2, (250.0, -120.0, 35.0))
 COLUMNS = ["#name", "x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2"]
 
 
-def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME with cameras.csv, images and masks."""
+def write(source: Source, folder: Path, world: np.ndarray = WORLD) -> tuple[Path, np.ndarray]:
+    """Write folder/NAME with cameras.csv, images and masks; `world` may be tilted, as where nobody has set the ground."""
     scene, lens = folder / source.name, RealLens.of(source)
     (width, height), longest = source.size, max(source.size)
     k1, k2, p1, p2, k3 = lens.distortion
@@ -30,9 +30,9 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
         rgba = lens.picture(source, shot.rgba)
         save_png(scene / "images" / name, over(rgba, BACKDROP))
         save_png(scene / "masks" / name, rgba[..., 3])
-        pose = placed(WORLD, shot.pose)
+        pose = placed(world, shot.pose)
         yaw, pitch, roll = Rotation.from_matrix(pose[:3, :3]).as_euler("ZXY", degrees=True)
         rows.append([name, *(repr(float(v)) for v in (*pose[:3, 3], -yaw, pitch, roll, *intrinsics))])
     with (scene / "cameras.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([COLUMNS, *rows])
-    return scene, WORLD
+    return scene, world

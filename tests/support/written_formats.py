@@ -16,12 +16,24 @@ from irgspp.core.datasets.camera import Camera
 from irgspp.core.shading.lightmap import lookup
 
 sys.path.insert(0, str(ROOT / "scripts"))
-from formats import WRITERS, stanford_orb
-from formats.source import Shot, Source, load_source, placed
+from formats import WRITERS, realitycapture, stanford_orb
+from formats.source import Shot, Source, load_source, placed, similarity
 
 sys.path.remove(str(ROOT / "scripts"))
 
-__all__ = ["NAMES", "Shot", "Source", "Written", "load_source", "mirror_errors", "placed", "source_light", "stanford_orb"]
+__all__ = [
+    "NAMES",
+    "Shot",
+    "Source",
+    "Written",
+    "load_source",
+    "mirror_errors",
+    "placed",
+    "realitycapture",
+    "similarity",
+    "source_light",
+    "stanford_orb",
+]
 
 NAMES = sorted(WRITERS)
 BLOCK, REACH = np.array([-0.5, 0.35, -0.35]), 0.6  # a ball around the block, whose reflection is none of the light's

@@ -21,7 +21,7 @@ from irgspp.core.pipeline import Job, reconstruct
 from irgspp.core.run_folder import read_run
 from irgspp.core.scene.exr import write_exr
 from PIL import Image
-from written_formats import NAMES, Written, load_source, mirror_errors, source_light, stanford_orb
+from written_formats import NAMES, Written, load_source, mirror_errors, realitycapture, similarity, source_light, stanford_orb
 
 DISTORTED = {"nerfstudio", "instant-ngp", "metashape", "realitycapture"}
 UNMASKED = {"glossy-real", "ref-real"}
@@ -224,6 +224,16 @@ def test_ldr_captures_of_stanford_orb(source, tmp_path):
     for view, truth in truths:
         (light,) = truth.lights.values()
         assert dataset.mirror_error(view.camera, truth.alpha, truth.picture, light, data.to_world) < RIGHT
+
+
+def test_rolled_cameras_of_realitycapture(source, tmp_path):
+    """The scene's own cameras are level: only a tilted world has all three angles."""
+    world = similarity((20.0, -35.0, 65.0), 1.2, (25.0, -12.0, 3.0))
+    dataset = Written(*realitycapture.write(source, tmp_path, world), source)
+    rolls = np.loadtxt(dataset.path / "cameras.csv", delimiter=",", skiprows=1, usecols=6)
+    capture = read_capture(dataset.path, DataSettings())
+    assert np.abs(rolls).max() > 20 and rolls.min() < 0 < rolls.max()
+    assert max(dataset.shot_of(f.to_world, capture.to_world)[1] for f in capture.train) < 1e-5
 
 
 def test_nero_split_file(every, tmp_path):

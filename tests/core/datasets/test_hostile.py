@@ -378,3 +378,31 @@ def test_hostile_and_damaged_cameras_of_realitycapture(trapped, row, words):
     file.write_text("\n".join([HEAD, *rows[:3], row, *rows[4:]]))
     with refused(*words):
         load_dataset(trapped.folder)
+
+
+def test_sensors_of_metashape(trapped):
+    """A fisheye and a frame camera, one sensor never calibrated, one camera switched off."""
+    trapped.save_pictures([f"images/{i:03d}.png" for i in range(10)])
+    metashape(trapped.folder)
+    file = trapped.folder / "cameras.xml"
+    fisheye = """<sensor id="1" label="f" type="fisheye"><resolution width="60" height="48"/><calibration type="fisheye" class="initial">
+        <f>30</f></calibration><calibration type="fisheye" class="adjusted"><f>31</f><cx>0.5</cx><cy>-1</cy><k1>0.01</k1><k4>0.002</k4>
+        <b1>2</b1></calibration></sensor><sensor id="2" label="n" type="frame"><resolution width="60" height="48"/></sensor></sensors>"""
+    text = file.read_text().replace("</sensors>", fisheye)
+    text = text.replace('id="3" sensor_id="0"', 'id="3" sensor_id="1"').replace('id="4" sensor_id="0"', 'id="4" sensor_id="2"')
+    file.write_text(text.replace('id="5" sensor_id="0"', 'id="5" sensor_id="0" enabled="false"'))
+    capture = read_capture(trapped.folder, DataSettings())
+    lenses = {f.listed: f.lens for f in capture.train}
+    assert sorted(lenses) == [f"{i:03d}" for i in range(10) if i not in (4, 5)] and "2 cameras" in capture.warnings[0]
+    one = lenses["003"]
+    assert one.fisheye and (one.fx, one.fy, one.cx, one.cy) == (33, 31, 30.5, 23) and one.distortion == (0.01, 0, 0, 0.002)
+    assert not lenses["000"].distorted and (lenses["000"].fx, lenses["000"].cx) == (70, 30)
+
+
+def test_capture_of_realitycapture_with_a_semicolon(trapped):
+    trapped.save_pictures([f"{i:03d}.png" for i in range(10)])
+    rows = [f"{i:03d};{i};0;0;{20 * i};40;0;40;0.01;-0.02;0;0;0;0;0;0" for i in range(10)]  # names without extension, pictures beside
+    (trapped.folder / "cameras.csv").write_text("\n".join([HEAD.replace(",", ";"), *rows]))
+    capture = read_capture(trapped.folder, DataSettings())
+    lens = capture.train[0].lens
+    assert len(capture.train) == 10 and np.allclose((lens.fx, lens.cx, lens.cy), (40 / 36 * 60, 30.6, 22.8))
