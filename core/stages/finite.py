@@ -13,8 +13,8 @@ LOOK_EVERY = 50  # steps between looks at what a device computes, as the host ha
 
 
 def due(value: torch.Tensor, done: int) -> bool:
-    """Whether a value of step `done` is to be looked at: each on the CPU, now and then on a device, where NaN does not go away."""
-    return value.device.type == "cpu" or done % LOOK_EVERY == 0
+    """Whether a value of step `done`, from 1 on, is to be looked at: each on the CPU, now and then on a device; NaN does not go away."""
+    return value.device.type == "cpu" or done % LOOK_EVERY == 1
 
 
 def require_finite(values: Mapping[str, torch.Tensor], when: str) -> None:

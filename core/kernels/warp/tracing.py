@@ -137,7 +137,7 @@ def _gathered(tree: DeviceTree, origin, direction, count: torch.Tensor, left: to
     """The hits that were counted. The host waits for their number."""
     device = origin.device
     start = torch.cat([torch.zeros(1, dtype=torch.int64, device=device), torch.cumsum(count, 0)])
-    total, longest = (int(x) for x in torch.stack([start[-1], count.max() if len(count) else start[-1]]).tolist())
+    total, longest = (int(x) for x in torch.stack([start[-1], count.max() if len(count) else start[-1]]).cpu().tolist())
     index, of = torch.empty(2, total, dtype=torch.int32, device=device)
     weight, distance = torch.empty(2, total, device=device)
     if total:
