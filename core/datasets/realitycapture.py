@@ -71,7 +71,10 @@ def _rows(file: Path, start: int) -> list[dict[str, str]]:
     if missing:
         raise InputError(file, f"has no column {', '.join(missing)}", "export internal and external camera parameters")
     separator = ";" if ";" in lines[0] else ","
-    rows = [dict(zip(columns, row, strict=False)) for row in csv.reader(lines[1:], delimiter=separator) if row and row[0].strip()]
+    try:
+        rows = [dict(zip(columns, row, strict=False)) for row in csv.reader(lines[1:], delimiter=separator) if row and row[0].strip()]
+    except csv.Error as error:
+        raise InputError(file, f"is no table ({error})") from error
     if not rows:
         raise InputError(file, "lists no cameras")
     return rows

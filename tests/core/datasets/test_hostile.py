@@ -113,7 +113,7 @@ def test_a_dataset_with_such_a_pickle_is_refused(tmp_path):
     (scene / "1-camera.pkl").write_bytes(pickle.dumps(Runs(marker)))
     with refused(r"1-camera\.pkl", "mkdir", "refused"):
         load_dataset(scene)
-    for other in ([np.eye(3), np.eye(3)], np.eye(4), [np.eye(3, 4), np.eye(3, dtype=int)], [np.full((3, 4), np.nan), np.eye(3)]):
+    for other in ([np.eye(3), np.eye(3)], np.eye(4), [np.eye(3, 4), np.full((3, 3), "1")], [np.full((3, 4), np.nan), np.eye(3)]):
         (scene / "1-camera.pkl").write_bytes(pickle.dumps(other))
         with refused(r"1-camera\.pkl"):
             load_dataset(scene)
@@ -365,6 +365,7 @@ HEAD = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"
         ("003.png,0,0,0,0,0,0,40,0,0,0,0,0,0.1,0,0", ["k4"]),
         ("003.png,0,0,0,0,0,0,wide,0,0,0,0,0,0,0,0", ["f is not a number"]),
         ("003.png,0,nan,0,0,0,0,40,0,0,0,0,0,0,0,0", ["y is not a number"]),
+        ("x" * 200_000 + ",0,0,0,0,0,0,40", ["no table"]),
         ("003.png,1e30,0,0,0,0,0,40,0,0,0,0,0,0,0,0", ["infinity"]),
         ("003.png,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0", ["focal"]),
     ],
