@@ -18,6 +18,7 @@ import torch
 
 from ..config import SkipSettings
 from ..datasets.camera import Camera
+from ..device_memory import rays_at_a_time
 from ..errors import InputError
 from ..kernels.backend import by_warp
 from ..scene.reconstruction import Reconstruction
@@ -35,7 +36,6 @@ from .query import SurfaceQuery
 from .samples import Counts, pixel_shifts, sample_counts
 
 RAYS = 1 << 17  # at a time: few enough for the cache, enough for every thread
-RAYS_ON_DEVICE = 1 << 22  # enough for a GPU, at some 200 bytes each
 KEPT_BYTES = 1 << 28  # of secondary rays that are kept from light to light
 
 
@@ -186,7 +186,7 @@ class Relighter:
 
     def _sums(self, surface: Primary, counts: Counts, light: PreparedLight) -> torch.Tensor:
         """(P, 2, 12) sums over samples, see `gather`."""
-        rays = RAYS_ON_DEVICE if by_warp(surface.index) else RAYS
+        rays = rays_at_a_time(self.device) if by_warp(surface.index) else RAYS
         count, step = len(surface.index), max(1, rays // sum(counts))
         parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
         return torch.cat([self._gathered(surface, part, counts, light) for part in parts])

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from irgspp.core.config import PRESETS, Settings, preset
 from irgspp.core.errors import InputError
 from irgspp.core.overrides import check, differences, from_dict, to_dict, with_overrides
+from irgspp.core.relight.samples import sample_counts
 
 
 @pytest.mark.parametrize(
@@ -63,6 +64,15 @@ def test_presets_are_valid_and_survive_json(name):
     settings = preset(name)
     assert settings.preset == name
     assert from_dict(json.loads(json.dumps(to_dict(check(settings))))) == settings
+
+
+def test_the_papers_schedule():
+    paper = preset("paper")
+    assert paper.data.resolution == 800
+    assert (paper.reflective.iterations, paper.reflective.gaussians) == (50_000, 100_000)
+    assert (paper.transport.iterations, paper.transport.pixels * paper.transport.samples) == (10_000, 1 << 18)
+    assert paper.transport.samples == sum(sample_counts("hq", False)) == 512
+    assert [sum(sample_counts("efficient", glossy)) for glossy in (False, True)] == [32, 16]
 
 
 def test_unknown_preset():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which device a job gets, whatever machine the tests run on: what is found of CUDA is made up."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -8,10 +9,14 @@ import torch
 from irgspp.core import cuda
 from irgspp.core.config import preset
 from irgspp.core.cuda import DeviceLost, Findings, faults, obstacle
-from irgspp.core.device_memory import FEWEST, RAYS, bytes_needed, plan
+from irgspp.core.device_memory import FEWEST, RAYS, bytes_needed, plan, rays_at_a_time
 from irgspp.core.devices import WARP_ON_CPU, choose, computing_on
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.kernels.backend import by_warp
+from irgspp.core.overrides import with_overrides
+from irgspp.core.pipeline import DEMO_DATA, reconstruct
+from irgspp.core.stages import trainer as trainers
+from irgspp.core.stages.trainer import Trainer
 
 GIB = 1 << 30
 GOOD = Findings((13, 0), "13.0", True, True, (9, 0), 20 * GIB, 24 * GIB)
@@ -85,13 +90,16 @@ def test_a_job_fits_by_keeping_less_on_the_gpu():
     settings = preset("paper")
     views = (settings, 200, 800, 800)
     roomy = plan(*views, 80 * GIB)
-    assert roomy.targets and roomy.rays == RAYS
+    assert roomy.targets
     moved = plan(*views, int(0.9 * roomy.needed))
-    assert not moved.targets and moved.rays == RAYS and moved.needed < roomy.needed
-    assert roomy.needed - moved.needed == bytes_needed(*views, True, RAYS) - bytes_needed(*views, False, RAYS)
-    tight = replace(settings, reflective=replace(settings.reflective, gaussians=1000), transport=replace(settings.transport, points=100))
-    small = plan(tight, 200, 64, 64, 2 * GIB)
-    assert FEWEST <= small.rays < RAYS
+    assert not moved.targets and roomy.needed - moved.needed > 200 * 800 * 800 * 40
+
+
+def test_fewer_rays_are_at_work_where_memory_is_short():
+    gpu = torch.device("cuda", 0)
+    numbers = [rays_at_a_time(gpu, lambda device, free=free: free) for free in (80 * GIB, GIB, GIB // 4, 0)]
+    assert numbers[0] == RAYS > numbers[1] > numbers[2] > numbers[3] == FEWEST
+    assert rays_at_a_time(torch.device("cpu")) == RAYS
 
 
 def test_a_job_that_cannot_fit_is_refused_before_it_starts():
@@ -102,8 +110,26 @@ def test_a_job_that_cannot_fit_is_refused_before_it_starts():
 
 def test_more_of_anything_takes_more_memory():
     settings = preset("paper")
-    base = bytes_needed(settings, 100, 800, 800, True, RAYS)
-    assert bytes_needed(settings, 101, 800, 800, True, RAYS) > base
-    assert bytes_needed(settings, 100, 900, 800, True, RAYS) > base
+    base = bytes_needed(settings, 100, 800, 800, True)
+    assert bytes_needed(settings, 101, 800, 800, True) > base
+    assert bytes_needed(settings, 100, 900, 800, True) > base
     more = replace(settings, reflective=replace(settings.reflective, gaussians=10_000_000))
-    assert bytes_needed(more, 100, 800, 800, True, RAYS) > base
+    assert bytes_needed(more, 100, 800, 800, True) > base
+
+
+def test_a_lost_gpu_leaves_a_checkpoint(tmp_path, monkeypatch):
+    done = Trainer.step
+
+    def fails(trainer):
+        if trainer.done == 12:
+            raise RuntimeError("CUDA error: unspecified launch failure\nCompile with ...")
+        return done(trainer)
+
+    monkeypatch.setattr(trainers, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(Trainer, "step", fails)
+    small = ["materials=low-gloss", "reflective.gaussians=500", "reflective.iterations=30", "device=cpu"]
+    with pytest.raises(DeviceLost, match="--resume"):
+        reconstruct(DEMO_DATA, tmp_path / "run", with_overrides(preset("draft"), small))
+    state = torch.load(tmp_path / "run" / "checkpoint" / "reflective.pt", weights_only=True)
+    assert int(state["done"]) == 12
+    assert "GPU failed" in json.loads((tmp_path / "run" / "run.json").read_text())["error"]
