@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Install the engine: a virtual environment with the locked libraries, in place only once it is complete and works.
 
-python install_engine.py TARGET LOCK PROJECT LAUNCHER --device cpu|cuda [--wheels FOLDER] [--index ADDRESS]
+python install_engine.py TARGET LOCK HASHES PROJECT LAUNCHER --device cpu|cuda [--wheels FOLDER] [--index ADDRESS]
 
 Runs in Blender's own Python, with the standard library alone; progress and cancelling go through the folder $IRGSPP_JOB.
 """
@@ -20,9 +20,9 @@ import time
 import tomllib
 from pathlib import Path
 
+QUIET = ("--no-input", "--disable-pip-version-check", "--progress-bar", "off")
 MARKER = "irgspp-engine.json"  # in the environment once it is complete
 PYTHONS = ((3, 11), (3, 12), (3, 13))  # that the locked libraries have wheels for, best first
-LAST_OLD_NUMPY = (3, 12)  # the locked numpy, which is that of Blender 4.5, has no wheels for later Pythons
 PROBE = (
     "import sys, importlib.util as u; print(*sys.version_info[:2], sys.executable, sep='\\n');"
     "print(all(map(u.find_spec, ('venv', 'ensurepip')))); print(all(map(u.find_spec, ('venv', 'pip'))))"
@@ -54,7 +54,7 @@ class Report:
         return self.folder is not None and (self.folder / "cancel").exists()
 
 
-def requirements(lock: str, extra: list, python: tuple) -> tuple:
+def requirements(lock: str, extra: list) -> tuple:
     """The libraries to install and the versions of those that they need, as pip's lines, out of the lock file.
 
     Blender as a module is left out, as Blender itself does its work, and so are tests and tools.
@@ -65,8 +65,6 @@ def requirements(lock: str, extra: list, python: tuple) -> tuple:
             section = line.split()[2]
         pin = line.split("#")[0].strip()
         if pin and not pin.startswith("bpy=="):
-            if pin.startswith("numpy==") and python > LAST_OLD_NUMPY:
-                pin = "numpy>=" + pin.partition("==")[2]
             sections.setdefault(section, []).append(pin)
     return sections["run"] + extra, [pin for pins in sections.values() for pin in pins]
 
@@ -138,7 +136,9 @@ def install(args, report: Report) -> None:
     with Path(args.project).open("rb") as file:
         extra = tomllib.load(file)["project"]["optional-dependencies"]["cuda"] if args.device == "cuda" else []
     lock = Path(args.lock).read_text("utf-8")
-    wanted, locked = requirements(lock, extra, version)
+    known = known_files(args.hashes)
+    wanted, locked = requirements(lock, extra)
+    locked += more_pins(known, locked)
     target = Path(args.target)
     partial = target.with_name(target.name + ".part")
     shutil.rmtree(partial, ignore_errors=True)
@@ -146,7 +146,11 @@ def install(args, report: Report) -> None:
     run([path, "-I", "-m", "venv", *([] if venv else ["--without-pip"]), str(partial)], report)
     python = python_of(partial)
     pip = [str(python), "-I", "-m", "pip"] if venv else [path, "-I", "-m", "pip", "--python", str(python)]
-    run([*pip, *pip_arguments(args, partial, wanted, locked)], report, Listener(report, len(locked)))
+    listener, wheels = Listener(report, len(locked)), partial / "wheels"
+    run([*pip, *download_arguments(args, partial, wanted, locked), "-d", str(wheels)], report, listener)
+    files = verified(wheels, known, bool(args.index))
+    run([*pip, "install", *QUIET, "--no-index", "--no-deps", *map(str, files)], report, listener)
+    shutil.rmtree(wheels)
     report.tell(phase="check", step=0, of=1, message="Checking")
     answers = []
     run([str(python), args.launcher, "__main__", "devices", "--json"], report, answers.append)
@@ -158,12 +162,48 @@ def install(args, report: Report) -> None:
     print("\n".join(answers))  # what the engine says of itself
 
 
-def pip_arguments(args, folder: Path, wanted: list, locked: list) -> list:
+def known_files(hashes: str) -> dict:
+    """SHA-256 by file name, of every file that this version may be made of; lines as sha256sum writes them."""
+    lines = Path(hashes).read_text("utf-8").splitlines()
+    return {name: digest for digest, name in (line.split("  ", 1) for line in lines if line)}
+
+
+def more_pins(known: dict, locked: list) -> list:
+    """The versions of known files that the lock has none of: libraries of CUDA, which torch asks for on Linux alone."""
+    named = {plain(pin.split("==")[0]) for pin in locked}
+    return sorted({"==".join(file.split("-")[:2]) for file in known if plain(file.split("-")[0]) not in named})
+
+
+def plain(name: str) -> str:
+    """A package's name as indices spell it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def verified(folder: Path, known: dict, own_index: bool) -> list:
+    """The wheels in a folder. Raises Failed for one that is not known, before any of them is opened.
+
+    Builds of their own (+cpu, +cu126) can come only from the index that the user named, which answers for them.
+    """
+    files = sorted(folder.iterdir())
+    for file in files:
+        if file.name not in known and own_index and "+" in file.name:
+            print(f"{file.name}: of the index that was named, not one of the known files", file=sys.stderr, flush=True)
+            continue
+        digest = hashlib.sha256()
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+        if known.get(file.name) != digest.hexdigest():
+            why = "another file than the known one of that name" if file.name in known else "not one of the known files"
+            raise Failed(f"{file.name} is {why} (SHA-256 {digest.hexdigest()}), so nothing of it was run")
+    return files
+
+
+def download_arguments(args, folder: Path, wanted: list, locked: list) -> list:
     """pip's words: built packages only, as nobody has compilers, and exactly the locked versions."""
     (folder / "wanted.txt").write_text("\n".join(wanted), encoding="utf-8")
     (folder / "locked.txt").write_text("\n".join(locked), encoding="utf-8")
-    words = ["install", "--no-input", "--disable-pip-version-check", "--no-warn-script-location", "--progress-bar", "off"]
-    words += ["--only-binary", ":all:", "-r", str(folder / "wanted.txt"), "-c", str(folder / "locked.txt")]
+    words = ["download", *QUIET, "--only-binary", ":all:", "-r", str(folder / "wanted.txt"), "-c", str(folder / "locked.txt")]
     if args.wheels:
         return [*words, "--no-index", "--find-links", args.wheels]
     return [*words, "--extra-index-url", args.index] if args.index else words
@@ -202,7 +242,7 @@ def replace(new: Path, place: Path) -> None:
 
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("target", "lock", "project", "launcher"):
+    for name in ("target", "lock", "hashes", "project", "launcher"):
         parser.add_argument(name)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--wheels")

@@ -17,7 +17,7 @@ from .install_engine import MARKER, python_of
 from .user_folder import user_folder
 
 ROOT = Path(__file__).resolve().parent.parent
-LOCK, PROJECT = ROOT / "requirements.lock", ROOT / "pyproject.toml"
+LOCK, HASHES, PROJECT = ROOT / "requirements.lock", ROOT / "requirements.sha256", ROOT / "pyproject.toml"
 LAUNCHER = Path(__file__).with_name("launch.py")
 INSTALLER = Path(install_engine.__file__)
 DELETE = "import shutil, sys; shutil.rmtree(sys.argv[1], ignore_errors=True)"
@@ -65,7 +65,7 @@ def install_arguments(device: str, wheels: Path | None, index: str, online: bool
         raise InputError("install engine", "Blender may not use the network", fix)
     if wheels is not None and not (wheels.is_dir() and any(wheels.glob("*.whl"))):
         raise InputError(wheels, "is not a folder with wheels (*.whl)")
-    words = [*map(str, (folder(), LOCK, PROJECT, LAUNCHER)), "--device", device]
+    words = [*map(str, (folder(), LOCK, HASHES, PROJECT, LAUNCHER)), "--device", device]
     words += ["--wheels", str(wheels)] if wheels is not None else []
     return words + (["--index", index] if index else [])
 

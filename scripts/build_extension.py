@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 # All that the zip may hold at its top; the last two are what the managed engine is installed from.
 CONTENT = {"blender_manifest.toml", "__init__.py", "__main__.py", "LICENSE", "core", "irgspp_addon", "operators", "panels"}
-CONTENT |= {"requirements.lock", "pyproject.toml"}
+CONTENT |= {"requirements.lock", "requirements.sha256", "pyproject.toml"}
 LARGEST = 2_000_000  # bytes; nothing that is compiled or trained belongs into it
 
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The managed engine: installed by a job from wheels made here, complete or not at all, and removed."""
 
+import hashlib
 import json
+import re
 import subprocess
 import sys
 import zipfile
@@ -66,13 +68,16 @@ def install(tmp_path, registry, monkeypatch):
     names = {"lock": LOCK, "project.toml": PROJECT, "launcher.py": LAUNCHER}
     for name, text in names.items():
         (tmp_path / name).write_text(text)
+    monkeypatch.setattr(managed_engine, "HASHES", tmp_path / "hashes")
     monkeypatch.setattr(managed_engine, "LOCK", tmp_path / "lock")
     monkeypatch.setattr(managed_engine, "PROJECT", tmp_path / "project.toml")
     monkeypatch.setattr(managed_engine, "LAUNCHER", tmp_path / "launcher.py")
     monkeypatch.setattr(engine, "engine_kind", lambda: "MANAGED")
     monkeypatch.setattr(jobs, "ON_END", engine_check.ON_END)
 
-    def start(wheels, device="cpu"):
+    def start(wheels, device="cpu", change=lambda lines: lines):
+        lines = change([f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in sorted(wheels.glob("*.whl"))])
+        (tmp_path / "hashes").write_text("\n".join(lines) + "\n")
         arguments = managed_engine.install_arguments(device, wheels, "", online=False)
         return jobs.start("install", "Install engine", managed_engine.folder(), arguments, program=str(managed_engine.INSTALLER))
 
@@ -111,6 +116,44 @@ def test_what_is_missing_is_named_and_nothing_is_left(install, wheels):
     assert not list(managed_engine.folder().parent.glob("engine*"))
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda lines: [line.replace(line[:8], "0" * 8) if "tinylib" in line else line for line in lines],
+            "another file than the known one",
+        ),
+        (lambda lines: [line for line in lines if "tinydep" not in line], "not one of the known files"),
+    ],
+)
+def test_files_that_are_not_the_known_ones_are_refused(install, wheels, change, words):
+    job = jobs.wait(install(wheels, change=change), PATIENCE)
+    assert job.state == "failed" and words in job.error and "\n" not in job.error
+    assert not list(managed_engine.folder().parent.glob("engine*"))
+
+
+def test_builds_of_an_index_that_the_user_named(tmp_path):
+    (tmp_path / "torch-2.0+cpu-cp311-cp311-linux_x86_64.whl").write_bytes(b"torch")
+    assert install_engine.verified(tmp_path, {}, own_index=True)
+    with pytest.raises(install_engine.Failed, match="not one of the known files"):
+        install_engine.verified(tmp_path, {}, own_index=False)
+    (tmp_path / "numpy-2.0-cp311-cp311-linux_x86_64.whl").write_bytes(b"not theirs to answer for")
+    with pytest.raises(install_engine.Failed, match="numpy"):
+        install_engine.verified(tmp_path, {}, own_index=True)
+
+
+def test_every_locked_version_has_known_files():
+    known = install_engine.known_files(str(ROOT / "requirements.sha256"))
+    _, locked = install_engine.requirements((ROOT / "requirements.lock").read_text(), [])
+    there = {(install_engine.plain(file.split("-")[0]), file.split("-")[1]) for file in known}
+    for pin in locked:
+        name, version = pin.partition(";")[0].split("==")
+        assert (install_engine.plain(name), version.strip()) in there, f"{pin}: run scripts/lock_hashes.py"
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in known.values())
+    more = install_engine.more_pins(known, locked)
+    assert not {install_engine.plain(pin.split("==")[0]) for pin in more} & {install_engine.plain(pin.split("==")[0]) for pin in locked}
+
+
 def test_engine_that_does_not_work_is_not_put_in_place(install, wheels, tmp_path):
     managed_engine.python().parent.mkdir(parents=True)
     managed_engine.python().write_text("an older engine")
@@ -139,13 +182,11 @@ def test_bad_wishes(tmp_path, registry):
 
 
 def test_the_lock_covers_what_the_engine_needs():
-    wanted, locked = install_engine.requirements((ROOT / "requirements.lock").read_text(), ["extra==1"], (3, 11))
+    wanted, locked = install_engine.requirements((ROOT / "requirements.lock").read_text(), ["extra==1"])
     names = {pin.split("==")[0] for pin in wanted}
     assert names == {name for name, _ in LIBRARIES.values()} | {"extra"}
-    assert "numpy==1.26.4" in wanted and not [pin for pin in locked if pin.startswith("bpy")]
+    assert 'numpy==1.26.4; python_version < "3.13"' in wanted and not [pin for pin in locked if pin.startswith("bpy")]
     assert {"llvmlite", "sympy"} <= {pin.split("==")[0] for pin in locked}
-    later, _ = install_engine.requirements((ROOT / "requirements.lock").read_text(), [], (3, 13))
-    assert "numpy>=1.26.4" in later
 
 
 def test_no_python_that_can_make_environments(monkeypatch):
