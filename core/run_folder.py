@@ -192,7 +192,8 @@ class RunFolder(Notes):
         folder = self.path / "checkpoint"
         folder.mkdir(exist_ok=True)
         with whole(folder / f"{name}.pt") as partial:
-            torch.save(_as_tensors(state), partial)
+            with partial.open("wb") as file:  # given a path, torch doesn't say why it could not be written
+                torch.save(_as_tensors(state), file)
 
     def load(self, name: str) -> dict[str, Any] | None:
         """What `save` kept under a name, on the CPU, or None. Raises InputError where the file is damaged."""
