@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from irgspp.core import pipeline
 from irgspp.core.config import preset
 from irgspp.core.overrides import with_overrides
 from irgspp.core.pipeline import DEMO_DATA, reconstruct
@@ -22,12 +23,13 @@ TINY = [
 
 
 @pytest.mark.long
-def test_a_whole_job_runs_and_finds_what_numba_finds(tmp_path):
+def test_a_whole_job_runs_and_finds_what_numba_finds(tmp_path, monkeypatch):
     """In a process of its own, as torch keeps the emulated GPU for good."""
     pytest.importorskip("warp")
     words = [sys.executable, str(EMULATED), str(DEMO_DATA), str(tmp_path / "gpu"), *TINY]
     done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert done.returncode == 0, done.stderr[-3000:]
+    monkeypatch.setattr(pipeline, "write_blend", lambda *_: None)
     reconstruct(DEMO_DATA, tmp_path / "cpu", with_overrides(preset("balanced"), [*TINY, "device=cpu"]))
     states = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("gpu", "cpu")]
     assert [state["computed_on"]["device"] for state in states] == ["emulated:0", "cpu"]

@@ -101,6 +101,7 @@ def emulate() -> None:
     torch.tensor = lambda values, dtype=None, device="cpu": make(values, dtype=dtype).to(device)
     torch.Tensor.new_tensor = lambda like, values: make(values, dtype=like.dtype).to(like.device)
     chosen = devices.Chosen(GPU, "emulated", True, 80 << 30)
+    pipeline.write_blend = lambda *_: None  # knows no GPU, and takes its time
     pipeline.choose = devices.choose = lambda name: chosen
 
 
