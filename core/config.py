@@ -140,6 +140,7 @@ PRESETS: dict[str, Settings] = {
             TransportSettings(), points=6000, views=12, rows=24, light_height=128, iterations=10_000, pixels=512, samples=512, pool=400_000
         ),
         surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
+        skip=replace(SkipSettings(), coarse="off"),
     ),
 }
 

@@ -16,6 +16,12 @@ def by_warp(tensor: torch.Tensor) -> bool:
     return tensor.device.type != "cpu" or (bool(_forced) and _forced[-1])
 
 
+def wait_for(device: torch.device) -> None:
+    """Until a GPU has done all that it was given, as who measures time has to."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
 @contextmanager
 def warp_on_cpu(wanted: bool = True) -> Iterator[None]:
     """Within it, warp's CPU device stands in for numba, where `wanted`: the way to test the device's kernels without a GPU. It is slow."""

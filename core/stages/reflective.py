@@ -11,6 +11,7 @@ import torch
 
 from ..config import Settings
 from ..datasets.dataset import Dataset
+from ..kernels.backend import wait_for
 from ..pace import first_pace, seconds_a_step, times
 from ..progress import Checkpoint, Progress, Silent
 from ..scene.reconstruction import Reconstruction
@@ -84,8 +85,8 @@ def _set_pace(trainer: Trainer, fine: Trainer, ends: float, progress: Progress) 
 
     `fine`: what `trainer` becomes when it is no longer coarse, to be thrown away; `trainer` itself where it never was.
     """
-    fine_step = seconds_a_step(fine.step)
-    step = fine_step if fine is trainer else seconds_a_step(trainer.step)
+    fine_step = seconds_a_step(lambda: (fine.step(), wait_for(trainer.device)))
+    step = fine_step if fine is trainer else seconds_a_step(lambda: (trainer.step(), wait_for(trainer.device)))
     left, iterations = ends - time.monotonic(), trainer.settings.iterations
     pace = first_pace(iterations, left, trainer.kind.glossy, step, fine_step, 0.0 if fine is trainer else SHARE)
     trainer.paced(times(pace, iterations))

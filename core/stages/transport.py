@@ -15,6 +15,7 @@ from ..config import Settings
 from ..datasets.camera import Camera
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
+from ..kernels.backend import wait_for
 from ..pace import second_pace, seconds_a_step, times
 from ..progress import Progress
 from ..scene.reconstruction import Reconstruction
@@ -114,7 +115,7 @@ def refined(
 
 def _set_pace(refinement: Refinement, ends: float, progress: Progress) -> float:
     """Do the first steps, and make the schedule as long as what is left of the time allows; how many times the preset's that is."""
-    step = seconds_a_step(refinement.step)
+    step = seconds_a_step(lambda: (refinement.step(), wait_for(refinement.light.device)))
     left, iterations = ends - time.monotonic(), refinement.settings.iterations
     pace = second_pace(refinement.settings, left, refinement.start.glossy, step)
     refinement.paced(times(pace, iterations))
