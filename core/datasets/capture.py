@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
@@ -13,6 +14,7 @@ import numpy as np
 from ..config import DataSettings
 from ..errors import InputError
 from .dataset import Bound, PointCloud
+from .paths import possible_name
 
 MINIMUM_VIEWS = 3
 FARTHEST = 1e9  # coordinates beyond are damage, and squares of them would drown everything else
@@ -150,17 +152,25 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 
 def view_names(listed: list[str]) -> list[str]:
-    """Unique view names: the file name without folders, extension or a final `rgba` part; folder parts are added where names collide."""
+    """Unique view names: the file name without folders, extension or a final `rgba` part; folder parts are added where names collide.
+
+    They can be names of files on every system, also where large and small letters are the same.
+    """
     parts = [_name_parts(name) for name in listed]
     depth = [1] * len(parts)
     while True:
-        names = ["_".join(p[-d:]) for p, d in zip(parts, depth, strict=True)]
-        counts = Counter(names)
-        grow = [i for i, n in enumerate(names) if counts[n] > 1 and depth[i] < len(parts[i])]
+        names = [possible_name("_".join(p[-d:])) for p, d in zip(parts, depth, strict=True)]
+        counts = Counter(map(_key, names))
+        grow = [i for i, n in enumerate(names) if counts[_key(n)] > 1 and depth[i] < len(parts[i])]
         if not grow:
             return _numbered(names)
         for i in grow:
             depth[i] += 1
+
+
+def _key(name: str) -> str:
+    """The same for names that are one file on some system: those that don't tell large from small letters, or spell accents otherwise."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
 
 def _name_parts(listed: str) -> list[str]:
@@ -172,13 +182,13 @@ def _name_parts(listed: str) -> list[str]:
 
 def _numbered(names: list[str]) -> list[str]:
     """Files that differ in nothing but the extension, or are listed twice, get a number."""
-    taken, unique = set(names), []
+    taken, unique = set(map(_key, names)), []
     seen: set[str] = set()
     for name in names:
         candidate, number = name, 2
-        while candidate in seen or (candidate != name and candidate in taken):
+        while _key(candidate) in seen or (candidate != name and _key(candidate) in taken):
             candidate, number = f"{name}_{number}", number + 1
-        seen.add(candidate)
+        seen.add(_key(candidate))
         unique.append(candidate)
     return unique
 

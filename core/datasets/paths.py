@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from ..errors import InputError
+
+IMPOSSIBLE = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f]')  # in names of files, on one system or another; a colon leads to other places
+RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # devices of Windows
+LONGEST = 120  # bytes of a name; file systems allow 255, of which suffixes and numbers take some
 
 
 def inside(path: Path, root: Path) -> Path:
@@ -24,3 +29,10 @@ def plain_name(where: object, name: object) -> str:
     if not isinstance(name, str) or name in ("", ".", "..") or any(c in name for c in "/\\\0:"):
         raise InputError(where, f"{str(name)[:80]!r} is not the name of a folder")
     return name
+
+
+def possible_name(name: str) -> str:
+    """The name as one that every file system takes: what can't stand in it becomes _, the end of a long one is left out."""
+    name = IMPOSSIBLE.sub("_", name.encode(errors="replace").decode())
+    name = name.encode()[:LONGEST].decode(errors="ignore").strip(" .")
+    return f"_{name}" if RESERVED.fullmatch(name) or not name else name
