@@ -184,7 +184,7 @@ def new_job(root: Path, kind: str, title: str, folder: Path | None, **values: An
     now = time.time()
     name = time.strftime("%Y%m%d-%H%M%S-", time.localtime(now)) + secrets.token_hex(3)
     notes = root / name
-    notes.mkdir(parents=True)
+    notes.mkdir(parents=True, mode=0o700)  # logs name what its user works on, and `cancel` in it stops the job
     return Job(name, kind, title, folder or notes, notes, made=now, **values)
 
 

@@ -119,7 +119,7 @@ class Session:
         picture = None
         if about["picture"]:
             try:
-                picture = np.load(self._folder / about["picture"])
+                picture = np.load(self._folder / about["picture"], allow_pickle=False)
             except (OSError, ValueError):
                 return None  # a newer one has just replaced it
         return Answer(about["number"], picture, about["share"], about["done"])

@@ -84,7 +84,7 @@ class WorldBake:
         if status or not self._map.is_file():
             lines = self._log.read_text(errors="replace").strip().splitlines()
             raise IrgsppError(f"World {self._name}: could not be rendered ({lines[-1] if lines else f'status {status}'})")
-        light = LightMap(np.load(self._map))
+        light = LightMap(np.load(self._map, allow_pickle=False))
         while len(_rendered) >= 4:
             del _rendered[next(iter(_rendered))]
         _rendered[self._key] = light

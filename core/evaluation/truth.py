@@ -167,7 +167,7 @@ def turned(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
 def _points(path: Path, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     if not path.is_file():
         return None
-    with np.load(path) as data:
+    with np.load(path, allow_pickle=False) as data:
         return _moved_points((data["points"], data["normals"]), to_world)
 
 
