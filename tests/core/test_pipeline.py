@@ -48,6 +48,9 @@ class Result:
     def surface_samples(self):
         return self.stage
 
+    def to(self, device):
+        return self
+
 
 class Stages:
     """Stand-ins for the stages: note that they ran, write a file; `stop` names one that is interrupted, `fail` one that breaks."""
@@ -74,7 +77,7 @@ class Stages:
         if name == self.fail:
             raise IrgsppError("no surface")
 
-    def train(self, dataset, settings, progress, checkpoint, ends):
+    def train(self, dataset, settings, progress, checkpoint, ends, device, resident):
         assert (ends is None) == (settings.time is None)
         progress.phase("first stage", 2)
         progress.step(1, loss=0.5, psnr=20.0)

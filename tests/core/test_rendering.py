@@ -85,6 +85,8 @@ def test_light_that_had_to_be_repaired_is_told(tmp_path):
 class FakeRelighter:
     """Knows only what it is asked."""
 
+    device = "cpu"
+
     reconstruction = SimpleNamespace(environment_map=lambda: np.full((2, 4, 3), 7, np.float32))
 
     def __init__(self):
