@@ -191,9 +191,9 @@ class RunFolder(Notes):
 
         folder = self.path / "checkpoint"
         folder.mkdir(exist_ok=True)
-        with whole(folder / f"{name}.pt") as partial:
-            with partial.open("wb") as file:  # given a path, torch doesn't say why it could not be written
-                torch.save(_as_tensors(state), file)
+        # Given a path, torch doesn't say why it could not be written.
+        with whole(folder / f"{name}.pt") as partial, partial.open("wb") as file:
+            torch.save(_as_tensors(state), file)
 
     def load(self, name: str) -> dict[str, Any] | None:
         """What `save` kept under a name, on the CPU, or None. Raises InputError where the file is damaged."""

@@ -21,10 +21,10 @@ from pathlib import Path
 from irgspp.core.batch.batch import notes_of, run_batch
 from irgspp.core.batch.jobs import Job
 from irgspp.core.batch.notes import State
-from irgspp.core.cli import check_words
 from irgspp.core.config import PRESETS
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.evaluation.protocols import PROTOCOLS
+from irgspp.core.options import check_words
 from irgspp.core.run_folder import read_run, write_atomic
 from irgspp.core.terminal import Terminal
 from reproduction.scenes import Scene, find_scenes, job_of

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 from irgspp.core import pipeline
-from irgspp.core.cli import main, parser, resume_line, settings_of
+from irgspp.core.cli import main, resume_line
+from irgspp.core.commands import settings_of
 from irgspp.core.config import Settings, preset
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
+from irgspp.core.options import parser
 from irgspp.core.overrides import with_overrides
 from irgspp.core.run_folder import RunFolder, read_run
 

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from irgspp.core.cli import main, parser
+from irgspp.core.cli import main
 from irgspp.core.config import DataSettings, Settings
 from irgspp.core.datasets.dataset import Bound
 from irgspp.core.errors import InputError
+from irgspp.core.options import parser
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.render_command import _cameras, _lights
 from irgspp.core.run_folder import RunFolder

@@ -5,7 +5,7 @@ import errno
 import os
 
 import pytest
-from irgspp.core import cli, room, run_folder
+from irgspp.core import cli, commands, room, run_folder
 from irgspp.core.config import Settings, preset
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
@@ -61,7 +61,7 @@ def test_disk_that_is_too_full_for_the_log_too(tmp_path, monkeypatch, capsys):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(cli, "devices", full)
+    monkeypatch.setattr(commands, "devices", full)
     monkeypatch.setattr(cli.tempfile, "mkstemp", full)
     assert cli.main(["devices"]) == 1
     (line,) = capsys.readouterr().err.splitlines()

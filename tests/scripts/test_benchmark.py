@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.cli import parser
 from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.datasets.dataset import Bound
 from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.options import parser
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.relight.lighting import prepare
 from irgspp.core.scene.mesh import Mesh
