@@ -83,7 +83,8 @@ class DeviceLost(IrgsppError):
     """The GPU failed, or went away."""
 
 
-SIGNS = ("CUDA error", "CUDA driver error", "Warp CUDA error", "cudaError", "an illegal memory access", "CUDA out of memory")
+OUT_OF_MEMORY = ("CUDA out of memory", "Failed to allocate", "out of memory on device")
+SIGNS = ("CUDA error", "CUDA driver error", "Warp CUDA error", "cudaError", "an illegal memory access", *OUT_OF_MEMORY)
 
 
 @contextmanager
@@ -97,10 +98,11 @@ def faults(resumable: bool = False) -> Iterator[None]:
     kept = "; what was done is kept: go on with --resume" if resumable else ""
     try:
         yield
-    except torch.OutOfMemoryError as error:
-        raise IrgsppError(f"the GPU's memory ran out{kept}, with fewer Gaussians or smaller pictures (docs/gpu.md says how)") from error
     except RuntimeError as error:  # torch's AcceleratorError and warp's errors among them
-        if not isinstance(error, getattr(torch, "AcceleratorError", ())) and not any(sign in str(error) for sign in SIGNS):
+        ours = (torch.OutOfMemoryError, getattr(torch, "AcceleratorError", torch.OutOfMemoryError))
+        if not isinstance(error, ours) and not any(sign in str(error) for sign in SIGNS):
             raise
+        if isinstance(error, torch.OutOfMemoryError) or any(sign in str(error) for sign in OUT_OF_MEMORY):
+            raise IrgsppError(f"the GPU's memory ran out{kept}, with fewer Gaussians or smaller pictures (docs/gpu.md says how)") from error
         said = str(error).strip().splitlines()[0]
         raise DeviceLost(f"the GPU failed ({said}){kept}") from error

@@ -72,9 +72,11 @@ def test_a_gpu_that_fails_is_told_in_one_line(said):
     assert "\n" not in str(caught.value) and "--resume" in str(caught.value) and caught.value.exit_status == 1
 
 
-def test_memory_that_ran_out_is_told_in_one_line():
+@pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nmore"),
+                                   RuntimeError("Failed to allocate 1024 bytes on device 'cuda:0'")])  # fmt: skip
+def test_memory_that_ran_out_is_told_in_one_line(error):
     with pytest.raises(IrgsppError, match=r"memory ran out.*--resume") as caught, faults(resumable=True):
-        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nmore")
+        raise error
     assert "\n" not in str(caught.value)
 
 
