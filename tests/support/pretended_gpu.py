@@ -26,6 +26,7 @@ from irgspp.core.kernels.warp import (
 from irgspp.core.kernels.warp import photometric as losses
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading import sampling, specular_albedo, split_sum
+from irgspp.core.stages.finite import LOOK_EVERY
 from irgspp.core.stages.hull import disks
 from irgspp.core.stages.kind import KINDS
 from irgspp.core.stages.pixel_pool import pool_pixels
@@ -120,6 +121,7 @@ def main() -> None:
             there.device, there._next_view = GPU, lambda: 0  # the host's own choice, which pretended tensors cannot make
             there.optimizer.others = {name: getattr(there, name) for name in there.optimizer.others}
             there.optimizer.adopt(there.optimizer.gaussians)
+            there.done = there.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not looked at
             for _ in range(3):
                 there.step()
         for refinement in refinements:
@@ -127,6 +129,7 @@ def main() -> None:
             there.tracer.device = GPU
             there.optimizer.others = {"light": there.light}
             there.optimizer.adopt(there.optimizer.gaussians)
+            there.done = there.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not looked at
             for _ in range(3):
                 there.step()
     print(" ".join(sorted(set(launched))), flush=True)
