@@ -102,7 +102,7 @@ def test_disk_that_fills_up_is_one_line_and_loses_nothing(tmp_path, monkeypatch)
     monkeypatch.setenv("IRGSPP_PYTHON", str(wrapper))
     job = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run"))
     jobs.wait(job, PATIENCE)
-    assert job.state == "failed" and "File too large" in job.error and "\n" not in job.error
+    assert job.state == "failed" and "larger than this system allows" in job.error and "\n" not in job.error
     assert run_state(tmp_path / "run")["status"] == "failed"
     monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
     jobs.resume(job)
