@@ -14,8 +14,13 @@ class InputError(IrgsppError):
     exit_status = 2
 
     def __init__(self, where: object, what: str, fix: str = "") -> None:
-        self.where, self.what, self.fix = str(where), what, fix
-        super().__init__(" ".join(f"{where}: {what}{'; ' + fix if fix else ''}".split()))
+        self.where, self.what, self.fix = _short(str(where), 1000), _short(what, 800), _short(fix, 2000)
+        super().__init__(" ".join(f"{self.where}: {self.what}{'; ' + self.fix if fix else ''}".split()))
+
+
+def _short(text: str, most: int) -> str:
+    """The text without its middle where it is longer: what stands in a damaged file may be endless."""
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 3 :]}"
 
 
 class Cancelled(IrgsppError):

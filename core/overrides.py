@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import sys
 import types
 from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -146,7 +147,8 @@ def _fits(kind: Any, value: Any) -> bool:
     if get_origin(kind) is Literal:
         return value in get_args(kind)
     if kind in (int, float):
-        return isinstance(value, int if kind is int else (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        known = isinstance(value, int if kind is int else (int, float)) and not isinstance(value, bool)
+        return known and abs(value) <= sys.float_info.max  # false for NaN, too
     return isinstance(value, kind)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import shutil
 import time
 import traceback
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -40,9 +40,15 @@ def read_run(path: Path) -> dict[str, Any]:
         raise InputError(path, "is not a run folder (no run.json in it)")
     try:
         state = json.loads(file.read_text("utf-8"))
-        return {**state, "phases": dict(state["phases"]), "settings": dict(state["settings"])}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        json.dumps(state, allow_nan=False)  # what can't be written again is no state
+        phases = {name: _phase(phase) for name, phase in state["phases"].items()}
+        return {**state, "phases": phases, "settings": dict(state["settings"])}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(file, f"is broken ({error})", "start the run anew with --overwrite") from error
+
+
+def _phase(entry: dict[str, Any]) -> dict[str, Any]:
+    return {"seconds": float(entry["seconds"]), "peak_memory": int(entry["peak_memory"]), "finished": bool(entry["finished"])}
 
 
 def check_claim(path: Path, resume: bool, overwrite: bool) -> None:
@@ -203,8 +209,12 @@ class RunFolder(Notes):
         if not path.exists():
             return None
         try:
+            if zipfile.ZipFile(path).testzip() is not None:  # torch reads on where the disk has lost a bit
+                raise ValueError("a checksum differs")
             return torch.load(path, map_location="cpu", weights_only=True)
-        except (RuntimeError, ValueError, EOFError, OSError, pickle.UnpicklingError) as error:
+        except MemoryError:
+            raise
+        except Exception as error:  # a damaged file raises nearly anything
             raise InputError(path, "the checkpoint can't be read", "delete it, or start anew with --overwrite") from error
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..config import DataSettings
 from ..errors import InputError
 from .dataset import Bound, PointCloud
-from .paths import possible_name
+from .paths import is_file, possible_name
 
 MINIMUM_VIEWS = 3
 FARTHEST = 1e9  # coordinates beyond are damage, and squares of them would drown everything else
@@ -200,13 +200,13 @@ def find_picture(base: Path) -> Path | None:
     """The picture file meant by `base`: as given, with another known extension, or with one added (lower or upper case)."""
     stems = [base]
     if base.suffix.lower() in PICTURE_SUFFIXES:
-        if base.is_file():
+        if is_file(base):
             return base
         stems = [base.with_suffix("")]
     for stem in stems:
         for suffix in PICTURE_SUFFIXES:
             for candidate in (stem.with_name(stem.name + suffix), stem.with_name(stem.name + suffix.upper())):
-                if candidate.is_file():
+                if is_file(candidate):
                     return candidate
     return None
 
@@ -225,4 +225,4 @@ def find_mask(picture: Path, root: Path) -> Path | None:
         except ValueError:
             inside = masks / picture.name
         candidates += [inside.with_suffix(".png"), inside.with_name(inside.name + ".png")]
-    return next((c for c in candidates if c != picture and c.is_file()), None)
+    return next((c for c in candidates if c != picture and is_file(c)), None)

@@ -73,7 +73,7 @@ def read_images(file: Path) -> list[ImageRecord]:
     images = list(_binary_images(file) if file.suffix == ".bin" else _text_images(file))
     for image in images:
         # Negated comparisons: they are true for NaN.
-        if not (max(map(abs, image.translation)) < FARTHEST and 1e-6 < np.linalg.norm(image.quaternion) < 1e6):
+        if not (np.abs(image.translation).max() < FARTHEST and 1e-6 < np.linalg.norm(image.quaternion) < 1e6):
             raise InputError(file, f"picture {image.name[:80]!r} has a pose that is not finite or not a rotation")
     return sorted(images, key=lambda image: image.name)
 

@@ -68,7 +68,7 @@ def _parsed(file: Path) -> ElementTree.Element:
         return ElementTree.fromstring(data)
     except OSError as error:
         raise InputError(file, f"can't be read ({error.strerror})") from error
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # the latter of unknown encodings
         raise InputError(file, f"not valid XML ({error})") from error
 
 

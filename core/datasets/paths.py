@@ -24,6 +24,14 @@ def inside(path: Path, root: Path) -> Path:
     return path
 
 
+def is_file(path: Path) -> bool:
+    """True where there is such a file; False also for names that no file can have, as too long ones."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def plain_name(where: object, name: object) -> str:
     """The name of one folder or file. Raises InputError where it is none: with separators, empty, or a way up."""
     if not isinstance(name, str) or name in ("", ".", "..") or any(c in name for c in "/\\\0:"):

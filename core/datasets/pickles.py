@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import pickletools
 import re
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from ..errors import InputError
 
 LARGEST = 64 << 20  # bytes; cameras of thousands of pictures take less
 VALUES = 200_000  # that a pickle may hold, each counted as often as it is named
+OPERATIONS = 10 * VALUES
 NUMBERS = re.compile(r"[biufU]\d+")
 
 
@@ -31,11 +33,21 @@ def read_pickle(path: Path) -> Any:
     except OSError as error:
         raise InputError(path, f"can't be read ({error.strerror})") from error
     try:
+        _check_operations(data)
         return _Finish()(_Arrays(io.BytesIO(data)).load())
     except pickle.UnpicklingError as error:
         raise InputError(path, f"is refused: {error}", "a pickle of plain numpy arrays is expected") from error
     except Exception as error:  # a damaged pickle raises nearly anything
         raise InputError(path, f"not a readable pickle ({type(error).__name__})") from error
+
+
+def _check_operations(data: bytes) -> None:
+    """Raise UnpicklingError where an operation asks for more room than the file can fill: lengths, or a place far out in the memo."""
+    for number, (operation, argument, _) in enumerate(pickletools.genops(data)):
+        if "PUT" in operation.name and isinstance(argument, int) and argument > len(data):
+            raise pickle.UnpicklingError(f"it numbers a value {argument}")
+        if number > OPERATIONS:
+            raise pickle.UnpicklingError(f"it takes more than {OPERATIONS} operations")
 
 
 class _Dtype:

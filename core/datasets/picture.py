@@ -17,6 +17,8 @@ from ..scene.exr import check_pixels, exr_size, read_exr
 
 BAND = 256  # rows that are linear floats at a time: a 50-megapixel photograph would take gigabytes as a whole
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by kind of colour
+SLACK = 1 << 16
 EXR_SIGNATURE = b"\x76\x2f\x31\x01"
 
 
@@ -42,16 +44,27 @@ def picture_size(path: Path) -> tuple[int, int]:
     """(width, height) from the header alone. Raises InputError where it is no PNG, JPEG or EXR, or claims to be enormous."""
     try:
         with path.open("rb") as file:
-            head = file.read(24)
+            head, size = file.read(26), path.stat().st_size
     except OSError as error:
         raise InputError(path, f"can't be read ({error.strerror})") from error
     if head[:4] == EXR_SIGNATURE:
         return exr_size(path)
     if head[:8] == PNG_SIGNATURE and head[12:16] == b"IHDR":
-        check_pixels(path, int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big"))
+        sides = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+        check_pixels(path, *sides)
+        # A byte of a PNG can't stand for more than 1032 of its pixels' bytes (deflate), one of a JPEG for no more than 341 pixels.
+        bits = head[24] * PNG_CHANNELS.get(head[25], 1) if len(head) == 26 else 1
+        _check_filled(path, sides[0] * sides[1] * bits // 8, 1032 * size)
     width, height = _raster_size(path)
     check_pixels(path, width, height)
+    if head[:8] != PNG_SIGNATURE:
+        _check_filled(path, width * height, 341 * size)
     return width, height
+
+
+def _check_filled(path: Path, claimed: int, possible: int) -> None:
+    if claimed > possible + SLACK:
+        raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or made to do harm")
 
 
 def _raster_size(path: Path) -> tuple[int, int]:

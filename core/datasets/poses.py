@@ -19,7 +19,7 @@ def pose_of(where: str, entry: dict[str, Any]) -> np.ndarray:
         raise InputError(where, 'has no "transform_matrix"')
     try:
         matrix = np.array(entry["transform_matrix"], np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(where, "transform_matrix is not a matrix of numbers") from error
     return rigid(where, matrix, "transform_matrix")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from ..errors import InputError
 from .capture import Capture, Frame, find_mask, find_picture
 from .dataset import PointCloud
 from .intrinsics import Size, lens_of, side_of
-from .paths import inside
+from .paths import inside, is_file
 from .picture import picture_size
 from .poses import pose_of
 from .sparse_points import read_points
@@ -41,6 +42,8 @@ def read_transforms(file: Path, settings: DataSettings) -> Capture:
         other = load_transforms(test)
         others = [listed_picture(test.parent, e["file_path"]) for e in other["frames"]]
         learn, check = frames, frames_of(test, other, others, _known_size(test, other, others) or size)
+    if not learn:
+        raise InputError(file, "has no views to learn from", "all of its frames are test views, or none is listed in train_filenames")
     return Capture(file, file.parent, kind_of(file, content, learn), learn, check, np.eye(4), _points(file, content))
 
 
@@ -101,6 +104,8 @@ def listed_picture(folder: Path, listed: str, root: Path | None = None) -> Path 
     base = folder / listed.replace("\\", "/")
     try:
         inside(base, root or folder)
+        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            base.lstat()
         # Synthetic4Relight lists NAME for NAME_rgb.exr and NAME_rgba.png.
         candidates = (base, base.with_name(base.name + "_rgb.exr"), base.with_name(base.name + "_rgba.png"))
         return next(filter(None, map(find_picture, candidates)), None)
@@ -151,14 +156,14 @@ def frames_of(file: Path, content: dict[str, Any], pictures: list[Path | None], 
 def _mask(file: Path, entry: dict[str, Any], picture: Path | None) -> Path | None:
     if isinstance(entry.get("mask_path"), str) and entry["mask_path"]:
         mask = inside(file.parent / entry["mask_path"].replace("\\", "/"), file.parent)
-        if picture is not None and not mask.is_file():
+        if picture is not None and not is_file(mask):
             raise InputError(mask, "no such mask file", f"it is named by {file.name}")
         return mask
     if picture is None:
         return None
     # NAME_rgb.exr has its mask at NAME_mask.png.
     twin = picture.with_name(picture.stem.removesuffix("_rgb") + "_mask.png")
-    return twin if twin != picture and twin.is_file() else find_mask(picture, _picture_root(file, picture))
+    return twin if twin != picture and is_file(twin) else find_mask(picture, _picture_root(file, picture))
 
 
 def _picture_root(file: Path, picture: Path) -> Path:
@@ -187,6 +192,6 @@ def _points(file: Path, content: dict[str, Any]) -> PointCloud | None:
     if not isinstance(name, str) or not name:
         return None
     path = inside(file.parent / name.replace("\\", "/"), file.parent)
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(path, "no such file", f"it is named by {file.name} as ply_file_path")
     return read_points(path)

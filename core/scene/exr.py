@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..replacing import whole
 
 MAX_PIXELS = 178_000_000  # beyond any camera (Pillow's own limit): a header that claims more is damaged or hostile
+RATIO = 4000  # pixels of a byte
 
 
 def exr_size(path: Path) -> tuple[int, int]:
@@ -22,6 +23,9 @@ def exr_size(path: Path) -> tuple[int, int]:
     except Exception as error:  # the library raises plain RuntimeError and TypeError for broken files
         raise InputError(path, f"not a readable EXR picture ({error})") from error
     check_pixels(path, width, height)
+    # Decoders take memory for all of it first; no compression fills so much from so little.
+    if width * height > RATIO * path.stat().st_size + (1 << 16):
+        raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or made to do harm")
     return width, height
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -42,7 +41,7 @@ class Reflections:
         try:
             with np.load(path, allow_pickle=False) as data:
                 material, environment = data["material"].astype(np.float32), data["environment"].astype(np.float32)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:  # damaged archives raise nearly anything
             raise InputError(path, f"the reflections can't be read ({error})") from error
         if material.shape != (5, count) or environment.ndim != 3 or environment.shape[-1] != 3 or not environment.size:
             raise InputError(path, f"holds no materials of {count} disks and a light, but {material.shape} and {environment.shape}")
