@@ -93,6 +93,7 @@ def read_only(dataset: str, run: str, resume: bool) -> None:
     begin = pipeline.Job.run
 
     def harden(job: pipeline.Job) -> None:
+        job.folder.close()  # its lock is a file open for writing, with which no disk can be made read-only
         remount(Path(run).parent, "ro")
         begin(job)
 
@@ -150,9 +151,9 @@ def full(measured: Measured) -> None:
     survives(measured, PLENTY, [("700 kB left", starved, (700_000,), "the disk is full", free)])
 
 
-@case("full at 12 moments", "The same with from 0 bytes to 3 MB left.", quick=False)
+@case("full at 11 moments", "The same with from 0 bytes to 2 MB left.", quick=False)
 def full_often(measured: Measured) -> None:
-    sizes = (0, 8192, 40_000, 120_000, 250_000, 350_000, 500_000, 700_000, 1_000_000, 1_500_000, 2_000_000, 3_000_000)
+    sizes = (0, 8192, 40_000, 120_000, 250_000, 350_000, 500_000, 700_000, 1_000_000, 1_500_000, 2_000_000)
     survives(measured, PLENTY, [(f"{left} bytes left", starved, (left,), "the disk is full", free) for left in sizes])
 
 

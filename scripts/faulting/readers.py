@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every reader of files from elsewhere, with right files to begin from."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from formats import WRITERS
+from formats.source import load_source
+from irgspp.core.batch.jobs import read_jobs
+from irgspp.core.config import DataSettings
+from irgspp.core.datasets.colmap_model import read_points as read_colmap_points
+from irgspp.core.datasets.detect import read_capture
+from irgspp.core.datasets.load import load_cameras
+from irgspp.core.datasets.pickles import read_pickle
+from irgspp.core.datasets.picture import picture_size, read_mask, read_picture
+from irgspp.core.datasets.sparse_points import read_points
+from irgspp.core.errors import InputError
+from irgspp.core.options import check_words
+from irgspp.core.overrides import from_dict
+from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.run_folder import RunFolder, read_run
+from irgspp.core.scene.cameras import load_cameras as load_placed
+from irgspp.core.scene.edited_mesh import load_edited_mesh
+from irgspp.core.scene.exr import exr_size, read_exr_rgb, write_exr
+from irgspp.core.scene.gaussians import Gaussians, load_gaussians, save_gaussians
+from irgspp.core.scene.light_files import read_light
+from irgspp.core.scene.mesh import Mesh
+from irgspp.core.scene.ply import load_mesh_ply, save_mesh_ply
+from irgspp.core.scene.reconstruction import Reflections
+from irgspp.core.scene.surface import Surface
+from PIL import Image
+
+from .tiny import settings
+
+PICTURES = ("picture.png", "grey.png", "palette.png", "deep.png", "picture.jpg")
+EXRS = ("zip.exr", "half.exr", "piz.exr", "grey.exr")
+
+
+@dataclass(frozen=True)
+class Reader:
+    """`make` writes right files into a folder; one of `files` is then made wrong, and `read` is given the folder and that file."""
+
+    name: str
+    files: tuple[str, ...]
+    make: Callable[[Path], None]
+    read: Callable[[Path, Path], object]
+    text: bool = False
+
+
+def write_scene(format: str, folder: Path) -> None:
+    """Five views of the demonstration in the layout of a dataset."""
+    source = load_source(DEMO_DATA)
+    few = replace(source, name="scene", train=source.train[::10], test=source.test[:1])
+    made, _ = WRITERS[format](few, folder.parent / "made")
+    shutil.copytree(made, folder, dirs_exist_ok=True)
+    shutil.rmtree(folder.parent / "made")
+
+
+def write_colmap(folder: Path, text: bool) -> None:
+    """A sparse model of five views in binary or text, with points."""
+    write_scene("ref-real", folder)
+    model = next(f.parent for f in sorted(folder.rglob("cameras.*")))
+    wanted = ".txt" if text else ".bin"
+    if not (model / f"cameras{wanted}").is_file():
+        _converted(model, text)
+    for file in [f for f in model.iterdir() if f.suffix != wanted]:
+        file.unlink()
+    if model != folder / "sparse" / "0":
+        (folder / "sparse").mkdir(exist_ok=True)
+        model.rename(folder / "sparse" / "0")
+
+
+def _converted(model: Path, text: bool) -> None:
+    from formats import colmap_files
+    from irgspp.core.datasets import colmap_model
+
+    assert text, "the writer makes binary models"
+    cameras = colmap_model.read_cameras(model / "cameras.bin")
+    images = colmap_model.read_images(model / "images.bin")
+    points = read_colmap_points(model / "points3D.bin")
+    assert colmap_files
+    lines = [f"{n} {c.model} {c.width} {c.height} {' '.join(map(repr, c.parameters))}" for n, c in cameras.items()]
+    (model / "cameras.txt").write_text("# cameras\n" + "\n".join(lines) + "\n")
+    lines = [f"{i} {' '.join(map(repr, (*m.quaternion, *m.translation)))} {m.camera} {m.name}\n" for i, m in enumerate(images, 1)]
+    (model / "images.txt").write_text("# images\n" + "\n".join(lines) + "\n")
+    rows = zip(points.position.tolist()[:50], points.colour.tolist(), strict=False)
+    lines = [f"{i} {' '.join(map(repr, p))} {' '.join(map(str, c))} 0.5 1 2 2 3" for i, (p, c) in enumerate(rows, 1)]
+    (model / "points3D.txt").write_text("# points\n" + "\n".join(lines) + "\n")
+
+
+def read_dataset(folder: Path, file: Path) -> object:
+    """What a command makes of a dataset before it decodes pictures: its description, and the cameras fitted to them."""
+    read_capture(folder, DataSettings())
+    return load_cameras(folder, "all", DataSettings())
+
+
+def write_transforms(folder: Path) -> None:
+    """One file with everything that the family knows, and its pictures."""
+    write_scene("nerfstudio", folder)
+    for file in folder.glob("transforms*.json"):
+        content = json.loads(file.read_text())
+        content["frames"][0] |= {"fl_x": 70.0, "k1": 0.01, "camera_model": "OPENCV"}
+        file.write_text(json.dumps(content, indent=0))
+
+
+def write_plys(folder: Path) -> None:
+    """Points, Gaussians and meshes, binary and in ASCII."""
+    random = np.random.default_rng(0)
+    values = (torch.from_numpy(random.normal(size=s).astype(np.float32)) for s in ((3, 4), (4, 4), (2, 4), (4,), (16, 3, 4), (5, 4)))
+    save_gaussians(Gaussians(*values), folder / "gaussians.ply")
+    corners = random.random((4, 3)).astype(np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    mesh = Mesh(corners, corners, corners[:, :2], faces, corners, corners[:, 0], corners[:, 1])
+    save_mesh_ply(mesh, folder / "mesh.ply")
+    head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    vertices = "".join(f"{x} {y} {z}\n" for x, y, z in corners.tolist())
+    (folder / "points.ply").write_text(head + "end_header\n" + vertices)
+    face = "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    (folder / "edited.ply").write_text(head + face + vertices + "3 0 1 2\n4 0 1 2 3\n")
+
+
+def read_ply(folder: Path, file: Path) -> object:
+    """By every reader of PLY files that there is."""
+    return _all([lambda f=f: f(file) for f in (read_points, load_gaussians, load_mesh_ply, load_edited_mesh)])
+
+
+def _all(reads: list[Callable[[], object]]) -> list[object]:
+    """What each of them makes of a file; the last InputError is raised where all refuse it."""
+    results, refused = [], InputError("", "")
+    for read in reads:
+        try:
+            results.append(read())
+        except InputError as error:
+            refused = error
+    if not results:
+        raise refused
+    return results
+
+
+def write_exrs(folder: Path) -> None:
+    """Float and half, of several compressions."""
+    import OpenEXR
+
+    pixels = np.random.default_rng(0).random((12, 16, 3)).astype(np.float32)
+    channels = {name: pixels[..., i] for i, name in enumerate("RGB")}
+    write_exr(folder / "zip.exr", channels)
+    write_exr(folder / "half.exr", channels, half=True)
+    write_exr(folder / "grey.exr", {"Y": pixels[..., 0]})
+    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {name: np.ascontiguousarray(c) for name, c in channels.items()}) as file:
+        file.write(str(folder / "piz.exr"))
+
+
+def write_hdrs(folder: Path) -> None:
+    """Run lengths and flat, 2:1 and not."""
+    random = np.random.default_rng(0)
+    cv2.imwrite(str(folder / "light.hdr"), random.random((16, 32, 3)).astype(np.float32))
+    cv2.imwrite(str(folder / "small.hdr"), random.random((4, 6, 3)).astype(np.float32))  # too narrow for run lengths
+
+
+def write_pictures(folder: Path) -> None:
+    """PNGs of every kind that is met, and a JPEG."""
+    pixels = np.random.default_rng(0).integers(0, 256, (12, 16, 4)).astype(np.uint8)
+    Image.fromarray(pixels).save(folder / "picture.png")
+    Image.fromarray(pixels[..., 0]).save(folder / "grey.png")
+    Image.fromarray(pixels[..., :3]).quantize(8).save(folder / "palette.png", transparency=3)
+    Image.fromarray(pixels[..., 0].astype(np.uint16) * 257).save(folder / "deep.png")
+    Image.fromarray(pixels[..., :3]).save(folder / "picture.jpg")
+
+
+def read_any_picture(folder: Path, file: Path) -> object:
+    """Size, pixels, as a mask, and as a light."""
+    return _all([lambda f=f: f(file) for f in (picture_size, read_picture, read_mask, read_light)])
+
+
+def write_run(folder: Path) -> None:
+    """A run folder after its first stage: run.json, checkpoints, cameras."""
+    run = RunFolder.open(folder / "run", settings(), "photos")
+    run.record("reflective", 1.0, 1 << 20, finished=True)
+    random = np.random.default_rng(0)
+    surface = Surface(random.random((4, 3)), random.random((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), 0.1)
+    run.save("geometry", surface.state())
+    run.save("reflective", {"done": 3, "kind": "low-gloss", "values": {"a": torch.ones(3, 2), "b": [torch.zeros(2), 1.5]}})
+    reflections = Reflections(torch.full((5, 4), 0.5), torch.ones(2, 4, 3))
+    reflections.save(run.path / "reflections.npz")
+    run.close()
+    matrix = np.eye(4).tolist()
+    lens = {"width": 8, "height": 8, "fx": 9.0, "fy": 9.0, "cx": 4.0, "cy": 4.0, "to_world": matrix, "picture": "a.png"}
+    (folder / "run" / "cameras.json").write_text(json.dumps([{"name": "a", "split": "train", **lens}]))
+
+
+def read_state(folder: Path, file: Path) -> object:
+    """As `--resume`, `evaluate` and `batch` read run.json."""
+    state = read_run(folder / "run")
+    from_dict(state["settings"], file)
+    run = RunFolder.open(folder / "run", settings(), "photos", resume=True)
+    try:
+        return run.finished("reflective"), run.spent
+    finally:
+        run.close()
+
+
+def read_checkpoint(folder: Path, file: Path) -> object:
+    """As a resumed job does."""
+    run = RunFolder(folder / "run", {}, None)  # pyright: ignore[reportArgumentType]
+    state = run.load(file.stem)
+    return Surface.restored(state) if state and file.stem == "geometry" else state
+
+
+def read_layer(folder: Path, file: Path) -> object:
+    """What else a run folder has."""
+    return Reflections.load(file, 4) if file.suffix == ".npz" else load_placed(file)
+
+
+def write_toml(folder: Path) -> None:
+    """A list of jobs."""
+    (folder / "jobs.toml").write_text(
+        '[defaults]\npreset = "draft"\nset = ["reflective.iterations=5"]\n\n[[job]]\ndataset = "a"\noutput = "runs/a"\nseed = 3\n'
+        'after = ["evaluate -o {output}/e", "export -o {name}.glb"]\n\n[[job]]\nname = "b"\ndataset = "b"\noutput = "runs/b"\n'
+    )
+
+
+def write_pickles(folder: Path) -> None:
+    """Cameras as GlossySynthetic has them, in several protocols."""
+    for protocol in (0, 2, 4, 5):
+        value = [np.arange(12.0).reshape(3, 4), {"a": np.float32(2), "b": [1, "x", (None, True)]}]
+        (folder / f"{protocol}.pkl").write_bytes(pickle.dumps(value, protocol))
+
+
+MODEL = "sparse/0"
+READERS = (
+    Reader(
+        "COLMAP binary",
+        tuple(f"{MODEL}/{n}.bin" for n in ("cameras", "images", "points3D")),
+        lambda f: write_colmap(f, False),
+        read_dataset,
+    ),
+    Reader(
+        "COLMAP text",
+        tuple(f"{MODEL}/{n}.txt" for n in ("cameras", "images", "points3D")),
+        lambda f: write_colmap(f, True),
+        read_dataset,
+        True,
+    ),
+    Reader("transforms.json", ("transforms.json",), write_transforms, read_dataset, True),
+    Reader("PLY", ("points.ply", "gaussians.ply", "mesh.ply", "edited.ply"), write_plys, read_ply),
+    Reader("EXR", EXRS, write_exrs, lambda _, file: (exr_size(file), read_exr_rgb(file))),
+    Reader("HDR", ("light.hdr", "small.hdr"), write_hdrs, lambda _, file: read_light(file)),
+    Reader("PNG and JPEG", PICTURES, write_pictures, read_any_picture),
+    Reader("run.json", ("run/run.json",), write_run, read_state, True),
+    Reader("checkpoints", ("run/checkpoint/geometry.pt", "run/checkpoint/reflective.pt"), write_run, read_checkpoint),
+    Reader("layers of a run", ("run/reflections.npz", "run/cameras.json"), write_run, read_layer),
+    Reader("job TOML", ("jobs.toml",), write_toml, lambda _, file: read_jobs(file, check_words), True),
+    Reader("Metashape XML", ("cameras.xml",), lambda f: write_scene("metashape", f), read_dataset, True),
+    Reader("RealityCapture CSV", ("cameras.csv",), lambda f: write_scene("realitycapture", f), read_dataset, True),
+    Reader("pickles", ("0.pkl", "2.pkl", "4.pkl", "5.pkl"), write_pickles, lambda _, file: read_pickle(file)),
+)
