@@ -23,6 +23,7 @@ from .errors import Cancelled, InputError, IrgsppError
 from .evaluation.metrics import on_black, psnr
 from .evaluation.sheet import contact_sheet
 from .export import write_blend
+from .host_memory import MOST_RAYS, rays_that_fit
 from .journal import Journal
 from .memory import peak_memory, reset_peak_memory
 from .pace import FUSED
@@ -40,6 +41,7 @@ from .scene.surface import Surface
 from .scene.textures import save_textures
 from .stages.reflective import train
 from .stages.render import render_view
+from .stages.transfer import rays_at_a_time
 from .stages.transport import solve_transport
 from .surface.geometry import extract_geometry
 from .surface.texturing import textured_mesh
@@ -74,9 +76,12 @@ def reconstruct(
     data = load_dataset(dataset, settings.data, watcher)
     check_room(run, settings, data)
     resident = keeps_photographs(data, settings, chosen)
+    rays = rays_that_fit(settings, data) if chosen.device.type == "cpu" else MOST_RAYS
+    if rays < MOST_RAYS:
+        watcher.message(f"memory is short: {rays} rays are at work at a time instead of {MOST_RAYS}, which takes longer")
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
     try:
-        with folder.job(), computing_on(chosen, resumable=True):
+        with folder.job(), computing_on(chosen, resumable=True), rays_at_a_time(rays):
             folder.state["computed_on"] = {"device": str(chosen.device), "why": chosen.why}
             ends = None if settings.time is None else began + settings.time - folder.spent
             folder.record("read", time.monotonic() - began, peak_memory(), finished=True)

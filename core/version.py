@@ -13,6 +13,7 @@ LIBRARIES = {
     "OpenEXR": ("OpenEXR", "3.3"),
     "PIL": ("pillow", "10"),
     "plyfile": ("plyfile", "1"),
+    "psutil": ("psutil", "6"),
     "scipy": ("scipy", "1.13"),
     "skimage": ("scikit-image", "0.24"),
     "torch": ("torch", "2.5"),

@@ -7,7 +7,8 @@ With it the picture is linear in the light, and no estimate: light, albedo and g
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,18 @@ from ..shading.lightmap import solid_angles
 from .observations import Observations
 from .tracer import Tracer
 
-RAYS = 1 << 18  # at a time
+RAYS = 1 << 18  # at a time, unless memory is short
+
+
+@contextmanager
+def rays_at_a_time(count: int) -> Iterator[None]:
+    """Within the block, about so many rays are at work at a time: the result is the same, memory and speed are less with fewer."""
+    global RAYS
+    before, RAYS = RAYS, count
+    try:
+        yield
+    finally:
+        RAYS = before
 
 
 def subdivided_directions(height: int, side: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
