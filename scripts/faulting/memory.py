@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Memory: foreseen before a job starts, and where it is short, less of it is taken, or one clear line says what is needed."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import tempfile
+from pathlib import Path
+
+import psutil
+from irgspp.core.config import Settings, preset
+from irgspp.core.datasets.load import load_dataset
+from irgspp.core.host_memory import bytes_needed
+from irgspp.core.overrides import with_overrides
+from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.run_folder import read_run
+from stresses.case import Measured
+
+from .cases import case_of
+from .tiny import Doom, Nursery, differing, said, settings, work, write_dataset
+
+case = case_of("memory")
+WITHIN = 0.25  # of the measured peak
+MIB = 1 << 20
+STATED = {  # jobs whose peak is compared with the estimate: preset and changes
+    "tiny": ("draft", ()),
+    "draft": ("draft", ("data.resolution=64",)),
+    "balanced": ("balanced", ("data.resolution=64",)),
+    "more points": ("balanced", ("data.resolution=64", "transport.points=5000", "transport.rows=20")),
+}
+
+
+def job(dataset: str, run: str, preset_name: str, changes: tuple[str, ...]) -> None:
+    """A job of these settings in a process of its own."""
+    import os
+
+    from irgspp.core.pipeline import reconstruct
+
+    reconstruct(Path(dataset), Path(run), with_overrides(preset(preset_name), changes))
+    os._exit(0)
+
+
+def peak(run: Path) -> int:
+    """Bytes at most in use in any phase of a finished run."""
+    return max(phase["peak_memory"] for phase in read_run(run)["phases"].values())
+
+
+def foreseen(measured: Measured, name: str, dataset: Path, how: Settings, run: Path) -> None:
+    """Compare estimate and peak."""
+    estimate, found = bytes_needed(how, load_dataset(dataset, how.data)), peak(run)
+    measured.at_most(f"{name}: {estimate / MIB:.0f} MB foreseen, {found / MIB:.0f} taken, off by", abs(estimate / found - 1), WITHIN)
+
+
+@case("estimate of a job of seconds", f"The estimate before the start is within {WITHIN:.0%} of the measured peak.", quick=False)
+def estimate(measured: Measured) -> None:
+    nursery = Nursery()
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        data, run = write_dataset(Path(name, "photographs")), Path(name, "run")
+        measured.holds("the job ends well", nursery.run(work, str(data), str(run), False, Doom()) == 0)
+        foreseen(measured, "tiny", data, settings(), run)
+
+
+@case("estimates of presets", f"On the demonstration's photographs, within {WITHIN:.0%} for draft, balanced, and more points.", quick=False)
+def estimates(measured: Measured) -> None:
+    nursery = Nursery()
+    for title, (name, changes) in STATED.items():
+        if title == "tiny":
+            continue
+        with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as folder:
+            run = Path(folder, "run")
+            measured.holds(f"{title} ends well", nursery.run(job, str(DEMO_DATA), str(run), name, changes) == 0)
+            foreseen(measured, title, DEMO_DATA, with_overrides(preset(name), changes), run)
+
+
+def confined(dataset: str, run: str, more: int) -> None:
+    """The job, with at most `more` bytes of address space beyond what its libraries take."""
+    from irgspp.core import pipeline
+
+    load = pipeline.load_dataset
+
+    def limited(*words, **options):
+        data = load(*words, **options)
+        most = psutil.Process().memory_info().vms + more
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        return data
+
+    pipeline.load_dataset = limited
+    work(dataset, run, False, Doom())
+
+
+@case(
+    "ulimit -v, from plenty to nothing",
+    """The job ends well with the same bits as without a limit, with fewer rays at a time where that makes it fit, or says in one line,
+    before anything is written or with what is done kept, that memory is short; it is never killed.""",
+    quick=False,
+)
+def limits(measured: Measured) -> None:
+    nursery, ends = Nursery(), []
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        folder = Path(name)
+        data, calm = write_dataset(folder / "photographs"), folder / "calm"
+        measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom()) == 0)
+        for more in (2000, 1200, 900, 700, 500, 350, 200, 100, 20):
+            run = folder / "run"
+            status, lines = nursery.run(confined, str(data), str(run), more * MIB), said(Path(f"{run}.txt"))
+            fewer = "memory is short" in Path(f"{run}.txt").read_text()
+            ends.append(f"{more} MB: {'fewer rays' if fewer else 'well' if status == 0 else f'status {status}'}")
+            if status == 0:
+                unlike = differing(run, calm)
+                measured.holds(f"{more} MB: the same bits, not others in {', '.join(unlike)}", not unlike)
+            else:
+                measured.holds(f"{more} MB: status 1 or 2, not {status}", status in (1, 2))
+                measured.holds(f"{more} MB: one line on memory, not {lines}", len(lines) == 1 and "memory" in lines[0])
+            shutil.rmtree(run, ignore_errors=True)
+        measured.note("; ".join(ends))
+
+
+@case("no memory at all", "With 20 MB to spare nothing is begun: exit status 2 and one line that says what is needed.")
+def none(measured: Measured) -> None:
+    nursery = Nursery()
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        data, run = write_dataset(Path(name, "photographs")), Path(name, "run")
+        status, lines = nursery.run(confined, str(data), str(run), 20 * MIB), said(Path(f"{run}.txt"))
+        measured.holds(f"exit status 2, not {status}", status == 2)
+        measured.holds(f"one line, not {lines}", len(lines) == 1 and "the job needs about" in lines[0] and "ulimit -v" in lines[0])
+        measured.holds("nothing is left behind", not run.exists())
+        measured.note("told in one line")
