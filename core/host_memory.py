@@ -54,9 +54,7 @@ def rays_that_fit(settings: Settings, data: Dataset, free: Free | None = None) -
             needed = f"{bytes_needed(settings, data, rays) / 2**30:.1f} GiB"
             there = f"{(room.size + taken) / 2**30:.1f} GiB can be had ({room.limit})"
             fix = "close other programs, or give --set data.resolution=..., reflective.gaussians=... or transport.points=... less"
-            raise InputError(
-                "memory", f"the job needs about {needed}, {(room.size + taken) / 2**30:.1f} GiB can be had ({room.limit})", fix
-            )
+            raise InputError("memory", f"the job needs about {needed}, {there}", fix)
         rays //= 2
     return rays
 

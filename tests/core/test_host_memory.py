@@ -33,7 +33,7 @@ def test_rays_are_as_many_as_fit(data):
     whole, least = (bytes_needed(how, data, rays) - taken for rays in (MOST_RAYS, FEWEST_RAYS))
     assert rays_that_fit(how, data, Free(2 * whole, "plenty")) == MOST_RAYS
     assert FEWEST_RAYS <= rays_that_fit(how, data, Free((whole + least) // 2 + 60 * MIB, "some")) < MOST_RAYS
-    with pytest.raises(InputError, match=r"memory: the job needs about 0\.\d GiB, .* can be had \(too little\); close other programs"):
+    with pytest.raises(InputError, match=r"memory: the job needs about \d\.\d GiB, .* can be had \(too little\); close other programs"):
         rays_that_fit(how, data, Free(1, "too little"))
 
 
