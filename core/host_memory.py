@@ -14,10 +14,10 @@ from .errors import InputError
 MIB = 1 << 20
 # Measured with scripts/faults.py --only memory.
 LIBRARIES = 500 * MIB  # torch, numba, their code and the kernels' once all are loaded
-TRIALS = 340 * MIB  # kept by the allocator after the trials of kinds of material
+TRIALS = 230 * MIB  # kept by the allocator after the trials of kinds of material
 PHOTOGRAPH = 16 + 43  # bytes of a pixel: colour and alpha, and the same as a target of the first stage
 GAUSSIAN = 4 * 63 * 4 + 500  # parameters, gradients, two moments; place in lists
-TRACING = 450 * MIB  # what rays at work meet, for MOST_RAYS of them
+TRACING = 380 * MIB  # what rays at work meet, for MOST_RAYS of them
 TEXEL = 64  # bytes while textures are made
 MOST_RAYS, FEWEST_RAYS = 1 << 18, 1 << 14
 SHARE = 0.95  # of what is free that is counted on

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Long queues of jobs in Blender: nothing is left of them, neither processes nor files nor memory."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from stresses.case import Measured
+
+from .cases import case_of
+
+case = case_of("long_queue")
+CHILD = Path(__file__).with_name("queue_child.py")
+GROWTH = 4.0  # MB of memory
+
+
+def queued(measured: Measured, count: int) -> None:
+    """The jobs, and what is left of them."""
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as folder:
+        done = subprocess.run([sys.executable, str(CHILD), str(count), folder], capture_output=True, text=True, check=False)
+    measured.holds(f"the queue ends well: {done.stderr.strip()[-300:]}", done.returncode == 0)
+    if done.returncode:
+        return
+    said = json.loads(done.stdout.strip().splitlines()[-1])
+    before, after = said["before"], said["after"]
+    measured.note(f"{sum(said['states'].values())} jobs: {', '.join(f'{n} {state}' for state, n in sorted(said['states'].items()))}")
+    measured.holds(f"only done and cancelled, not {said['states']}", set(said["states"]) <= {"done", "cancelled"})
+    for what in ("handles", "threads", "children"):
+        measured.at_most(f"{what} more than {before[what]}:", after[what] - before[what], 0)
+    measured.at_most(f"growth of {before['memory'] / 1e6:.0f} MB:", (after["memory"] - before["memory"]) / 1e6, GROWTH)
+    measured.at_most("folders of notes", said["notes"], said["history"])
+    measured.at_most("jobs that are remembered", said["remembered"], said["history"])
+    measured.at_most("temporary files", said["temporary"], 0)
+    measured.holds(f"no session file or timer stays: {said['sessions']}, {said['timer']}", not said["sessions"] and not said["timer"])
+
+
+@case("20 jobs with random cancels", "After them Blender has no more open files, threads, processes, timers or memory than before.")
+def few(measured: Measured) -> None:
+    queued(measured, 20)
+
+
+@case("200 jobs with random cancels", "The same.", quick=False)
+def many(measured: Measured) -> None:
+    queued(measured, 200)
