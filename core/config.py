@@ -98,7 +98,6 @@ class SkipSettings:
     """What a scene may not need, rule by rule: "auto" decides by what is found on the scene; run.json has it for a reconstruction's."""
 
     outside: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
-    coarse: Choice = "auto"  # most disks and pixels, while the shape is found in outline
     trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind
     constants: Choice = "auto"  # what frozen geometry leaves the same in each step of the refinement: the disks of a pixel, their layout
     open: Choice = "auto"  # in relighting: rays towards the light where others of the same patch met nothing
@@ -140,7 +139,6 @@ PRESETS: dict[str, Settings] = {
             TransportSettings(), points=6000, views=12, rows=24, light_height=128, iterations=10_000, pixels=512, samples=512, pool=400_000
         ),
         surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
-        skip=replace(SkipSettings(), coarse="off"),
     ),
 }
 

@@ -32,17 +32,15 @@ def seconds_a_step(step: Callable[[], object], steps: int = MEASURED) -> float:
     return statistics.median(taken)
 
 
-def first_pace(iterations: int, seconds: float, glossy: bool, step: float, fine_step: float, coarse_share: float = 0.0) -> float:
+def first_pace(iterations: int, seconds: float, glossy: bool, step: float) -> float:
     """Times the preset's schedules of both stages that so many seconds pay for.
 
     Args:
-        iterations: of the preset's first stage, which shows reflections where `glossy`.
-        step: seconds that one takes in the beginning, which is `coarse_share` of the schedule;
-        fine_step: seconds that one takes afterwards.
+        iterations: of the preset's first stage, which shows reflections where `glossy`. step: seconds that one takes in the beginning.
     """
-    mean = coarse_share * step + (1 - coarse_share) * GROWTH * fine_step
-    preset = mean * iterations + SECOND * fine_step
-    return min(max((seconds - (REST_GLOSSY if glossy else REST) * fine_step) / preset, FASTEST), SLOWEST)
+    rest = (REST_GLOSSY if glossy else REST) * step
+    preset = (GROWTH * iterations + SECOND) * step
+    return min(max((seconds - rest) / preset, FASTEST), SLOWEST)
 
 
 def second_pace(settings: TransportSettings, seconds: float, glossy: bool, step: float) -> float:

@@ -73,12 +73,8 @@ class DensityControl:
             fresh = stay.new_full((len(clone) + 2 * len(split),), -1)
             optimizer.rebuild(grown, torch.cat([stay, fresh]))
         pruned = g.count - int(keep.sum())
-        self.forget()
-        return len(chosen), pruned
-
-    def forget(self) -> None:
-        """Begin to observe anew: the set of Gaussians is another."""
         self.pictures, self.gradient, self.seen = 0, torch.zeros(0), torch.zeros(0)
+        return len(chosen), pruned
 
     def _pull(self, count: int) -> torch.Tensor:
         if len(self.gradient) != count:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -17,7 +16,6 @@ from ..progress import Checkpoint, Progress, Silent
 from ..scene.reconstruction import Reconstruction
 from ..skipping import decide
 from .appearance import separate_light
-from .coarse import LENGTH, SHARE, starts_coarse
 from .hull import initial_gaussians
 from .target import object_box
 from .trainer import Trainer
@@ -61,33 +59,24 @@ def train(
     cut = surroundings(dataset, settings, progress)
     kind = kind_named(state["kind"], dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress, cut)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
-    coarse = starts_coarse(dataset, kind, settings.skip, progress)
-    schedule = (
-        replace(settings.reflective, iterations=max(1, round(LENGTH * settings.reflective.iterations))) if coarse else settings.reflective
-    )
-    trainer = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut, coarse=coarse, resident=resident)
+    trainer = Trainer(dataset, settings.reflective, gaussians, kind, settings.seed, hold_back, cut=cut, resident=resident)
     if state is not None:
         trainer.restore(state)
     elif ends is not None:
-        fine = Trainer(dataset, schedule, gaussians, kind, settings.seed, hold_back, cut=cut, resident=resident) if coarse else trainer
-        _set_pace(trainer, fine, ends, progress)
+        _set_pace(trainer, ends, progress)
     progress.phase("reflective", trainer.settings.iterations)
     trainer.run(progress, checkpoint)
     trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
     result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, kind.glossy, background)
-    return separate_light(result.to("cpu"), settings.seed), trainer.settings.iterations / schedule.iterations
+    return separate_light(result.to("cpu"), settings.seed), trainer.settings.iterations / settings.reflective.iterations
 
 
-def _set_pace(trainer: Trainer, fine: Trainer, ends: float, progress: Progress) -> None:
-    """Do the first steps, and make the schedule as long as what is left of the time allows.
-
-    `fine`: what `trainer` becomes when it is no longer coarse, to be thrown away; `trainer` itself where it never was.
-    """
-    fine_step = seconds_a_step(lambda: (fine.step(), wait_for(trainer.device)))
-    step = fine_step if fine is trainer else seconds_a_step(lambda: (trainer.step(), wait_for(trainer.device)))
+def _set_pace(trainer: Trainer, ends: float, progress: Progress) -> None:
+    """Do the first steps, and make the schedule as long as what is left of the time allows."""
+    step = seconds_a_step(lambda: (trainer.step(), wait_for(trainer.device)))
     left, iterations = ends - time.monotonic(), trainer.settings.iterations
-    pace = first_pace(iterations, left, trainer.kind.glossy, step, fine_step, 0.0 if fine is trainer else SHARE)
+    pace = first_pace(iterations, left, trainer.kind.glossy, step)
     trainer.paced(times(pace, iterations))
-    progress.message(f"{left:.0f} s left at {1000 * fine_step:.0f} ms a step: the first stage is {pace:.2f} times the preset's")
+    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the first stage is {pace:.2f} times the preset's")

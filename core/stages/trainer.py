@@ -19,7 +19,6 @@ from ..kernels.photometric import photometric_loss
 from ..kernels.rasterize import ScreenStatistics, rasterize
 from ..progress import Checkpoint, Progress
 from ..scene.gaussians import Gaussians
-from .coarse import CHILDREN, REDUCTION, SHARE, quartered, thinned_out
 from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
 from .finite import due
@@ -49,12 +48,11 @@ class Trainer:
         hold_back: int,
         reduction: int = 1,
         cut: bool = False,
-        coarse: bool = False,
         resident: bool = True,
     ) -> None:
         """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the pictures, see `make_target`.
 
-        `coarse`: begin with few disks and small pictures. `resident`: photographs are kept on the Gaussians' device, else each is
+        `resident`: photographs are kept on the Gaussians' device, else each is
         brought there for its step.
         """
         self.dataset, self.settings, self.kind = dataset, settings, kind
@@ -63,9 +61,6 @@ class Trainer:
         self.device = gaussians.position.device
         home = self.device if resident else torch.device("cpu")
         self.targets = [make_target(view, reduction, cut).to(home) for view in dataset.train]
-        self.small = [make_target(view, REDUCTION * reduction, cut).to(home) for view in dataset.train] if coarse else []
-        if coarse:
-            gaussians = thinned_out(gaussians, math.ceil(gaussians.count / CHILDREN), seed)
         self.generator = torch.Generator().manual_seed(seed)
         self.masked = dataset.has_alpha
         self.light = gaussians.position.new_full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
@@ -95,9 +90,7 @@ class Trainer:
 
     def step(self) -> float:
         """One view, one step; returns the loss, on a device that of the last step that was looked at."""
-        if self.small and self.done >= SHARE * self.settings.iterations:
-            self._refine()
-        target = (self.small or self.targets)[self._next_view()].to(self.device)
+        target = self.targets[self._next_view()].to(self.device)
         picture, sums, statistics = self.render(target, self._degree())
         loss = photometric_loss(target.bounded(picture), target.picture)
         if target.alpha is not None:
@@ -120,14 +113,6 @@ class Trainer:
             self.optimizer.check_finite()  # names the parameter where it is one
             raise IrgsppError(f"the first stage's loss is not finite at iteration {self.done + 1}")
         return value
-
-    def _refine(self) -> None:
-        """From few disks and small pictures to all."""
-        children = quartered(self.optimizer.gaussians)
-        # Without their parents' moments but with their count of steps, which makes the first steps long: disks find their new places.
-        self.optimizer.rebuild(children, torch.full((children.count,), -1))
-        self.density.forget()
-        self.small, self._start = [], children.count
 
     def _degree(self) -> int:
         """SH degrees come one after the other, so that parallax is explained by geometry before it can be by view-dependent colour."""
@@ -210,8 +195,6 @@ class Trainer:
             "done": self.done,
             "iterations": self.settings.iterations,
             "kind": self.kind.name,
-            "coarse": bool(self.small),
-            "start": self._start,
             "optimizer": self.optimizer.state(),
             **density,
             **order,
@@ -221,7 +204,6 @@ class Trainer:
         """Go on from `state`."""
         self.done, self.order = int(state["done"]), state["order"]
         self.paced(int(state["iterations"]))
-        self.small, self._start = self.small if state["coarse"] else [], int(state["start"])
         self.generator.set_state(state["generator"])
         self.density.gradient, self.density.seen = state["gradient"].to(self.device), state["seen"].to(self.device)
         self.density.pictures = int(state["pictures"])

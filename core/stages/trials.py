@@ -6,13 +6,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import torch
+
 from ..config import Settings
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled
 from ..progress import Progress
 from ..scene.gaussians import Gaussians
 from ..skipping import decide
-from .coarse import thinned_out
 from .kind import COATED, KINDS, Kind, candidates, with_pace
 from .trainer import Trainer
 
@@ -84,3 +85,11 @@ def kind_named(name: str, dataset: Dataset) -> Kind:
     """The kind of that name at its pace for this dataset: what starts on sparse points has farther to go than what starts on a hull."""
     kind = next(k for k in KINDS if k.name == name)
     return kind if dataset.has_alpha else with_pace(kind, COATED)
+
+
+def thinned_out(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
+    """At most `count` of the disks, larger so that they cover the same surface."""
+    index = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))[:count]
+    few = gaussians.select(index.sort().values)
+    few.log_scale += 0.5 * math.log(gaussians.count / few.count)
+    return few

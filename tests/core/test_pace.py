@@ -24,12 +24,11 @@ SETTINGS = preset("balanced")
 
 
 @pytest.mark.parametrize("pace", [0.2, 1.0, 4.0])
-@pytest.mark.parametrize(("share", "glossy", "rest"), [(0.0, False, REST), (0.4, True, REST_GLOSSY)])
-def test_what_the_first_stage_is_given_costs_what_there_is(pace, share, glossy, rest):
-    step, fine = 0.008, 0.02
-    steps = pace * SETTINGS.reflective.iterations
-    cost = rest * fine + steps * (share * step + (1 - share) * GROWTH * fine) + pace * SECOND * fine
-    assert first_pace(SETTINGS.reflective.iterations, cost, glossy, step, fine, share) == pytest.approx(pace)
+@pytest.mark.parametrize(("glossy", "rest"), [(False, REST), (True, REST_GLOSSY)])
+def test_what_the_first_stage_is_given_costs_what_there_is(pace, glossy, rest):
+    step = 0.02
+    cost = step * (rest + pace * (SECOND + GROWTH * SETTINGS.reflective.iterations))
+    assert first_pace(SETTINGS.reflective.iterations, cost, glossy, step) == pytest.approx(pace)
 
 
 @pytest.mark.parametrize("pace", [0.2, 1.0, 4.0])
@@ -41,8 +40,8 @@ def test_what_the_second_stage_is_given_costs_what_there_is(pace, glossy, radian
 
 
 def test_pace_has_limits():
-    assert first_pace(1500, -5.0, False, 0.02, 0.02) == second_pace(SETTINGS.transport, -5.0, False, 0.02) == FASTEST
-    assert first_pace(1500, 1e6, False, 0.02, 0.02) == second_pace(SETTINGS.transport, 1e6, False, 0.02) == SLOWEST
+    assert first_pace(1500, -5.0, False, 0.02) == second_pace(SETTINGS.transport, -5.0, False, 0.02) == FASTEST
+    assert first_pace(1500, 1e6, False, 0.02) == second_pace(SETTINGS.transport, 1e6, False, 0.02) == SLOWEST
     assert second_pace(replace(SETTINGS.transport, iterations=0, radiance_iterations=0), 10.0, False, 0.02) == 1.0
 
 
