@@ -178,7 +178,10 @@ def poll() -> bool:
             changed |= job.state != "queued"
     if time.monotonic() - _looked > ADOPTION_SECONDS and any(not job.finished and not _mine(job) for job in _jobs.values()):
         _adopt()
-    return _start_queued() or changed
+    changed = _start_queued() or changed
+    if changed and _trim():
+        _tell()
+    return changed
 
 
 def refresh() -> None:
@@ -282,11 +285,13 @@ def _adopt() -> None:
                 file.unlink()
 
 
-def _trim() -> None:
-    """Keep the history short."""
-    for job in [job for job in all_jobs() if job.finished][HISTORY:]:
+def _trim() -> bool:
+    """Keep the history short; True where a job was forgotten."""
+    old = [job for job in all_jobs() if job.finished][HISTORY:]
+    for job in old:
         shutil.rmtree(job.notes, ignore_errors=True)
         del _jobs[job.id]
+    return bool(old)
 
 
 def _tell() -> None:
