@@ -12,7 +12,7 @@ STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 def reset_peak_memory() -> bool:
     """Start measuring anew. False where the system can't (then the peak is that since the process began)."""
     try:
-        CLEAR.write_text("5")
+        CLEAR.write_text("5", encoding="ascii")
     except OSError:
         return False
     return True
@@ -23,7 +23,7 @@ def peak_memory() -> int:
     if sys.platform == "win32":
         return _windows_peak()
     if STATUS.exists():
-        line = next((line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM")), None)
+        line = next((line for line in STATUS.read_text("utf-8").splitlines() if line.startswith("VmHWM")), None)
         if line:
             return int(line.split()[1]) * 1024
     import resource

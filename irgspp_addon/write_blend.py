@@ -11,6 +11,7 @@ from pathlib import Path
 import bpy
 
 from ..core.errors import IrgsppError
+from ..core.replacing import whole
 from .scene_builder import SOURCES, import_run, show_as_photographed
 
 
@@ -21,9 +22,8 @@ def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = 
     show_as_photographed(bpy.context.scene, imported)
     for image in bpy.data.images:
         image.filepath = _relative(image.filepath, target.resolve().parent)
-    partial = target.resolve().with_name(target.stem + ".part.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=str(partial), compress=True, relative_remap=False)
-    os.replace(partial, target)
+    with whole(target.resolve()) as partial:
+        bpy.ops.wm.save_as_mainfile(filepath=str(partial), compress=True, relative_remap=False)
 
 
 def _relative(path: str, folder: Path) -> str:

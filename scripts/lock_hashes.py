@@ -75,11 +75,11 @@ def resolved(index: str) -> Iterator[tuple[str, str]]:
     """(name, version) of what pip would install on this system: on Linux, torch needs libraries of CUDA that the lock doesn't name."""
     with tempfile.TemporaryDirectory() as name:
         lines, report = Path(name, "lines"), Path(name, "report")
-        lines.write_text("\n".join(locked()))
+        lines.write_text("\n".join(locked()), encoding="utf-8")
         words = ["--dry-run", "--ignore-installed", "--only-binary", ":all:", "--quiet", "--index-url", index]
         command = [sys.executable, "-m", "pip", "--isolated", "install", *words, "--report", str(report), "-r", str(lines)]
         subprocess.run(command, check=True, env={k: v for k, v in os.environ.items() if not k.startswith("PIP_FIND")})
-        for item in json.loads(report.read_text())["install"]:
+        for item in json.loads(report.read_text("utf-8"))["install"]:
             yield plain(item["metadata"]["name"]), item["download_info"]["url"].rpartition("/")[2].split("-")[1]
 
 

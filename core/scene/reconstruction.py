@@ -120,7 +120,7 @@ class Reconstruction:
         """Read a run folder. Raises InputError where a file is missing or broken."""
         path = folder / "reconstruction.json"
         try:
-            about = json.loads(path.read_text())
+            about = json.loads(path.read_text("utf-8"))
             x, y, z = (float(c) for c in about["bound"]["centre"])
             bound = Bound((x, y, z), float(about["bound"]["radius"]))
             to_world, glossy = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"])

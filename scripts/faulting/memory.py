@@ -104,7 +104,7 @@ def limits(measured: Measured) -> None:
         for more in (2000, 1200, 900, 700, 500, 350, 200, 100, 20):
             run = folder / "run"
             status, lines = nursery.run(confined, str(data), str(run), more * MIB), said(Path(f"{run}.txt"))
-            fewer = "memory is short" in Path(f"{run}.txt").read_text()
+            fewer = "memory is short" in Path(f"{run}.txt").read_text("utf-8")
             ends.append(f"{more} MB: {'fewer rays' if fewer else 'well' if status == 0 else f'status {status}'}")
             if status == 0:
                 unlike = differing(run, calm)

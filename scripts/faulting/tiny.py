@@ -68,7 +68,7 @@ class Doom:
 
 def work(dataset: str, run: str, resume: bool, doom: Doom, overwrite: bool = False, said_to: str = "") -> None:
     """The job, from its command line, what it says to RUN.txt unless told elsewhere; ends the process with its exit status."""
-    with open(said_to or f"{run}.txt", "w") as said:
+    with open(said_to or f"{run}.txt", "w", encoding="utf-8") as said:
         for stream in (1, 2):
             os.dup2(said.fileno(), stream)
     from irgspp.core.cli import main
@@ -80,7 +80,7 @@ def work(dataset: str, run: str, resume: bool, doom: Doom, overwrite: bool = Fal
     given = [] if resume else ["--preset", "draft", *words]
     status = main(["reconstruct", dataset, "-o", run, *given, *(["--resume"] if resume else []), *(["--overwrite"] if overwrite else [])])
     if doom.counted:
-        Path(doom.counted).write_text(str(len(operations)))
+        Path(doom.counted).write_text(str(len(operations)), encoding="utf-8")
     sys.stdout.flush()
     os._exit(status)
 
@@ -158,7 +158,7 @@ def phase_seconds(run: Path) -> list[tuple[str, float]]:
 
 def _events(run: Path) -> list[dict[str, Any]]:
     try:
-        lines = (run / "events.jsonl").read_text().splitlines()
+        lines = (run / "events.jsonl").read_text("utf-8").splitlines()
     except OSError:
         return []
     return [json.loads(line) for line in lines if line.endswith("}")]  # a killed process may have left half a line
@@ -166,4 +166,4 @@ def _events(run: Path) -> list[dict[str, Any]]:
 
 def said(file: Path) -> list[str]:
     """The lines that a job ended with: those for the user."""
-    return [line for line in file.read_text().splitlines() if line.startswith(("irgspp: ", "Traceback"))]
+    return [line for line in file.read_text("utf-8").splitlines() if line.startswith(("irgspp: ", "Traceback"))]

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What would hold on one system alone is found in the sources: calls of POSIX, encodings that depend on the locale, Pythons of Blender."""
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("core", "irgspp_addon", "operators", "panels")
+SOURCES = [ROOT / "__init__.py", ROOT / "__main__.py", *(f for part in PARTS for f in sorted((ROOT / part).rglob("*.py")))]
+POSIX_MODULES = {"fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog", "posix"}
+POSIX_CALLS = {"fork", "getuid", "geteuid", "getgid", "setsid", "setuid", "killpg", "getpgid", "mkfifo", "chown", "wait4", "WIFSIGNALED"}
+POSIX_CALLS |= {
+    "sched_getaffinity",
+    "sched_setaffinity",
+    "uname",
+    "getloadavg",
+    "SIGKILL",
+    "SIGHUP",
+    "SIGUSR1",
+    "SIGUSR2",
+    "SIGALRM",
+    "setitimer",
+}
+GUARDS = ("sys.platform", "os.name", "hasattr(")  # one of them in the function, or around it, chooses the twin
+TESTED_ELSEWHERE = {"core/memory.py"}  # reads /proc where it is there, else asks `resource` or Windows
+BLENDERS_PYTHONS = ((3, 11), (3, 12), (3, 13))
+
+
+def parents(tree):
+    return {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
+
+
+def guarded(node, above, text):
+    """True where a function or condition around the node asks what system this is."""
+    while (node := above.get(node)) is not None:
+        if isinstance(node, ast.FunctionDef | ast.If | ast.IfExp) and any(g in (ast.get_source_segment(text, node) or "") for g in GUARDS):
+            return True
+    return False
+
+
+def posix_uses(file):
+    text = file.read_text("utf-8")
+    tree = ast.parse(text)
+    above = parents(tree)
+    for node in ast.walk(tree):
+        modules = {a.name.split(".")[0] for a in node.names} if isinstance(node, ast.Import) else set()
+        called = isinstance(node, ast.Attribute) and ast.unparse(node) in {f"{m}.{c}" for m in ("os", "signal") for c in POSIX_CALLS}
+        if modules & POSIX_MODULES or called:
+            yield node, guarded(node, above, text)
+
+
+def test_calls_of_posix_have_a_twin():
+    found = [(f.relative_to(ROOT).as_posix(), node.lineno, fine) for f in SOURCES for node, fine in posix_uses(f)]
+    assert len(found) > 3  # the search finds them
+    assert not [(file, line) for file, line, fine in found if not fine and file not in TESTED_ELSEWHERE]
+
+
+def test_a_bare_call_of_posix_is_found(tmp_path):
+    file = tmp_path / "a.py"
+    file.write_text("import os\ndef f():\n    return os.getuid()\ndef g():\n    return os.getuid() if hasattr(os, 'getuid') else 0\n")
+    assert [fine for _, fine in posix_uses(file)] == [False, True]
+
+
+def test_text_is_read_and_written_in_a_stated_encoding():
+    """Else Windows and some locales would take another for each other's files."""
+    words = ["check", "--preview", "--isolated", "--select", "PLW1514", "--output-format", "concise", *PARTS]
+    done = subprocess.run([sys.executable, "-m", "ruff", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_every_name_of_a_file_is_its_own_where_cases_are_one():
+    others = (p for pattern in ("docs/**/*", "tests/**/*.py", "scripts/**/*.py") for p in ROOT.glob(pattern))
+    names = {p.relative_to(ROOT).as_posix() for p in (*SOURCES, *others)}
+    assert len({name.casefold() for name in names}) == len(names)
+
+
+@pytest.mark.parametrize("version", BLENDERS_PYTHONS, ids=lambda v: f"{v[0]}.{v[1]}")
+def test_sources_are_of_the_pythons_that_blender_has(version):
+    for file in SOURCES:
+        ast.parse(file.read_text("utf-8"), str(file), feature_version=version)
+
+
+def test_nothing_removed_from_the_standard_library_is_used():
+    """Between 3.11 and 3.13."""
+    gone = {"imp", "asynchat", "asyncore", "smtpd", "distutils", "cgi", "cgitb", "crypt", "imghdr", "pipes", "telnetlib", "lib2to3", "uu"}
+    nodes = [node for file in SOURCES for node in ast.walk(ast.parse(file.read_text("utf-8")))]
+    found = {n.module or "" for n in nodes if isinstance(n, ast.ImportFrom) and not n.level}
+    found |= {a.name for n in nodes if isinstance(n, ast.Import) for a in n.names}
+    assert not {name.split(".")[0] for name in found} & gone
+
+
+SEES = """
+import importlib, runpy, sys
+from pathlib import Path
+from unittest.mock import MagicMock
+sys.modules["numpy"] = MagicMock()
+root = Path(sys.argv[1])
+runpy.run_path(str(root / "irgspp_addon" / "launch.py"))["mount"](root)
+for name in sys.argv[2:]:
+    importlib.import_module(name)
+print("all")
+"""
+
+
+@pytest.mark.parametrize("version", ["3.12", "3.13"])
+def test_what_blender_imports_of_the_engine_imports_in_its_later_pythons(version):
+    """Without numpy, which Blender brings: a stand-in has its names."""
+    others = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}*/bin/python"))
+    found = [p for p in (shutil.which(f"python{version}"), *map(str, others)) if p]
+    python = next((p for p in found if subprocess.run([p, "-c", ""], capture_output=True, check=False).returncode == 0), None)
+    if python is None:
+        pytest.skip(f"no Python {version} here")
+    wanted = {
+        "irgspp.core." + (node.module or "").removeprefix("core.")
+        for part in PARTS[1:]
+        for file in (ROOT / part).glob("*.py")
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.level == 2 and (node.module or "").startswith("core.")
+    }
+    wanted -= {"irgspp.core.kernels.pool"}  # of the engine's interpreter, imported where that is Blender's own
+    assert len(wanted) > 5
+    command = [python, "-B", "-W", "error", "-c", SEES, str(ROOT), *sorted(wanted)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.strip() == "all", done.stderr
