@@ -53,7 +53,7 @@ def test_zip_is_small_and_holds_no_libraries_tests_or_documents(archive):
     assert not top & {"tests", "scripts", "typings", "docs", "dist", "demo", "wheels", "README.md"}
     assert not [name for name in names if any(part.startswith(".") for part in Path(name).parts)]
     kinds = {Path(name).suffix for name in names if not name.endswith("/")}
-    assert kinds <= {".py", ".toml", ".lock", ".json", ".npz", ".png", ".exr", ".md", ""}
+    assert kinds <= {".py", ".toml", ".lock", ".sha256", ".json", ".npz", ".png", ".exr", ".md", ""}
 
 
 def test_manifest_names_no_wheels_and_asks_for_no_more_than_is_used():
