@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -20,6 +21,12 @@ def wait_for(device: torch.device) -> None:
     """Until a GPU has done all that it was given, as who measures time has to."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
+
+
+def incomplete_pictures() -> int:
+    """Pictures of optimisations that lacked some splats so far, as more came into view at once than there was room for on the device."""
+    module = sys.modules.get(f"{__package__}.warp.rasterize")  # not loaded: nothing was drawn by it
+    return sum(room.overflowed for room in module.ROOMS.values()) if module else 0
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import torch
 
 from ..config import Settings
 from ..datasets.dataset import Dataset
-from ..kernels.backend import wait_for
+from ..kernels.backend import incomplete_pictures, wait_for
 from ..pace import first_pace, seconds_a_step, times
 from ..progress import Checkpoint, Progress, Silent
 from ..scene.reconstruction import Reconstruction
@@ -65,7 +65,12 @@ def train(
     elif ends is not None:
         _set_pace(trainer, ends, progress)
     progress.phase("reflective", trainer.settings.iterations)
+    before = incomplete_pictures()
     trainer.run(progress, checkpoint)
+    if lacking := incomplete_pictures() - before:
+        progress.message(
+            f"warning: {lacking} steps saw pictures that lacked some disks: more came into view at once than there was room for"
+        )
     trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()

@@ -12,7 +12,7 @@ import torch
 import trimesh
 from irgspp.core.cuda import obstacle, probe
 from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.kernels.backend import warp_on_cpu
+from irgspp.core.kernels.backend import incomplete_pictures, warp_on_cpu
 from irgspp.core.kernels.photometric import photometric_loss
 from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.tracing import blend, build_tree, hit_lists, trace, transmittance
@@ -155,3 +155,18 @@ def test_kernels_compile_for_gpus(tmp_path: Path):
         made = wp.compile_aot_module(module, arch=75, module_dir=tmp_path)
         assert made and all(path.stat().st_size > 1000 for path in made)
     shutil.rmtree(tmp_path)
+
+
+def test_pictures_that_lack_splats_are_counted_and_get_room():
+    from irgspp.core.kernels.warp.rasterize import ROOMS, Room
+
+    room, before = Room(), incomplete_pictures()
+    ROOMS[0, 0, 0] = room
+    try:
+        first = room.entries(torch.tensor(100), exact=False)
+        for _ in range(4):  # each number is looked at two calls later
+            last = room.entries(torch.tensor(10 * first), exact=False)
+        assert room.overflowed == incomplete_pictures() - before == 1
+        assert last >= 10 * first
+    finally:
+        del ROOMS[0, 0, 0]
