@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import stress
 from faulting.cases import CASES
 
-GROUPS = ("kill", "disk", "memory", "long_queue", "fuzz")
+GROUPS = ("kill", "disk", "memory", "long_queue", "places", "fuzz")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where people keep their files and install their programs: odd names, other locales, read-only folders, one case for all letters."""
+
+from __future__ import annotations
+
+import locale
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from irgspp.core.datasets.load import load_dataset
+from irgspp.core.run_folder import read_run
+from stresses.case import Measured
+
+from .cases import case_of
+from .disk import can_mount
+from .tiny import SETTINGS, Doom, Nursery, differing, work, write_dataset
+
+case = case_of("places")
+ROOT = Path(__file__).resolve().parents[2]
+ODD = Path("mit Leerzeichen & 'Strich'", "写真 é ü %s {0}", "lang" * 25, "tief" * 25)
+GERMAN = "de_DE.UTF-8"
+
+
+@contextmanager
+def mounted(*words: str, place: Path) -> Iterator[Path]:
+    """Something mounted at a folder that is made. Raises OSError where that can't be done."""
+    place.mkdir()
+    done = subprocess.run(["mount", *words, str(place)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError(done.stderr.strip())
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def same_elsewhere(measured: Measured, nursery: Nursery, folder: Path, data: Path, run: Path, function=work) -> None:
+    """A job there has the same bits as one in a plain folder."""
+    plain = write_dataset(folder / "photographs")
+    measured.holds("the plain job ends well", nursery.run(work, str(plain), str(folder / "calm"), False, Doom()) == 0)
+    status = nursery.run(function, str(data), str(run), False, Doom())
+    measured.holds(f"the job ends well, not with status {status}: {Path(f'{run}.txt').read_text('utf-8')[-300:]}", status == 0)
+    if status == 0:
+        unlike = [name for name in differing(run, folder / "calm") if name != "cameras.json"]  # names the photographs' folder
+        measured.holds(f"the same bits, not others in {', '.join(unlike)}", not unlike)
+        measured.holds("with scene.blend", (run / "scene.blend").is_file())
+
+
+@case("odd names", "A job in folders with spaces, quotes, umlauts, Chinese, format signs, 250 characters deep: the same bits as elsewhere.")
+def names(measured: Measured) -> None:
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        odd = Path(name) / ODD
+        data, run = write_dataset(odd / "Fotos ä"), odd / "Läufe 1"
+        same_elsewhere(measured, Nursery(), Path(name), data, run)
+        measured.note(f"{len(os.fsencode(run))} bytes of path")
+
+
+def in_german(dataset: str, run: str, resume: bool, doom: Doom) -> None:
+    """The job where a half is written 0,5, in libraries of C too."""
+    os.environ |= {"LOCPATH": str(Path(dataset).parent), "LC_ALL": GERMAN, "LANG": GERMAN}  # of Blender's process, too
+    locale.setlocale(locale.LC_ALL, GERMAN)
+    assert locale.localeconv()["decimal_point"] == ","
+    work(dataset, run, resume, doom)
+
+
+@case("German decimals", f"A job under {GERMAN}, set in its process for C as well: the same bits as elsewhere.", quick=False)
+def decimals(measured: Measured) -> None:
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        folder = Path(name)
+        if shutil.which("localedef") is None:
+            measured.note("left out: no localedef to make the locale with")
+            return
+        subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(folder / GERMAN)], check=True)
+        data = write_dataset(folder / "Fotos")
+        same_elsewhere(measured, Nursery(), folder, data, folder / "run", in_german)
+        measured.note("0,5 in the job's process")
+
+
+@case("read-only install folder", "A job from a folder that can't be written to, with kernels that are not compiled yet.", quick=False)
+def installed(measured: Measured) -> None:
+    if not can_mount():
+        measured.note("left out: this user may not mount")
+        return
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        folder = Path(name)
+        data, run = write_dataset(folder / "photographs"), folder / "run"
+        with mounted("--bind", str(ROOT), place=folder / "installed") as place:
+            subprocess.run(["mount", "-o", "remount,ro,bind", str(place)], check=True)
+            measured.holds("the folder is read-only", not os.access(place / "core", os.W_OK))
+            words = ["reconstruct", str(data), "-o", str(run), "--preset", "draft", *(w for s in SETTINGS for w in ("--set", s))]
+            command = [sys.executable, "-P", str(place / "irgspp_addon" / "launch.py"), "__main__", *words]
+            environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {"IRGSPP_CACHE": str(folder / "cache")}
+            done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd="/")
+            measured.holds(f"ends well: {done.stderr[-300:]}", done.returncode == 0)
+            measured.holds("run.json says done", run.is_dir() and read_run(run)["status"] == "done")
+            measured.note(f"{len(list((folder / 'cache').rglob('*.nbc')))} kernels compiled elsewhere")
+
+
+@case(
+    "a file system where A is a",
+    "Views a.png, A.jpg and á.png, á.png of other folders keep apart: as many undistorted copies or pictures as views (ext4, casefold).",
+    quick=False,
+)
+def one_case(measured: Measured) -> None:
+    from irgspp.core.scene.cameras import save_views
+
+    if not can_mount() or shutil.which("mkfs.ext4") is None:
+        measured.note("left out: this user may not mount")
+        return
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        image = Path(name) / "image"
+        image.write_bytes(bytes(32 << 20))
+        subprocess.run(["mkfs.ext4", "-q", "-O", "casefold", "-E", "encoding=utf8", str(image)], check=True)
+        try:
+            with mounted("-o", "loop", str(image), place=Path(name) / "disk") as disk:
+                _crowd(measured, disk, save_views)
+        except OSError as error:
+            measured.note(f"left out: {error}")
+
+
+def _crowd(measured: Measured, disk: Path, save) -> None:
+    from dataclasses import replace
+
+    from irgspp.core.datasets.capture import view_names
+
+    runs = disk / "runs"
+    runs.mkdir()
+    subprocess.run(["chattr", "+F", str(runs)], check=True)
+    (runs / "probe").touch()
+    measured.holds("A is a there", (runs / "PROBE").exists())
+    data = load_dataset(write_dataset(disk / "photographs"))
+    listed = ["x/a.png", "y/A.jpg", "x/\u00e1.png", "y/a\u0301.png", "z/a.PNG"]
+    views = [replace(v, name=n, distorted=True) for v, n in zip(data.train, view_names(listed), strict=False)]
+    save(runs / "cameras.json", [("train", view) for view in views])
+    kept = list((runs / "photographs" / "train").iterdir())
+    measured.at_least("pictures of 5 views", len(kept), len(listed))
