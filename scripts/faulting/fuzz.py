@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every reader against many wrong files: an InputError in one line or a result, within a second and half a gigabyte."""
 
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
 from __future__ import annotations
 
 import mmap

@@ -4,7 +4,7 @@
 Code of ours is instrumented, libraries of C are not. What brings a reader down is kept as crash-*, in the present folder.
 """
 
-# pyright: reportMissingImports=false
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 # (atheris is no requirement of anything else)
 
 from __future__ import annotations
