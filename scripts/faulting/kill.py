@@ -18,7 +18,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from stresses.case import Measured
 
 from .cases import case_of
-from .tiny import Doom, Nursery, differing, kill_after, phase_of, phase_seconds, settings, work, write_dataset
+from .tiny import Doom, Nursery, differing, kill_after, phase_of, phase_seconds, settings, undisturbed, work
 
 case = case_of("kill")
 
@@ -28,9 +28,8 @@ def killed_and_resumed(measured: Measured, moments: int, seed: int = 0) -> None:
     chance, nursery = random.Random(seed), Nursery()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
-        data, calm, count = write_dataset(folder / "photographs"), folder / "calm", folder / "operations"
-        measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom(counted=str(count))) == 0)
-        operations, lengths, phases = int(count.read_text()), phase_seconds(calm), Counter()
+        data, calm, operations = undisturbed()
+        lengths, phases = phase_seconds(calm), Counter()
         for i in range(moments):
             share = (i // 2 + chance.random()) / ((moments + 1) // 2)  # spread over the whole job
             run = folder / "run"
@@ -115,8 +114,7 @@ def replaced(measured: Measured) -> None:
     nursery = Nursery()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
-        data, calm = write_dataset(folder / "photographs"), folder / "calm"
-        measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom()) == 0)
+        data, calm, _ = undisturbed()
         for operation in range(1, 12):
             run = shutil.copytree(calm, folder / "run")
             (run / "checkpoint").mkdir(exist_ok=True)

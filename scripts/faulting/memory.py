@@ -21,7 +21,7 @@ from irgspp.core.run_folder import read_run
 from stresses.case import Measured
 
 from .cases import case_of
-from .tiny import Doom, Nursery, differing, said, settings, work, write_dataset
+from .tiny import Doom, Nursery, differing, said, settings, undisturbed, work, write_dataset
 
 case = case_of("memory")
 WITHIN = 0.25  # of the measured peak
@@ -102,8 +102,7 @@ def limits(measured: Measured) -> None:
     nursery, ends = Nursery(), []
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
-        data, calm = write_dataset(folder / "photographs"), folder / "calm"
-        measured.holds("the undisturbed job ends well", nursery.run(work, str(data), str(calm), False, Doom()) == 0)
+        data, calm, _ = undisturbed()
         for more in (2000, 1200, 900, 700, 500, 350, 200, 100, 20):
             run = folder / "run"
             status, lines = nursery.run(confined, str(data), str(run), more * MIB), said(Path(f"{run}.txt"))

@@ -22,7 +22,7 @@ from stresses.case import Measured
 
 from .cases import case_of
 from .disk import can_mount
-from .tiny import SETTINGS, Doom, Nursery, differing, work, write_dataset
+from .tiny import SETTINGS, Doom, Nursery, differing, undisturbed, work, write_dataset
 
 case = case_of("places")
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,14 +43,13 @@ def mounted(*words: str, place: Path) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(place)], check=True)
 
 
-def same_elsewhere(measured: Measured, nursery: Nursery, folder: Path, data: Path, run: Path, function=work) -> None:
+def same_elsewhere(measured: Measured, nursery: Nursery, data: Path, run: Path, function=work) -> None:
     """A job there has the same bits as one in a plain folder."""
-    plain = write_dataset(folder / "photographs")
-    measured.holds("the plain job ends well", nursery.run(work, str(plain), str(folder / "calm"), False, Doom()) == 0)
+    _, calm, _ = undisturbed()
     status = nursery.run(function, str(data), str(run), False, Doom())
     measured.holds(f"the job ends well, not with status {status}: {Path(f'{run}.txt').read_text('utf-8')[-300:]}", status == 0)
     if status == 0:
-        unlike = [name for name in differing(run, folder / "calm") if name != "cameras.json"]  # names the photographs' folder
+        unlike = [name for name in differing(run, calm) if name != "cameras.json"]  # names the photographs' folder
         measured.holds(f"the same bits, not others in {', '.join(unlike)}", not unlike)
         measured.holds("with scene.blend", (run / "scene.blend").is_file())
 
@@ -60,7 +59,7 @@ def names(measured: Measured) -> None:
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         odd = Path(name) / ODD
         data, run = write_dataset(odd / "Fotos ä"), odd / "Läufe 1"
-        same_elsewhere(measured, Nursery(), Path(name), data, run)
+        same_elsewhere(measured, Nursery(), data, run)
         measured.note(f"{len(os.fsencode(run))} bytes of path")
 
 
@@ -81,7 +80,7 @@ def decimals(measured: Measured) -> None:
             return
         subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(folder / GERMAN)], check=True)
         data = write_dataset(folder / "Fotos")
-        same_elsewhere(measured, Nursery(), folder, data, folder / "run", in_german)
+        same_elsewhere(measured, Nursery(), data, folder / "run", in_german)
         measured.note("0,5 in the job's process")
 
 

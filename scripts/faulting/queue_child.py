@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Many jobs through the extension's queue, in a process that is Blender: `python queue_child.py JOBS FOLDER`; figures as JSON."""
 
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
 from __future__ import annotations
 
 import json
