@@ -13,11 +13,10 @@ from .errors import InputError
 
 MIB = 1 << 20
 # Measured with scripts/faults.py --only memory.
-LIBRARIES = 500 * MIB  # torch, numba, their code and the kernels' once all are loaded
-TRIALS = 230 * MIB  # kept by the allocator after the trials of kinds of material
-PHOTOGRAPH = 16 + 43  # bytes of a pixel: colour and alpha, and the same as a target of the first stage
+LIBRARIES = 420 * MIB  # torch, numba, their code and the kernels' once all are loaded
+PHOTOGRAPH = 129  # bytes of a pixel: colour and alpha, the same as a target of the first stage, layers rendered for the surface
 GAUSSIAN = 4 * 63 * 4 + 500  # parameters, gradients, two moments; place in lists
-TRACING = 380 * MIB  # what rays at work meet, for MOST_RAYS of them
+TRACING = 400 * MIB  # what rays at work meet, for MOST_RAYS of them
 TEXEL = 64  # bytes while textures are made
 MOST_RAYS, FEWEST_RAYS = 1 << 18, 1 << 14
 SHARE = 0.95  # of what is free that is counted on
@@ -41,7 +40,7 @@ def bytes_needed(settings: Settings, data: Dataset, rays: int = MOST_RAYS) -> in
     views = transport.points * transport.views * texels * 4 * 5  # rows of light of each view, and the equations' of the same size
     points = transport.points * 4 * texels * 4 * 6  # what shines on each point from all around
     pixels = sum(view.camera.width * view.camera.height for view in (*data.train, *data.test))
-    kept = pixels * PHOTOGRAPH + settings.reflective.gaussians * GAUSSIAN + (TRIALS if settings.materials == "auto" else 0)
+    kept = pixels * PHOTOGRAPH + settings.reflective.gaussians * GAUSSIAN
     work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texture**2 * TEXEL)
     return LIBRARIES + kept + work
 
