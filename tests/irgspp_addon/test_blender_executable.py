@@ -2,6 +2,7 @@
 """Where the engine has no module bpy, a Blender executable writes the .blend; without either that is said."""
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -75,3 +76,11 @@ def test_named_blender_that_is_none(tmp_path, monkeypatch):
     monkeypatch.setenv(BLENDER, str(tmp_path / "no blender"))
     with pytest.raises(NoBlender, match="no blender, which is no program"):
         blender_command()
+
+
+@pytest.mark.parametrize(("stdin", "status"), [(subprocess.DEVNULL, 1), (subprocess.PIPE, 0)], ids=["gone", "there"])
+def test_blender_ends_with_the_process_that_started_it(stdin, status):
+    """Whoever started it holds the other end of its stdin; a killed job's Blender must not write beside the next one's."""
+    command = [sys.executable, str(blending.LAUNCHER), "__main__", "--help"]
+    with subprocess.Popen(command, stdin=stdin, stdout=subprocess.DEVNULL, env={**os.environ, "IRGSPP_TIED": "1"}) as process:
+        assert process.wait(60) == status
