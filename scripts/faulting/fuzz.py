@@ -35,6 +35,7 @@ case = case_of("fuzz")
 MEMORY = 512 << 20
 SECONDS = 1.0  # of processor time for one file
 STUCK = 3.0  # of processor time, after which even code that hears no signal is ended
+ASLEEP = 60.0  # seconds of the clock in which it may do nothing: one that waits for a lock takes no processor time
 SHARE = 2000  # files that a process reads before another takes its place
 EVENLY = 1_000_003  # a prime: no two processes draw the same
 SHOWN = 5  # failures of a kind that are told
@@ -167,7 +168,7 @@ def _generation(reader: Reader, folder: Path, right: list[bytes], seed: int, cou
 
 def _watched(child: int, note: mmap.mmap) -> tuple[int, bool]:
     """Wait for a process; its status, and whether it was ended because it made no progress for too much processor time."""
-    before, spent = b"", 0.0
+    before, spent, since = b"", 0.0, time.monotonic()
     while True:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
@@ -175,8 +176,8 @@ def _watched(child: int, note: mmap.mmap) -> tuple[int, bool]:
         times = psutil.Process(child).cpu_times()
         now = times.user + times.system
         if note[:8] != before:
-            before, spent = note[:8], now
-        elif now - spent > STUCK:
+            before, spent, since = note[:8], now, time.monotonic()
+        elif now - spent > STUCK or time.monotonic() - since > ASLEEP:
             os.kill(child, signal.SIGKILL)
             return os.waitpid(child, 0)[1], True
         time.sleep(0.05)

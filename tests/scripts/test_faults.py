@@ -2,6 +2,7 @@
 """The quick cases of faults and hostile input hold."""
 
 import importlib
+import subprocess
 import sys
 from pathlib import Path
 
@@ -17,14 +18,26 @@ for name in faults.GROUPS:
     importlib.import_module(f"faulting.{name}")
 sys.path.remove(str(SCRIPTS))
 QUICK = stress.selected(faults.CASES, quick=True, only="")
+FUZZ = [case for case in QUICK if case.group == "fuzz"]
+HERE = [case for case in QUICK if case.group != "fuzz"]
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL, mounts and limits of POSIX")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL, mounts and limits of POSIX")
-@pytest.mark.parametrize("case", QUICK, ids=lambda case: f"{case.group}: {case.name}")
+@POSIX
+@pytest.mark.parametrize("case", HERE, ids=lambda case: f"{case.group}: {case.name}")
 def test_quick_case_holds(case, monkeypatch):
     monkeypatch.syspath_prepend(str(SCRIPTS))  # of the processes that the case starts, too
     outcome = case_module.attempt(case)
     assert outcome.passed, outcome.faults
+
+
+@POSIX
+def test_quick_fuzzing_holds():
+    """In a process of its own: it forks, which one with the threads of other tests must not."""
+    words = [sys.executable, SCRIPTS / "faults.py", "--quick", "--only", "fuzz:"]
+    ended = subprocess.run(words, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stderr.count(": ") >= len(FUZZ)
 
 
 def test_there_are_cases_of_every_group():
