@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The quick cases of faults and hostile input hold."""
+"""The quick cases of faults and hostile input hold; fuzzing is left to scripts/faults.py, what it found is in tests/core."""
 
 import importlib
-import subprocess
 import sys
 from pathlib import Path
 
@@ -18,8 +17,7 @@ for name in faults.GROUPS:
     importlib.import_module(f"faulting.{name}")
 sys.path.remove(str(SCRIPTS))
 QUICK = stress.selected(faults.CASES, quick=True, only="")
-FUZZ = [case for case in QUICK if case.group == "fuzz"]
-HERE = [case for case in QUICK if case.group != "fuzz"]
+HERE = [case for case in QUICK if case.group != "fuzz"]  # fuzzing forks, which processes with the threads of other tests must not
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL, mounts and limits of POSIX")
 
 
@@ -29,15 +27,6 @@ def test_quick_case_holds(case, monkeypatch):
     monkeypatch.syspath_prepend(str(SCRIPTS))  # of the processes that the case starts, too
     outcome = case_module.attempt(case)
     assert outcome.passed, outcome.faults
-
-
-@POSIX
-def test_quick_fuzzing_holds():
-    """In a process of its own: it forks, which one with the threads of other tests must not."""
-    words = [sys.executable, SCRIPTS / "faults.py", "--quick", "--only", "fuzz:"]
-    ended = subprocess.run(words, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert ended.stderr.count(": ") >= len(FUZZ)
 
 
 def test_there_are_cases_of_every_group():
