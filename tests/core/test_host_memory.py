@@ -10,7 +10,7 @@ from irgspp.core import host_memory
 from irgspp.core.config import preset
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
-from irgspp.core.host_memory import FEWEST_RAYS, MOST_RAYS, Free, bytes_needed, free_memory, rays_that_fit, resident
+from irgspp.core.host_memory import FEWEST_RAYS, MOST_RAYS, Free, bytes_needed, free_memory, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.stages import transfer
 
