@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The quick cases of faults and hostile input hold; fuzzing is left to scripts/faults.py, what it found is in tests/core."""
+"""The quick cases of faults and hostile input hold, but for fuzzing and memory, which scripts/faults.py has alone."""
 
 import importlib
 import sys
@@ -17,7 +17,7 @@ for name in faults.GROUPS:
     importlib.import_module(f"faulting.{name}")
 sys.path.remove(str(SCRIPTS))
 QUICK = stress.selected(faults.CASES, quick=True, only="")
-HERE = [case for case in QUICK if case.group != "fuzz"]  # fuzzing forks, which processes with the threads of other tests must not
+HERE = [case for case in QUICK if case.group not in ("fuzz", "memory")]  # fuzzing forks, memory is measured: both need a process alone
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL, mounts and limits of POSIX")
 
 
