@@ -268,7 +268,8 @@ def test_a_plan_is_not_taken_for_another(script, tmp_path):
     runs = script("benchmarks.runs")
     plan, run = runs.RunPlan("a"), tmp_path / "a"
     run.mkdir()
-    (run / "run.json").write_text(json.dumps({"status": "done", "settings": {}, "phases": {"read": {"seconds": 2.0, "peak_memory": 5}}}))
+    phase = {"seconds": 2.0, "peak_memory": 5, "finished": True}
+    (run / "run.json").write_text(json.dumps({"status": "done", "settings": {}, "phases": {"read": phase}}))
     about = {"plan": runs._plan(plan, DEMO_DATA), "done": True, "process_seconds": 3.0, "cpu_seconds": 4.0}
     (tmp_path / "a.json").write_text(json.dumps(about))
     found = runs.finished(plan, DEMO_DATA, run)

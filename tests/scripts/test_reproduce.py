@@ -26,7 +26,8 @@ if command == "reconstruct":
         sys.exit(1)
     run = pathlib.Path(words[2])
     run.mkdir(parents=True, exist_ok=True)
-    (run / "run.json").write_text(json.dumps({"status": "done", "phases": {"a": {"seconds": 90}}, "settings": {}}))
+    phase = {"seconds": 90, "peak_memory": 1, "finished": True}
+    (run / "run.json").write_text(json.dumps({"status": "done", "phases": {"a": phase}, "settings": {}}))
     (run / "contact_sheet.png").write_bytes((here / "sheet.png").read_bytes())
 else:
     out = pathlib.Path(words[words.index("-o") + 1])
