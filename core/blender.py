@@ -14,10 +14,10 @@ from pathlib import Path
 
 from .errors import Cancelled, IrgsppError
 from .progress import Progress
+from .stdin_end import TIED
 
 LAUNCHER = Path(__file__).resolve().parent.parent / "irgspp_addon" / "launch.py"
 BLENDER = "IRGSPP_BLENDER"  # the environment variable that names a Blender executable; the extension sets it to the one it runs in
-TIED = "IRGSPP_TIED"  # set where launch.py is to end its process once stdin does
 
 
 class NoBlender(IrgsppError):

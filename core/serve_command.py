@@ -20,6 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .errors import InputError
+from .stdin_end import when_stdin_ends
 from .terminal import Terminal
 from .version import VERSION
 
@@ -50,15 +51,7 @@ def _when_to_end(session: Path, terminal: Terminal) -> Callable[[], bool]:
     """True when the folder says so or is gone, stdin is closed, the parent died or Ctrl-C was pressed."""
     closed, parent = threading.Event(), os.getppid()
 
-    def watch() -> None:
-        try:
-            while os.read(0, 1 << 16):  # not sys.stdin, whose lock would be held when the process ends
-                continue
-        except OSError:
-            return  # there never was one
-        closed.set()
-
-    threading.Thread(target=watch, daemon=True, name="stdin").start()
+    when_stdin_ends(closed.set)
 
     def ended() -> bool:
         orphan = sys.platform != "win32" and os.getppid() != parent

@@ -6,11 +6,11 @@ python launch.py irgspp_addon.write_blend ARGUMENTS  one of its modules
 blender --background --python launch.py -- irgspp_addon.write_blend ARGUMENTS
 """
 
+import importlib
 import importlib.util
 import os
 import runpy
 import sys
-import threading
 from pathlib import Path
 
 
@@ -24,10 +24,10 @@ def mount(folder: Path) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process once the one that started it is gone, which held the other end of stdin."""
-    while os.read(0, 1):  # not sys.stdin, whose lock this thread would still hold when the interpreter ends
-        continue
-    os._exit(1)
+    """Where it was asked for, end this process once the one that started it is gone."""
+    end = importlib.import_module("irgspp.core.stdin_end")
+    if os.environ.pop(end.TIED, ""):
+        end.when_stdin_ends(lambda: os._exit(1))
 
 
 if __name__ == "__main__":
@@ -39,8 +39,7 @@ if __name__ == "__main__":
     here = Path(__file__).resolve().parent
     if sys.path and Path(sys.path[0]).resolve() == here:
         del sys.path[0]  # our modules must not be found under their bare names
-    if os.environ.pop("IRGSPP_TIED", ""):
-        threading.Thread(target=end_with_parent, daemon=True).start()
     mount(here.parent)
+    end_with_parent()
     module = f"irgspp.{sys.argv.pop(1)}"
     runpy.run_module(module, run_name="__main__", alter_sys=True)

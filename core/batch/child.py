@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 from ..lock import FileLock
+from ..stdin_end import when_stdin_ends
 
 GRACE_SECONDS = 60.0  # between asking the command to stop and ending it
 LOOK_SECONDS = 0.2
@@ -24,7 +25,7 @@ def main(arguments: list[str]) -> int:
     """Run the command; its exit status."""
     lock, *words = arguments
     asked = threading.Event()
-    threading.Thread(target=_watch, args=(asked,), daemon=True).start()
+    when_stdin_ends(lambda: _stop(asked))
     held = _patiently(Path(lock), asked)
     if held is None:
         return 130
@@ -48,13 +49,8 @@ def _patiently(path: Path, asked: threading.Event) -> FileLock | None:
     return None
 
 
-def _watch(asked: threading.Event) -> None:
-    """Wait for the end of stdin."""
-    try:
-        while os.read(0, 1 << 16):  # not sys.stdin, whose lock would be held when the process ends
-            continue
-    except OSError:
-        return  # there never was one
+def _stop(asked: threading.Event) -> None:
+    """Ask the command to stop, and end it where it doesn't."""
     asked.set()
     signal.raise_signal(signal.SIGINT)
     time.sleep(GRACE_SECONDS)
