@@ -4,7 +4,7 @@
 Code of ours is instrumented, libraries of C are not. What brings a reader down is kept as crash-*, in the present folder.
 """
 
-# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
+# pyright: reportMissingImports=false, reportMissingModuleSource=false, reportAttributeAccessIssue=false
 # (atheris is no requirement of anything else)
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import atheris
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 with atheris.instrument_imports(include=["irgspp.core.datasets", "irgspp.core.scene", "irgspp.core.batch", "irgspp.core.overrides"]):
-    from faulting.fuzz import fault_of
+    from faulting.fuzz_child import fault_of
     from faulting.readers import READERS
 
 

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The quick cases of faults and hostile input hold, but for fuzzing and memory, which scripts/faults.py has alone."""
+"""The quick cases of faults and hostile input hold."""
 
 import importlib
 import sys
 from pathlib import Path
 
 import pytest
+
+if sys.platform == "win32":
+    pytest.skip("SIGKILL, mounts and limits of POSIX", allow_module_level=True)
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -17,12 +20,9 @@ for name in faults.GROUPS:
     importlib.import_module(f"faulting.{name}")
 sys.path.remove(str(SCRIPTS))
 QUICK = stress.selected(faults.CASES, quick=True, only="")
-HERE = [case for case in QUICK if case.group not in ("fuzz", "memory")]  # fuzzing forks, memory is measured: both need a process alone
-POSIX = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL, mounts and limits of POSIX")
 
 
-@POSIX
-@pytest.mark.parametrize("case", HERE, ids=lambda case: f"{case.group}: {case.name}")
+@pytest.mark.parametrize("case", QUICK, ids=lambda case: f"{case.group}: {case.name}")
 def test_quick_case_holds(case, monkeypatch):
     monkeypatch.syspath_prepend(str(SCRIPTS))  # of the processes that the case starts, too
     outcome = case_module.attempt(case)
