@@ -159,3 +159,13 @@ def capture(tmp_path: Path) -> Capture:
     centre = np.array([0.3, -0.2, 0.4])
     poses = ring(10, centre)
     return Capture(tmp_path, centre, poses, [photograph(p, centre) for p in poses])
+
+
+@pytest.fixture
+def trapped(capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """A capture in a folder of its own, with a picture beside that folder that is none of its business."""
+    home = tmp_path_factory.mktemp("home")
+    capture.folder = home / "dataset"
+    capture.folder.mkdir()
+    Image.fromarray(capture.pictures[0]).save(home / "secret.png")
+    return capture
