@@ -9,8 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..config import DataSettings
+from ..errors import InputError
 from .camera import Camera
-from .dataset import Bound
+from .capture import MINIMUM_VIEWS, Capture
+from .dataset import Bound, PointCloud, View
 
 MARGIN = 1.08
 FRAME_MARGIN = 1.5  # an object reaches no further than this beyond the sphere that fills the pictures
@@ -28,6 +31,35 @@ class Focus:
     point: np.ndarray
     distance: float
     reliable: bool
+
+
+def object_bound(capture: Capture, views: list[View], settings: DataSettings, warnings: list[str]) -> Bound:
+    """The given bound, or what masks, points and cameras tell, whichever says most. Raises InputError where the given one is none."""
+    bound = capture.bound or _estimated_bound(views, capture.points, warnings)
+    centre, radius = bound.centre, bound.radius
+    if settings.centre is not None:
+        x, y, z = capture.to_world[:3, :3] @ np.array(settings.centre, np.float64) + capture.to_world[:3, 3]
+        centre = float(x), float(y), float(z)
+    if settings.radius is not None:
+        radius = settings.radius * float(np.cbrt(np.linalg.det(capture.to_world[:3, :3])))
+    if not np.isfinite((*centre, radius)).all() or radius <= 0:
+        raise InputError("data.centre, data.radius", "the object bound is not finite or empty", "give a centre and a positive radius")
+    return Bound(centre, radius)
+
+
+def _estimated_bound(views: list[View], points: PointCloud | None, warnings: list[str]) -> Bound:
+    cameras = [v.camera for v in views]
+    rough = bound_of_points(cameras, points.position.astype(np.float64)) if points is not None else None
+    start = rough or bound_of_cameras(cameras)
+    masked = [(v.camera, v.alpha) for v in views if v.alpha is not None]
+    if len(masked) >= MINIMUM_VIEWS:
+        hull = bound_of_masks([c for c, _ in masked], [a for _, a in masked], start)
+        if hull is not None:
+            return hull
+        warnings.append("no region lies inside all masks: masks and cameras don't fit together; the bound is guessed without them")
+    if rough is None and not focus_of(cameras).reliable:
+        warnings.append("the cameras don't look at one point: the object bound is a guess; give data.centre and data.radius")
+    return start
 
 
 def focus_of(cameras: Sequence[Camera]) -> Focus:

@@ -86,8 +86,8 @@ def _found(train: str, names: list[str], places: tuple[str, ...], folder: Path) 
 
 def _tensoir(view: View) -> Layers:
     folder = view.path.parent
-    albedo = folder / "albedo.png"  # linear as it is stored
-    return Layers(_png(albedo), _png_normal(folder / "normal.png"), cover=_png_alpha(albedo), relit=_tensoir_relit(view.path))
+    albedo, cover = _png(folder / "albedo.png")  # linear as it is stored
+    return Layers(albedo, _png_normal(folder / "normal.png"), cover=cover, relit=_tensoir_relit(view.path))
 
 
 def _tensoir_relit(picture: Path) -> dict[str, Path]:
@@ -96,12 +96,12 @@ def _tensoir_relit(picture: Path) -> dict[str, Path]:
 
 def _synthetic4relight(view: View) -> Layers:
     name = view.path.name.removesuffix("_rgba.png")
-    file = view.path.with_name(name + "_albedo.png")
-    albedo, roughness = _png(file), _png(view.path.with_name(name + "_rough.png"))
+    albedo, cover = _png(view.path.with_name(name + "_albedo.png"))
+    roughness, _ = _png(view.path.with_name(name + "_rough.png"))
     return Layers(
         albedo=None if albedo is None else decode_srgb(albedo),
         roughness=None if roughness is None else roughness[..., 0],
-        cover=_png_alpha(file),
+        cover=cover,
         relit=_synthetic4relight_relit(view.path),
     )
 
@@ -113,7 +113,7 @@ def _synthetic4relight_relit(picture: Path) -> dict[str, Path]:
 
 
 def _glossy_synthetic(view: View) -> Layers:
-    share = _png(glossy_synthetic.depth_of(view.path))
+    share, _ = _png(glossy_synthetic.depth_of(view.path))
     if share is None:
         return Layers()
     depth = share[..., 0] * glossy_synthetic.DEPTH_RANGE
@@ -127,7 +127,7 @@ def _stanford_orb(view: View) -> Layers:
     lights = {folder.name: MapFile(light, turn @ MAP_TO_CAMERA)} if light.is_file() else {}
     if view.light is not None:
         return Layers(lights=lights)
-    albedo = _png(folder / "pseudo_gt_albedo" / f"{name}.png")
+    albedo, _ = _png(folder / "pseudo_gt_albedo" / f"{name}.png")
     normal, depth = (_npy(folder / kind / f"{name}.npy") for kind in ("surface_normal", "z_depth"))
     return Layers(
         albedo=_npy(folder / "pseudo_gt_albedo" / f"{name}.npy") if albedo is None else decode_srgb(albedo),
@@ -151,20 +151,17 @@ READERS: dict[str, Callable[[View], Layers]] = {
 }
 
 
-def _png(path: Path) -> np.ndarray | None:
-    """(H, W, 3) float32 as stored, 0..1, or None where there is no such file."""
-    return unit(read_picture(inside(path, path.parent)).colour) if path.is_file() else None
-
-
-def _png_alpha(path: Path) -> np.ndarray | None:
-    """(H, W) float32, or None where there is no such file or it has none."""
-    alpha = read_picture(path).alpha if path.is_file() else None
-    return None if alpha is None else unit(alpha)
+def _png(path: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """(H, W, 3) float32 as stored, 0..1, and alpha (H, W); None where there is no such file, or no alpha in it."""
+    if not path.is_file():
+        return None, None
+    picture = read_picture(inside(path, path.parent))
+    return unit(picture.colour), None if picture.alpha is None else unit(picture.alpha)
 
 
 def _png_normal(path: Path) -> np.ndarray | None:
     """(H, W, 3) vectors stored as colours, 0 where the picture is transparent or black, or None where there is no such file."""
-    colour, alpha = _png(path), _png_alpha(path)
+    colour, alpha = _png(path)
     if colour is None:
         return None
     there = colour.max(-1) > 0 if alpha is None else alpha > 0
@@ -176,10 +173,8 @@ def _npy(path: Path) -> np.ndarray | None:
     if not path.is_file():
         return None
     inside(path, path.parent)
-    try:
-        array = np.load(
-            inside(path, path.parent), mmap_mode="r", allow_pickle=False
-        )  # a header that promises more than the file has is found out here
+    try:  # mapped: a header that promises more than the file has is found out here
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # numpy raises OSError, ValueError, EOFError, SyntaxError, ... for broken files
         raise InputError(path, f"not a readable array ({type(error).__name__}: {error})") from error
     if array.ndim == 3 and array.shape[2] == 1:

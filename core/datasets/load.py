@@ -16,10 +16,10 @@ import numpy as np
 from ..config import DataSettings
 from ..errors import Cancelled, InputError
 from ..progress import Progress, Silent
-from .bound import bound_of_cameras, bound_of_masks, bound_of_points, focus_of
+from .bound import object_bound
 from .camera import Camera
 from .capture import MINIMUM_VIEWS, Capture, Frame, Lens, view_names
-from .dataset import Bound, Dataset, PointCloud, View
+from .dataset import Dataset, View
 from .detect import read_capture
 from .paths import inside
 from .picture import Picture, on_black, picture_size, read_depth_mask, read_mask, read_picture, reduce_mask, reduce_picture
@@ -62,7 +62,7 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     pictures = _decode([*shots, *tests], settings, progress)
     views, checks = _usable(pictures[: len(shots)], MINIMUM_VIEWS, warnings), _usable(pictures[len(shots) :], 0, warnings)
     views, checks = _settle_alpha(views, checks, warnings)
-    bound = _bound(capture, views, settings, warnings)
+    bound = object_bound(capture, views, settings, warnings)
     lenses = sorted({str(s.frame.lens) for s in shots})
     novel = Counter(f.light for f in _present(capture.novel) if f.light is not None)
     return Dataset(path, capture.format, views, checks, bound, capture.to_world, capture.points, warnings, lenses, dict(novel))
@@ -264,35 +264,6 @@ def _settle_alpha(train: list[View], test: list[View], warnings: list[str]) -> t
     if bare:
         warnings.append(f"{len(bare)} of {len(train)} views have no mask (first: {bare[0]})")
     return train, test
-
-
-def _bound(capture: Capture, views: list[View], settings: DataSettings, warnings: list[str]) -> Bound:
-    """The given bound, or what masks, points and cameras tell, whichever says most."""
-    bound = capture.bound or _estimated_bound(views, capture.points, warnings)
-    centre, radius = bound.centre, bound.radius
-    if settings.centre is not None:
-        x, y, z = capture.to_world[:3, :3] @ np.array(settings.centre, np.float64) + capture.to_world[:3, 3]
-        centre = float(x), float(y), float(z)
-    if settings.radius is not None:
-        radius = settings.radius * float(np.cbrt(np.linalg.det(capture.to_world[:3, :3])))
-    if not np.isfinite((*centre, radius)).all() or radius <= 0:
-        raise InputError("data.centre, data.radius", "the object bound is not finite or empty", "give a centre and a positive radius")
-    return Bound(centre, radius)
-
-
-def _estimated_bound(views: list[View], points: PointCloud | None, warnings: list[str]) -> Bound:
-    cameras = [v.camera for v in views]
-    rough = bound_of_points(cameras, points.position.astype(np.float64)) if points is not None else None
-    start = rough or bound_of_cameras(cameras)
-    masked = [(v.camera, v.alpha) for v in views if v.alpha is not None]
-    if len(masked) >= MINIMUM_VIEWS:
-        hull = bound_of_masks([c for c, _ in masked], [a for _, a in masked], start)
-        if hull is not None:
-            return hull
-        warnings.append("no region lies inside all masks: masks and cameras don't fit together; the bound is guessed without them")
-    if rough is None and not focus_of(cameras).reliable:
-        warnings.append("the cameras don't look at one point: the object bound is a guess; give data.centre and data.radius")
-    return start
 
 
 def _threads() -> int:

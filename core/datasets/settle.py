@@ -34,7 +34,7 @@ def settle(
 
 
 def moved(capture: Capture, to_world: np.ndarray) -> Capture:
-    """The capture, so far in the dataset's own frame, after a similarity (4, 4) to our world."""
+    """The capture, so far in the dataset's own frame and without a bound, after a similarity (4, 4) to our world."""
 
     def placed(frames: list[Frame]) -> list[Frame]:
         return [replace(f, to_world=rough_camera(f).moved(to_world).to_world) for f in frames]
