@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ..errors import InputError, IrgsppError
+from ..kernels.pool import cores
 from .jobs import Job
 from .notes import JobFolder, State
 from .work import CANCEL, work_off
@@ -66,7 +67,7 @@ class LocalPool:
 
     def __init__(self, batch: Path, at_once: int) -> None:
         self._executor = ThreadPoolExecutor(at_once)
-        self._work = partial(work_off, batch=batch, threads=max(1, _cores() // at_once) if at_once > 1 else None)
+        self._work = partial(work_off, batch=batch, threads=max(1, cores() // at_once) if at_once > 1 else None)
 
     def submit(self, job: Job) -> LocalTicket:
         """Queue a job."""
@@ -155,8 +156,4 @@ def _on_worker(job: Job, batch: Path) -> State:
     if not batch.is_dir():
         raise IrgsppError(f"{batch} is not there on {get_worker().address}: all machines must see the same folders")
     threads = get_worker().state.nthreads
-    return work_off(job, batch, max(1, _cores() // threads) if threads > 1 else None)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return work_off(job, batch, max(1, cores() // threads) if threads > 1 else None)

@@ -17,6 +17,11 @@ def thread_count() -> int:
     """Threads to use: $IRGSPP_THREADS, or the cores this process may run on."""
     if "IRGSPP_THREADS" in os.environ:
         return max(1, int(os.environ["IRGSPP_THREADS"]))
+    return cores()
+
+
+def cores() -> int:
+    """Those that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

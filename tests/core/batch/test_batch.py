@@ -68,7 +68,7 @@ def test_cancelling_saves_what_runs_and_leaves_the_rest(stand_in, notes):
 
 
 def test_cores_are_shared_by_jobs_that_run_at_a_time(stand_in, notes, monkeypatch):
-    monkeypatch.setattr("irgspp.core.batch.pools._cores", lambda: 8)
+    monkeypatch.setattr("irgspp.core.batch.pools.cores", lambda: 8)
     run_batch([stand_in("a", "good", ("evaluate",))], notes, never, at_once=3)
     run_batch([stand_in("b", "good", ("evaluate",))], notes, never)
     assert "evaluate by 2" in (notes / "a" / "log.txt").read_text()
