@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A sphere on a floor whose materials, light and visibility are known in closed form, and photographs by the model's own equations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from irgspp.core.shading.lightmap import texel_directions
+from irgspp.core.shading.specular_albedo import diffuse_share
+from irgspp.core.stages.observations import Observations
+from irgspp.core.stages.separation import Separation
+from irgspp.core.stages.transfer import Transfer, subdivided_directions
+
+HEIGHT = 8
+TEXELS = 2 * HEIGHT**2
+FLOOR, FLOOR_RADIUS = -1.0, 3.0
+GLOW = np.array([0.15, 0.12, 0.1], np.float32)  # radiance of what is in the way
+
+
+def unit(rows):
+    return rows / np.linalg.norm(rows, axis=-1, keepdims=True)
+
+
+def surface(random, on_sphere=300, on_floor=150):
+    """Positions and normals, of the sphere's upper part only: cameras are above."""
+    sphere = unit(random.normal(size=(on_sphere, 3)))
+    sphere = sphere[sphere[:, 2] > -0.7]
+    floor = np.concatenate([random.uniform(-2, 2, (on_floor, 2)), np.full((on_floor, 1), FLOOR)], 1)
+    normal = np.concatenate([sphere, np.tile([0.0, 0.0, 1.0], (on_floor, 1))])
+    return np.concatenate([sphere, floor]).astype(np.float32), normal.astype(np.float32)
+
+
+def blocked(position, normal, direction):
+    """(P, D) whether sphere or floor are in the way."""
+    start = position + 1e-3 * normal
+    along = start @ direction
+    sphere = (along < 0) & (along**2 > (start**2).sum(1)[:, None] - 1)
+    down = np.where(direction[2] < -1e-6, direction[2], np.nan)
+    distance = (FLOOR - start[:, 2:]) / down
+    where = start[:, None, :2] + distance[..., None] * direction[:2].T
+    return sphere | ((distance > 0) & ((where**2).sum(-1) < FLOOR_RADIUS**2))
+
+
+def transport(position, normal):
+    direction, angle = subdivided_directions(HEIGHT, 2, 0)
+    cosine = np.maximum(normal @ direction, 0)
+    free = (cosine > 0) & ~blocked(position, normal, direction)
+    visible = free.astype(np.float32)
+    other = ((cosine > 0) & ~free)[:, None].astype(np.float32) * GLOW[:, None]
+    weight = cosine * angle / math.pi
+    irradiance = torch.from_numpy((weight * visible).reshape(len(position), 4, TEXELS).sum(1))
+    return Transfer(HEIGHT, (direction, angle, visible, other), irradiance, torch.from_numpy(np.einsum("pd,pcd->pc", weight, other)), True)
+
+
+def soft_light():
+    """(T, 3) a sky with lamps of several sizes and colours."""
+    light = torch.full((TEXELS, 3), 0.25)
+    direction = texel_directions(HEIGHT, 2 * HEIGHT).reshape(-1, 3)
+    lamps = (
+        ((1, 0.5, 0.8), (8, 6, 4), 12),
+        ((-1, 0.2, 0.3), (1, 2, 4), 6),
+        ((0, -1, 0.6), (3, 3, 2), 20),
+        ((0.3, 0.9, -0.3), (1, 0.5, 0.5), 4),
+    )
+    for axis, colour, sharpness in lamps:
+        towards = torch.from_numpy(unit(np.array(axis, float))).float()
+        light += (direction @ towards).clamp_min(0)[:, None] ** sharpness * torch.tensor(colour)
+    return light
+
+
+def known_materials(position):
+    """Albedo (P, 3), roughness, metallic (P,): a half red and half blue sphere with a brass cap, on a grey floor."""
+    floor, cap = position[:, 2] == FLOOR, position[:, 2] > 0.4
+    albedo = np.where(position[:, :1] > 0, [0.7, 0.2, 0.15], [0.2, 0.35, 0.6])
+    albedo = np.where(cap[:, None], [0.9, 0.7, 0.4], np.where(floor[:, None], 0.5, albedo))
+    roughness = np.where(cap, 0.25, np.where(floor, 0.7, 0.4))
+    return tuple(torch.from_numpy(np.asarray(a, np.float32)) for a in (albedo, roughness, cap))
+
+
+def photographed(transfer, position, normal, views=8):
+    """Points and views by the model, and the truth: light, albedo, roughness, metallic."""
+    random = np.random.default_rng(1)
+    cameras = unit(random.normal(size=(40, 3)))
+    toward = unit(5 * cameras * [1, 1, 0] + 5 * np.abs(cameras) * [0, 0, 1] - position[:, None])
+    facing = np.einsum("pkc,pc->pk", toward, normal) > 0.2
+    pairs = [(p, k) for p in range(len(position)) for k in random.permutation(np.flatnonzero(facing[p]))[:views]]
+    point, camera = np.array(pairs).T
+    view = torch.from_numpy(toward[point, camera].astype(np.float32))
+    dark = torch.zeros(len(point), 3)
+    seen = Observations(torch.from_numpy(position), torch.from_numpy(normal), torch.from_numpy(point), view, dark, dark.bool())
+    truth = (soft_light(), *known_materials(position))
+    return replace(seen, colour=rendered(seen, transfer, *truth)), truth
+
+
+def rendered(seen, transfer, light, albedo, roughness, metallic):
+    """(K, 3) what the views show."""
+    point = seen.point
+    scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
+    irradiance = (transfer.irradiance @ light + transfer.indirect)[point]
+    share = diffuse_share((seen.normal[point] * seen.view).sum(1), roughness[point])[:, None]
+    metal = metallic[point, None]
+    specular = scaled @ light + rest_scaled
+    f0 = 0.04 * (1 - metal) + metal * albedo[point]
+    return (1 - metal) * albedo[point] * share * irradiance + f0 * specular + added @ light + rest_added
+
+
+def make(*counts):
+    position, normal = surface(np.random.default_rng(0), *counts)
+    transfer = transport(position, normal)
+    return transfer, *photographed(transfer, position, normal)
+
+
+def start(seen, transfer, seed=0):
+    count = len(seen.position)
+    return Separation(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), seed)
