@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import random
 import re
 import struct
+import zipfile
+import zlib
 from typing import Any
 
 WHOLE = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 1 << 20, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
@@ -14,15 +17,45 @@ REAL = (0.0, -0.0, 1e-320, 1e-30, 1e30, 1e308, float("inf"), float("-inf"), floa
 WORDS = ("", "0", "-1", "1e999", "-1e999", "nan", "inf", "1e-320", "9" * 400, "0x10", "1_0", "..")
 WORDS += ("../../etc/passwd", "/dev/zero", "a" * 5000, "\0", "\ud800", "é\u202e", "C:\\x", "%s%n")
 WORDS += ("${HOME}", "null", "true", "[]", "{}", "\n", "١٢")
+ZIP, PNG = b"PK\3\4", b"\x89PNG\r\n\x1a\n"
 TOKEN = re.compile(r"[-+]?\d[\w.+-]*|[A-Za-z_]\w*|[^\w\s]")
 
 
 def mutated(data: bytes, chance: random.Random, others: list[bytes], text: bool) -> bytes:
-    """A wrong version of a file; `others` are right ones that parts may come from."""
+    """A wrong version of a right file; `others` are right ones that parts may come from."""
+    if data.startswith((ZIP, PNG)) and chance.random() < 0.5:
+        return _archive(data, chance) if data.startswith(ZIP) else _png(data, chance)
     for _ in range(1 + min(int(chance.expovariate(0.7)), 8)):
         ways = TEXT if text and chance.random() < 0.6 else BYTES
         data = chance.choice(ways)(data, chance, others)
     return data
+
+
+def _archive(data: bytes, chance: random.Random) -> bytes:
+    """One of the files in a zip made wrong by intent: with a checksum that is right."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(made, "w") as new:
+        chosen = chance.choice(old.infolist())
+        for entry in old.infolist():
+            part = old.read(entry)
+            new.writestr(entry, mutated(part, chance, [part], False) if entry is chosen else part)
+    return made.getvalue()
+
+
+def _png(data: bytes, chance: random.Random) -> bytes:
+    """One of a PNG's chunks made wrong by intent: with checksums that are right."""
+    chunks, at = [], len(PNG)
+    while at < len(data):
+        (size,) = struct.unpack_from(">I", data, at)
+        chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
+        at += size + 12
+    chosen = chance.randrange(len(chunks))
+    kind, body = chunks[chosen]
+    if kind == b"IDAT":
+        chunks[chosen] = kind, zlib.compress(mutated(zlib.decompress(body), chance, [body], False))
+    else:
+        chunks[chosen] = kind, mutated(body, chance, [data], False)
+    return PNG + b"".join(struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks)
 
 
 def _flip(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
