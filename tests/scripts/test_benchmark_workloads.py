@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The kernels that are timed against each other do the same."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-SCRIPTS = Path(__file__).parents[2] / "scripts"
+from scripts_folder import scripts_on_path
 
 
 @pytest.fixture(scope="module")
 def script():
-    sys.path.insert(0, str(SCRIPTS))
-    yield importlib.import_module("benchmarks.workloads")
-    sys.path.remove(str(SCRIPTS))
+    with scripts_on_path() as script:
+        yield script("benchmarks.workloads")
 
 
 @pytest.mark.parametrize("threads", ["1", "2"])

@@ -1,25 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tracing Gaussians and path tracing meshes by Cycles are two ways to the same picture."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from irgspp.core.shading.lights import studio_light
 from PIL import Image
+from scripts_folder import scripts_on_path
 
 pytest.importorskip("bpy")
-SCRIPTS = Path(__file__).parents[2] / "scripts"
 LIMIT = 0.03  # mean relative difference of a pixel, the noise of both included
 
 
 @pytest.fixture(scope="module")
 def script():
-    sys.path.insert(0, str(SCRIPTS))
-    yield importlib.import_module("compare_cycles")
-    sys.path.remove(str(SCRIPTS))
+    with scripts_on_path() as script:
+        yield script("compare_cycles")
 
 
 @pytest.fixture(scope="module")

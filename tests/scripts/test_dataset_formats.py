@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The script that writes a scene in the layout of other datasets, as a command."""
 
-import sys
 from pathlib import Path
 
 import pytest
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.pipeline import DEMO_DATA
+from scripts_folder import SCRIPTS, scripts_on_path
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-from dataset_formats import main  # noqa: E402
-from formats import WRITERS  # noqa: E402
-
-sys.path.remove(str(SCRIPTS))
+with scripts_on_path():
+    from dataset_formats import main
+    from formats import WRITERS
 
 
 @pytest.mark.parametrize("name", ["stanford-orb", "tensoir"])

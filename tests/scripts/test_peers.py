@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Peers are given the same thing to do: Mitsuba's pictures against sums over all texels, and what is read off curves."""
 
-import importlib
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,17 +12,15 @@ from irgspp.core.datasets.dataset import View
 from irgspp.core.shading.lightmap import solid_angles, texel_directions
 from irgspp.core.shading.sampling import Samples
 from irgspp.core.shading.transport import reflect_light
+from scripts_folder import scripts_on_path
 from sphere_run import axis_light, materials, sphere
-
-SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 
 @pytest.fixture(scope="module")
 def load():
     """Imports a module of the benchmark."""
-    sys.path.insert(0, str(SCRIPTS))
-    yield lambda name: importlib.import_module(f"benchmarks.{name}")
-    sys.path.remove(str(SCRIPTS))
+    with scripts_on_path() as script:
+        yield lambda name: script(f"benchmarks.{name}")
 
 
 def sphere_from(camera: Camera) -> tuple[np.ndarray, np.ndarray]:

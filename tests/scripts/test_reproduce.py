@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whole benchmarks: scenes are found, worked off once, and stand beside the published rows. Commands are a stand-in's part."""
 
-import importlib
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +10,8 @@ import pytest
 from irgspp.core.batch import work
 from irgspp.core.datasets.camera import look_at
 from PIL import Image
+from scripts_folder import script as script
 
-SCRIPTS = Path(__file__).parents[2] / "scripts"
 STAND_IN = """
 import json, os, pathlib, sys
 _, lock, command, *words = sys.argv[1:]
@@ -37,13 +35,6 @@ else:
     protocol = words[words.index("--protocol") + 1]
     (out / "report.json").write_text(json.dumps({"figures": figures, "protocol": [f"Protocol {protocol}: x.", "Scale of the albedo: 1"]}))
 """
-
-
-@pytest.fixture
-def script():
-    sys.path.insert(0, str(SCRIPTS))
-    yield lambda name: importlib.import_module(name)
-    sys.path.remove(str(SCRIPTS))
 
 
 def write_scene(folder: Path, kind: str = "plain") -> None:

@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The quick cases of the numerical stress test hold, and one that does not hold shows."""
 
-import importlib
 import json
-import sys
-from pathlib import Path
 
 import pytest
+from scripts_folder import scripts_on_path
 
-SCRIPTS = Path(__file__).parents[2] / "scripts"
-
-sys.path.insert(0, str(SCRIPTS))
-stress = importlib.import_module("stress")
-case_module = importlib.import_module("stresses.case")
-for name in stress.GROUPS:
-    importlib.import_module(f"stresses.{name}")
-sys.path.remove(str(SCRIPTS))
+with scripts_on_path() as script:
+    stress, case_module = script("stress"), script("stresses.case")
+    for name in stress.GROUPS:
+        script(f"stresses.{name}")
 QUICK = stress.selected(case_module.CASES, quick=True, only="")
 
 

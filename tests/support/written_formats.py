@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from formats_scene import BALL, RADIUS, ROOT, render_scene
+from formats_scene import BALL, RADIUS, render_scene
 from irgspp.core.colour import decode_srgb
 from irgspp.core.config import DataSettings
 from irgspp.core.datasets.camera import Camera
@@ -19,12 +18,11 @@ from irgspp.core.datasets.dataset import Dataset, View
 from irgspp.core.datasets.load import load_dataset, load_novel_views
 from irgspp.core.evaluation.truth import SceneTruth, Truth, load_scene_truth, load_truth, turned
 from irgspp.core.shading.lightmap import lookup
+from scripts_folder import scripts_on_path
 
-sys.path.insert(0, str(ROOT / "scripts"))
-from formats import WRITERS, realitycapture, stanford_orb
-from formats.source import Shot, Source, load_source, placed, similarity
-
-sys.path.remove(str(ROOT / "scripts"))
+with scripts_on_path():
+    from formats import WRITERS, realitycapture, stanford_orb
+    from formats.source import Shot, Source, load_source, placed, similarity
 
 __all__ = [
     "NAMES",

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What sections of the benchmark make of their records."""
+
+import pytest
+from scripts_folder import script as script
+
+
+@pytest.fixture
+def shown(script, tmp_path):
+    """Blocks of a section for (configuration, figures) of one scene: kind of block to those blocks."""
+
+    def show(name, records):
+        module, store = script(f"benchmarks.{name}"), script("benchmarks.store")
+        kept = store.Store(tmp_path)
+        for configuration, figures in records.items():
+            kept.add(store.Record(name, "ball", configuration, figures=figures, counted={"samples": 1}))
+        found = {}
+        for block in module.blocks(store.Results(kept, name)):
+            found.setdefault(type(block).__name__, []).append(block)
+        return found
+
+    return show
+
+
+def test_skipped_work_is_told_as_what_it_saves_and_what_it_costs(shown):
+    job = {"chosen": "", "evidence": "", "cpu_seconds": 1.0}
+    records = {
+        "auto": {**job, "seconds": 80.0, "relight_psnr": 30.0, "normal_mae": 2.5},
+        "all off": {**job, "seconds": 100.0, "relight_psnr": 30.1, "normal_mae": 2.4},
+        "trials": {**job, "chosen": "on", "evidence": "0.9 dB behind", "seconds": 90.0, "relight_psnr": 30.0, "normal_mae": 2.5},
+        "converged": {"chosen": "off", "evidence": "still gaining"},
+    }
+    together, alone = shown("skipping", records)["Table"]
+    row = dict(zip(together.columns, together.rows[0], strict=True))
+    assert (row["seconds with ↓"], row["saved"]) == (80.0, "20 %")
+    assert (row["relit dB ↑ added"], row["normals ° ↓ added"]) == ("-0.10", "+0.10")
+    rows = {row[0]: row for row in alone.rows}
+    assert rows["converged, ball"][-1] == "kept: still gaining" and rows["converged, ball"][1] is None
+    assert rows["trials, ball"][3] == "11 %" and rows["trials, ball"][-1] == "0.9 dB behind"
+
+
+def test_time_budgets_are_curves_beside_the_presets(shown):
+    figures = {
+        "relight_psnr": 30.0,
+        "nvs_psnr": 31.0,
+        "normal_mae": 3.0,
+        "cpu_seconds": 1.0,
+        "peak_memory_bytes": 2**30,
+        "read_seconds": 0.5,
+    }
+    records = {f"balanced, {m} min": {**figures, "seconds": 60.0 * m, "relight_psnr": 28.0 + m} for m in (2, 1)}
+    records |= {"balanced": {**figures, "seconds": 110.0}, "without indirect light": {**figures, "seconds": 100.0, "relight_psnr": 29.0}}
+    blocks = shown("reconstruction", records)
+    curves = {series.label: series for series in blocks["Chart"][0].panels["ball"]}
+    assert (list(curves["balanced --time"].x), list(curves["balanced --time"].y)) == ([60.0, 120.0], [29.0, 30.0])
+    assert (list(curves["balanced"].x), curves["balanced"].line) == ([110.0], False)
+    parts = next(table for table in blocks["Table"] if "2DGRT" in table.title)
+    assert [row[:3] for row in parts.rows] == [["ball, balanced", 110.0, 30.0], ["ball, without indirect light", 100.0, 29.0]]
+
+
+def test_the_slope_of_random_samples_is_told(shown):
+    points = {n: {"samples": n, "rms_error": n**-0.5, "converged_psnr": 30.0, "seconds": 0.1, "true_psnr": 20.0} for n in (16, 64, 256)}
+    blocks = shown("relighting", {f"without denoiser, {n} samples": figures for n, figures in points.items()})
+    table = next(t for t in blocks["Table"] if "slope (−0.5: Monte Carlo)" in t.columns)
+    assert table.rows[0][table.columns.index("slope (−0.5: Monte Carlo)")] == pytest.approx(-0.5)
