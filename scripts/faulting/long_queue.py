@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -21,7 +22,9 @@ GROWTH = 4.0  # MB of memory
 def queued(measured: Measured, count: int) -> None:
     """The jobs, and what is left of them."""
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as folder:
-        done = subprocess.run([sys.executable, str(CHILD), str(count), folder], capture_output=True, text=True, check=False)
+        environment = {**os.environ, "BLENDER_USER_RESOURCES": os.path.join(folder, "user")}
+        command = [sys.executable, str(CHILD), str(count), folder]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     measured.holds(f"the queue ends well: {done.stderr.strip()[-300:]}", done.returncode == 0)
     if done.returncode:
         return

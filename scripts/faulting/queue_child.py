@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Many jobs through the extension's queue, in a process that is Blender: `python queue_child.py JOBS FOLDER`; figures as JSON."""
+"""Many jobs through the extension's queue, in a process that is Blender: `python queue_child.py JOBS FOLDER`; figures as JSON.
+
+$BLENDER_USER_RESOURCES says where the extension's own files are to be.
+"""
 
 # pyright: reportMissingImports=false
 # (`irgspp` is the folder above, known to pyright under no name)
@@ -21,57 +24,40 @@ import psutil
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 900.0  # seconds without a job's end
 KINDS = ("render", "reconstruct", "export")  # the last does not wait for the others
-WORKER = """
-import json, os, sys, time
-folder, steps = os.environ["IRGSPP_JOB"], int(sys.argv[1])
-for step in range(1, steps + 1):
-    with open(os.path.join(folder, "events.jsonl"), "a") as file:
-        file.write(json.dumps({"time": time.time(), "phase": "count", "step": step, "of": steps, "loss": 1 / step}) + "\\n")
-    if os.path.exists(os.path.join(folder, "cancel")):
-        sys.exit(130)
-    time.sleep(0.01)
-print("counted", steps)
-"""
+COUNTER = Path(__file__).with_name("counter.py")
 
 
 def main(count: int, folder: Path) -> dict[str, Any]:
     """Queue so many jobs in batches, cancel some, wait for all; what is left of them."""
     runpy.run_path(str(ROOT / "irgspp_addon" / "launch.py"))["mount"](ROOT)
-    import irgspp.irgspp_addon.user_folder as user_folder
-    from irgspp.irgspp_addon import engine, job_timer, jobs, managed_engine, session
+    from irgspp.irgspp_addon import job_timer, jobs
 
-    def place(name: str = "") -> Path:
-        (folder / "user" / name).mkdir(parents=True, exist_ok=True)
-        return folder / "user" / name
-
-    for module in (user_folder, jobs, session, engine, managed_engine):
-        module.user_folder = place  # pyright: ignore[reportAttributeAccessIssue]
-    script = folder / "worker.py"
-    script.write_text(WORKER)
-    tempfile.tempdir = str(place("temp"))
+    temporary = folder / "temporary"
+    temporary.mkdir()
+    tempfile.tempdir = str(temporary)
     job_timer.register()
     chance, states, seen = random.Random(0), {}, []
-    work(jobs, job_timer, script, folder, 20, chance, {})  # what is loaded once is loaded now
+    work(jobs, job_timer, folder, 20, chance, {})  # what is loaded once is loaded now
     before = figures()
     for _ in range(0, count, 20):
-        work(jobs, job_timer, script, folder, min(20, count), chance, states)
+        work(jobs, job_timer, folder, min(20, count), chance, states)
         seen.append(figures()["memory"])
     after = figures()
     notes = len([p for p in jobs.jobs_folder().iterdir() if p.is_dir()])
     remembered = len(jobs.all_jobs())
     job_timer.unregister()
-    left = {"notes": notes, "remembered": remembered, "history": jobs.HISTORY, "temporary": len(list(place("temp").iterdir()))}
-    left |= {"sessions": len(list((folder / "user" / "jobs").glob("*.session"))), "timer": bpy.app.timers.is_registered(job_timer._tick)}
+    left = {"notes": notes, "remembered": remembered, "history": jobs.HISTORY, "temporary": len(list(temporary.iterdir()))}
+    left |= {"sessions": len(list(jobs.jobs_folder().glob("*.session"))), "timer": bpy.app.timers.is_registered(job_timer._tick)}
     return {"before": before, "after": after, "memory": seen, "states": states, **left}
 
 
-def work(jobs: Any, timer: Any, script: Path, folder: Path, count: int, chance: random.Random, states: dict[str, int]) -> None:
-    """Some jobs at once, a third of them cancelled at random moments, some of these twice; returns when all have ended."""
+def work(jobs: Any, timer: Any, folder: Path, count: int, chance: random.Random, states: dict[str, int]) -> None:
+    """Some jobs at once, about 40 % of them cancelled at random moments, some of these twice; returns when all have ended."""
     made = []
     for i in range(count):
         kind = chance.choice(KINDS)
         run = folder / f"run{i}" if kind == "reconstruct" else None
-        made.append(jobs.start(kind, f"job {i}", run, [str(chance.randrange(1, 6))], program=str(script)))
+        made.append(jobs.start(kind, f"job {i}", run, [str(chance.randrange(1, 6))], program=str(COUNTER)))
     cancels = {job.id: chance.choice((1, 2)) for job in made if chance.random() < 0.4}  # asked twice, a job is ended at once
     end = time.monotonic() + PATIENCE
     while not all(job.finished for job in made):

@@ -96,15 +96,13 @@ sys.stdin.readline()
 
 
 @pytest.fixture
-def other_blender(tmp_path, registry):
+def other_blender(registry):
     """Start another process with jobs in the same registry; it ends when its input is closed."""
-    script = tmp_path / "counter.py"
-    script.write_text(COUNTER)
     registry.joinpath("jobs").mkdir(parents=True)
     started = []
 
     def start(keep, steps=10_000):
-        words = [sys.executable, "-c", OTHER, str(ROOT), str(registry), keep, str(script), str(steps)]
+        words = [sys.executable, "-c", OTHER, str(ROOT), str(registry), keep, str(COUNTER), str(steps)]
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(process)
         ids = next(line.split()[1:] for line in iter(process.stdout.readline, "") if line.startswith("ids "))

@@ -27,20 +27,7 @@ TINY = {
     "surface.texture": 64,
 }
 ENDLESS = {"reflective.iterations": 1_000_000}  # until somebody stops it
-
-# A stand-in for the engine: the same files, no libraries. It counts steps until told to stop, or to its end.
-COUNTER = """
-import json, os, sys, time
-folder, steps = os.environ["IRGSPP_JOB"], int(sys.argv[1])
-print("starting", file=sys.stderr, flush=True)
-for step in range(1, steps + 1):
-    with open(os.path.join(folder, "events.jsonl"), "a") as file:
-        file.write(json.dumps({"time": time.time(), "phase": "count", "step": step, "of": steps, "loss": 1 / step}) + "\\n")
-    if os.path.exists(os.path.join(folder, "cancel")):
-        sys.exit(130)
-    time.sleep(0.02)
-print("counted", steps)
-"""
+COUNTER = blender_side.ROOT / "scripts" / "faulting" / "counter.py"  # a stand-in for the engine
 
 
 def settings(**more: object) -> list[str]:
@@ -90,14 +77,11 @@ def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.fixture
-def counter(tmp_path: Path) -> Callable[..., object]:
+def counter() -> Callable[..., object]:
     """Start a job that counts: how far, and what `jobs.start` takes besides its words."""
     from irgspp.irgspp_addon import jobs
 
-    script = tmp_path / "counter.py"
-    script.write_text(COUNTER)
-
     def start(steps: int = 1000, kind: str = "render", folder: Path | None = None, **options):
-        return jobs.start(kind, f"count to {steps}", folder, [str(steps)], program=str(script), **options)
+        return jobs.start(kind, f"count to {steps}", folder, [str(steps)], program=str(COUNTER), **options)
 
     return start
