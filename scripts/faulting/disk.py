@@ -6,14 +6,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import resource
 import shutil
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from irgspp.core.run_folder import read_run
@@ -21,35 +17,16 @@ from stresses.case import Measured
 
 from .cases import case_of
 from .kill import unreadable
+from .mounts import LEFT_OUT, can_mount, mounted, remount
 from .tiny import Doom, Nursery, differing, said, undisturbed, work, write_dataset
 
 case = case_of("disk")
 PLENTY = 64 << 20
-LEFT_OUT = "left out: this user may not mount a small disk"
 
 
-@contextlib.contextmanager
-def small_disk(folder: Path, size: int) -> Iterator[Path]:
+def small_disk(folder: Path, size: int) -> AbstractContextManager[Path]:
     """A file system of so many bytes in memory. Raises OSError where this user may not mount one."""
-    place = folder / "disk"
-    place.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(place)], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise OSError(done.stderr.strip())
-    try:
-        yield place
-    finally:
-        subprocess.run(["umount", "-l", str(place)], check=True)
-
-
-def remount(place: Path, options: str) -> None:
-    """Change how it is mounted."""
-    subprocess.run(["mount", "-o", f"remount,{options}", str(place)], check=True)
-
-
-def can_mount() -> bool:
-    """True where this user may make small disks: on Linux, as root."""
-    return sys.platform == "linux" and os.geteuid() == 0 and shutil.which("mount") is not None
+    return mounted("-t", "tmpfs", "-o", f"size={size}", "tmpfs", place=folder / "disk")
 
 
 def filled(place: Path, left: int) -> Path:

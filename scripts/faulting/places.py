@@ -12,8 +12,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from irgspp.core.datasets.load import load_dataset
@@ -21,26 +19,13 @@ from irgspp.core.run_folder import read_run
 from stresses.case import Measured
 
 from .cases import case_of
-from .disk import can_mount
+from .mounts import LEFT_OUT, can_mount, mounted, remount
 from .tiny import SETTINGS, Doom, Nursery, differing, undisturbed, work, write_dataset
 
 case = case_of("places")
 ROOT = Path(__file__).resolve().parents[2]
 ODD = Path("mit Leerzeichen & 'Strich'", "写真 é ü %s {0}", "lang" * 25, "tief" * 25)
 GERMAN = "de_DE.UTF-8"
-
-
-@contextmanager
-def mounted(*words: str, place: Path) -> Iterator[Path]:
-    """Something mounted at a folder that is made. Raises OSError where that can't be done."""
-    place.mkdir()
-    done = subprocess.run(["mount", *words, str(place)], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise OSError(done.stderr.strip())
-    try:
-        yield place
-    finally:
-        subprocess.run(["umount", "-l", str(place)], check=True)
 
 
 def same_elsewhere(measured: Measured, nursery: Nursery, data: Path, run: Path, function=work) -> None:
@@ -87,13 +72,13 @@ def decimals(measured: Measured) -> None:
 @case("read-only install folder", "A job from a folder that can't be written to, with kernels that are not compiled yet.", quick=False)
 def installed(measured: Measured) -> None:
     if not can_mount():
-        measured.note("left out: this user may not mount")
+        measured.note(LEFT_OUT)
         return
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
         data, run = write_dataset(folder / "photographs"), folder / "run"
         with mounted("--bind", str(ROOT), place=folder / "installed") as place:
-            subprocess.run(["mount", "-o", "remount,ro,bind", str(place)], check=True)
+            remount(place, "ro,bind")
             measured.holds("the folder is read-only", not os.access(place / "core", os.W_OK))
             words = ["reconstruct", str(data), "-o", str(run), "--preset", "draft", *(w for s in SETTINGS for w in ("--set", s))]
             command = [sys.executable, "-P", str(place / "irgspp_addon" / "launch.py"), "__main__", *words]
@@ -113,7 +98,7 @@ def one_case(measured: Measured) -> None:
     from irgspp.core.scene.cameras import save_views
 
     if not can_mount() or shutil.which("mkfs.ext4") is None:
-        measured.note("left out: this user may not mount")
+        measured.note(LEFT_OUT)
         return
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         image = Path(name) / "image"
