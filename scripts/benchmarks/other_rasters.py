@@ -62,23 +62,18 @@ def by_cpp(folder: Path) -> Forward:
 
 
 def by_warp(features: int) -> Forward:
-    """A thread for each pixel on warp's CPU device, which has one. Raises IrgsppError where warp is not installed."""
+    """The package's kernel for GPUs on warp's CPU device, which has one thread. Raises IrgsppError where warp is not installed."""
     try:
-        import warp as wp
+        from irgspp.core.kernels.warp import raster, runtime
     except ImportError as error:
         raise IrgsppError("warp is not installed (extra cuda)") from error
-    setattr(wp.config, "quiet", True)  # noqa: B010  (unknown to its type stubs)
-    from .warp_raster import kernel_of
-
-    kernel = kernel_of(features)
+    kernel, _ = raster.kernels(features)
 
     def forward(s: Splats) -> None:
         rows = s.plane // s.stride
-        inputs = zip((s.start, s.entries, s.record, s.feature, s.box), (wp.int64, wp.int32, wp.float32, wp.float32, wp.int32), strict=True)
-        arrays = [wp.array(a, dtype=kind, device="cpu", copy=False) for a, kind in inputs]
-        out = wp.array(ptr=s.picture.ctypes.data, dtype=wp.float32, shape=s.picture.shape, device="cpu")
-        numbers = [wp.float32(value) for value in CONSTANTS]
-        wp.launch(kernel, dim=(rows, s.stride), inputs=[*arrays, s.columns, out, s.stride, s.plane, *numbers], device="cpu")
+        start, entries, record, feature, box, picture = map(torch.from_numpy, (s.start, s.entries, s.record, s.feature, s.box, s.picture))
+        lists = (start.int(), torch.arange(len(entries)), entries, record, feature, box, s.columns, s.stride, rows)
+        runtime.launch(kernel, s.plane, *lists, picture)
 
     return forward
 
