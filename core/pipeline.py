@@ -180,10 +180,10 @@ class Job:
     @cached_property
     def surface(self) -> Surface:
         """The bare surface."""
-        state = self.folder.load(GEOMETRY)
-        if state is None:
+        surface = self.folder.load(GEOMETRY, Surface.restored)
+        if surface is None:
             raise InputError(self.folder.path / "checkpoint", f"lacks {GEOMETRY}.pt", "start anew with --overwrite")
-        return Surface.restored(state)
+        return surface
 
     @cached_property
     def reconstruction(self) -> Reconstruction:

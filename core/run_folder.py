@@ -9,7 +9,7 @@ import shutil
 import time
 import traceback
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -201,17 +201,20 @@ class RunFolder(Notes):
         with whole(folder / f"{name}.pt") as partial, partial.open("wb") as file:
             torch.save(_as_tensors(state), file)
 
-    def load(self, name: str) -> dict[str, Any] | None:
-        """What `save` kept under a name, on the CPU, or None. Raises InputError where the file is damaged."""
+    def load(self, name: str, restored: Callable[[dict[str, Any]], Any] = dict) -> Any:
+        """What `restored` makes of what `save` kept under a name, on the CPU; None without. Raises InputError where the file is damaged."""
         import torch
 
         path = self.path / "checkpoint" / f"{name}.pt"
         if not path.exists():
             return None
         try:
-            if zipfile.ZipFile(path).testzip() is not None:  # torch reads on where the disk has lost a bit
-                raise ValueError("a checksum differs")
-            return torch.load(path, map_location="cpu", weights_only=True)
+            with zipfile.ZipFile(path) as archive:
+                if sum(entry.file_size for entry in archive.infolist()) > path.stat().st_size:
+                    raise ValueError("its parts claim to be larger than it is")  # torch compresses nothing
+                if archive.testzip() is not None:  # torch reads on where the disk has lost a bit
+                    raise ValueError("a checksum differs")
+            return restored(torch.load(path, map_location="cpu", weights_only=True))
         except MemoryError:
             raise
         except Exception as error:  # a damaged file raises nearly anything

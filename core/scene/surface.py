@@ -25,9 +25,16 @@ class Surface:
 
     @classmethod
     def restored(cls, state: dict[str, Any]) -> Surface:
-        """The inverse of `state`, whose arrays may have become tensors."""
+        """The inverse of `state`, whose arrays may have become tensors. Raises ValueError, KeyError or TypeError where it is no surface."""
         vertices, normals, faces = (np.asarray(state[name]) for name in ("vertices", "normals", "faces"))
-        return cls(vertices, normals, faces, float(state["voxel"]))
+        numbers = vertices.dtype.kind == normals.dtype.kind == "f" and faces.dtype.kind == "i"
+        shapes = vertices.shape == normals.shape == (len(vertices), 3) and faces.shape == (len(faces), 3)
+        if not numbers or not shapes or not faces.size or faces.min() < 0 or faces.max() >= len(vertices):  # kernels trust them
+            raise ValueError(f"no surface: {vertices.dtype} {vertices.shape}, {normals.shape}, {faces.dtype} {faces.shape}")
+        voxel = float(state["voxel"])
+        if not np.isfinite(vertices).all() or not np.isfinite(normals).all() or not 0 < voxel < np.inf:
+            raise ValueError("a surface with values that are not finite")
+        return cls(vertices, normals, faces, voxel)
 
     def state(self) -> dict[str, Any]:
         """All of it, for a checkpoint."""

@@ -125,6 +125,18 @@ class GaussianOptimizer:
         values = {k: v.detach() for k, v in self.leaves.items()}
         return {"values": values, "others": {k: v.detach() for k, v in self.others.items()}, "moments": flat}
 
+    def fits(self, state: dict[str, dict[str, torch.Tensor]]) -> bool:
+        """Whether `state` has what this one's has, of any number of Gaussians: kernels and the fused Adam trust shapes."""
+        count = state["values"]["position"].shape[1]
+        values = {name: (*leaf.shape[:-1], count) for name, leaf in self.leaves.items()}
+        others, moments = _shapes(self.others), {}
+        for name in (name for name in self.rates if f"{name}.step" in state["moments"]):
+            leaf, rows = ROWS.get(name, (name, slice(None)))
+            shape = others[name] if name in others else (len(range(*rows.indices(values[leaf][0]))), *values[leaf][1:])
+            moments |= {f"{name}.step": (), f"{name}.exp_avg": shape, f"{name}.exp_avg_sq": shape}
+        wanted = {"values": values, "others": others, "moments": moments}
+        return count > 0 and all(_shapes(state[part]) == shapes for part, shapes in wanted.items())
+
     def restore(self, state: dict[str, dict[str, torch.Tensor]]) -> None:
         """Go on from `state`."""
         for name, value in state["others"].items():
@@ -137,3 +149,13 @@ class GaussianOptimizer:
             if moments:
                 self.adam.state[group["params"][0]] = moments
         self.check_finite()
+
+
+def _shapes(tensors: dict[str, torch.Tensor]) -> dict[str, tuple[int, ...] | None]:
+    """Of tensors that are dense, of single precision and finite; None for others."""
+
+    def plain(tensor: torch.Tensor) -> bool:
+        dense = tensor.dtype == torch.float32 and tensor.layout == torch.strided and tensor.is_contiguous()
+        return dense and bool(tensor.isfinite().all())
+
+    return {name: tuple(tensor.shape) if plain(tensor) else None for name, tensor in tensors.items()}

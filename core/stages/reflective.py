@@ -57,7 +57,7 @@ def train(
     gaussians = initial_gaussians(dataset, settings.reflective.gaussians, np.random.default_rng(settings.seed)).to(device)
     state = checkpoint.load("reflective") if checkpoint is not None else None
     cut = surroundings(dataset, settings, progress)
-    kind = kind_named(state["kind"], dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress, cut)
+    kind = kind_named(state.get("kind", ""), dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress, cut)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
     trainer = Trainer(dataset, settings.reflective, gaussians, kind, settings.seed, hold_back, cut=cut, resident=resident)
     if state is not None:

@@ -14,7 +14,7 @@ import torch
 from ..colour import decode_srgb
 from ..config import ReflectiveSettings
 from ..datasets.dataset import Dataset
-from ..errors import Cancelled, IrgsppError
+from ..errors import Cancelled, InputError, IrgsppError
 from ..kernels.photometric import photometric_loss
 from ..kernels.rasterize import ScreenStatistics, rasterize
 from ..progress import Checkpoint, Progress
@@ -201,13 +201,34 @@ class Trainer:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from `state`."""
+        """Go on from `state`. Raises InputError where it is no state of such a fit."""
+        try:
+            fits = self._fits(state)
+        except (LookupError, TypeError, ValueError, AttributeError, RuntimeError):  # values of any kind, in any place
+            fits = False
+        if not fits:
+            raise no_state()
         self.done, self.order = int(state["done"]), state["order"]
         self.paced(int(state["iterations"]))
         self.generator.set_state(state["generator"])
         self.density.gradient, self.density.seen = state["gradient"].to(self.device), state["seen"].to(self.device)
         self.density.pictures = int(state["pictures"])
         self.optimizer.restore(state["optimizer"])
+
+    def _fits(self, state: dict[str, Any]) -> bool:
+        """Whether `state` is one of a fit like this; what is wrong with it may also raise."""
+        torch.Generator().set_state(state["generator"])
+        order, gradient, seen = state["order"], state["gradient"], state["seen"]
+        views = order.dtype == torch.long and order.ndim == 1 and bool(((order >= 0) & (order < len(self.targets))).all())
+        statistics = gradient.dtype == seen.dtype == torch.float32 and gradient.shape == seen.shape == (len(seen),)
+        counts = all(type(state[name]) is int for name in ("done", "iterations", "pictures"))
+        schedule = counts and 0 <= state["done"] <= state["iterations"] and state["iterations"] > 0 and state["pictures"] >= 0
+        return views and statistics and schedule and self.optimizer.fits(state["optimizer"])
+
+
+def no_state() -> InputError:
+    """What a checkpoint raises that is whole, but no state of such a fit."""
+    return InputError("checkpoint/reflective.pt", "holds no state of this job's first stage", "delete it, or start anew with --overwrite")
 
 
 def border_radiance(targets: list[Target]) -> torch.Tensor:

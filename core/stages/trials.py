@@ -15,7 +15,7 @@ from ..progress import Progress
 from ..scene.gaussians import Gaussians
 from ..skipping import decide
 from .kind import COATED, KINDS, Kind, candidates, with_pace
-from .trainer import Trainer
+from .trainer import Trainer, no_state
 
 HOLD_BACK_FROM = 8  # views; fewer are all needed
 TRIAL_HOLD_BACK = 6  # one view in so many tests a trial
@@ -82,8 +82,13 @@ def _compared(trials: dict[Kind, Trainer], settings: Settings, progress: Progres
 
 
 def kind_named(name: str, dataset: Dataset) -> Kind:
-    """The kind of that name at its pace for this dataset: what starts on sparse points has farther to go than what starts on a hull."""
-    kind = next(k for k in KINDS if k.name == name)
+    """The kind of that name at its pace for this dataset: what starts on sparse points has farther to go than what starts on a hull.
+
+    Raises InputError where there is none.
+    """
+    kind = next((k for k in KINDS if k.name == name), None)
+    if kind is None:
+        raise no_state()
     return kind if dataset.has_alpha else with_pace(kind, COATED)
 
 

@@ -5,7 +5,9 @@ import json
 import pickle
 import shutil
 import struct
+import zipfile
 import zlib
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import RunFolder, read_run
 from irgspp.core.scene.exr import exr_size, write_exr
 from irgspp.core.scene.reconstruction import Reflections
+from irgspp.core.scene.surface import Surface
 
 
 def refused(words):
@@ -167,3 +170,44 @@ def test_exr_that_claims_more_than_it_can_hold(tmp_path):
         exr_size(tmp_path / "b.exr")
     write_exr(tmp_path / "black.exr", {"Y": np.zeros((2000, 2000))})
     assert exr_size(tmp_path / "black.exr") == (2000, 2000)
+
+
+def saved(folder, name, state):
+    run = RunFolder.open(folder / "run", Settings(), "photos")
+    run.save(name, state)
+    return run
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"faces": np.array([[0, 1, 3]])},  # a corner that there is not: compiled code would read beside the array
+        {"faces": np.array([[0, 1, -1]])},
+        {"faces": np.zeros((0, 3), np.int64)},
+        {"faces": np.array([[0.0, 1, 2]])},
+        {"normals": np.eye(3)[:2]},
+        {"vertices": np.full((3, 3), np.nan)},
+        {"voxel": 0.0},
+        {"voxel": "x"},
+        {"vertices": None},
+    ],
+)
+def test_checkpoint_of_no_surface(tmp_path, change):
+    state = Surface(np.eye(3), np.eye(3), np.array([[0, 1, 2]]), 0.1).state()
+    with closing(saved(tmp_path, "geometry", state)) as run:
+        assert run.load("geometry", Surface.restored).voxel == 0.1
+        run.save("geometry", state | change)
+        with refused("can't be read"):
+            run.load("geometry", Surface.restored)
+
+
+def test_checkpoint_that_unpacks_to_more_than_it_is(tmp_path):
+    with closing(saved(tmp_path, "reflective", {"values": torch.zeros(10_000)})) as run:
+        path = tmp_path / "run" / "checkpoint" / "reflective.pt"
+        with zipfile.ZipFile(path) as archive:
+            parts = {entry.filename: archive.read(entry) for entry in archive.infolist()}
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, part in parts.items():
+                archive.writestr(name, part)
+        with refused("can't be read"):
+            run.load("reflective")

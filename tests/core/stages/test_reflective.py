@@ -12,7 +12,7 @@ import torch
 from irgspp.core.config import Settings, preset
 from irgspp.core.datasets.camera import Camera
 from irgspp.core.datasets.dataset import Bound, Dataset, View
-from irgspp.core.errors import Cancelled, IrgsppError
+from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.stages.hull import initial_gaussians
@@ -211,3 +211,43 @@ def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
     trainer.optimizer.rebuild(start.select(torch.arange(150)), torch.arange(150))
     with pytest.raises(IrgsppError, match="only 150 of 400 disks"):
         trainer._check_hull()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: s.pop("done"),
+        lambda s: s.update(done=1.5),
+        lambda s: s.update(done=10**6),
+        lambda s: s.update(iterations=0),
+        lambda s: s.update(order=torch.tensor([9])),
+        lambda s: s.update(order=None),
+        lambda s: s.update(generator=torch.zeros(3, dtype=torch.uint8)),
+        lambda s: s.update(seen=torch.zeros(3)),
+        lambda s: s["optimizer"].pop("moments"),
+        lambda s: s["optimizer"]["others"].pop("light"),
+        lambda s: s["optimizer"]["moments"].update({"light.exp_avg": torch.zeros(2, 2, 3)}),
+        lambda s: s["optimizer"]["moments"].update({"sh_rest.exp_avg": torch.zeros(16, 3, 400)}),
+        lambda s: s["optimizer"]["moments"].update({"light.step": torch.tensor(math.nan)}),
+        lambda s: s["optimizer"]["values"].update(opacity=torch.zeros(399)),
+        lambda s: s["optimizer"]["values"].update(opacity=torch.zeros(400, dtype=torch.float64)),
+        lambda s: s["optimizer"]["values"].update(position=torch.zeros(400, 3).T),
+        lambda s: s["optimizer"].update(values={k: v[..., :0] for k, v in s["optimizer"]["values"].items()}),
+    ],
+)
+def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
+    """Compiled code trusts shapes, and a checkpoint may come from anywhere."""
+    dataset = sphere_dataset(camera_ring(9, 32))
+    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), COATED, 0, 9)
+    trainer.step()
+    state = trainer.state()
+    trainer.restore(state)
+    change(state)
+    with pytest.raises(InputError, match="holds no state of this job's first stage"):
+        trainer.restore(state)
+
+
+def test_state_of_a_kind_that_there_is_not_is_refused(sphere_dataset, camera_ring):
+    memory = Memory(reflective={"kind": "wood"})
+    with pytest.raises(InputError, match="holds no state"):
+        train(sphere_dataset(camera_ring(9, 32)), settings(), checkpoint=memory)
