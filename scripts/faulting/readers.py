@@ -28,21 +28,16 @@ from irgspp.core.datasets.picture import picture_size, read_mask, read_picture
 from irgspp.core.datasets.sparse_points import read_points
 from irgspp.core.errors import InputError
 from irgspp.core.options import check_words
-from irgspp.core.overrides import from_dict
 from irgspp.core.pipeline import DEMO_DATA
-from irgspp.core.run_folder import RunFolder, read_run
-from irgspp.core.scene.cameras import load_cameras as load_placed
 from irgspp.core.scene.edited_mesh import load_edited_mesh
 from irgspp.core.scene.exr import exr_size, read_exr_rgb, write_exr
 from irgspp.core.scene.gaussians import Gaussians, load_gaussians, save_gaussians
 from irgspp.core.scene.light_files import read_light
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.ply import load_mesh_ply, save_mesh_ply
-from irgspp.core.scene.reconstruction import Reflections
-from irgspp.core.scene.surface import Surface
 from PIL import Image
 
-from .tiny import settings
+from .runs import read_checkpoint, read_layer, read_state, write_run
 
 PICTURES = ("picture.png", "grey.png", "palette.png", "deep.png", "picture.jpg")
 EXRS = ("zip.exr", "half.exr", "piz.exr", "grey.exr")
@@ -183,45 +178,6 @@ def write_pictures(folder: Path) -> None:
 def read_any_picture(folder: Path, file: Path) -> object:
     """Size, pixels, as a mask, and as a light."""
     return _all([lambda f=f: f(file) for f in (picture_size, read_picture, read_mask, read_light)])
-
-
-def write_run(folder: Path) -> None:
-    """A run folder after its first stage: run.json, checkpoints, cameras."""
-    run = RunFolder.open(folder / "run", settings(), "photos")
-    run.record("reflective", 1.0, 1 << 20, finished=True)
-    random = np.random.default_rng(0)
-    surface = Surface(random.random((4, 3)), random.random((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), 0.1)
-    run.save("geometry", surface.state())
-    run.save("reflective", {"done": 3, "kind": "low-gloss", "values": {"a": torch.ones(3, 2), "b": [torch.zeros(2), 1.5]}})
-    reflections = Reflections(torch.full((5, 4), 0.5), torch.ones(2, 4, 3))
-    reflections.save(run.path / "reflections.npz")
-    run.close()
-    matrix = np.eye(4).tolist()
-    lens = {"width": 8, "height": 8, "fx": 9.0, "fy": 9.0, "cx": 4.0, "cy": 4.0, "to_world": matrix, "picture": "a.png"}
-    (folder / "run" / "cameras.json").write_text(json.dumps([{"name": "a", "split": "train", **lens}]))
-
-
-def read_state(folder: Path, file: Path) -> object:
-    """As `--resume`, `evaluate` and `batch` read run.json."""
-    state = read_run(folder / "run")
-    from_dict(state["settings"], file)
-    run = RunFolder.open(folder / "run", settings(), "photos", resume=True)
-    try:
-        return run.finished("reflective"), run.spent
-    finally:
-        run.close()
-
-
-def read_checkpoint(folder: Path, file: Path) -> object:
-    """As a resumed job does."""
-    run = RunFolder(folder / "run", {}, None)  # pyright: ignore[reportArgumentType]
-    state = run.load(file.stem)
-    return Surface.restored(state) if state and file.stem == "geometry" else state
-
-
-def read_layer(folder: Path, file: Path) -> object:
-    """What else a run folder has."""
-    return Reflections.load(file, 4) if file.suffix == ".npz" else load_placed(file)
 
 
 def write_toml(folder: Path) -> None:

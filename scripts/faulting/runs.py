@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run folder after its first stage, and how its files are read."""
+
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
+from __future__ import annotations
+
+import functools
+import json
+import tempfile
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from irgspp.core.datasets.load import load_dataset
+from irgspp.core.errors import IrgsppError
+from irgspp.core.overrides import from_dict
+from irgspp.core.run_folder import RunFolder, read_run
+from irgspp.core.scene.cameras import load_cameras
+from irgspp.core.scene.reconstruction import Reflections
+from irgspp.core.scene.surface import Surface
+from irgspp.core.stages.hull import initial_gaussians
+from irgspp.core.stages.kind import COATED
+from irgspp.core.stages.trainer import Trainer
+from irgspp.core.stages.trials import kind_named
+
+from .tiny import settings, write_dataset
+
+
+@functools.cache
+def fit() -> Trainer:
+    """One of few disks, some steps done."""
+    with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
+        data = load_dataset(write_dataset(Path(name)), settings().data)
+    how = replace(settings().reflective, light_height=8)
+    trainer = Trainer(data, how, initial_gaussians(data, 40, np.random.default_rng(0)), COATED, 0, 0)
+    for _ in range(3):
+        trainer.step()
+    return trainer
+
+
+def write_run(folder: Path) -> None:
+    """A run folder after its first stage: run.json, checkpoints, cameras."""
+    run = RunFolder.open(folder / "run", settings(), "photos")
+    run.record("reflective", 1.0, 1 << 20, finished=True)
+    random = np.random.default_rng(0)
+    surface = Surface(random.random((4, 3)), random.random((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), 0.1)
+    run.save("geometry", surface.state())
+    run.save("reflective", fit().state())
+    reflections = Reflections(torch.full((5, 4), 0.5), torch.ones(2, 4, 3))
+    reflections.save(run.path / "reflections.npz")
+    run.close()
+    matrix = np.eye(4).tolist()
+    lens = {"width": 8, "height": 8, "fx": 9.0, "fy": 9.0, "cx": 4.0, "cy": 4.0, "to_world": matrix, "picture": "a.png"}
+    (folder / "run" / "cameras.json").write_text(json.dumps([{"name": "a", "split": "train", **lens}]))
+
+
+def read_state(folder: Path, file: Path) -> object:
+    """As `--resume`, `evaluate` and `batch` read run.json."""
+    state = read_run(folder / "run")
+    from_dict(state["settings"], file)
+    run = RunFolder.open(folder / "run", settings(), "photos", resume=True)
+    try:
+        return run.finished("reflective"), run.spent
+    finally:
+        run.close()
+
+
+def read_checkpoint(folder: Path, file: Path) -> object:
+    """As a resumed job does."""
+    run = RunFolder(folder / "run", {}, None)  # pyright: ignore[reportArgumentType]
+    if file.stem == "geometry":
+        return run.load("geometry", Surface.restored)
+    state = run.load("reflective")
+    kind_named(state.get("kind", ""), fit().dataset)
+    fit().restore(state)
+    with suppress(IrgsppError):  # values that lead nowhere, said in one line
+        fit().step()
+    return state
+
+
+def read_layer(folder: Path, file: Path) -> object:
+    """What else a run folder has."""
+    return Reflections.load(file, 4) if file.suffix == ".npz" else load_cameras(file)
