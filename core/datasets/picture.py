@@ -13,12 +13,11 @@ from PIL import Image
 
 from ..colour import decode_srgb, encode_srgb
 from ..errors import InputError
-from ..scene.exr import check_pixels, exr_size, read_exr
+from ..scene.exr import check_filled, check_pixels, exr_size, read_exr
 
 BAND = 256  # rows that are linear floats at a time: a 50-megapixel photograph would take gigabytes as a whole
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by kind of colour
-SLACK = 1 << 16
 EXR_SIGNATURE = b"\x76\x2f\x31\x01"
 
 
@@ -54,17 +53,12 @@ def picture_size(path: Path) -> tuple[int, int]:
         check_pixels(path, *sides)
         # A byte of a PNG can't stand for more than 1032 of its pixels' bytes (deflate), one of a JPEG for no more than 341 pixels.
         bits = head[24] * PNG_CHANNELS.get(head[25], 1) if len(head) == 26 else 1
-        _check_filled(path, sides[0] * sides[1] * bits // 8, 1032 * size)
+        check_filled(path, sides[0] * sides[1] * bits // 8, 1032 * size)
     width, height = _raster_size(path)
     check_pixels(path, width, height)
     if head[:8] != PNG_SIGNATURE:
-        _check_filled(path, width * height, 341 * size)
+        check_filled(path, width * height, 341 * size)
     return width, height
-
-
-def _check_filled(path: Path, claimed: int, possible: int) -> None:
-    if claimed > possible + SLACK:
-        raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or made to do harm")
 
 
 def _raster_size(path: Path) -> tuple[int, int]:

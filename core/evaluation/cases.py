@@ -77,8 +77,8 @@ def read_cases(
     by_light: dict[str | None, list[View]] = {}
     for view in load_novel_views(data, settings, progress):
         by_light.setdefault(view.light, []).append(view)
-    chosen = _some(every, wanted)
-    views = [*chosen, *(view for views in by_light.values() for view in _some(views[:relit], wanted))]
+    chosen = spread_views(every, wanted)
+    views = [*chosen, *(view for views in by_light.values() for view in spread_views(views[:relit], wanted))]
     same = reconstruction.to_world @ np.linalg.inv(data.to_world)  # read on its own, a dataset may be placed otherwise
     cameras = [view.camera.moved(same) for view in views]
     scene = load_scene_truth(dataset, reconstruction.to_world)
@@ -86,7 +86,8 @@ def read_cases(
     return Cases(split, len(chosen), len(every), novel, views, cameras, scene, reconstruction.to_world)
 
 
-def _some(views: list[View], wanted: int | None) -> list[View]:
+def spread_views(views: list[View], wanted: int | None) -> list[View]:
+    """At most `wanted` of the views, evenly apart; None: all."""
     return views if wanted is None else [views[i] for i in spread(len(views), wanted)]
 
 

@@ -18,6 +18,7 @@ from ..replacing import whole
 from ..shading.lights import studio_light, sunset_light
 from ..stages.render import render_view
 from . import pictures
+from .cases import spread_views
 
 COLUMNS = ("photograph", "radiance", "recovered light", "albedo", "roughness", "metallic", "normal", "studio light", "sunset light")
 LIGHT_SIZE = (64, 128)
@@ -35,7 +36,7 @@ def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: 
     """
     lights = relighter.reconstruction.environment_map(), studio_light(*LIGHT_SIZE), sunset_light(*LIGHT_SIZE)
     prepared, tiles = [prepare(light) for light in lights], []
-    views = spread(dataset.test or dataset.train, rows)
+    views = spread_views(dataset.test or dataset.train, rows)
     progress.phase("contact sheet", len(views))
     for view in views:
         if progress.cancelled:
@@ -45,12 +46,6 @@ def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: 
     sheet = compose(tiles, COLUMNS)
     with whole(path) as partial:
         sheet.save(partial, "PNG", optimize=True)
-
-
-def spread(views: Sequence[View], count: int) -> list[View]:
-    """At most `count` of the views, evenly over the sequence."""
-    picked = np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))
-    return [views[i] for i in picked]
 
 
 def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) -> list[np.ndarray]:

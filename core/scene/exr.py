@@ -12,7 +12,8 @@ from ..errors import InputError
 from ..replacing import whole
 
 MAX_PIXELS = 178_000_000  # beyond any camera (Pillow's own limit): a header that claims more is damaged or hostile
-RATIO = 4000  # pixels of a byte
+RATIO = 4000  # pixels that a byte of an EXR can stand for at most
+SLACK = 1 << 16
 
 
 def exr_size(path: Path) -> tuple[int, int]:
@@ -23,9 +24,7 @@ def exr_size(path: Path) -> tuple[int, int]:
     except Exception as error:  # the library raises plain RuntimeError and TypeError for broken files
         raise InputError(path, f"not a readable EXR picture ({error})") from error
     check_pixels(path, width, height)
-    # Decoders take memory for all of it first; no compression fills so much from so little.
-    if width * height > RATIO * path.stat().st_size + (1 << 16):
-        raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or made to do harm")
+    check_filled(path, width * height, RATIO * path.stat().st_size)
     return width, height
 
 
@@ -33,6 +32,12 @@ def check_pixels(path: Path, width: int, height: int) -> None:
     """Raises InputError where a picture claims more than MAX_PIXELS."""
     if width * height > MAX_PIXELS:
         raise InputError(path, f"claims {width}x{height} pixels, more than the {MAX_PIXELS // 10**6} million allowed")
+
+
+def check_filled(path: Path, claimed: int, possible: int) -> None:
+    """Raises InputError where a picture claims more than a file of its size can hold: decoders take memory for all of it first."""
+    if claimed > possible + SLACK:
+        raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or made to do harm")
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:

@@ -203,5 +203,5 @@ def test_tiles_keep_the_shape_of_the_picture(width, height):
 
 def test_views_are_spread_over_the_dataset(demo):
     train = demo[1].train
-    assert sheet.spread(train, 3) == [train[0], train[20], train[-1]]
-    assert sheet.spread(train[:2], 4) == train[:2]
+    assert cases.spread_views(train, 3) == [train[0], train[20], train[-1]]
+    assert cases.spread_views(train[:2], 4) == train[:2]
