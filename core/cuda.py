@@ -23,7 +23,7 @@ class Findings:
 
     Attributes:
         driver: version of CUDA that the driver knows, None without one. torch_cuda: that of torch, None where it is built for the CPU.
-        torch_sees: torch finds a GPU. capability: of the first one. free, total: its memory in bytes. warp: warp is installed.
+        torch_sees: torch finds a GPU. capability: of the first one. free: bytes of its memory. warp: warp is installed.
     """
 
     driver: tuple[int, int] | None
@@ -32,7 +32,6 @@ class Findings:
     warp: bool
     capability: tuple[int, int] | None = None
     free: int = 0
-    total: int = 0
 
 
 def probe() -> Findings:
@@ -41,8 +40,8 @@ def probe() -> Findings:
 
     sees = torch.cuda.is_available()
     capability = torch.cuda.get_device_capability(0) if sees else None
-    free, total = torch.cuda.mem_get_info(0) if sees else (0, 0)
-    return Findings(_driver(), torch.version.cuda, sees, importlib.util.find_spec("warp") is not None, capability, free, total)
+    free = torch.cuda.mem_get_info(0)[0] if sees else 0
+    return Findings(_driver(), torch.version.cuda, sees, importlib.util.find_spec("warp") is not None, capability, free)
 
 
 def _driver() -> tuple[int, int] | None:

@@ -227,11 +227,6 @@ def stamp(run: Path) -> tuple:
     return tuple((run / name).stat().st_mtime_ns if (run / name).is_file() else 0 for name in STATE)
 
 
-def running_sessions() -> list[Session]:
-    """Workers that run now."""
-    return [session for session in _sessions.values() if session.alive]
-
-
 def close_all() -> None:
     """End all workers."""
     while _sessions:

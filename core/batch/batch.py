@@ -31,14 +31,12 @@ def run_batch(
     cancelled: Callable[[], bool],
     at_once: int = 1,
     dask: str | None = None,
-    board: Board | None = None,
 ) -> dict[str, State]:
     """Work all jobs off, on this machine or on a dask cluster, and return how each ended.
 
     Raises InputError where another process works on the same list, or no cluster is there; Cancelled once `cancelled` said so and every
     job that ran has saved what it had.
     """
-    board = board or Board()
     lock = _claim(notes)
     try:
         (notes / CANCEL).unlink(missing_ok=True)
@@ -48,7 +46,7 @@ def run_batch(
             _noted_waiting(JobFolder(notes / job.name), states[job.name])
         with pool_for(notes, at_once, dask) as pool:
             tickets = {job.name: pool.submit(job) for job in missing}
-            _watch(tickets, states, notes, cancelled, board)
+            _watch(tickets, states, notes, cancelled)
     finally:
         lock.release()
     if any(state.state == "cancelled" for state in states.values()) or cancelled():
@@ -80,9 +78,9 @@ def _noted_waiting(folder: JobFolder, state: State) -> None:
     folder.write(state)
 
 
-def _watch(tickets: dict[str, Ticket], states: dict[str, State], notes: Path, cancelled: Callable[[], bool], board: Board) -> None:
+def _watch(tickets: dict[str, Ticket], states: dict[str, State], notes: Path, cancelled: Callable[[], bool]) -> None:
     """Until all have ended; a wish to stop is passed on through a file, which the machines of a cluster see too."""
-    asked, left = False, dict(tickets)
+    asked, left, board = False, dict(tickets), Board()
     while left:
         if cancelled() and not asked:
             asked = True

@@ -96,14 +96,14 @@ def load_transforms(file: Path) -> dict[str, Any]:
     return content
 
 
-def listed_picture(folder: Path, listed: str, root: Path | None = None) -> Path | None:
+def listed_picture(folder: Path, listed: str) -> Path | None:
     """The picture that a file in `folder` lists, or None where there is none.
 
-    Raises InputError where it would lie outside `root`, which is that folder unless given, or can't be the name of a file.
+    Raises InputError where it would lie outside that folder, or can't be the name of a file.
     """
     base = folder / listed.replace("\\", "/")
     try:
-        inside(base, root or folder)
+        inside(base, folder)
         with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
             base.lstat()
         # Synthetic4Relight lists NAME for NAME_rgb.exr and NAME_rgba.png.

@@ -113,12 +113,10 @@ def fitted_figures(
     return row
 
 
-def albedo_figures(
-    predictions: Sequence[Prediction], truths: Sequence[Truth], how: Protocol = PLAIN
-) -> tuple[list[dict[str, float]], np.ndarray | None]:
+def albedo_figures(predictions: Sequence[Prediction], truths: Sequence[Truth]) -> tuple[list[dict[str, float]], np.ndarray | None]:
     """Albedo figures of each view after the one scale of all views, and that scale (3,); nothing where no view has a true albedo."""
-    scale = scale_of([scale_sample(p, t, how) for p, t in zip(predictions, truths, strict=True)], how)
-    return [albedo_row(p, t, scale, how, {}) for p, t in zip(predictions, truths, strict=True)], scale
+    scale = scale_of([scale_sample(p, t, PLAIN) for p, t in zip(predictions, truths, strict=True)], PLAIN)
+    return [albedo_row(p, t, scale, PLAIN, {}) for p, t in zip(predictions, truths, strict=True)], scale
 
 
 def averages(rows: Sequence[dict[str, float]], relights: Sequence[str], how: Protocol = PLAIN) -> dict[str, float]:

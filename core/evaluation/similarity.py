@@ -60,8 +60,8 @@ def _rounded(picture: np.ndarray) -> np.ndarray:
     return np.round(picture * 255) / 255
 
 
-def _alike(ours: np.ndarray, true: np.ndarray, lpips: Metrics, window: int = metrics.SSIM_WINDOW) -> dict[str, float]:
-    figures = {"psnr": metrics.psnr(ours, true), "ssim": metrics.ssim(ours, true, window)}
+def _alike(ours: np.ndarray, true: np.ndarray, lpips: Metrics) -> dict[str, float]:
+    figures = {"psnr": metrics.psnr(ours, true), "ssim": metrics.ssim(ours, true)}
     return figures | {f"lpips{suffix}": distance(np.clip(ours, 0, 1), np.clip(true, 0, 1)) for suffix, distance in lpips.items()}
 
 

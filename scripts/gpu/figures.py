@@ -31,6 +31,7 @@ from irgspp.core.stages.trainer import Trainer
 from .scene import RADIUS, Work, ring
 
 ROOT = Path(__file__).resolve().parents[2]
+PROFILED = 12  # operations that the profile tells of
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ def job(dataset: Path, run: Path, device: str, changes: tuple[str, ...]) -> list
     return found + ([] if psnr is None else [Figure("its test views", f"{psnr:.2f} dB PSNR (own radiance)")])
 
 
-def profile(work: Work, size: Size, device: torch.device, most: int = 12) -> list[Figure]:
+def profile(work: Work, size: Size, device: torch.device) -> list[Figure]:
     """Where the time of both stages' iterations goes."""
     second, first = refinement(work, size), trainer(work, size)
     kinds = [torch.profiler.ProfilerActivity.CPU, *([torch.profiler.ProfilerActivity.CUDA] if device.type == "cuda" else [])]
@@ -158,7 +159,7 @@ def profile(work: Work, size: Size, device: torch.device, most: int = 12) -> lis
             synchronised(device)
         spent = [(e.self_device_time_total if device.type == "cuda" else e.self_cpu_time_total, e) for e in watched.key_averages()]
         total = sum(time for time, _ in spent) or 1
-        for time_spent, event in sorted(spent, key=lambda pair: -pair[0])[:most]:
+        for time_spent, event in sorted(spent, key=lambda pair: -pair[0])[:PROFILED]:
             share = f"{time_spent / 5000:.3f} ms an iteration, {time_spent / total:.0%}, {event.count // 5} calls"
             found.append(Figure(f"  {name}: {event.key[:70]}", share))
     return found

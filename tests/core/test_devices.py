@@ -19,7 +19,7 @@ from irgspp.core.stages import trainer as trainers
 from irgspp.core.stages.trainer import Trainer
 
 GIB = 1 << 30
-GOOD = Findings((13, 0), "13.0", True, True, (9, 0), 20 * GIB, 24 * GIB)
+GOOD = Findings((13, 0), "13.0", True, True, (9, 0), 20 * GIB)
 HINDERED = {
     "no driver": (replace(GOOD, driver=None), "no NVIDIA driver"),
     "old driver": (replace(GOOD, driver=(12, 4)), "580 or newer"),
