@@ -52,8 +52,7 @@ class Trainer:
     ) -> None:
         """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the pictures, see `make_target`.
 
-        `resident`: photographs are kept on the Gaussians' device, else each is
-        brought there for its step.
+        `resident`: photographs are kept on the Gaussians' device, else each is brought there for its step.
         """
         self.dataset, self.settings, self.kind = dataset, settings, kind
         views = torch.arange(len(dataset.train))
@@ -71,9 +70,8 @@ class Trainer:
         if not self.masked:
             others["background"] = self.background.requires_grad_()
             table["background"] = Rate(3e-2, 0.2)
-        gaussians = replace(
-            gaussians, material=torch.logit(gaussians.position.new_tensor(kind.material))[:, None].repeat(1, gaussians.count)
-        )
+        material = torch.logit(gaussians.position.new_tensor(kind.material))
+        gaussians = replace(gaussians, material=material[:, None].repeat(1, gaussians.count))
         self.optimizer = GaussianOptimizer(gaussians, table, others)
         self._start = gaussians.count
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
