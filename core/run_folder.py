@@ -40,9 +40,10 @@ def read_run(path: Path) -> dict[str, Any]:
         raise InputError(path, "is not a run folder (no run.json in it)")
     try:
         state = json.loads(file.read_text("utf-8"))
-        json.dumps(state, allow_nan=False)  # what can't be written again is no state
         phases = {name: _phase(phase) for name, phase in state["phases"].items()}
-        return {**state, "phases": phases, "settings": dict(state["settings"])}
+        state |= {"phases": phases, "settings": dict(state["settings"])}
+        json.dumps(state, allow_nan=False)  # what can't be written again is no state
+        return state
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(file, f"is broken ({error})", "start the run anew with --overwrite") from error
 

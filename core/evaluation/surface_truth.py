@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
+from ..arrays import read_arrays
 from ..datasets.sparse_points import read_points
 from ..errors import InputError
 
@@ -30,6 +31,19 @@ def surface_points(format: str, folder: Path) -> tuple[np.ndarray, np.ndarray] |
     if format == "stanford-orb" and mesh.is_file():
         return _sampled(mesh)
     return None
+
+
+def rendered_points(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """The same of a dataset that scripts/render_dataset.py wrote."""
+    path = folder / "surface_points.npz"
+    if not path.is_file():
+        return None
+    position, normal = read_arrays(path, "points", "normals")
+    if position.dtype.kind != "f" or normal.dtype.kind != "f" or not position.shape == normal.shape == (*position.shape[:1], 3):
+        raise InputError(path, f"holds no points and normals (N, 3), but {position.dtype} {position.shape}, {normal.dtype} {normal.shape}")
+    if not len(position) or not np.isfinite(position).all() or not np.isfinite(normal).all():
+        raise InputError(path, "holds no points, or some that are not finite")
+    return position, normal
 
 
 def _normals(position: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from ..scene.exr import read_exr, read_exr_rgb
 from ..scene.light_files import read_light
 from ..shading.lightmap import lookup, texel_directions
 from .reduction import fitted_layer, fitted_picture
-from .surface_truth import surface_points
+from .surface_truth import rendered_points, surface_points
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def _rendered_scene(folder: Path, to_world: np.ndarray) -> SceneTruth:
     lights = {name: turned(read_exr_rgb(path), to_world) for name, path in files.items() if path.is_file()}
     plain = len(materials) == 1 and not meta.get("has_material_maps") and all(k in materials[0] for k in ("roughness", "metallic"))
     constants = (float(materials[0]["roughness"]), float(materials[0]["metallic"])) if plain else None
-    return SceneTruth(train, lights, constants, _points(folder / "surface_points.npz", to_world))
+    return SceneTruth(train, lights, constants, _moved_points(rendered_points(folder), to_world))
 
 
 def load_truth(view: View, scene: SceneTruth, to_world: np.ndarray) -> Truth:
@@ -162,13 +162,6 @@ def turned(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
         return light
     direction = texel_directions(light.shape[0], light.shape[1], torch.float64).reshape(-1, 3) @ torch.from_numpy(rotation)
     return lookup(torch.from_numpy(light), direction.float()).reshape(light.shape).numpy()
-
-
-def _points(path: Path, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    if not path.is_file():
-        return None
-    with np.load(path, allow_pickle=False) as data:
-        return _moved_points((data["points"], data["normals"]), to_world)
 
 
 def _moved_points(points: tuple[np.ndarray, np.ndarray] | None, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..arrays import read_arrays
 from ..datasets.dataset import Bound
 from ..errors import InputError
 from ..replacing import whole, write_atomic
@@ -38,11 +39,10 @@ class Reflections:
     @classmethod
     def load(cls, path: Path, count: int) -> Reflections:
         """Read them for so many disks. Raises InputError where the file is missing, broken or of other disks."""
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                material, environment = data["material"].astype(np.float32), data["environment"].astype(np.float32)
-        except Exception as error:  # damaged archives raise nearly anything
-            raise InputError(path, f"the reflections can't be read ({error})") from error
+        material, environment = read_arrays(path, "material", "environment")
+        if material.dtype.kind != "f" or environment.dtype.kind != "f":
+            raise InputError(path, f"holds {material.dtype} and {environment.dtype} instead of numbers")
+        material, environment = material.astype(np.float32), environment.astype(np.float32)
         if material.shape != (5, count) or environment.ndim != 3 or environment.shape[-1] != 3 or not environment.size:
             raise InputError(path, f"holds no materials of {count} disks and a light, but {material.shape} and {environment.shape}")
         if not ((material >= 0) & (material <= 1)).all() or not (np.isfinite(environment) & (environment >= 0)).all():

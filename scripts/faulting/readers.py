@@ -27,6 +27,7 @@ from irgspp.core.datasets.pickles import read_pickle
 from irgspp.core.datasets.picture import picture_size, read_mask, read_picture
 from irgspp.core.datasets.sparse_points import read_points
 from irgspp.core.errors import InputError
+from irgspp.core.evaluation.surface_truth import rendered_points
 from irgspp.core.options import check_words
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.scene.edited_mesh import load_edited_mesh
@@ -188,6 +189,12 @@ def write_toml(folder: Path) -> None:
     )
 
 
+def write_points(folder: Path) -> None:
+    """A true surface's, as scripts/render_dataset.py writes them."""
+    normals = np.eye(3, dtype=np.float16)
+    np.savez_compressed(folder / "surface_points.npz", points=np.eye(3, dtype=np.float32), normals=normals)
+
+
 def write_pickles(folder: Path) -> None:
     """Cameras as GlossySynthetic has them, in several protocols."""
     for protocol in (0, 2, 4, 5):
@@ -221,5 +228,6 @@ READERS = (
     Reader("job TOML", ("jobs.toml",), write_toml, lambda _, file: read_jobs(file, check_words), True),
     Reader("Metashape XML", ("cameras.xml",), lambda f: write_scene("metashape", f), read_dataset, True),
     Reader("RealityCapture CSV", ("cameras.csv",), lambda f: write_scene("realitycapture", f), read_dataset, True),
+    Reader("true points", ("surface_points.npz",), write_points, lambda folder, _: rendered_points(folder)),
     Reader("pickles", ("0.pkl", "2.pkl", "4.pkl", "5.pkl"), write_pickles, lambda _, file: read_pickle(file)),
 )

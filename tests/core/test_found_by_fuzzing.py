@@ -17,6 +17,7 @@ from irgspp.core.datasets.detect import read_capture
 from irgspp.core.datasets.pickles import read_pickle
 from irgspp.core.datasets.picture import picture_size
 from irgspp.core.errors import InputError
+from irgspp.core.evaluation.surface_truth import rendered_points
 from irgspp.core.overrides import from_dict
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import RunFolder, read_run
@@ -82,6 +83,8 @@ def test_metashape_in_an_encoding_that_is_none(tmp_path):
         lambda text: text.replace('"phases": {', '"phases": {"reflective": 1, "x": {').replace("}\n", "}}\n", 1),
         lambda text: text.replace('"phases": {}', '"phases": {"reflective": 7}'),
         lambda text: text.replace('"phases": {}', '"phases": {"reflective": {"seconds": "x", "peak_memory": 1, "finished": true}}'),
+        lambda text: text.replace('"phases": {}', '"phases": {"reflective": {"seconds": "nan", "peak_memory": 1, "finished": true}}'),
+        lambda text: text.replace('"phases": {}', '"phases": {"reflective": {"seconds": "1e999", "peak_memory": 1, "finished": true}}'),
         lambda text: text.replace('"phases": {}', '"phases": []'),
         lambda text: "[" * 10**5,
     ],
@@ -211,3 +214,54 @@ def test_checkpoint_that_unpacks_to_more_than_it_is(tmp_path):
                 archive.writestr(name, part)
         with refused("can't be read"):
             run.load("reflective")
+
+
+def test_arrays_that_claim_more_than_they_have(tmp_path):
+    """numpy makes room for what a header claims before it looks whether it is there."""
+    path = tmp_path / "surface_points.npz"
+    np.savez_compressed(path, points=np.eye(3, dtype=np.float32), normals=np.asfortranarray(-np.eye(3, dtype=np.float16)))
+    position, normal = rendered_points(tmp_path)
+    assert np.array_equal(position, np.eye(3)) and np.array_equal(normal, -np.eye(3))
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, part in parts.items():
+            archive.writestr(name, part.replace(b"(3, 3), }" + b" " * 12, b"(3, 99999999999), }".ljust(21)))
+    with refused("can't be read"):
+        rendered_points(tmp_path)
+
+
+def test_array_that_claims_to_be_larger_than_its_file(tmp_path):
+    path = tmp_path / "surface_points.npz"
+    np.savez(path, points=np.eye(3), normals=np.eye(3))
+    data = bytearray(path.read_bytes())
+    at = data.find(b"PK\x01\x02")
+    data[at + 20 : at + 24] = struct.pack("<I", 0xF0000000)  # its compressed size
+    path.write_bytes(data)
+    with refused("claims to be larger than the whole"):
+        rendered_points(tmp_path)
+
+
+def test_arrays_that_unpack_to_more_than_there_is_room_for(tmp_path):
+    path = tmp_path / "surface_points.npz"
+    np.savez_compressed(path, points=np.zeros((12 << 20, 3), np.float32), normals=np.zeros((1, 3), np.float32))
+    assert path.stat().st_size < 1 << 20
+    with refused("is too large"):
+        rendered_points(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("points", "normals"),
+    [
+        (np.eye(3), np.eye(2)),
+        (np.eye(3), np.eye(3, dtype=int)),
+        (np.eye(3) * np.nan, np.eye(3)),
+        (np.zeros((0, 3)), np.zeros((0, 3))),
+        (np.array([{}], object), np.eye(3)),
+        (np.array(1.0), np.array(1.0)),
+    ],
+)
+def test_points_that_are_none(tmp_path, points, normals):
+    np.savez(tmp_path / "surface_points.npz", points=points, normals=normals)
+    with refused(r"surface_points\.npz"):
+        rendered_points(tmp_path)
