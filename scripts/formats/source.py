@@ -18,6 +18,7 @@ from irgspp.core.colour import decode_srgb, encode_srgb
 from irgspp.core.errors import InputError
 from irgspp.core.scene.exr import read_exr, read_exr_rgb, rgb_channels, write_exr
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +153,6 @@ def moved_points(world: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def similarity(angles: tuple[float, float, float], scale: float, shift: tuple[float, float, float]) -> np.ndarray:
     """(4, 4) from degrees about X, Y, Z in turn, a scale, and a shift."""
-    from scipy.spatial.transform import Rotation
-
     world = np.eye(4)
     world[:3, :3] = scale * Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
     world[:3, 3] = shift
