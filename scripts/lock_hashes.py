@@ -6,6 +6,9 @@
 INDEX is the address of a package index ("simple" pages). Those of wheels in FOLDER are taken as well.
 """
 
+# pyright: reportMissingImports=false
+# (`irgspp` is the folder above, known to pyright under no name)
+
 from __future__ import annotations
 
 import argparse
@@ -21,6 +24,8 @@ import urllib.parse
 import urllib.request
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+from irgspp.irgspp_addon.install_engine import plain, requirements
 
 ROOT = Path(__file__).resolve().parent.parent
 HASHES = ROOT / "requirements.sha256"
@@ -50,14 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def locked() -> list[str]:
-    """The lines of the lock file without Blender's module, which engines in Blender don't need."""
-    lines = (line.partition("#")[0].strip() for line in (ROOT / "requirements.lock").read_text("utf-8").splitlines())
-    return [line for line in lines if line and not line.startswith("bpy")]
-
-
-def plain(name: str) -> str:
-    """A package's name as indices spell it."""
-    return re.sub(r"[-_.]+", "-", name).lower()
+    """The pins of the lock file without Blender's module, which engines in Blender don't need."""
+    return requirements((ROOT / "requirements.lock").read_text("utf-8"), [])[1]
 
 
 def pins() -> Iterator[tuple[str, str]]:
