@@ -51,7 +51,7 @@ def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobJou
         _complain(terminal, str(error))
         return error.exit_status
     except Exception as error:  # a fault of ours or of the machine: one line here, the rest where it can be read later
-        short, log = shortage(error, getattr(args, "run", Path())), _keep_traceback(args)
+        short, log = shortage(error, getattr(args, "run", Path()), args.resumable), _keep_traceback(args)
         line = str(short) if short else f"failed: {type(error).__name__}: {' '.join(str(error).split())}"
         _complain(terminal, line + (f" (more in {log})" if log else ""))
         return 1

@@ -40,8 +40,8 @@ def told(folder: Path) -> Iterator[None]:
         raise found from error
 
 
-def shortage(error: BaseException, folder: Path) -> Shortage | None:
-    """What was lacking where an error came from that; None where it came from something else."""
+def shortage(error: BaseException, folder: Path, resumable: bool = True) -> Shortage | None:
+    """What was lacking where an error came from that; None where it came from something else. resumable: --resume goes on."""
     if isinstance(error, Shortage):
         return error
     if isinstance(error, (InputError, Cancelled)):
@@ -50,9 +50,10 @@ def shortage(error: BaseException, folder: Path) -> Shortage | None:
     while (before := chain[-1].__cause__ or chain[-1].__context__) is not None and before not in chain:
         chain.append(before)
     if any(_of_memory(e) for e in chain):
-        return Shortage(f"{folder}: memory ran out; close other programs or give --set data.resolution=... less; {GO_ON}")
+        less = f" or give --set data.resolution=... less; {GO_ON}" if resumable else ""
+        return Shortage(f"{folder}: memory ran out; close other programs{less}")
     what = next((DISK[code] for e in chain if (code := _code(e)) in DISK), None) or (_is_full(folder) and DISK[errno.ENOSPC])
-    return Shortage(f"{_place(chain) or folder}: {what}; free some room, and {GO_ON}") if what else None
+    return Shortage(f"{_place(chain) or folder}: {what}; free some room{f', and {GO_ON}' if resumable else ''}") if what else None
 
 
 def _of_memory(error: BaseException) -> bool:

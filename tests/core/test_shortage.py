@@ -42,6 +42,10 @@ def test_shortage_behind_another_error_is_found(tmp_path):
             raise RuntimeError("PytorchStreamWriter failed") from None
 
 
+def test_what_cannot_be_resumed_is_not_told_to_be(tmp_path):
+    assert str(shortage(MemoryError(), tmp_path, resumable=False)) == f"{tmp_path}: memory ran out; close other programs"
+
+
 def test_libraries_that_do_not_say_why_are_asked_about_the_disk(tmp_path, monkeypatch):
     error = RuntimeError("write failed")
     assert shortage(error, tmp_path) is None
@@ -65,7 +69,7 @@ def test_disk_that_is_too_full_for_the_log_too(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cli.tempfile, "mkstemp", full)
     assert cli.main(["devices"]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("irgspp: ") and "the disk is full" in line
+    assert line.startswith("irgspp: ") and line.endswith("the disk is full; free some room")  # nothing of it can be resumed
 
 
 def test_job_on_a_full_disk_tells_its_own_error(tmp_path, monkeypatch):
