@@ -54,10 +54,11 @@ def upright(capture: Capture) -> Capture:
 
 def relit_folders(folder: Path) -> dict[str, Path]:
     """The folders of a scene's pictures under other lights: relight_gt/SCENE_LIGHT beside it or further up, by light."""
-    scene = folder.resolve().name.removesuffix("_blender")
+    prefix = folder.resolve().name.removesuffix("_blender") + "_"
     for parent in list(folder.resolve().parents)[:2]:
         for place in (parent / "relight_gt", parent / "glossy_relight" / "relight_gt"):
-            found = {f.name.removeprefix(scene + "_"): inside(f, place) for f in sorted(place.glob(scene + "_*")) if f.is_dir()}
+            theirs = [f for f in sorted(place.glob("*")) if f.name.startswith(prefix) and f.is_dir()]
+            found = {f.name.removeprefix(prefix): inside(f, place) for f in theirs}
             if found:
                 return found
     return {}
