@@ -23,7 +23,7 @@ import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads 
 import torch
 from gpu import figures
 from gpu.figures import QUICK, Figure, Size
-from gpu.scene import make_work
+from gpu.scene import Work, make_work
 from irgspp.core.cuda import probe
 from irgspp.core.devices import WARP_ON_CPU, choose, computing_on
 from irgspp.core.errors import IrgsppError
@@ -33,6 +33,8 @@ TINY = ("data.resolution=64", "reflective.gaussians=2000", "reflective.iteration
         "reflective.trial_gaussians=500", "transport.points=300", "transport.rows=8", "transport.views=4", "transport.iterations=5",
         "transport.pixels=32", "transport.samples=16", "transport.pool=2000", "transport.radiance_iterations=5", "surface.voxels=48",
         "surface.triangles=2000", "surface.texture=128", "materials=low-gloss")  # fmt: skip
+
+Part = tuple[str, Callable[[], Figure | list[Figure]]]
 
 
 def main() -> int:
@@ -46,22 +48,7 @@ def main() -> int:
     size, device = QUICK if args.quick else Size(), chosen.device
     table = [Figure("device", _name(device)), Figure("driver, torch, warp", _versions())]
     with tempfile.TemporaryDirectory() as scratch, computing_on(chosen):
-        work = make_work(size.gaussians, size.picture, size.triangles, device)
-        dataset = args.dataset or (DEMO_DATA if args.quick else None)
-        parts: list[tuple[str, Callable[[], Figure | list[Figure]]]] = [
-            ("correctness", lambda: figures.correctness(device, args.quick)),
-            ("iterations", lambda: figures.steps(work, size, device)),
-            ("relighting", lambda: figures.relighting(work, size, device)),
-            ("memory of these", lambda: figures.memory(device)),
-            ("bandwidth", lambda: figures.bandwidth(work, size, device)),
-            ("profile", lambda: figures.profile(work, size, device)),
-        ]
-        if dataset is not None:
-            name = WARP_ON_CPU if args.device == "cpu" else "cuda"
-            run = args.run or Path(scratch, "run")
-            parts.insert(3, ("job", lambda: figures.job(dataset, run, name, TINY if args.quick else ())))
-        else:
-            table.append(Figure("whole job", "not run: give --dataset", "<= 10 min"))
+        parts = _parts(args, make_work(size.gaussians, size.picture, size.triangles, device), size, device, Path(scratch))
         failed = _measure(parts, args.only, table)
     _print(table)
     if args.json is not None:
@@ -69,7 +56,23 @@ def main() -> int:
     return int(failed)
 
 
-def _measure(parts: list[tuple[str, Callable[[], Figure | list[Figure]]]], only: list[str], table: list[Figure]) -> bool:
+def _parts(args: argparse.Namespace, work: Work, size: Size, device: torch.device, scratch: Path) -> list[Part]:
+    """What is measured, by name and in order."""
+    dataset = args.dataset or (DEMO_DATA if args.quick else None)
+    name, run = WARP_ON_CPU if args.device == "cpu" else "cuda", args.run or scratch / "run"
+    unasked = Figure("whole job", "not run: give --dataset", "<= 10 min")
+    return [
+        ("correctness", lambda: figures.correctness(device, args.quick)),
+        ("iterations", lambda: figures.steps(work, size, device)),
+        ("relighting", lambda: figures.relighting(work, size, device)),
+        ("job", lambda: unasked if dataset is None else figures.job(dataset, run, name, TINY if args.quick else ())),
+        ("memory of these", lambda: figures.memory(device)),
+        ("bandwidth", lambda: figures.bandwidth(work, size, device)),
+        ("profile", lambda: figures.profile(work, size, device)),
+    ]
+
+
+def _measure(parts: list[Part], only: list[str], table: list[Figure]) -> bool:
     """Add every figure to the table; what fails is told there, and the others are measured all the same."""
     failed = False
     for name, measure in parts:
