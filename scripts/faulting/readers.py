@@ -21,7 +21,6 @@ from formats.source import load_source
 from irgspp.core.batch.jobs import read_jobs
 from irgspp.core.config import DataSettings
 from irgspp.core.datasets.colmap_model import read_points as read_colmap_points
-from irgspp.core.datasets.detect import read_capture
 from irgspp.core.datasets.load import load_cameras
 from irgspp.core.datasets.pickles import read_pickle
 from irgspp.core.datasets.picture import picture_size, read_mask, read_picture
@@ -56,9 +55,10 @@ class Reader:
 
 
 def write_scene(format: str, folder: Path) -> None:
-    """Five views of the demonstration in the layout of a dataset."""
+    """Five views and few points of the demonstration in the layout of a dataset."""
     source = load_source(DEMO_DATA)
-    few = replace(source, name="scene", train=source.train[::10], test=source.test[:1])
+    points = {"points": source.points[:60], "normals": source.normals[:60]}
+    few = replace(source, name="scene", train=source.train[::10], test=source.test[:1], **points)
     made, _ = WRITERS[format](few, folder.parent / "made")
     shutil.copytree(made, folder, dirs_exist_ok=True)
     shutil.rmtree(folder.parent / "made")
@@ -91,14 +91,13 @@ def _converted(model: Path, text: bool) -> None:
     (model / "cameras.txt").write_text("# cameras\n" + "\n".join(lines) + "\n")
     lines = [f"{i} {' '.join(map(repr, (*m.quaternion, *m.translation)))} {m.camera} {m.name}\n" for i, m in enumerate(images, 1)]
     (model / "images.txt").write_text("# images\n" + "\n".join(lines) + "\n")
-    rows = zip(points.position.tolist()[:50], points.colour.tolist(), strict=False)
+    rows = zip(points.position.tolist(), points.colour.tolist(), strict=True)
     lines = [f"{i} {' '.join(map(repr, p))} {' '.join(map(str, c))} 0.5 1 2 2 3" for i, (p, c) in enumerate(rows, 1)]
     (model / "points3D.txt").write_text("# points\n" + "\n".join(lines) + "\n")
 
 
 def read_dataset(folder: Path, file: Path) -> object:
     """What a command makes of a dataset before it decodes pictures: its description, and the cameras fitted to them."""
-    read_capture(folder, DataSettings())
     return load_cameras(folder, "all", DataSettings())
 
 
