@@ -17,6 +17,12 @@ LOOKED_FOR = (
     "object_point_cloud.ply, and the cameras' .xml of Metashape or .csv of RealityCapture"
 )
 
+
+
+class NoDataset(InputError):
+    """A folder has nothing of any dataset in it."""
+
+
 Recognise = Callable[[Path], object]
 Read = Callable[[Path, DataSettings], Capture]
 
@@ -40,7 +46,7 @@ def read_capture(path: Path, settings: DataSettings) -> Capture:
     """Read the description of the dataset that is at `path`: a folder, a file of cameras, or the folder of a COLMAP model.
 
     Of a folder that has several descriptions the one with its own test split is read (transforms_train.json), then a COLMAP model with
-    points, then transforms.json, then a COLMAP model; the path of one of them chooses it. Raises InputError on bad input.
+    points, then transforms.json, then a COLMAP model; the path of one of them chooses it. Raises InputError on bad input, NoDataset where there is none.
     """
     path = Path(path)
     if not path.exists():
@@ -58,7 +64,7 @@ def read_capture(path: Path, settings: DataSettings) -> Capture:
     for recognise, read in AFTER:
         if recognise(path):
             return read(path, settings)
-    raise InputError(path, "no dataset here", LOOKED_FOR)
+    raise NoDataset(path, "no dataset here", LOOKED_FOR)
 
 
 def transforms_of(folder: Path) -> Path | None:

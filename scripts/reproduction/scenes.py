@@ -12,7 +12,7 @@ from pathlib import Path
 
 from irgspp.core.batch.jobs import Job
 from irgspp.core.config import DataSettings
-from irgspp.core.datasets.detect import LOOKED_FOR, read_capture
+from irgspp.core.datasets.detect import LOOKED_FOR, NoDataset, read_capture
 from irgspp.core.errors import InputError
 
 DEEPEST = 3  # folders below the root
@@ -52,14 +52,12 @@ def _scenes(folder: Path, root: Path, deeper: int) -> Iterator[Scene]:
     name = "_".join(folder.relative_to(root).parts) or root.resolve().name
     try:
         yield Scene(name, folder, read_capture(folder, DataSettings()).format)
-        return
-    except InputError as error:
-        if error.fix != LOOKED_FOR:  # it is a dataset, and damaged
-            yield Scene(name, folder, "", str(error))
-            return
-    for below in sorted(folder.iterdir()) if deeper else []:
-        if below.is_dir() and below.name not in TRUTH and not below.name.startswith("."):
-            yield from _scenes(below, root, deeper - 1)
+    except NoDataset:
+        for below in sorted(folder.iterdir()) if deeper else []:
+            if below.is_dir() and below.name not in TRUTH and not below.name.startswith("."):
+                yield from _scenes(below, root, deeper - 1)
+    except InputError as error:  # it is a dataset, and damaged
+        yield Scene(name, folder, "", str(error))
 
 
 def job_of(scene: Scene, out: Path, protocol: str, reconstruct: Sequence[str], evaluate: Sequence[str]) -> Job:
