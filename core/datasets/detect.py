@@ -18,7 +18,6 @@ LOOKED_FOR = (
 )
 
 
-
 class NoDataset(InputError):
     """A folder has nothing of any dataset in it."""
 
