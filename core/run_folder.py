@@ -71,9 +71,9 @@ class RunFolder(Notes):
     """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
 
     `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, replaces (True while files of the run
-    before are being removed), versions, dataset, settings, seed,
-    phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace
-    {stage: times the settings' schedules that its own were}, training {figure: value}.
+    before are being removed), versions, dataset, settings, seed, computed_on {device, why}, phases {name: {seconds, peak_memory,
+    finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace {stage: times the settings' schedules that its own were},
+    training {figure: value}.
     """
 
     def __init__(self, path: Path, state: dict[str, Any], lock: FileLock) -> None:
