@@ -8,9 +8,6 @@ ones are rendered by Cycles. DIR gets results.json, a CSV for each section, repo
 again to go on after an interruption, or to measure what failed once more. Nothing else should run meanwhile.
 """
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import argparse

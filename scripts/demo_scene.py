@@ -4,9 +4,6 @@
 python scripts/demo_scene.py mixed|low-gloss|glossy FILE.blend
 """
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import sys

@@ -4,9 +4,6 @@
 `--device cpu --quick` runs all of it small, by the same kernels on warp's CPU device: that proves this script, and says nothing of GPUs.
 """
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import argparse

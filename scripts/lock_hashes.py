@@ -6,9 +6,6 @@
 INDEX is the address of a package index ("simple" pages). Those of wheels in FOLDER are taken as well.
 """
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import argparse

@@ -7,9 +7,6 @@ OUT gets tables.md, tables.json and tables.html, the runs and their reports. The
 done is not done again, a run that was stopped resumes.
 """
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import argparse

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Geometry: how far the normals of the Gaussians, of the mesh, and of what is shaded are from the true ones."""
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 from collections.abc import Iterator

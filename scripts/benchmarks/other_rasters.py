@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The rasteriser's forward pass by other technologies: C++, warp on its CPU device, torch. For comparison only."""
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name; warp is an option)
-
 from __future__ import annotations
 
 import ctypes

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Disks that are full, read-only or limited: one clear line, the last good state kept, and the job goes on once there is room."""
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import resource

@@ -4,9 +4,6 @@
 $BLENDER_USER_RESOURCES says where the extension's own files are to be.
 """
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import json

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The scene that is written: pictures, cameras, layers and lights as scripts/render_dataset.py leaves them."""
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import json
