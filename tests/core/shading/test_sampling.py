@@ -137,7 +137,7 @@ def test_strata_cover_the_hemisphere_uniformly():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def local_frames_are_orthonormal_everywhere(dtype):
+def test_local_frames_are_orthonormal_everywhere(dtype):
     g = torch.Generator().manual_seed(0)
     random = torch.randn(2000, 3, generator=g, dtype=dtype)
     poles = torch.tensor([[0, 0, 1], [0, 0, -1], [1e-8, 0, -1], [0, -1e-4, -1], [1, 0, 0], [0, 1, -1e-9], [0, 1, 0.0]], dtype=dtype)
