@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A process notices the end of its stdin, however much came before, and misses none that it never had."""
+
+import subprocess
+import sys
+
+import pytest
+
+WATCH = """
+import os, time
+{first}
+from irgspp.core.stdin_end import when_stdin_ends
+when_stdin_ends(lambda: os._exit(7))
+print("watching", flush=True)
+time.sleep({seconds})
+"""
+
+
+def start(first: str, seconds: float) -> subprocess.Popen:
+    command = [sys.executable, "-c", WATCH.format(first=first, seconds=seconds)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+
+def test_the_end_is_noticed_and_what_comes_before_is_not_the_end():
+    child = start("", 60)
+    assert child.stdout.readline() == b"watching\n"
+    child.stdin.write(b"not the end")
+    child.stdin.flush()
+    with pytest.raises(subprocess.TimeoutExpired):
+        child.wait(0.3)
+    child.stdin.close()
+    assert child.wait(30) == 7
+    child.stdout.close()
+
+
+def test_no_stdin_has_no_end():
+    child = start("os.close(0)", 0.3)
+    assert child.communicate()[0] == b"watching\n" and child.returncode == 0
