@@ -198,17 +198,13 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 def find_picture(base: Path) -> Path | None:
     """The picture file meant by `base`: as given, with another known extension, or with one added (lower or upper case)."""
-    stems = [base]
+    stem = base
     if base.suffix.lower() in PICTURE_SUFFIXES:
         if is_file(base):
             return base
-        stems = [base.with_suffix("")]
-    for stem in stems:
-        for suffix in PICTURE_SUFFIXES:
-            for candidate in (stem.with_name(stem.name + suffix), stem.with_name(stem.name + suffix.upper())):
-                if is_file(candidate):
-                    return candidate
-    return None
+        stem = base.with_suffix("")
+    endings = (ending for suffix in PICTURE_SUFFIXES for ending in (suffix, suffix.upper()))
+    return next((file for ending in endings if is_file(file := stem.with_name(stem.name + ending))), None)
 
 
 def find_mask(picture: Path, root: Path) -> Path | None:
