@@ -200,9 +200,17 @@ class Counted:
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
         """See `SurfaceQuery`."""
+        self._count()
+        return self._query.hits(origin, direction)
+
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """See `SurfaceQuery`."""
+        self._count()
+        return self._query.hidden(origin, direction)
+
+    def _count(self) -> None:
         self._tick(min(1.0, self._asked / self._expected))
         self._asked += 1
-        return self._query.hits(origin, direction)
 
 
 def _read_map(file: Path) -> np.ndarray:

@@ -73,7 +73,8 @@ def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, dif
     """Points begin..end: add to `sums` (P, 2, 12), even samples to the first half and odd ones to the second.
 
     Twelve sums, three channels each: light for the diffuse lobe, for F0, for what Fresnel adds, and for the diffuse lobe were no ray
-    hidden. To the rays' density `share` times the light's own, `texels` (H W), comes. row: (P, M) which of K hits, -1 for none.
+    hidden. To the rays' density `share` times the light's own, `texels` (H W), comes, but for what a met surface sends: light samples
+    bring none of that. row: (P, M) which of K hits, -1 for none.
     """
     height, width = light.shape[1], light.shape[2]
     acc = np.empty(24)
@@ -87,21 +88,21 @@ def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, dif
             q = float(terms[p, i, 5])
             if share > 0:
                 q += share * float(texels[texel_at(u, v, height, width)])
-            weight = 1 / q
             r, g, b = _bilinear(light, 0, u, v)
-            at, diffuse_weight = (i & 1) * 12, n_l * weight
-            acc[at + 9] += diffuse_weight * r
-            acc[at + 10] += diffuse_weight * g
-            acc[at + 11] += diffuse_weight * b
+            r, g, b = r / q, g / q, b / q
+            at = (i & 1) * 12
+            acc[at + 9] += n_l * r
+            acc[at + 10] += n_l * g
+            acc[at + 11] += n_l * b
             k = row[p, i]
             if k >= 0:
                 hr, hg, hb = reflected(k, body, gloss, place, diffuse, specular, turn)
-                hidden = float(opacity[k])
-                r, g, b = r + hidden * (hr - r), g + hidden * (hg - g), b + hidden * (hb - b)
-            value, bias = float(terms[p, i, 3]) * weight, float(terms[p, i, 4]) * weight
-            acc[at] += diffuse_weight * r
-            acc[at + 1] += diffuse_weight * g
-            acc[at + 2] += diffuse_weight * b
+                hidden, own = float(opacity[k]), 1 / float(terms[p, i, 5])
+                r, g, b = r + hidden * (own * hr - r), g + hidden * (own * hg - g), b + hidden * (own * hb - b)
+            value, bias = float(terms[p, i, 3]), float(terms[p, i, 4])
+            acc[at] += n_l * r
+            acc[at + 1] += n_l * g
+            acc[at + 2] += n_l * b
             acc[at + 3] += value * r
             acc[at + 4] += value * g
             acc[at + 5] += value * b

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Samples towards a light at surface points, out of a table of its directions; those that nothing can hide are summed at once.
+"""Samples towards a light at surface points, out of a table of its directions; those that nothing hides are summed at once.
 
-The twin in plain operations stands in tests/core/relight/test_light_samples.py.
+They bring the light itself and no more: what is met on the way to it, the other samples gather.
 """
 
 from __future__ import annotations
 
 import math
 
-from .gathering import reflected
 from .jit import kernel
 from .reflection import point_terms, specular_terms
 
@@ -88,15 +87,11 @@ def light_range(
 
 
 @kernel
-def settle_range(begin, end, sample, weights, row, opacity, body, gloss, place, radiance, diffuse, specular, turn, sums):
-    """Traced samples begin..end: add their light to `sums` (P, 2, 12); row: which of the hits, -1 for none; radiance: (T T, 3)."""
+def settle_range(begin, end, sample, weights, hidden, radiance, sums):
+    """Traced samples begin..end: add their light to `sums` (P, 2, 12); hidden: how much of it is; radiance: (T T, 3)."""
     for i in range(begin, end):
-        entry, k = sample[i, 2], row[i]
-        r, g, b = float(radiance[entry, 0]), float(radiance[entry, 1]), float(radiance[entry, 2])
-        if k >= 0:
-            hr, hg, hb = reflected(k, body, gloss, place, diffuse, specular, turn)
-            hidden = float(opacity[k])
-            r, g, b = r + hidden * (hr - r), g + hidden * (hg - g), b + hidden * (hb - b)
+        entry, free = sample[i, 2], 1 - float(hidden[i])
+        r, g, b = free * float(radiance[entry, 0]), free * float(radiance[entry, 1]), free * float(radiance[entry, 2])
         _add(sums, sample[i, 0], sample[i, 1], float(weights[i, 0]), float(weights[i, 1]), float(weights[i, 2]), r, g, b)
 
 

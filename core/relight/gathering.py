@@ -143,7 +143,8 @@ def trace_samples(surroundings: Surroundings, points: Points, samples: Samples) 
 def gather(rays: SecondaryRays, light: PreparedLight, share: float) -> torch.Tensor:
     """(P, 2, SUMS) float32: sums of light over samples 0, 2, 4.. and 1, 3, 5.., each by its weight in the rendering equation over density.
 
-    share: times the light's own density comes to that of the rays.
+    share: times the light's own density comes to that of the rays, where they see the light itself: what samples of the light find
+    in their way they leave out, so that it is for these rays alone.
     """
     assert light.distribution is not None
     sums = rays.terms.new_zeros(len(rays.terms), 2, SUMS)
@@ -163,16 +164,15 @@ def gather_reference(rays: SecondaryRays, light: PreparedLight, share: float) ->
     u, v, *lobes, density = rays.terms.double().unbind(-1)
     direction = _direction(u + light.turn, v)
     free = lookup(light.radiance.double(), direction.view(-1, 3))
-    seen = free.clone()
     hit = torch.nonzero(rays.row.flatten() >= 0)[:, 0]
     k, met = rays.row.flatten()[hit].long(), rays.met
     behind = met.body[k] * _at(light.diffuse[None], met.place[k, :2], light.turn, torch.zeros(len(k)))
     behind = behind + met.gloss[k] * _at(light.specular, met.place[k, 2:4], light.turn, met.place[k, 4])
-    seen[hit] += met.opacity[k, None] * (behind - free[hit])
-    density = density + share * light.distribution.density(direction)
-    weight = [torch.where(lobes[0] > 0, lobe / density, 0.0)[..., None] for lobe in lobes]
-    seen, free = seen.view_as(direction), free.view_as(direction)
-    terms = torch.cat([*(w * seen for w in weight), weight[0] * free], -1)
+    own, hidden = density.flatten()[hit, None], met.opacity[k, None]
+    free = free / (density + share * light.distribution.density(direction)).view(-1, 1)
+    seen = free.index_copy(0, hit, (1 - hidden) * free[hit] + hidden * behind / own)
+    seen, free = (torch.where(lobes[0].view(-1, 1) > 0, each, 0.0).view_as(direction) for each in (seen, free))
+    terms = torch.cat([*(lobe[..., None] * seen for lobe in lobes), lobes[0][..., None] * free], -1)
     return torch.stack([terms[:, 0::2].sum(1), terms[:, 1::2].sum(1)], 1)
 
 

@@ -38,10 +38,20 @@ class GaussianQuery:
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
         """See `SurfaceQuery`."""
         with torch.no_grad():
-            sums = trace(*self._geometry, None, self._materials, origin.contiguous(), direction.contiguous(), self._tree)
+            sums = self._traced(self._materials, origin, direction)
             ray = torch.nonzero(sums[:, -1] > FAINTEST)[:, 0]
             at = sums[ray]
             opacity = at[:, -1]
             mean = at / opacity[:, None]
             normal = torch.nn.functional.normalize(mean[:, 3:6], dim=1)
         return Hits(ray, opacity, mean[:, 6:9], mean[:, 9].contiguous(), mean[:, 10], normal)
+
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """See `SurfaceQuery`."""
+        with torch.no_grad():
+            opacity = self._traced(self._materials[:0], origin, direction)[:, -1]
+        return torch.where(opacity > FAINTEST, opacity, 0.0)
+
+    def _traced(self, channels: torch.Tensor, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """See `trace`; channels: (E, N) of the disks."""
+        return trace(*self._geometry, None, channels, origin.contiguous(), direction.contiguous(), self._tree)

@@ -50,6 +50,10 @@ class MeshQuery:
         """See `SurfaceQuery`."""
         return self._closest(origin, direction)[0]
 
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """See `SurfaceQuery`."""
+        return self._triangles.meet(origin, direction).float()
+
     def _seen(self, surface: Primary) -> tuple[torch.Tensor, Hits, torch.Tensor]:
         """Which of a view's pixels see the mesh where the Gaussians are or before, (K,), what they see there, and its distance (K,).
 

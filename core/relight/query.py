@@ -40,3 +40,7 @@ class SurfaceQuery(Protocol):
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
         """What rays meet; origin, direction: (R, 3) float32, directions unit."""
         ...
+
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """(R,) float32 in 0..1, how much of the light behind is hidden: the opacity of `hits`, 0 where there is none, and cheaper."""
+        ...

@@ -197,7 +197,7 @@ class Relighter:
         lasting = self._lasting(surface, part, counts, light)
         sums = gather(lasting.rays, light, by_light)
         if by_light:
-            above, traced = add_light_samples(sums, lasting.points, lasting.shift, counts, light, lasting.openness, self._around)
+            above, traced = add_light_samples(sums, lasting.points, lasting.shift, counts, light, lasting.openness, self.query)
             self.tally.add("traced", traced)
             self.tally.add("open", above - traced)
         return sums

@@ -22,6 +22,10 @@ class Triangles(Protocol):
         """What rays (R, 3) meet first: triangle (int32), -1 for none, the shares of its second and third corner, distance."""
         ...
 
+    def meet(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """(R,) whether rays (R, 3) meet anything."""
+        ...
+
 
 def triangles_of(mesh: Mesh, device: torch.device | str) -> Triangles:
     """A mesh for rays that come from a device."""
@@ -55,3 +59,14 @@ class EmbreeTriangles:
 
         run_ranges(run, even_ranges(len(origins), thread_count()))
         return torch.from_numpy(triangle), torch.from_numpy(u), torch.from_numpy(v), torch.from_numpy(distance)
+
+    def meet(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """See `Triangles`."""
+        origins, directions = origin.contiguous().numpy(), direction.contiguous().numpy()
+        met = np.empty(len(origins), bool)
+
+        def run(begin: int, end: int) -> None:
+            met[begin:end] = self._scene.run(origins[begin:end], directions[begin:end], query="OCCLUDED") >= 0
+
+        run_ranges(run, even_ranges(len(origins), thread_count()))
+        return torch.from_numpy(met)

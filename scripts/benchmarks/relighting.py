@@ -118,6 +118,10 @@ class _Recorder:
         self.asked.append((origin, direction))
         return self._query.hits(origin, direction)
 
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        self.asked.append((origin, direction))
+        return self._query.hidden(origin, direction)
+
 
 def _rays(bench: Bench, scene: Scene) -> Measurement:
     """The rays of a frame again: through the mesh's query, and through Embree alone in as many threads."""

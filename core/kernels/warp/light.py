@@ -143,13 +143,12 @@ def gather_kernel(
         if n_l > 0.0:
             u, v = turned(terms[p, i, 0], turn), terms[p, i, 1]
             column, line = wp.clamp(int(u * float(width)), 0, width - 1), wp.clamp(int(v * float(height)), 0, height - 1)
-            weight = 1.0 / (terms[p, i, 5] + share * texels[line * width + column])
-            free = bilinear(light, 0, u, v)
+            free = bilinear(light, 0, u, v) / (terms[p, i, 5] + share * texels[line * width + column])
             seen = free
             k = row[p, i]
             if k >= 0:
-                seen = free + (reflected(k, body, gloss, place, diffuse, specular, turn) - free) * opacity[k]
-            acc = lit(acc, n_l * weight, terms[p, i, 3] * weight, terms[p, i, 4] * weight, seen, free)
+                seen = free + (reflected(k, body, gloss, place, diffuse, specular, turn) / terms[p, i, 5] - free) * opacity[k]
+            acc = lit(acc, n_l, terms[p, i, 3], terms[p, i, 4], seen, free)
         i += 2
     for c in range(12):
         sums[p, half, c] = sums[p, half, c] + acc[c]
@@ -187,9 +186,8 @@ def draw_light_kernel(
 
 @wp.kernel
 def settle_kernel(
-    entry: wp.array2d(dtype=int), weights: wp.array2d(dtype=wp.vec3), row: wp.array2d(dtype=int), opacity: wp.array(dtype=float),
-    body: wp.array(dtype=wp.vec3), gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float), table: wp.array3d(dtype=float),
-    diffuse: wp.array3d(dtype=wp.vec3), specular: wp.array3d(dtype=wp.vec3), turn: float, sums: wp.array3d(dtype=float),
+    entry: wp.array2d(dtype=int), weights: wp.array2d(dtype=wp.vec3), hidden: wp.array2d(dtype=float), table: wp.array3d(dtype=float),
+    sums: wp.array3d(dtype=float),
 ):  # fmt: skip
     """Half the light samples of a point, even or odd ones, added to its sums."""
     p, half = wp.tid()
@@ -201,12 +199,8 @@ def settle_kernel(
         if at >= 0:
             line, column = at / size, at % size
             free = wp.vec3(table[line, column, 4], table[line, column, 5], table[line, column, 6])
-            seen = free
-            k = row[p, i]
-            if k >= 0:
-                seen = free + (reflected(k, body, gloss, place, diffuse, specular, turn) - free) * opacity[k]
             w = weights[p, i]
-            acc = lit(acc, w[0], w[1], w[2], seen, free)
+            acc = lit(acc, w[0], w[1], w[2], free * (1.0 - hidden[p, i]), free)
         i += 2
     for c in range(12):
         sums[p, half, c] = sums[p, half, c] + acc[c]

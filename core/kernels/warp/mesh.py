@@ -41,3 +41,7 @@ class DeviceMesh:
         if len(origin):
             launch(closest, len(origin), self._mesh.id, origin.contiguous(), direction.contiguous(), triangle, u, v, distance)
         return triangle, u, v, distance
+
+    def meet(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """(R,) whether rays (R, 3) meet anything."""
+        return self.closest(origin, direction)[0] >= 0

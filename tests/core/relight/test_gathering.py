@@ -58,15 +58,29 @@ def test_parts_of_the_mixture_come_to_the_whole(relighter, camera, light):
     one = relighter("mesh", balls=((np.zeros(3), 1.0),))
     surface = one.surface(camera)
     whole = drawn(surface, COUNTS, light)
-    at_once = gather(traced(one, surface, whole), light, 0).sum(1)
+    at_once = gather(traced(one, surface, whole, None), light, 0).sum(1)
     lasting, late = drawn(surface, (*COUNTS[:2], 0), light), drawn(surface, COUNTS, light, light_only=True)
-    apart = (gather(traced(one, surface, lasting), light, COUNTS[2]) + gather(traced(one, surface, late), light, 0)).sum(1)
+    apart = (gather(traced(one, surface, lasting, None), light, COUNTS[2]) + gather(traced(one, surface, late, None), light, 0)).sum(1)
     torch.testing.assert_close(apart, at_once, rtol=2e-3, atol=2e-3 * float(at_once.mean()))
     incoming = lookup(light.radiance, whole.direction.view(-1, 3)).view_as(whole.direction)
     plain = Samples(whole.direction, whole.density / sum(COUNTS))
     white = torch.ones(len(surface.index), 3)
     diffuse, _ = reflect_light(surface.view, surface.normal, white, surface.roughness, torch.zeros(len(white)), plain, incoming, False)
     torch.testing.assert_close(at_once[:, 9:] / torch.pi, diffuse, rtol=1e-3, atol=1e-3 * float(diffuse.mean()))
+
+
+@pytest.mark.parametrize("backend", ["mesh", "gaussian"])
+def test_what_is_met_is_as_bright_where_samples_of_the_light_leave_it_out(relighter, camera, light, backend):
+    """Whichever way it is shared out among the samples, its mean is the same."""
+    one, many = relighter(backend, (0.9, 0.7, 0.3, 0.5, 0.5)), tuple(16 * n for n in COUNTS)
+    surface = one.surface(camera)
+    ways = ((drawn(surface, (*many[:2], 0), light), many[2]), (drawn(surface, many, light), 0))
+    apart, at_once = (
+        (gather(traced(one, surface, samples), light, share) - gather(traced(one, surface, samples, None), light, share)).sum((0, 1))
+        for samples, share in ways
+    )
+    assert (at_once[:9] > 0).all() and (at_once[9:] == 0).all()
+    torch.testing.assert_close(apart[:9], at_once[:9], rtol=0.05, atol=0)
 
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
@@ -78,10 +92,9 @@ def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backe
     one = relighter(backend, (0.9, 0.7, 0.3, 0.4, 0.5))
     surface = one.surface(camera)
     points, shift = points_of(surface)
-    expected = gather(traced(one, surface, drawn(surface, COUNTS, still, light_only=True)), still, 0)
+    expected = gather(traced(one, surface, drawn(surface, COUNTS, still, light_only=True), None), still, 0)
     sums = torch.zeros_like(expected)
-    around = Surroundings(one.query, SCALE, conserving=True)
-    above, asked = add_light_samples(sums, points, shift, COUNTS, light, Openness.unknown(len(shift)), around)
+    above, asked = add_light_samples(sums, points, shift, COUNTS, light, Openness.unknown(len(shift)), one.query)
     assert above == asked and 0.3 * len(shift) * COUNTS[2] < above < 0.8 * len(shift) * COUNTS[2]
     torch.testing.assert_close(sums.mean(0), expected.mean(0), rtol=0.05, atol=0.02 * float(expected.mean()))
     if degrees == 0.0:  # else the turned light's samples are others
@@ -92,11 +105,10 @@ def test_rays_that_nothing_hides_are_not_traced_and_bring_the_light_itself(relig
     one = relighter("mesh", balls=((np.zeros(3), 1.0),))
     surface = one.surface(camera)
     points, shift = points_of(surface)
-    around = Surroundings(one.query, SCALE, conserving=True)
     unknown = Openness.unknown(len(shift))
     known = Openness(unknown.tile, torch.ones_like(unknown.clear))
     sums = torch.zeros(2, len(shift), 2, 12)
-    asked = [add_light_samples(part, points, shift, COUNTS, light, o, around) for part, o in zip(sums, (unknown, known), strict=True)]
+    asked = [add_light_samples(part, points, shift, COUNTS, light, o, one.query) for part, o in zip(sums, (unknown, known), strict=True)]
     assert asked[0][0] == asked[0][1] == asked[1][0] > 0
     assert asked[1][1] == (0 if engine == "numba" else asked[1][0])  # a device traces them all
     assert ((sums[0] - sums[1]).abs() < 1e-5).float().mean() > 0.99  # but for a few that meet the triangle next to theirs

@@ -33,6 +33,15 @@ def test_a_ball_above_a_plane_hides_its_form_factor_of_the_sky(relighter, backen
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+def test_what_is_hidden_is_the_opacity_of_what_is_met(relighter, backend):
+    query, (origin, direction) = relighter(backend).query, cosine_rays((0.3, 0.2, -1.5), 4000)
+    hits, expected = query.hits(origin, direction), torch.zeros(4000)
+    expected[hits.ray] = hits.opacity
+    assert 0.1 < expected.mean() < 0.9
+    torch.testing.assert_close(query.hidden(origin, direction), expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_hits_tell_material_and_a_normal_against_the_ray(relighter, backend):
     query = relighter(backend, (0.6, 0.4, 0.2, 0.7, 0.3), BALL).query
     origin, direction = cosine_rays((0.3, 0.2, -1.5), 4000)

@@ -106,8 +106,12 @@ def test_another_light_on_the_same_surface_is_the_same_picture_as_alone(relighte
 
 def test_rays_are_kept_for_the_next_light_and_let_go_with_the_surface(relighter, camera):
     one, asked = relighter("mesh", samples=32), []
-    hits = one.query.hits
-    one.query = SimpleNamespace(origins=one.query.origins, hits=lambda o, d: asked.append(len(o)) or hits(o, d))
+    query = one.query
+    one.query = SimpleNamespace(
+        origins=query.origins,
+        hits=lambda o, d: asked.append(len(o)) or query.hits(o, d),
+        hidden=lambda o, d: asked.append(len(o)) or query.hidden(o, d),
+    )
     surface, light = one.surface(camera), prepare(studio_light(32, 64))
     for _ in range(2):
         one.relit(surface, light)
