@@ -19,11 +19,12 @@ import torch
 
 from .jit import kernel
 from .pool import even_ranges, run_ranges, thread_count
+from .reflection import SHORTEST2
 from .simd import bits, load, maximum, splat, sqrt, store, total
 
 _HALF_PI = np.float32(0.5 / math.pi)
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-_SHORTEST2 = np.float32(1e-7)
+_SHORTEST2 = np.float32(SHORTEST2)
 
 
 @kernel

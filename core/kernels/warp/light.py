@@ -10,47 +10,16 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..reflection import SHORTEST2
+from .reflection import Point, lobe, point_of
 from .runtime import launch
 
-_SHORTEST2, _PI, _TURN = wp.constant(SHORTEST2), wp.constant(math.pi), wp.constant(2 * math.pi)
+_PI, _TURN = wp.constant(math.pi), wp.constant(2 * math.pi)
 Sums = wp.types.vector(length=12, dtype=wp.float32)
 
 
-@wp.struct
-class Point:
-    """A point to be lit: normal, view, alpha^2, n.v and the root that its visibility has of it."""
-
-    n: wp.vec3
-    v: wp.vec3
-    a2: float
-    n_v: float
-    root: float
-
-
 @wp.func
-def point_of(view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), p: int) -> Point:
-    point = Point()
-    point.n = normal[p]
-    point.v = view[p]
-    point.a2 = alpha[p] * alpha[p]
-    point.n_v = wp.dot(point.n, point.v)
-    point.root = wp.sqrt(point.n_v * point.n_v * (1.0 - point.a2) + point.a2)
-    return point
-
-
-@wp.func
-def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
-    """D V in two parts, that which F0 scales and that which Fresnel adds."""
-    h = d + point.v
-    length2 = wp.max(wp.dot(h, h), _SHORTEST2)
-    t = h - point.n * (n_l + point.n_v)
-    k = point.a2 + wp.dot(t, t) / length2 * (1.0 - point.a2)
-    sums = n_l * point.root + point.n_v * wp.sqrt(n_l * n_l * (1.0 - point.a2) + point.a2)
-    value = point.a2 / (_PI * k * k) * 0.5 / sums
-    x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)
-    bias = value * (x * x) * (x * x) * x
-    return wp.vec2(value - bias, bias)
+def point_at(view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), p: int) -> Point:
+    return point_of(normal[p], view[p], wp.dot(normal[p], view[p]), alpha[p])
 
 
 @wp.func
@@ -113,7 +82,7 @@ def terms_kernel(
 ):  # fmt: skip
     """Of each ray u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
     p, i = wp.tid()
-    point, d = point_of(view, normal, alpha, p), direction[p, i]
+    point, d = point_at(view, normal, alpha, p), direction[p, i]
     n_l = wp.dot(point.n, d)
     for c in range(6):
         out[p, i, c] = 0.0
@@ -169,7 +138,7 @@ def draw_light_kernel(
     cosine, sine = wp.cos(_TURN * turn), wp.sin(_TURN * turn)
     x, y = table[line, column, 0], table[line, column, 1]
     d = wp.vec3(cosine * x - sine * y, sine * x + cosine * y, table[line, column, 2])
-    point = point_of(view, normal, alpha, p)
+    point = point_at(view, normal, alpha, p)
     n_l = wp.dot(point.n, d)
     entry[p, i] = -1
     direction[p, i] = d

@@ -1,28 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The specular lobe against a fixed set of directions, on the device; definitions stand in core/kernels/lobes.py."""
 
-import math
-
 import torch
 import warp as wp
 
+from .reflection import lobe, point_of
 from .runtime import launch
-
-_HALF_PI = wp.constant(0.5 / math.pi)
-
-
-@wp.func
-def lobe(v: wp.vec3, n: wp.vec3, n_v: float, d: wp.vec3, n_l: float, a2: float) -> wp.vec2:
-    """D V n.l in two parts, that which F0 scales and that which Fresnel adds, for n_l > 0."""
-    h = d + v
-    length2 = wp.max(wp.dot(h, h), 1.0e-7)
-    t = h - n * (n_l + n_v)
-    k = wp.dot(t, t) / length2 * (1.0 - a2) + a2
-    both = n_l * wp.sqrt(n_v * n_v * (1.0 - a2) + a2) + n_v * wp.sqrt(n_l * n_l * (1.0 - a2) + a2)
-    x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)
-    value = n_l * a2 * _HALF_PI / (k * k * both)
-    bias = value * (x * x) * (x * x) * x
-    return wp.vec2(value - bias, bias)
 
 
 @wp.func
@@ -40,14 +23,14 @@ def rows(
     k, texel = wp.tid()
     p = int(point[k])
     n, v = normal[p], view[k]
-    n_v, a2 = wp.max(wp.dot(n, v), 1.0e-3), alpha[p] * alpha[p]
+    lit = point_of(n, v, wp.max(wp.dot(n, v), 1.0e-3), alpha[p])
     total = wp.vec2(0.0, 0.0)
     for sub in range(subs):
         at = sub * texels + texel
         d = direction_at(direction, at)
         n_l = wp.dot(n, d)
         if n_l > 0.0:
-            total += lobe(v, n, n_v, d, n_l, a2) * (solid_angle[at] * visible[p, at])
+            total += lobe(lit, d, n_l) * (n_l * solid_angle[at] * visible[p, at])
     scaled[k, texel] = total[0]
     added[k, texel] = total[1]
 
@@ -66,15 +49,15 @@ def sums(
     width = alpha[j]
     if each == 1:
         width = alpha[p]
-    n_v = wp.max(wp.dot(n, v), 1.0e-3)
+    lit = point_of(n, v, wp.max(wp.dot(n, v), 1.0e-3), width)
     by_f0, by_fresnel = wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
     for at in range(count):
         d = direction_at(direction, at)
         n_l = wp.dot(n, d)
         if n_l > 0.0:
             own = wp.vec3(indirect[p, 0, at], indirect[p, 1, at], indirect[p, 2, at])
-            incoming = (light[at % texels] * visible[p, at] + own) * solid_angle[at]
-            parts = lobe(v, n, n_v, d, n_l, width * width)
+            incoming = (light[at % texels] * visible[p, at] + own) * (n_l * solid_angle[at])
+            parts = lobe(lit, d, n_l)
             by_f0 += incoming * parts[0]
             by_fresnel += incoming * parts[1]
     scaled[k, j] = by_f0

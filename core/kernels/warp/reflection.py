@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The specular lobe at a point, on the device; definitions stand in core/kernels/reflection.py."""
+
+import math
+
+import warp as wp
+
+from ..reflection import SHORTEST2
+from . import runtime  # noqa: F401  (sets warp up)
+
+_SHORTEST2, _HALF_PI = wp.constant(SHORTEST2), wp.constant(0.5 / math.pi)
+
+
+@wp.struct
+class Point:
+    """A point to be lit: normal, view, alpha^2, n.v and the root that its visibility has of it."""
+
+    n: wp.vec3
+    v: wp.vec3
+    a2: float
+    n_v: float
+    root: float
+
+
+@wp.func
+def point_of(n: wp.vec3, v: wp.vec3, n_v: float, alpha: float) -> Point:
+    """A point with n.v > 0 of GGX width alpha."""
+    point = Point()
+    point.n = n
+    point.v = v
+    point.a2 = alpha * alpha
+    point.n_v = n_v
+    point.root = wp.sqrt(n_v * n_v * (1.0 - point.a2) + point.a2)
+    return point
+
+
+@wp.func
+def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
+    """D V in two parts, that which F0 scales and that which Fresnel adds, for n_l > 0."""
+    h = d + point.v
+    length2 = wp.max(wp.dot(h, h), _SHORTEST2)
+    t = h - point.n * (n_l + point.n_v)
+    k = point.a2 + wp.dot(t, t) / length2 * (1.0 - point.a2)
+    both = n_l * point.root + point.n_v * wp.sqrt(n_l * n_l * (1.0 - point.a2) + point.a2)
+    value = point.a2 * _HALF_PI / (k * k * both)
+    x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)
+    bias = value * (x * x) * (x * x) * x
+    return wp.vec2(value - bias, bias)
