@@ -61,7 +61,7 @@ def plan(settings: Settings, views: int, width: int, height: int, free: int) -> 
     )
 
 
-def rays_at_a_time(device: torch.device, free: Callable[[torch.device], int] | None = None) -> int:
+def rays_that_fit(device: torch.device, free: Callable[[torch.device], int] | None = None) -> int:
     """How many rays of relighting are at work at a time: fewer where less of the GPU's memory is `free`."""
     if free is None:
         free = _free_on_gpu

@@ -18,7 +18,7 @@ import torch
 
 from ..config import SkipSettings
 from ..datasets.camera import Camera
-from ..device_memory import rays_at_a_time
+from ..device_memory import rays_that_fit
 from ..errors import InputError
 from ..kernels.backend import by_warp
 from ..scene.reconstruction import Reconstruction
@@ -186,7 +186,7 @@ class Relighter:
 
     def _sums(self, surface: Primary, counts: Counts, light: PreparedLight) -> torch.Tensor:
         """(P, 2, 12) sums over samples, see `gather`."""
-        rays = rays_at_a_time(self.device) if by_warp(surface.index) else RAYS
+        rays = rays_that_fit(self.device) if by_warp(surface.index) else RAYS
         count, step = len(surface.index), max(1, rays // sum(counts))
         parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
         return torch.cat([self._gathered(surface, part, counts, light) for part in parts])

@@ -9,7 +9,7 @@ import torch
 from irgspp.core import cuda
 from irgspp.core.config import preset
 from irgspp.core.cuda import DeviceLost, Findings, faults, obstacle
-from irgspp.core.device_memory import FEWEST, RAYS, bytes_needed, plan, rays_at_a_time
+from irgspp.core.device_memory import FEWEST, RAYS, bytes_needed, plan, rays_that_fit
 from irgspp.core.devices import WARP_ON_CPU, choose, computing_on
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.kernels.backend import by_warp
@@ -99,9 +99,9 @@ def test_a_job_fits_by_keeping_less_on_the_gpu():
 
 def test_fewer_rays_are_at_work_where_memory_is_short():
     gpu = torch.device("cuda", 0)
-    numbers = [rays_at_a_time(gpu, lambda device, free=free: free) for free in (80 * GIB, GIB, GIB // 4, 0)]
+    numbers = [rays_that_fit(gpu, lambda device, free=free: free) for free in (80 * GIB, GIB, GIB // 4, 0)]
     assert numbers[0] == RAYS > numbers[1] > numbers[2] > numbers[3] == FEWEST
-    assert rays_at_a_time(torch.device("cpu")) == RAYS
+    assert rays_that_fit(torch.device("cpu")) == RAYS
 
 
 def test_a_job_that_cannot_fit_is_refused_before_it_starts():
