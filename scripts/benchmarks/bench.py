@@ -167,7 +167,13 @@ def machine() -> dict[str, Any]:
     """This machine and the versions of what results depend on."""
     cpu = devices()["cpu"]
     about = {"cpu": _cpu_name() or cpu["name"], "threads": cpu["threads"], "cores": cpu["cores"], "simd": cpu["simd"]}
-    return {**about, "versions": {**versions(), "engine's source": _source()}}
+    return {**about, "versions": {**versions(), "platform": _system(), "engine's source": _source()}}
+
+
+def _system() -> str:
+    """The system and its C library, where that is known, by their versions: the rest of a kernel's release says nothing of results."""
+    release, library = ".".join(platform.release().split(".")[:2]), " ".join(platform.libc_ver()).strip()
+    return f"{platform.system()} {release}" + (f", {library}" if library else "")
 
 
 def _source() -> str:

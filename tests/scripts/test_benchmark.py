@@ -189,3 +189,12 @@ def test_bad_usage_ends_with_a_line(script, tmp_path, capsys):
     assert main(["--report-only", "-o", str(tmp_path)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3 and all(line.startswith("benchmark: ") for line in lines)
+
+
+def test_of_the_system_the_report_says_its_version_and_no_more(script, monkeypatch):
+    bench = script("benchmarks.bench")
+    monkeypatch.setattr(bench.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(bench.platform, "release", lambda: "6.12.48+deb13-cloud-amd64")
+    for library, expected in ((("glibc", "2.41"), "Linux 6.12, glibc 2.41"), (("", ""), "Linux 6.12")):
+        monkeypatch.setattr(bench.platform, "libc_ver", lambda library=library: library)
+        assert bench.machine()["versions"]["platform"] == expected
