@@ -112,14 +112,14 @@ class _Recorder:
 
     def __init__(self, query: SurfaceQuery) -> None:
         self._query, self.origins = query, query.origins
-        self.asked: list[tuple[torch.Tensor, torch.Tensor]] = []
+        self.asked: list[tuple[str, torch.Tensor, torch.Tensor]] = []
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
-        self.asked.append((origin, direction))
+        self.asked.append(("hits", origin, direction))
         return self._query.hits(origin, direction)
 
     def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        self.asked.append((origin, direction))
+        self.asked.append(("hidden", origin, direction))
         return self._query.hidden(origin, direction)
 
 
@@ -130,13 +130,14 @@ def _rays(bench: Bench, scene: Scene) -> Measurement:
     assert isinstance(mesh, MeshQuery)
     watched = Relighter(one.reconstruction, recorder, one.settings, one.mesh)
     watched.relit(watched.surface(place.view.camera), place.prepared)
+    alone = {"hits": mesh.closest, "hidden": mesh.hidden}  # whether a ray is hidden Embree says by itself
     works = {
         "frame": lambda: one.relit(one.surface(place.view.camera), place.prepared),
-        "query": lambda: [mesh.hits(*rays) for rays in recorder.asked],
-        "embree": lambda: [mesh.closest(*rays) for rays in recorder.asked],
+        "query": lambda: [getattr(mesh, question)(*rays) for question, *rays in recorder.asked],
+        "embree": lambda: [alone[question](*rays) for question, *rays in recorder.asked],
     }
     found = medians(works, bench.repeats)
-    rays = sum(len(origin) for origin, _ in recorder.asked)
+    rays = sum(len(origin) for _, origin, _ in recorder.asked)
     figures = {f"{name}_seconds": seconds for name, seconds in found.items()}
     return Measurement({**figures, "embree_mrays_per_second": rays / found["embree"] / 1e6}, {"rays": rays})
 
