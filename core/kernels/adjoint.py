@@ -18,9 +18,9 @@ import numpy as np
 
 from .bvh import AXIS_U, AXIS_V, CUT, NORMAL, OPACITY, SCALE_U, SCALE_V
 from .compositing import SH_ROW, add_radiance, facing, radiance, spread_basis
+from .frame import quaternion_gradient
 from .harmonics import basis_gradient
 from .jit import kernel
-from .projection import _quaternion_gradient
 from .raster import ALPHA_MAX, TRANSMITTANCE_MIN
 from .simd import load, splat, store
 
@@ -150,7 +150,7 @@ def disk_backward_range(begin, end, slots, width, record, quaternion, n, g_posit
                 log_v -= s[AXIS_V + axis] * record[i, AXIS_V + axis]
         g_u = (s[AXIS_U] / su, s[AXIS_U + 1] / su, s[AXIS_U + 2] / su)
         g_v = (s[AXIS_V] / sv, s[AXIS_V + 1] / sv, s[AXIS_V + 2] / sv)
-        turn = _quaternion_gradient(q, inv, g_u, g_v, (s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]))
+        turn = quaternion_gradient(q, inv, g_u, g_v, (s[NORMAL], s[NORMAL + 1], s[NORMAL + 2]))
         for j in range(4):
             g_quaternion[j * n + i] = turn[j]
         for axis in range(3):

@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 
+from .frame import add, cross, dot, frame, quaternion_gradient, rotate_back, scaled
 from .harmonics import basis, basis_gradient
 from .jit import kernel
 from .simd import exp, load, maximum, select, splat, sqrt, store
@@ -28,60 +29,6 @@ ALPHA_MIN = 1 / 255
 LOW_PASS = 32.0  # rho of the screen-space filter per squared pixel (2DGS: 1 / 0.707^2)
 NEAR = 0.01  # nearest depth, as a share of the camera's distance to the scene's centre
 LOG_SCALE_MIN = -30.0  # smaller disks count as this small: their inverse squared is still a number
-COSINE_MIN = 1e-3  # disks seen more edge-on than this keep this foreshortening; the low-pass filter draws them
-
-
-@kernel
-def _rotation(q, n, i):
-    """Columns of the rotation and the quaternion's length."""
-    w, x, y, z = load(q, i), load(q, n + i), load(q, 2 * n + i), load(q, 3 * n + i)
-    length = sqrt(maximum(w * w + x * x + y * y + z * z, splat(1e-20)))
-    inv = 1.0 / length
-    w, x, y, z = w * inv, x * inv, y * inv, z * inv
-    r0 = (1.0 - (y * y + z * z) * 2.0, (x * y + w * z) * 2.0, (x * z - w * y) * 2.0)
-    r1 = ((x * y - w * z) * 2.0, 1.0 - (x * x + z * z) * 2.0, (y * z + w * x) * 2.0)
-    r2 = ((x * z + w * y) * 2.0, (y * z - w * x) * 2.0, 1.0 - (x * x + y * y) * 2.0)
-    return r0, r1, r2, (w, x, y, z), inv
-
-
-@kernel
-def _rotate(m, v):
-    """m (row-major 3x3 scalars) times v."""
-    return (
-        v[0] * m[0] + v[1] * m[1] + v[2] * m[2],
-        v[0] * m[3] + v[1] * m[4] + v[2] * m[5],
-        v[0] * m[6] + v[1] * m[7] + v[2] * m[8],
-    )
-
-
-@kernel
-def _rotate_back(m, v):
-    """Transpose of m times v."""
-    return (
-        v[0] * m[0] + v[1] * m[3] + v[2] * m[6],
-        v[0] * m[1] + v[1] * m[4] + v[2] * m[7],
-        v[0] * m[2] + v[1] * m[5] + v[2] * m[8],
-    )
-
-
-@kernel
-def _cross(a, b):
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-@kernel
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def _add(a, b):
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-
-@kernel
-def _scale(a, s):
-    return (a[0] * s, a[1] * s, a[2] * s)
 
 
 @kernel
@@ -95,34 +42,19 @@ def _log_scale(log_scale, i):
 
 
 @kernel
-def _frame(position, quaternion, n, i, cam):
-    """Camera-space centre and axes; foreshortening n.c is kept away from 0, `free` where it was not touched."""
-    world = (load(position, i), load(position, n + i), load(position, 2 * n + i))
-    offset = (world[0] - cam[13], world[1] - cam[14], world[2] - cam[15])
-    c = _rotate(cam, offset)
-    r0, r1, r2, q, inv = _rotation(quaternion, n, i)
-    tu, tv, normal = _rotate(cam, r0), _rotate(cam, r1), _rotate(cam, r2)
-    nc = _dot(normal, c)
-    side = select(nc > 0.0, splat(1.0), splat(-1.0))
-    floor = sqrt(maximum(_dot(c, c), splat(cam[18] * cam[18]))) * COSINE_MIN
-    free = nc * side > floor
-    return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), side, free, q, inv
-
-
-@kernel
 def _slopes(c, tu, tv, kept):
     """tu nc - n (tu . c) and the same of tv: times a pixel's offset, what u and v are proportional to.
 
     As cross products nothing cancels. `kept` is what foreshortening was kept away from 0 by: without it such a disk would be drawn longer.
     """
-    return _add(_cross(tv, c), _scale(tu, kept)), _add(_cross(c, tu), _scale(tv, kept))
+    return add(cross(tv, c), scaled(tu, kept)), add(cross(c, tu), scaled(tv, kept))
 
 
 @kernel
 def _direction(offset):
     """Unit viewing direction, camera to Gaussian, and 1 / distance."""
-    inv = 1.0 / sqrt(maximum(_dot(offset, offset), splat(1e-20)))
-    return _scale(offset, inv), inv
+    inv = 1.0 / sqrt(maximum(dot(offset, offset), splat(1e-20)))
+    return scaled(offset, inv), inv
 
 
 @kernel
@@ -139,11 +71,11 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
     extras = feature.shape[1] - 6
     for block in range(begin, end):
         i = min(block * 8, n - 8)
-        offset, c, r2, tu, tv, normal, nc, side, free, _, _ = _frame(position, quaternion, n, i, cam)
+        offset, c, r2, tu, tv, normal, nc, side, free, _, _ = frame(position, quaternion, n, i, cam)
         su, sv = exp(_log_scale(log_scale, i)), exp(_log_scale(log_scale, n + i))
         z = select(c[2] > cam[18], c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
-        e, f = _slopes(c, tu, tv, select(free, splat(0.0), nc - _dot(normal, c)))
+        e, f = _slopes(c, tu, tv, select(free, splat(0.0), nc - dot(normal, c)))
         ku, kv = k / su, k / sv
         store(scratch, 0, c[0] * iz * fx + px)
         store(scratch, 8, c[1] * iz * fy + py)
@@ -254,18 +186,6 @@ def _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, scre
 
 
 @kernel
-def _quaternion_gradient(q, inv, g0, g1, g2):
-    """From gradients of the rotation's columns to the raw quaternion."""
-    w, x, y, z = q
-    gw = (z * (g0[1] - g1[0]) + y * (g2[0] - g0[2]) + x * (g1[2] - g2[1])) * 2.0
-    gx = (y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g1[2] - g2[1]) - x * (g1[1] + g2[2]) * 2.0) * 2.0
-    gy = (x * (g0[1] + g1[0]) + z * (g1[2] + g2[1]) + w * (g2[0] - g0[2]) - y * (g0[0] + g2[2]) * 2.0) * 2.0
-    gz = (x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) + w * (g0[1] - g1[0]) - z * (g0[0] + g1[1]) * 2.0) * 2.0
-    radial = gw * w + gx * x + gy * y + gz * z
-    return (gw - w * radial) * inv, (gx - x * radial) * inv, (gy - y * radial) * inv, (gz - z * radial) * inv
-
-
-@kernel
 def project_backward_range(
     begin, end, position, quaternion, log_scale, opacity, sh, coefficients, cam, n, slots,
     g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen,
@@ -285,12 +205,12 @@ def project_backward_range(
         if not _pulled(slots, i):
             _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i)
             continue
-        offset, c, _, tu, tv, normal, nc, side, free, q, qinv = _frame(position, quaternion, n, i, cam)
+        offset, c, _, tu, tv, normal, nc, side, free, q, qinv = frame(position, quaternion, n, i, cam)
         isu, isv = exp(_log_scale(log_scale, i) * -1.0), exp(_log_scale(log_scale, n + i) * -1.0)
         front = c[2] > cam[18]
         z = select(front, c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
-        kept = select(free, zero, nc - _dot(normal, c))
+        kept = select(free, zero, nc - dot(normal, c))
         e, f = _slopes(c, tu, tv, kept)
         gmx, gmy = _gather(slots, i, 0, scratch), _gather(slots, i, 1, scratch)
         ga0, ga1 = _gather(slots, i, 2, scratch) * isu / fx, _gather(slots, i, 3, scratch) * isu / fy
@@ -300,14 +220,14 @@ def project_backward_range(
         gk = au + bv + gc0 * normal[0] + gc1 * normal[1]
         ge, gf = (ga0 * k, ga1 * k, zero), (gb0 * k, gb1 * k, zero)
         gnc = select(free, gk * k * -1.0 / nc, zero)
-        gn = _add((gc0 * k, gc1 * k, zero), _scale(c, gnc))
-        gkept = select(free, zero, (_dot(ge, tu) + _dot(gf, tv)) * -1.0)
-        gn = _add(gn, _scale(c, gkept))
-        g_tv, g_tu = _add(_cross(c, ge), _scale(gf, kept)), _add(_cross(gf, c), _scale(ge, kept))
-        g_c = _add(_add(_cross(ge, tv), _cross(tu, gf)), _scale(normal, gnc + gkept))
+        gn = add((gc0 * k, gc1 * k, zero), scaled(c, gnc))
+        gkept = select(free, zero, (dot(ge, tu) + dot(gf, tv)) * -1.0)
+        gn = add(gn, scaled(c, gkept))
+        g_tv, g_tu = add(cross(c, ge), scaled(gf, kept)), add(cross(gf, c), scaled(ge, kept))
+        g_c = add(add(cross(ge, tv), cross(tu, gf)), scaled(normal, gnc + gkept))
         gz = gk / nc + _gather(slots, i, 8, scratch) - (gmx * fx * c[0] + gmy * fy * c[1]) * iz * iz
-        g_c = _add(g_c, (gmx * fx * iz, gmy * fy * iz, gz))
-        g_world = _rotate_back(cam, g_c)
+        g_c = add(g_c, (gmx * fx * iz, gmy * fy * iz, gz))
+        g_world = rotate_back(cam, g_c)
         store(g_log_scale, i, au * k * -1.0)
         store(g_log_scale, n + i, bv * k * -1.0)
         store(screen, i, sqrt(gmx * gmx + gmy * gmy))
@@ -315,8 +235,8 @@ def project_backward_range(
         store(g_opacity, i, _gather(slots, i, 9, scratch) * o * (1.0 - o))
         flip = side * -1.0
         g_normal = (_gather(slots, i, 13, scratch), _gather(slots, i, 14, scratch), _gather(slots, i, 15, scratch))
-        g2 = _add(_rotate_back(cam, gn), _scale(g_normal, flip))
-        gq = _quaternion_gradient(q, qinv, _rotate_back(cam, g_tu), _rotate_back(cam, g_tv), g2)
+        g2 = add(rotate_back(cam, gn), scaled(g_normal, flip))
+        gq = quaternion_gradient(q, qinv, rotate_back(cam, g_tu), rotate_back(cam, g_tv), g2)
         for j in range(4):
             store(g_quaternion, j * n + i, gq[j])
         direction, inv_distance = _direction(offset)
@@ -337,7 +257,7 @@ def project_backward_range(
                 gdz = gdz + load(slopes, 256 + j * 8) * weight
         radial = gdx * direction[0] + gdy * direction[1] + gdz * direction[2]
         gd = ((gdx - direction[0] * radial), (gdy - direction[1] * radial), (gdz - direction[2] * radial))
-        g_world = _add(g_world, _scale(gd, inv_distance))
+        g_world = add(g_world, scaled(gd, inv_distance))
         for j in range(3):
             store(g_position, j * n + i, select(front, g_world[j], zero))
         for channel in range(extras):

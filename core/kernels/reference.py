@@ -7,7 +7,8 @@ import torch
 
 from ..datasets.camera import Camera
 from . import harmonics as sh_constants
-from .projection import ALPHA_MIN, COSINE_MIN, LOW_PASS, NEAR
+from .frame import COSINE_MIN
+from .projection import ALPHA_MIN, LOW_PASS, NEAR
 from .raster import _W_MIN, ALPHA_MAX, TRANSMITTANCE_MIN
 from .trace import GRAZING
 

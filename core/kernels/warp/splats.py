@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""2D Gaussians to splats and back, a thread for each; the algebra is that of the CPU's kernels, core/kernels/projection.py."""
+"""2D Gaussians to splats and back, a thread for each; the algebra is that of the CPU's kernels, core/kernels/{frame,projection}.py."""
 
 import warp as wp
 
 from ..binning import TILE
-from ..projection import ALPHA_MIN, COSINE_MIN, GEOMETRY, LOG_SCALE_MIN, LOW_PASS
+from ..frame import COSINE_MIN
+from ..projection import ALPHA_MIN, GEOMETRY, LOG_SCALE_MIN, LOW_PASS
 from .harmonics import Basis, basis, basis_pull, normal_of, quaternion_gradient, tangent_u, tangent_v, unit_quaternion
 
 _SIDE = wp.constant(TILE)
