@@ -174,10 +174,6 @@ class Relighter:
     def _counts(self, samples: int) -> Counts:
         return sample_counts(samples, is_glossy(self.reconstruction))
 
-    @property
-    def _around(self) -> Surroundings:
-        return Surroundings(self.query, self._scale if self.settings.indirect else None, self.settings.conserving)
-
     def _guides_of(self, surface: Primary) -> Guides:
         if surface not in self._guides:
             kept = self.settings.skip.kept != "off" and self._room() >= Guides.kept_size(surface)
@@ -226,7 +222,8 @@ class Relighter:
         counts = (*counts[:2], 0) if self.settings.sampling == "mis" else counts
         drawn = draw(*arguments, counts, light.distribution, shift, self.settings.sampling)
         points = Points.of(surface.origin[part], *arguments)
-        rays = trace_samples(self._around, points, Samples(drawn.direction, drawn.density * sum(counts)))
+        around = Surroundings(self.query, self._scale if self.settings.indirect else None, self.settings.conserving)
+        rays = trace_samples(around, points, Samples(drawn.direction, drawn.density * sum(counts)))
         if self.settings.skip.open == "off" or self.settings.sampling != "mis":
             return Lasting(points, shift, rays, Openness.unknown(len(shift)))
         return Lasting(points, shift, rays, survey(drawn.direction, rays, surface.index[part], surface.camera.width))
