@@ -24,6 +24,7 @@ from .readers import READERS, Reader
 
 case = case_of("fuzz")
 SCRIPTS = Path(__file__).resolve().parents[1]
+PROGRAM = ("-m", "faulting.fuzz_child")
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 STUCK = 3.0  # seconds of processor time for one file, after which even code that hears no signal is ended
 READY = 300.0  # seconds of processor time until the first
@@ -73,9 +74,8 @@ class Child:
 
 def _started() -> subprocess.Popen[str]:
     paths = os.pathsep.join([str(SCRIPTS), *filter(None, [os.environ.get("PYTHONPATH")])])
-    words = [sys.executable, "-m", "faulting.fuzz_child"]
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": paths}
-    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+    return subprocess.Popen([sys.executable, *PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def _number(progress: Path) -> int:

@@ -8,9 +8,6 @@ shows a fault, with the fault as *.fault. It answers each share with one line on
 process itself, and ends when its input does.
 """
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import json
