@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Memory: foreseen before a job starts, and where it is short, less of it is taken, or one clear line says what is needed."""
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import resource

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every reader of files from elsewhere, with right files to begin from."""
 
-# pyright: reportMissingImports=false
-# (`irgspp` is the folder above, known to pyright under no name)
-
 from __future__ import annotations
 
 import json
