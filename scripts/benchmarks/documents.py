@@ -10,7 +10,7 @@ from types import ModuleType
 from irgspp.core.run_folder import write_atomic
 
 from . import charts, summary
-from .page import about, shown
+from .page import about, engines, shown
 from .section import Block, Chart, Note, Pictures, Table
 from .store import Results, Store
 
@@ -37,7 +37,7 @@ def write(store: Store, sections: Sequence[ModuleType], folder: Path) -> None:
         blocks = [block for block in section.blocks(results) if not isinstance(block, Pictures)]
         if section.NAME == "skipping":
             _between(folder / "skipping.md", "\n\n".join(text for block in blocks if (text := _block(block, folder))))
-        chapter = [f"## {section.TITLE}", section.ABOUT, *(_block(block, folder) for block in blocks)]
+        chapter = [f"## {section.TITLE}", section.ABOUT, engines(store, section), *(_block(block, folder) for block in blocks)]
         parts.append("\n\n".join(text for text in chapter if text))
     short = [_block(block, folder) for block in summary.blocks(store)]
     text = "\n\n".join([HEAD.rstrip(), *about(store), *short, *parts, *_failed(store)])

@@ -63,9 +63,21 @@ def about(store: Store) -> Iterator[str]:
     yield "↑: more is better, ↓: less is. Seconds are wall clock, medians of repeats; compare them within this report alone."
 
 
+def engines(store: Store, section: ModuleType) -> str:
+    """Which states of the engine a section was measured on, where not all were on one; else nothing."""
+    sources: dict[str, set[str]] = {}
+    for record in store.records.values():
+        machine = store.environments.get(record.environment, {"versions": {}})
+        sources.setdefault(record.section, set()).add(machine["versions"].get("engine's source", "unknown"))
+    if len(set.union(set(), *sources.values())) < 2:
+        return ""
+    return f"Measured on the engine of source {', '.join(sorted(sources[section.NAME]))}."
+
+
 def _chapter(store: Store, section: ModuleType, blocks: Sequence[Block]) -> str:
     shown = "".join(_block(store.folder, block) for block in blocks)
-    return f"<h2 id='{section.NAME}'>{escape(section.TITLE)}</h2><p>{escape(section.ABOUT)}</p>{shown}"
+    about = f"{section.ABOUT} {engines(store, section)}".strip()
+    return f"<h2 id='{section.NAME}'>{escape(section.TITLE)}</h2><p>{escape(about)}</p>{shown}"
 
 
 def _failures(store: Store) -> str:

@@ -32,10 +32,12 @@ def section(*tasks, name="things"):
 def work(script, tmp_path, capsys):
     """Do a section's tasks with the results of the folder: the store, and how many failed."""
 
-    def do(one):
+    def do(one, source="abc"):
         session = script("benchmarks.session")
         bench = script("benchmarks.bench").Bench(tmp_path, [])
-        store = script("benchmarks.store").Store(tmp_path, {"cpu": "any", "threads": 2, "simd": [], "versions": {}})
+        store = script("benchmarks.store").Store(
+            tmp_path, {"cpu": "any", "threads": 2, "simd": [], "versions": {"engine's source": source}}
+        )
         return store, session.Session(bench, store).work(session.steps_of(bench, [one]))
 
     return do
@@ -121,6 +123,16 @@ def test_documents_are_written_between_their_marks(work, task, script, tmp_path)
     page = (tmp_path / "benchmark.md").read_text()
     assert "## Things" in page and "| one | 1.25 |" in page and "![Curve](pictures/benchmark_things.png)" in page
     assert (tmp_path / "pictures" / "benchmark_things.png").is_file()
+
+
+def test_sections_tell_their_engines_apart_where_there_are_several(work, task, script):
+    page, (old, new) = script("benchmarks.page"), (section(task(name, 1.0, []), name=name) for name in ("old", "new"))
+    store, _ = work(old, source="abc")
+    assert page.engines(store, old) == ""
+    store, _ = work(new, source="def")
+    assert page.engines(store, old) == "Measured on the engine of source abc."
+    assert page.engines(store, new) == "Measured on the engine of source def."
+    assert page.engines(store, new) in page.write(store, [old, new]).read_text()
 
 
 def test_results_of_something_else_are_refused(script, tmp_path):
