@@ -13,9 +13,12 @@ import tempfile
 from importlib import import_module
 from pathlib import Path
 
-os.environ.setdefault("BLENDER_USER_RESOURCES", tempfile.mkdtemp(prefix="irgspp-blender-"))  # before bpy is imported
-
 import numpy as np
+
+RESOURCES = None  # of Blender's, for this process alone where none are named; conftest.py removes them
+if "BLENDER_USER_RESOURCES" not in os.environ:
+    RESOURCES = tempfile.TemporaryDirectory(prefix="irgspp-blender-", ignore_cleanup_errors=True)
+    os.environ["BLENDER_USER_RESOURCES"] = RESOURCES.name  # before bpy is imported
 
 # First of all, as it makes Blender's other modules importable; not kept by a name: pytest holds fixtures' modules to the very end,
 # and Blender 4.2 crashes there where its module is not let go before.
