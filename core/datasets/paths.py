@@ -20,7 +20,8 @@ def inside(path: Path, root: Path) -> Path:
     except (OSError, RuntimeError, ValueError) as error:  # links in a circle, impossible names
         raise InputError(str(path)[:200], f"leads to an impossible file ({getattr(error, 'strerror', None) or error})") from error
     if not real.is_relative_to(home):
-        raise InputError(path, f"leads out of the dataset's folder {root}", "copy what it names into that folder")
+        what = f"leads out of the dataset's folder {root}, to {real}"
+        raise InputError(path, what, "copy what is there into that folder; a link is followed to the whole dataset alone")
     return path
 
 
