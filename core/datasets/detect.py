@@ -45,7 +45,8 @@ def read_capture(path: Path, settings: DataSettings) -> Capture:
     """Read the description of the dataset that is at `path`: a folder, a file of cameras, or the folder of a COLMAP model.
 
     Of a folder that has several descriptions the one with its own test split is read (transforms_train.json), then a COLMAP model with
-    points, then transforms.json, then a COLMAP model; the path of one of them chooses it. Raises InputError on bad input, NoDataset where there is none.
+    points, then transforms.json, then a COLMAP model; the path of one of them chooses it. Raises InputError on bad input, NoDataset where
+    there is none.
     """
     path = Path(path)
     if not path.exists():
