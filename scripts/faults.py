@@ -2,7 +2,7 @@
 """Faults and hostile input: killed jobs, full disks, little memory, broken files, long queues, as a table, JSON and a page.
 
     .venv/bin/python scripts/faults.py --quick            # those that take seconds, which are tests too
-    .venv/bin/python scripts/faults.py -o faults          # all of them: hours on one core, mostly for 100,000 broken files a kind
+    .venv/bin/python scripts/faults.py -o faults          # all of them: hours on one core, one for 100,000 broken files of each kind
 
 Exit status: 0 every case holds, 1 one does not, 2 bad usage.
 """
