@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .colmap_files import write_model
-from .glossy_synthetic import interleaved, save_ply
-from .source import Source, moved_points, over, placed, save_png, similarity
+from .source import Source, moved_points, over, placed, save_ply, save_png, similarity
 
 BACKDROP = 0.45
 WORLD = similarity((-120.0, 15.0, 40.0), 0.7, (0.4, -0.3, 2.5))  # a solver's frame has no meaning
@@ -18,7 +17,7 @@ WORLD = similarity((-120.0, 15.0, 40.0), 0.7, (0.4, -0.3, 2.5))  # a solver's fr
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     """Write folder/NAME."""
     scene = folder / source.name
-    shots = {f"{1436 + i}.png": s for i, s in enumerate(interleaved(source))}
+    shots = {f"{1436 + i}.png": s for i, s in enumerate(source.interleaved())}
     for name, shot in shots.items():
         save_png(scene / "images" / name, over(shot.rgba, BACKDROP))
     width, height = source.size

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from plyfile import PlyData, PlyElement
 
-from .source import Shot, Source, moved_points, over, placed, save_exr, save_png, upright_camera
+from .source import Shot, Source, moved_points, over, placed, save_exr, save_ply, save_png, upright_camera
 
 RELIGHTS = ("corridor", "golf", "neon")
 DEPTH_RANGE = 15.0
@@ -20,7 +19,7 @@ WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  #
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     """Write folder/GlossySynthetic/NAME, and folder/relight_gt and folder/hdr2k; every eighth view is a test view while there are any."""
     scene = folder / "GlossySynthetic" / source.name
-    for number, shot in enumerate(interleaved(source)):
+    for number, shot in enumerate(source.interleaved()):
         _view(source, shot, shot.rgba, scene, number)
     save_ply(scene / "eval_pts.ply", moved_points(WORLD, source.points))
     for light, name in zip(source.relights, RELIGHTS, strict=False):
@@ -28,21 +27,6 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
         for number, shot in enumerate(source.test):
             _view(source, shot, shot.relit[light], folder / "relight_gt" / f"{source.name}_{name}", number)
     return scene, WORLD
-
-
-def interleaved(source: Source) -> list[Shot]:
-    """All views, with a test view at every eighth place."""
-    train, test, shots = list(source.train), list(source.test), []
-    while train or test:
-        shots.append(test.pop(0) if test and (len(shots) % 8 == 0 or not train) else train.pop(0))
-    return shots
-
-
-def save_ply(file: Path, points: np.ndarray) -> None:
-    """Write positions (N, 3)."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    rows = np.array([tuple(p) for p in points], dtype=[(c, "f4") for c in "xyz"])
-    PlyData([PlyElement.describe(rows, "vertex")]).write(str(file))
 
 
 def _view(source: Source, shot: Shot, rgba: np.ndarray, folder: Path, number: int) -> None:

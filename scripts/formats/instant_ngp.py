@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from .glossy_synthetic import interleaved
 from .lens import RealLens
 from .source import Source, placed, save_json, save_png, similarity
 
@@ -19,7 +18,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     """Write folder/NAME; the pictures have an alpha channel, as instant-ngp takes them."""
     scene, lens = folder / source.name, RealLens.of(source)
     frames = []
-    for number, shot in enumerate(interleaved(source)):
+    for number, shot in enumerate(source.interleaved()):
         name = f"./images/{number:04d}.png"
         save_png(scene / name, lens.picture(source, shot.rgba))
         frames.append({"file_path": name, "sharpness": 30.0 + number, "transform_matrix": placed(WORLD, shot.pose).tolist()})

@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from .glossy_synthetic import interleaved
 from .lens import RealLens
 from .source import Source, over, placed, save_png, similarity
 
@@ -23,7 +22,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     chunk = ElementTree.SubElement(document, "chunk", label="Chunk 1", enabled="true")
     _sensor(ElementTree.SubElement(chunk, "sensors", next_id="1"), lens, source.size)
     cameras = ElementTree.SubElement(chunk, "cameras", next_id="99")
-    for number, shot in enumerate(interleaved(source)):
+    for number, shot in enumerate(source.interleaved()):
         label = f"IMG_{number:04d}"
         rgba = lens.picture(source, shot.rgba)
         save_png(scene / "images" / f"{label}.png", over(rgba, BACKDROP))

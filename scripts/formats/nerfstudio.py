@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from .glossy_synthetic import interleaved, save_ply
 from .lens import RealLens
-from .source import Source, moved_points, over, placed, save_json, save_png, similarity
+from .source import Source, moved_points, over, placed, save_json, save_ply, save_png, similarity
 
 BACKDROP = 0.5
 WORLD = similarity((0.0, 0.0, -50.0), 0.25, (0.05, 0.1, -0.1))
@@ -21,7 +20,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     scene, lens = folder / source.name, RealLens.of(source)
     frames, tests = [], {id(s) for s in source.test}
     listed: dict[str, list[str]] = {"train": [], "test": []}
-    for number, shot in enumerate(interleaved(source), 1):
+    for number, shot in enumerate(source.interleaved(), 1):
         name = f"frame_{number:05d}.png"
         rgba = lens.picture(source, shot.rgba)
         save_png(scene / "images" / name, over(rgba, BACKDROP))

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .glossy_synthetic import interleaved
 from .lens import RealLens
 from .source import Source, over, placed, save_png, similarity
 
@@ -25,7 +24,7 @@ def write(source: Source, folder: Path, world: np.ndarray = WORLD) -> tuple[Path
     k1, k2, p1, p2, k3 = lens.distortion
     intrinsics = [lens.focal * 36 / longest, (lens.cx - width / 2) / longest, (lens.cy - height / 2) / longest, k1, k2, k3, 0, p1, p2]
     rows = []
-    for number, shot in enumerate(interleaved(source)):
+    for number, shot in enumerate(source.interleaved()):
         name = f"DSC{number:05d}.png"
         rgba = lens.picture(source, shot.rgba)
         save_png(scene / "images" / name, over(rgba, BACKDROP))

@@ -10,7 +10,6 @@ from irgspp.core.datasets.ref_real import SPHERES
 from PIL import Image
 
 from .colmap_files import write_model
-from .glossy_synthetic import interleaved
 from .source import Source, moved_points, over, placed, save_png, similarity
 
 SCENE = "sedan"
@@ -23,7 +22,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     scene = folder / SCENE
     centre, radius = SPHERES[SCENE]
     world = similarity((70.0, -20.0, 10.0), radius / REACH, centre)
-    shots = {f"{i:05d}.png": s for i, s in enumerate(interleaved(source))}
+    shots = {f"{i:05d}.png": s for i, s in enumerate(source.interleaved())}
     for name, shot in shots.items():
         pixels = over(shot.rgba, BACKDROP)
         for factor, place in ((1, "images"), (4, "images_4"), (8, "images_8")):

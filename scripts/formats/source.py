@@ -15,6 +15,7 @@ from irgspp.core.colour import decode_srgb, encode_srgb
 from irgspp.core.errors import InputError
 from irgspp.core.scene.exr import read_exr, read_exr_rgb, rgb_channels, write_exr
 from PIL import Image
+from plyfile import PlyData, PlyElement
 from scipy.spatial.transform import Rotation
 
 
@@ -69,6 +70,13 @@ class Source:
         """Names of the lights that test views were rendered under besides the training light."""
         return list(self.lights)[1:]
 
+    def interleaved(self) -> list[Shot]:
+        """All views, with a test view at every eighth place while there are any."""
+        train, test, shots = list(self.train), list(self.test), []
+        while train or test:
+            shots.append(test.pop(0) if test and (len(shots) % 8 == 0 or not train) else train.pop(0))
+        return shots
+
 
 def load_source(folder: Path) -> Source:
     """Read a scene that scripts/render_dataset.py wrote. Raises InputError where the folder is none."""
@@ -120,6 +128,13 @@ def save_hdr(file: Path, linear: np.ndarray) -> None:
     """Write (H, W, 3) linear as Radiance's shared exponents."""
     file.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(file), np.ascontiguousarray(linear[..., ::-1], np.float32))
+
+
+def save_ply(file: Path, points: np.ndarray) -> None:
+    """Write positions (N, 3)."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    rows = np.array([tuple(p) for p in points], dtype=[(c, "f4") for c in "xyz"])
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(file))
 
 
 def save_json(file: Path, content: object) -> None:
