@@ -6,9 +6,11 @@ from __future__ import annotations
 import resource
 import shutil
 import tempfile
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from irgspp.core import pipeline
 from irgspp.core.run_folder import read_run
 from stresses.case import Measured
 
@@ -37,49 +39,33 @@ def filled(place: Path, left: int) -> Path:
 
 def starved(dataset: str, run: str, resume: bool, left: int) -> None:
     """The job, on a disk that is filled up to so many bytes once it has begun."""
-    from irgspp.core import pipeline
-
-    begin = pipeline.Job.run
-
-    def fill(job: pipeline.Job) -> None:
-        filled(Path(run).parent, left)
-        begin(job)
-
-    pipeline.Job.run = fill
-    _apart(dataset, run, resume)
+    _apart(dataset, run, resume, lambda job: filled(Path(run).parent, left))
 
 
 def limited(dataset: str, run: str, resume: bool, size: int) -> None:
-    """The job, none of whose files may become larger than `size`."""
-    from irgspp.core import pipeline
-
-    begin = pipeline.Job.run
-
-    def limit(job: pipeline.Job) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-        begin(job)
-
-    pipeline.Job.run = limit
-    _apart(dataset, run, resume)
+    """The job, none of whose files may become larger than `size` once it has begun."""
+    _apart(dataset, run, resume, lambda job: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)))
 
 
 def read_only(dataset: str, run: str, resume: bool) -> None:
     """The job, on a disk that becomes read-only once it has begun."""
-    from irgspp.core import pipeline
-
-    begin = pipeline.Job.run
 
     def harden(job: pipeline.Job) -> None:
         job.folder.close()  # its lock is a file open for writing, with which no disk can be made read-only
         remount(Path(run).parent, "ro")
+
+    _apart(dataset, run, resume, harden)
+
+
+def _apart(dataset: str, run: str, resume: bool, fault: Callable[[pipeline.Job], object] = lambda job: None) -> None:
+    """The work itself, with a fault once it has begun; what it says goes where there is room."""
+    begin = pipeline.Job.run
+
+    def struck(job: pipeline.Job) -> None:
+        fault(job)
         begin(job)
 
-    pipeline.Job.run = harden
-    _apart(dataset, run, resume)
-
-
-def _apart(dataset: str, run: str, resume: bool) -> None:
-    """The work itself; what it says goes where there is room."""
+    pipeline.Job.run = struck
     work(dataset, run, resume, Doom(), said_to=str(Path(run).parent.parent / "said.txt"))
 
 

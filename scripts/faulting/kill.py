@@ -7,6 +7,7 @@ import random
 import shutil
 import tempfile
 from collections import Counter
+from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -80,7 +81,7 @@ def unreadable(run: Path) -> list[str]:
     return found
 
 
-def _try(found: list[str], name: str, read) -> None:
+def _try(found: list[str], name: str, read: Callable[[], object]) -> None:
     try:
         read()
     except Exception as error:

@@ -9,10 +9,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+from irgspp.core.datasets.capture import view_names
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.run_folder import read_run
+from irgspp.core.scene.cameras import save_views
 from stresses.case import Measured
 
 from .cases import case_of
@@ -25,7 +29,7 @@ ODD = Path("mit Leerzeichen & 'Strich'", "写真 é ü %s {0}", "lang" * 25, "ti
 GERMAN = "de_DE.UTF-8"
 
 
-def same_elsewhere(measured: Measured, nursery: Nursery, data: Path, run: Path, function=work) -> None:
+def same_elsewhere(measured: Measured, nursery: Nursery, data: Path, run: Path, function: Callable[..., None] = work) -> None:
     """A job there has the same bits as one in a plain folder."""
     _, calm, _ = undisturbed()
     status = nursery.run(function, str(data), str(run), False, Doom())
@@ -92,8 +96,6 @@ def installed(measured: Measured) -> None:
     quick=False,
 )
 def one_case(measured: Measured) -> None:
-    from irgspp.core.scene.cameras import save_views
-
     if not can_mount() or shutil.which("mkfs.ext4") is None:
         measured.note(LEFT_OUT)
         return
@@ -103,16 +105,13 @@ def one_case(measured: Measured) -> None:
         subprocess.run(["mkfs.ext4", "-q", "-O", "casefold", "-E", "encoding=utf8", str(image)], check=True)
         try:
             with mounted("-o", "loop", str(image), place=Path(name) / "disk") as disk:
-                _crowd(measured, disk, save_views)
+                _crowd(measured, disk)
         except OSError as error:
             measured.note(f"left out: {error}")
 
 
-def _crowd(measured: Measured, disk: Path, save) -> None:
-    from dataclasses import replace
-
-    from irgspp.core.datasets.capture import view_names
-
+def _crowd(measured: Measured, disk: Path) -> None:
+    """Views of such names, saved there."""
     runs = disk / "runs"
     runs.mkdir()
     subprocess.run(["chattr", "+F", str(runs)], check=True)
@@ -121,6 +120,6 @@ def _crowd(measured: Measured, disk: Path, save) -> None:
     data = load_dataset(write_dataset(disk / "photographs"))
     listed = ["x/a.png", "y/A.jpg", "x/\u00e1.png", "y/a\u0301.png", "z/a.PNG"]
     views = [replace(v, name=n, distorted=True) for v, n in zip(data.train, view_names(listed), strict=False)]
-    save(runs / "cameras.json", [("train", view) for view in views])
+    save_views(runs / "cameras.json", [("train", view) for view in views])
     kept = list((runs / "photographs" / "train").iterdir())
     measured.at_least("pictures of 5 views", len(kept), len(listed))
