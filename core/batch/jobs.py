@@ -126,10 +126,14 @@ def _step(text: str, name: str, run: Path, dataset: str, where: str) -> tuple[st
     return (command, str(run), *rest)
 
 
+def targets(job: Job, step: Sequence[str]) -> list[Path]:
+    """Where a command after the first puts things besides the run folder: what stands after -o."""
+    return [job.base / step[i + 1] for i, word in enumerate(step[:-1]) if word == "-o"]
+
+
 def written(job: Job) -> list[Path]:
-    """Where its commands put things: the run folder, and what stands after -o."""
-    after = [step[i + 1] for step in job.steps[1:] for i, word in enumerate(step[:-1]) if word == "-o"]
-    return [job.run.resolve(), *((job.base / target).resolve() for target in after)]
+    """Where its commands put things."""
+    return [path.resolve() for path in (job.run, *(target for step in job.steps[1:] for target in targets(job, step)))]
 
 
 def _apart(jobs: Sequence[Job], path: Path) -> None:

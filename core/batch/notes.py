@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from ..run_folder import read_run, write_atomic
-from .jobs import Job
+from .jobs import Job, targets
 
 TAIL_BYTES = 4096
 
@@ -25,7 +25,7 @@ class State:
     state: str = "waiting"
     error: str = ""
     seconds: float = 0.0
-    finished: tuple[tuple[str, ...], ...] = field(default_factory=tuple)
+    finished: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,7 @@ def is_there(job: Job, step: Sequence[str], state: State) -> bool:
         return False
     if tuple(step) == job.steps[0]:
         return (job.run / "run.json").is_file() and read_run(job.run)["status"] == "done"
-    targets = [job.base / step[i + 1] for i, word in enumerate(step[:-1]) if word == "-o"]
-    return all(target.exists() for target in targets)
+    return all(target.exists() for target in targets(job, step))
 
 
 def _json(path: Path) -> dict[str, Any]:
