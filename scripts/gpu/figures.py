@@ -28,7 +28,8 @@ from irgspp.core.stages.trainer import Trainer
 from .scene import RADIUS, Work, ring
 
 ROOT = Path(__file__).resolve().parents[2]
-PROFILED = 12  # operations that the profile tells of
+PROFILED = 12  # operations that the profile tells of,
+PROFILED_STEPS = 5  # in so many iterations
 
 
 @dataclass(frozen=True)
@@ -151,14 +152,14 @@ def profile(work: Work, size: Size, device: torch.device) -> list[Figure]:
         for _ in range(size.warm):
             step()
         with torch.profiler.profile(activities=kinds) as watched:
-            for _ in range(5):
+            for _ in range(PROFILED_STEPS):
                 step()
             synchronised(device)
         spent = [(e.self_device_time_total if device.type == "cuda" else e.self_cpu_time_total, e) for e in watched.key_averages()]
         total = sum(time for time, _ in spent) or 1
         for time_spent, event in sorted(spent, key=lambda pair: -pair[0])[:PROFILED]:
-            share = f"{time_spent / 5000:.3f} ms an iteration, {time_spent / total:.0%}, {event.count // 5} calls"
-            found.append(Figure(f"  {name}: {event.key[:70]}", share))
+            each, calls = time_spent / 1000 / PROFILED_STEPS, event.count // PROFILED_STEPS
+            found.append(Figure(f"  {name}: {event.key[:70]}", f"{each:.3f} ms an iteration, {time_spent / total:.0%}, {calls} calls"))
     return found
 
 
@@ -169,5 +170,6 @@ def bandwidth(work: Work, size: Size, device: torch.device) -> Figure:
     a, b = (torch.rand(3, size.picture, size.picture, device=device) for _ in range(2))
     a.requires_grad_()
     each = seconds_each(lambda: photometric_loss(a, b), size, device)
-    moved = a.numel() * 4 * (2 + 5 + 5 + 4 + 3 + 3 + 3 + 2 + 1 + 3 + 1)
+    planes = (2 + 5) + (5 + 4) + (3 + 3) + (5 + 1) + (3 + 1)  # read and written by each of its four passes, and by what takes the means
+    moved = planes * a.numel() * 4
     return Figure("bandwidth of the loss's passes", f"{moved / each / 1e9:.0f} GB/s", "4,800 GB/s is an H200's peak")
