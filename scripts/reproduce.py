@@ -49,9 +49,11 @@ def jobs_of(args: argparse.Namespace, scenes: Sequence[Scene], out: Path) -> lis
     reconstruct = ["--preset", args.preset, *(word for text in args.set for word in ("--set", text))]
     given = {"--views": args.views, "--samples": args.samples, "--lpips": args.lpips and args.lpips.resolve()}
     evaluate = [word for option, value in given.items() if value is not None for word in (option, str(value))]
-    jobs = []
-    for scene in (scene for scene in scenes if not scene.trouble):
-        jobs.append(job_of(scene, out, args.protocol or benchmark_of(scene.format)["protocol"], reconstruct, evaluate))
+    jobs = [
+        job_of(scene, out, args.protocol or benchmark_of(scene.format)["protocol"], reconstruct, evaluate)
+        for scene in scenes
+        if not scene.trouble
+    ]
     for step in jobs[0].steps if jobs else ():
         check_words(step)
     return jobs
