@@ -26,11 +26,12 @@ def blocks(store: Store) -> Iterator[Block]:
             "times IRGS' rate ↑",
         )
         yield Table("In short: the balanced job, default settings", columns, rows)
-    better, worse = [], []
-    for text, ratio in _duels(store):
-        (better if ratio > CLOSE else worse).append(text)
-    if better:
-        yield Note("Faster than others: " + "; ".join(better) + ".")
+    raced: dict[str, list[tuple[float, str]]] = {}
+    for peer, where, ratio in _duels(store):
+        raced.setdefault(peer, []).append((ratio, where))
+    if raced:
+        yield Note("For the same, others take as many times as long: " + "; ".join(f"{p} {_range(r)}" for p, r in raced.items()) + ".")
+    worse = [f"{peer}, {where}, {ratio:.2g} times as long" for peer, r in raced.items() for ratio, where in r if ratio <= CLOSE]
     if worse:
         yield Note("Not faster than others: " + "; ".join(worse) + ".")
 
@@ -46,13 +47,18 @@ def _row(store: Store, scene: str) -> list[str | float | None]:
     return [scene, job.figure(scene, "balanced", "seconds"), *values, normals, *rates]
 
 
-def _duels(store: Store) -> Iterator[tuple[str, float]]:
-    """What was raced against what: a sentence, and how many times as long the other takes."""
+def _range(ratios: list[tuple[float, str]]) -> str:
+    low, high = (f"{ratio:.2g}" for ratio, _ in (min(ratios), max(ratios)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _duels(store: Store) -> Iterator[tuple[str, str, float]]:
+    """Who was raced against, over what, and how many times as long they take."""
     for record in Results(store, "peers").records(prefix="to our error"):
         for name, ratio in record.figures.items():
             if name.endswith(": times as long") and isinstance(ratio, float):
-                peer = name.removesuffix(": times as long")
-                yield f"{record.scene}, our error at {record.figures['samples']} samples: {peer} takes {ratio:.2g} times as long", ratio
+                where = f"{record.scene} to our error at {record.figures['samples']} samples"
+                yield name.removesuffix(": times as long"), where, ratio
     for record in Results(store, "kernels").records(prefix="by "):
         ratio = record.figures["their_ms"] / record.figures["ours_ms"]
-        yield f"rasteriser: {record.configuration.removeprefix('by ')} takes {ratio:.2g} times as long", ratio
+        yield f"rasteriser by {record.configuration.removeprefix('by ')}", "the same picture", ratio

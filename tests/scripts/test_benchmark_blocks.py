@@ -63,3 +63,14 @@ def test_the_slope_of_random_samples_is_told(shown):
     blocks = shown("relighting", {f"without denoiser, {n} samples": figures for n, figures in points.items()})
     table = next(t for t in blocks["Table"] if "slope (−0.5: Monte Carlo)" in t.columns)
     assert table.rows[0][table.columns.index("slope (−0.5: Monte Carlo)")] == pytest.approx(-0.5)
+
+
+def test_who_was_raced_against_is_told_in_a_sentence_and_who_was_faster_by_name(script, tmp_path):
+    store = script("benchmarks.store")
+    kept = store.Store(tmp_path)
+    for samples, ratio in ((4, 0.85), (16, 5.6)):
+        figures = {"samples": samples, "Other: times as long": ratio, "Slow: times as long": 3.0}
+        kept.add(store.Record("peers", "ball", f"to our error, {samples}", figures=figures))
+    every, worse = (block.text for block in script("benchmarks.summary").blocks(kept))
+    assert "Other 0.85 to 5.6; Slow 3." in every
+    assert worse == "Not faster than others: Other, ball to our error at 4 samples, 0.85 times as long."
