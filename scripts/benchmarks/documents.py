@@ -10,8 +10,8 @@ from types import ModuleType
 from irgspp.core.run_folder import write_atomic
 
 from . import charts, summary
-from .page import about, engines, shown
-from .section import Block, Chart, Note, Pictures, Table
+from .page import about, engines
+from .section import Block, Chart, Note, Pictures, Table, shown
 from .store import Results, Store
 
 BEGIN, END = "<!-- written by scripts/benchmark.py --write-docs -->", "<!-- end of what is written -->"

@@ -14,7 +14,7 @@ from irgspp.core.run_folder import write_atomic
 from PIL import Image
 
 from . import charts, summary
-from .section import Block, Chart, Note, Table
+from .section import Block, Chart, Note, Table, shown
 from .store import Results, Store
 
 LONGEST = 1600  # pixels of a picture that is shown
@@ -75,9 +75,9 @@ def engines(store: Store, section: ModuleType) -> str:
 
 
 def _chapter(store: Store, section: ModuleType, blocks: Sequence[Block]) -> str:
-    shown = "".join(_block(store.folder, block) for block in blocks)
+    content = "".join(_block(store.folder, block) for block in blocks)
     about = f"{section.ABOUT} {engines(store, section)}".strip()
-    return f"<h2 id='{section.NAME}'>{escape(section.TITLE)}</h2><p>{escape(about)}</p>{shown}"
+    return f"<h2 id='{section.NAME}'>{escape(section.TITLE)}</h2><p>{escape(about)}</p>{content}"
 
 
 def _failures(store: Store) -> str:
@@ -105,21 +105,6 @@ def _table(table: Table) -> str:
 
 def _cell(value: str | float | int | None) -> str:
     return f"<td class='text'>{escape(value)}</td>" if isinstance(value, str) else f"<td>{shown(value)}</td>"
-
-
-def shown(value: str | float | int | None) -> str:
-    """A cell's value as text: three or four digits that say something."""
-    if value is None:
-        return "–"
-    if isinstance(value, str):
-        return value
-    if isinstance(value, int):
-        return f"{value:,}"
-    size = abs(value)
-    if 0 < size < 1e-3:
-        return f"{value:.1e}"
-    digits = next(digits for least, digits in ((1000, 0), (100, 1), (1, 2), (0.01, 3), (0, 4)) if size >= least)
-    return f"{value:,.{digits}f}"
 
 
 def _figure(folder: Path, caption: str, file: str) -> str:

@@ -28,6 +28,7 @@ PREFIX = "inverse: "
 OURS, MITSUBA = "our second stage", "Mitsuba"
 TIMES = (1, 2, 4)  # as long as our second stage
 FIGURES = ("albedo_psnr", "roughness_mae", "metallic_mae", "environment_psnr", "nvs_psnr", "relight_psnr")
+UNITS = ("albedo dB ↑", "roughness error ↓", "metallic error ↓", "light dB ↑", "NVS dB ↑", "relit dB ↑")
 SHADED = 4  # test views that are shaded
 LAYER_SAMPLES, SHADED_SAMPLES = 16, 64
 PIXELS, SAMPLES, BOUNCES = 1024, 16, 1  # of an iteration; bounces of indirect light as our second stage has
@@ -199,7 +200,6 @@ def blocks(results: Results) -> Iterator[Block]:
         f"{SAMPLES} samples an iteration, {BOUNCES} bounce of indirect light, our BRDF, our loss. Its seconds are without compiling. New "
         f"views and relit ones are of {SHADED} test views, by each one's own renderer."
     )
-    units = ("albedo dB ↑", "roughness error ↓", "metallic error ↓", "light dB ↑", "NVS dB ↑", "relit dB ↑")
-    yield Table("Materials and light at equal time, the shape given", ["scene", "by", "seconds", "iterations", *units], rows)
+    yield Table("Materials and light at equal time, the shape given", ["scene", "by", "seconds", "iterations", *UNITS], rows)
     shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix=PREFIX)]
     yield Pictures("Albedo after the scale, and light", shown)

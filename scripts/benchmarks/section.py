@@ -113,3 +113,18 @@ class Pictures:
 
 
 Block = Note | Table | Chart | Pictures
+
+
+def shown(value: str | float | int | None) -> str:
+    """A cell's value as text: three or four digits that say something."""
+    if value is None:
+        return "–"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return f"{value:,}"
+    size = abs(value)
+    if 0 < size < 1e-3:
+        return f"{value:.1e}"
+    digits = next(digits for least, digits in ((1000, 0), (100, 1), (1, 2), (0.01, 3), (0, 4)) if size >= least)
+    return f"{value:,.{digits}f}"

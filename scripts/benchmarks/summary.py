@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from .section import Block, Note, Table
+from .peer_inverse import FIGURES, MITSUBA, OURS, PREFIX, UNITS
+from .section import Block, Note, Table, shown
 from .store import Results, Store
 
 CLOSE = 1.05  # ratios up to this count as even
@@ -34,6 +35,28 @@ def blocks(store: Store) -> Iterator[Block]:
     worse = [f"{peer}, {where}, {ratio:.2g} times as long" for peer, r in raced.items() for ratio, where in r if ratio <= CLOSE]
     if worse:
         yield Note("Not faster than others: " + "; ".join(worse) + ".")
+    yield from _inverse(store)
+
+
+def _inverse(store: Store) -> Iterator[Note]:
+    """How far Mitsuba's own inverse rendering came in the time of our second stage, and where it came further."""
+    pairs = []
+    for record in Results(store, "peers").records(prefix=f"{PREFIX}{MITSUBA}, 1 x"):
+        ours = Results(store, "peers").get(record.scene, f"{PREFIX}{OURS}")
+        if ours is not None:
+            pairs.append((record.scene, ours.figures, record.figures))
+    if not pairs:
+        return
+    relit = "; ".join(f"{scene} {a['relight_psnr']:.1f} and {b['relight_psnr']:.1f} dB" for scene, a, b in pairs)
+    yield Note(f"Relit after our second stage, and after as many seconds of Mitsuba's optimiser with our mesh: {relit}.")
+    worse = [
+        f"{unit.rstrip(' ↑↓')} of {scene}, {shown(a[name])} and {shown(b[name])}"
+        for scene, a, b in pairs
+        for name, unit in zip(FIGURES, UNITS, strict=True)
+        if name in a and name in b and (b[name] > a[name] if unit.endswith("↑") else b[name] < a[name])
+    ]
+    if worse:
+        yield Note(f"There Mitsuba's is better in: {'; '.join(worse)}.")
 
 
 def _row(store: Store, scene: str) -> list[str | float | None]:
@@ -48,7 +71,7 @@ def _row(store: Store, scene: str) -> list[str | float | None]:
 
 
 def _range(ratios: list[tuple[float, str]]) -> str:
-    low, high = (f"{ratio:.2g}" for ratio, _ in (min(ratios), max(ratios)))
+    low, high = (f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.2g}" for ratio, _ in (min(ratios), max(ratios)))
     return low if low == high else f"{low} to {high}"
 
 

@@ -3,7 +3,6 @@
 
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import bpy
+import browsing
 import hands
 
 MODULE = "bl_ext.user_default.irgspp"
@@ -28,11 +28,11 @@ def story() -> Iterator[float]:
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "result.blend"))
     for name in ("Cube", "Light"):
         bpy.data.objects.remove(bpy.data.objects[name])
-    open_panels("IRGSPP_PT_bake", "IRGSPP_PT_export", "IRGSPP_PT_relight_files")
+    browsing.open_panels("IRGSPP_PT_bake", "IRGSPP_PT_export", "IRGSPP_PT_relight_files")
     time_everything()
     bpy.context.preferences.addons[MODULE].preferences.engine_python = hands.ENGINE
     yield from hands.open_sidebar("IRGS++")
-    yield from press_button("irgspp.check_engine")
+    yield from browsing.press_button("irgspp.check_engine")
     yield from hands.wait(lambda: part("engine").status().state == "ok", 120)
     yield from open_run(run)
     yield from bake_again()
@@ -56,7 +56,7 @@ def time_everything() -> None:
 
 def demo_and_cancel() -> Iterator[float]:
     """The demonstration by its button, and out of it again."""
-    yield from press_button("irgspp.demo")
+    yield from browsing.press_button("irgspp.demo")
     yield 1.0
     hands.shot("59_demo_asked")
     yield from hands.wait(part("jobs").running, 30)
@@ -64,7 +64,7 @@ def demo_and_cancel() -> Iterator[float]:
     yield from hands.wait(lambda: job.finished or (job.phase == "reflective" and job.step), 120)
     yield 3.0
     hands.sidebar_shot("60_demo_running")
-    yield from press_button("irgspp.job_cancel", across=0.7)
+    yield from browsing.press_button("irgspp.job_cancel", across=0.7)
     yield from hands.wait(lambda: job.finished, 60)
     yield 1.5
     hands.sidebar_shot("61_demo_cancelled")
@@ -73,53 +73,11 @@ def demo_and_cancel() -> Iterator[float]:
 
 def open_run(run: Path) -> Iterator[float]:
     """File > Import > IRGS++ Run, and its file browser."""
-    yield from from_menu(45, "IRGS++ Run")
-    yield from confirm_files("35_open_run", directory=run)
+    yield from browsing.from_menu(45, "IRGS++ Run")
+    yield from browsing.confirm_files("35_open_run", directory=run)
     yield from hands.wait(lambda: any(thing.type == "MESH" for thing in bpy.context.scene.objects), 60)
-    yield from frame_selected()
+    yield from browsing.frame_selected()
     hands.shot("36_opened")
-
-
-def from_menu(x: float, entry: str) -> Iterator[float]:
-    """A click on a menu of the top bar, and its entry by the menu's own search."""
-    yield from hands.click_at(x, hands.window().height - 12)
-    hands.key("space")
-    yield 1.0
-    hands.write(entry)
-    yield 2.0
-    hands.shot(f"30_menu_{entry.split()[-1]}")
-    hands.key("Return")
-    yield 0.5
-
-
-def confirm_files(name: str, directory: Path | None = None, file: str = "") -> Iterator[float]:
-    """The file browser: a picture of it, then Return with the mouse over it."""
-    yield from hands.wait(file_area, 10)
-    yield 1.5
-    found = file_area()
-    assert found is not None, "the file browser is gone again"
-    window, area = found
-    params = area.spaces.active.params
-    if directory is not None:
-        params.directory = os.fsencode(str(directory))
-    if file:
-        params.filename = file
-    area.tag_redraw()
-    yield 1.5
-    hands.shot(name)
-    place = hands.region("EXECUTE", area)
-    with bpy.context.temp_override(window=window, area=area, region=place):
-        bpy.ops.file.execute("INVOKE_DEFAULT")
-    yield 1.0
-
-
-def file_area() -> tuple[bpy.types.Window, bpy.types.Area] | None:
-    """The open file browser."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "FILE_BROWSER":
-                return window, area
-    return None
 
 
 def bake_again() -> Iterator[float]:
@@ -127,7 +85,7 @@ def bake_again() -> Iterator[float]:
     bpy.context.scene.irgspp.texture_size = 512
     yield 1.0
     hands.sidebar_shot("37_bake_panel")
-    yield from press_button("irgspp.bake")
+    yield from browsing.press_button("irgspp.bake")
     yield from hands.wait(part("jobs").running, 30)
     job = part("jobs").running()[0]
     yield 1.5
@@ -141,14 +99,14 @@ def bake_again() -> Iterator[float]:
 def export(run: Path) -> Iterator[float]:
     """An asset and a .blend by their buttons."""
     hands.sidebar_shot("40_export_panel")
-    yield from reach("irgspp.export")
+    yield from browsing.reach("irgspp.export")
     for number, suffix in enumerate((".glb", ".blend")):
-        yield from reach("irgspp.export")
+        yield from browsing.reach("irgspp.export")
         if number:
-            yield from below()
+            yield from browsing.below()
         hands.click_here()
         yield 1.0
-        yield from confirm_files(f"41_export{suffix}", file=f"exported{suffix}")
+        yield from browsing.confirm_files(f"41_export{suffix}", file=f"exported{suffix}")
         yield from hands.wait((run / f"exported{suffix}").is_file, 120)
         yield from hands.wait(lambda: not part("jobs").unfinished(), 30)
         yield 1.5
@@ -156,17 +114,11 @@ def export(run: Path) -> Iterator[float]:
         assert (run / f"exported{suffix}").stat().st_size > 10_000
 
 
-def below() -> Iterator[float]:
-    """The mouse one button further down."""
-    subprocess.Popen(["xdotool", "mousemove_relative", "--", "0", "18", "sleep", "0.1", "mousemove_relative", "--", "0", "2"])
-    yield 0.5
-
-
 def relight_by_sky() -> Iterator[float]:
     """A Sky Texture, which another Blender renders; the preview comes in a window of its own."""
     bpy.context.scene.world, sky = sky_world()
-    yield from scrolled("scroll_down")
-    yield from press_button("irgspp.relight_preview")
+    yield from browsing.scrolled("scroll_down")
+    yield from browsing.press_button("irgspp.relight_preview")
     follower = part("relight_follow").follower_of(part("preview").CHANNEL)
     yield 2.0
     hands.sidebar_shot("44_sky_coming")
@@ -179,9 +131,9 @@ def relight_by_sky() -> Iterator[float]:
     yield from hands.wait(lambda: follower.done, 120)
     yield 1.0
     hands.shot("46_sky_turned")
-    yield from close_other_windows()
-    yield from scrolled("scroll_down")
-    yield from press_button("irgspp.relight_stop")
+    yield from browsing.close_other_windows()
+    yield from browsing.scrolled("scroll_down")
+    yield from browsing.press_button("irgspp.relight_stop")
 
 
 def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
@@ -200,12 +152,12 @@ def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
 def write_files(work: Path) -> Iterator[float]:
     """The World as a light map, and photographed views, relit."""
     hands.sidebar_shot("47_files_panel")
-    yield from press_button("irgspp.world_to_map")
-    yield from confirm_files("48_world_map", directory=work, file="sky.exr")
+    yield from browsing.press_button("irgspp.world_to_map")
+    yield from browsing.confirm_files("48_world_map", directory=work, file="sky.exr")
     yield from hands.wait(lambda: (work / "sky.exr").is_file(), 60)
     yield 1.0
     hands.shot("49_world_map_written")
-    yield from press_button("irgspp.render_views")
+    yield from browsing.press_button("irgspp.render_views")
     yield from hands.wait(part("jobs").running, 30)
     job = part("jobs").running()[0]
     yield from hands.wait(lambda: job.finished or job.step > 1, 200)
@@ -219,7 +171,7 @@ def write_files(work: Path) -> Iterator[float]:
 
 def render(work: Path) -> Iterator[float]:
     """IRGS++ as the scene's render engine: F12 to its end, and left by Esc."""
-    yield from press_button("wm.context_set_enum")
+    yield from browsing.press_button("wm.context_set_enum")
     assert bpy.context.scene.render.engine == "IRGSPP"
     scene = bpy.context.scene
     bpy.context.view_layer.objects.active = next(thing for thing in scene.objects if thing.type == "CAMERA" and thing.parent)
@@ -229,7 +181,7 @@ def render(work: Path) -> Iterator[float]:
     ends: list[str] = []
     bpy.app.handlers.render_complete.append(lambda *_: ends.append("complete"))
     bpy.app.handlers.render_cancel.append(lambda *_: ends.append("cancel"))
-    yield from from_menu(126, "Render Image")
+    yield from browsing.from_menu(126, "Render Image")
     yield 2.0
     hands.shot("52_f12_begun")
     yield from hands.wait(lambda: ends, 200)
@@ -239,8 +191,8 @@ def render(work: Path) -> Iterator[float]:
     bpy.data.images["Render Result"].save_render(str(hands.OUTPUT / "f12.png"))
     scene.irgspp.relight_samples = 4096
     ends.clear()
-    yield from close_other_windows()  # they have the keyboard
-    yield from from_menu(126, "Render Image")
+    yield from browsing.close_other_windows()  # they have the keyboard
+    yield from browsing.from_menu(126, "Render Image")
     yield 4.0
     hands.shot("54_f12_before_escape")
     hands.key("Escape")  # the render's window has the keyboard
@@ -249,7 +201,7 @@ def render(work: Path) -> Iterator[float]:
     hands.shot("55_f12_escaped")
     assert ends == ["cancel"], ends
     scene.irgspp.relight_samples = 32
-    yield from close_other_windows()
+    yield from browsing.close_other_windows()
 
 
 def rendered_shading() -> Iterator[float]:
@@ -271,61 +223,11 @@ def rendered_shading() -> Iterator[float]:
     hands.shot("58_rendered_turned")
 
 
-def close_other_windows() -> Iterator[float]:
-    for window in list(bpy.context.window_manager.windows)[1:]:
-        with bpy.context.temp_override(window=window):
-            bpy.ops.wm.window_close()
-    yield 1.0
-
-
 def ended(job) -> Iterator[float]:
     """Until a job has ended and the panels know."""
     yield from hands.wait(lambda: job.finished, 300)
     yield 1.5
     assert not (job.state == "failed" or (job.error and job.state == "done")), (job.state, job.error)
-
-
-def open_panels(*names: str) -> None:
-    """Let panels that are closed at first be open from their first drawing on."""
-    for name in names:
-        cls = getattr(bpy.types, name)
-        bpy.utils.unregister_class(cls)
-        cls.bl_options = set()
-        bpy.utils.register_class(cls)
-
-
-def reach(wanted: str, across: float = 0.4) -> Iterator[float]:
-    """Find a button wherever the sidebar has to be scrolled to."""
-    for scroll in ("", "scroll_down", "scroll_up"):
-        if scroll:
-            yield from scrolled(scroll)
-        try:
-            yield from hands.find(wanted, across=across)
-            return
-        except RuntimeError:
-            if scroll == "scroll_up":
-                raise
-
-
-def press_button(wanted: str, across: float = 0.4) -> Iterator[float]:
-    """A real click on a button wherever the sidebar has to be scrolled to."""
-    yield from reach(wanted, across)
-    hands.click_here()
-    yield 1.0
-
-
-def frame_selected() -> Iterator[float]:
-    with hands.override():
-        bpy.ops.view3d.view_selected()
-    yield 1.0
-
-
-def scrolled(way: str) -> Iterator[float]:
-    """The sidebar at its end ("scroll_down") or beginning."""
-    with hands.override("UI"):
-        for _ in range(60):
-            getattr(bpy.ops.view2d, way)()
-    yield 1.0
 
 
 hands.tell(story)

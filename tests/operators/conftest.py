@@ -1,4 +1,56 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender as a module, before any test imports it."""
+"""Blender as a module, before any test imports it; a relightable run, and a scene that shows it."""
 
-import blender_side  # noqa: F401
+from pathlib import Path
+
+import blender_side
+import bpy
+import pytest
+from irgspp.core.datasets.dataset import Bound
+from irgspp.core.relight.orbit import orbit
+from irgspp.core.scene.cameras import load_cameras
+from irgspp.irgspp_addon import registration, relight_follow
+from irgspp.irgspp_addon.cameras import set_lens
+from irgspp.irgspp_addon.scene_builder import import_run
+from irgspp.irgspp_addon.world import world_from_map
+from mathutils import Matrix
+from relighting import lamp
+
+
+@pytest.fixture(scope="session")
+def relightable(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of a sphere with Gaussians."""
+    folder = tmp_path_factory.mktemp("relit") / "ball"
+    blender_side.in_engine(Path(blender_side.__file__).with_name("relight_run.py"), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def warm():
+    """The extension's parts that relighting needs, registered; workers stay warm from test to test of a module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IRGSPP_PYTHON", blender_side.ENGINE)
+        bpy.ops.wm.read_homefile(use_empty=True)
+        registration.register()
+        yield
+        registration.unregister()
+
+
+@pytest.fixture
+def scene(warm, relightable, tmp_path):
+    """The sphere, seen by the camera of `irgspp render --orbit 1`, under a light with a lamp."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    import_run(relightable)
+    scene = bpy.context.scene
+    scene.world = world_from_map(blender_side.write_picture(tmp_path / "lamp.exr", lamp()))
+    ((_, camera),) = orbit(1, [placed.camera for placed in load_cameras(relightable / "cameras.json")], Bound((0, 0, 0), 1.3))
+    lens = bpy.data.cameras.new("eye")
+    set_lens(lens, camera)
+    scene.camera = bpy.data.objects.new("eye", lens)
+    scene.collection.objects.link(scene.camera)
+    scene.camera.matrix_world = Matrix(camera.to_world.tolist())
+    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.image_settings.color_mode = "RGBA"
+    yield scene
+    relight_follow.stop_all()

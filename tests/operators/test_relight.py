@@ -7,65 +7,21 @@ from math import pi
 import bpy
 import numpy as np
 import pytest
-from blender_side import read_picture, write_picture
-from irgspp.core.datasets.dataset import Bound
-from irgspp.core.relight.orbit import orbit
+from blender_side import read_picture
 from irgspp.core.scene.cameras import load_cameras
-from irgspp.irgspp_addon import preview, relight_follow, relight_session
-from irgspp.irgspp_addon.cameras import set_lens
+from irgspp.irgspp_addon import relight_session
 from irgspp.irgspp_addon.engine import engine_command, engine_environment
 from irgspp.irgspp_addon.run_frame import camera_of, frame_of, run_object, scene_camera
-from irgspp.irgspp_addon.scene_builder import import_run
-from irgspp.irgspp_addon.world import world_from_map
-from mathutils import Euler, Matrix
-from relighting import relightable, warm  # noqa: F401
-from sphere_run import axis_light, map_directions
+from mathutils import Matrix
+from relighting import difference, image_pixels, lamp, mapping
 
 TURN, MOVED = 50.0, 35.0  # degrees of the World's Mapping and of the object
-
-
-@pytest.fixture
-def scene(warm, relightable, tmp_path):  # noqa: F811
-    """The sphere, seen by the camera of `irgspp render --orbit 1`, under a light with a lamp."""
-    bpy.ops.wm.read_homefile(use_empty=True)
-    import_run(relightable)
-    scene = bpy.context.scene
-    scene.world = world_from_map(write_picture(tmp_path / "lamp.exr", lamp()))
-    ((_, camera),) = orbit(1, [placed.camera for placed in load_cameras(relightable / "cameras.json")], Bound((0, 0, 0), 1.3))
-    lens = bpy.data.cameras.new("eye")
-    set_lens(lens, camera)
-    scene.camera = bpy.data.objects.new("eye", lens)
-    scene.collection.objects.link(scene.camera)
-    scene.camera.matrix_world = Matrix(camera.to_world.tolist())
-    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    scene.render.image_settings.color_mode = "RGBA"
-    yield scene
-    relight_follow.stop_all()
-
-
-def lamp() -> np.ndarray:
-    """The smooth light with something bright to one side: what is turned wrongly is seen."""
-    directions = map_directions(64, 128)
-    return (axis_light(64) + 8 * np.clip(directions @ np.array([0.6, -0.64, 0.48]), 0, 1)[..., None] ** 40).astype(np.float32)
-
-
-def mapping(scene):
-    return next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeMapping")
 
 
 def previewed(run, **options) -> np.ndarray:
     words = {"run": str(run), "eye": "camera", "samples": 64, "resolution": 64, **options}
     assert bpy.ops.irgspp.relight_preview(**words) == {"FINISHED"}
     return image_pixels()
-
-
-def image_pixels() -> np.ndarray:
-    image = bpy.data.images[preview.IMAGE]
-    width, height = image.size
-    pixels = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.reshape(height, width, 4)[::-1]
 
 
 def rendered(scene, tmp_path, name="f12") -> np.ndarray:
@@ -83,11 +39,6 @@ def by_command(run, tmp_path, light, *options) -> np.ndarray:
     return read_picture(tmp_path / "views" / "orbit_000" / "rgba_x.exr", 4)
 
 
-def difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean difference, relative to the mean."""
-    return float(np.abs(a - b).mean() / b.mean())
-
-
 def move(run) -> None:
     """Turn, shrink and shift the object and the camera with it, so that the view stays the same but for the light."""
     step = Matrix.Translation((3, -2, 1)) @ Matrix.Rotation(np.radians(MOVED), 4, "Z") @ Matrix.Scale(0.4, 4)
@@ -99,7 +50,7 @@ def move(run) -> None:
     bpy.context.view_layer.update()
 
 
-def test_a_preview_is_what_the_command_renders(scene, relightable, tmp_path):  # noqa: F811
+def test_a_preview_is_what_the_command_renders(scene, relightable, tmp_path):
     """A rotated World and a moved object are, for the command, a turned light."""
     light, mesh = tmp_path / "lamp.exr", ("--backend", "mesh")
     before = previewed(relightable)
@@ -112,7 +63,7 @@ def test_a_preview_is_what_the_command_renders(scene, relightable, tmp_path):  #
     assert min(difference(before, turned), difference(turned, moved)) > 0.05
 
 
-def test_views_are_rendered_under_the_world(scene, relightable, tmp_path):  # noqa: F811
+def test_views_are_rendered_under_the_world(scene, relightable, tmp_path):
     mapping(scene).inputs["Rotation"].default_value = (0.4, 0.2, 1.0)
     move(relightable)
     out = tmp_path / "out"
@@ -125,7 +76,7 @@ def test_views_are_rendered_under_the_world(scene, relightable, tmp_path):  # no
         bpy.ops.irgspp.render_views(**words | {"views": str(tmp_path / "no-such")})
 
 
-def test_f12_is_the_preview(scene, relightable, tmp_path):  # noqa: F811
+def test_f12_is_the_preview(scene, relightable, tmp_path):
     scene.irgspp.relight_samples = 64
     scene.render.film_transparent = True
     shown = previewed(relightable)
@@ -141,7 +92,7 @@ def test_f12_is_the_preview(scene, relightable, tmp_path):  # noqa: F811
     assert np.allclose(opaque[behind, :3], plain_light(scene.world).radiance(camera.rays())[behind], rtol=1e-3, atol=1e-3)
 
 
-def test_border_percentage_and_pixel_aspect(scene, relightable, tmp_path):  # noqa: F811
+def test_border_percentage_and_pixel_aspect(scene, relightable, tmp_path):
     scene.irgspp.relight_samples = 16
     scene.render.film_transparent = True
     whole = rendered(scene, tmp_path)
@@ -168,7 +119,7 @@ def test_border_percentage_and_pixel_aspect(scene, relightable, tmp_path):  # no
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_cameras_come_back_as_they_were(scene, relightable, index):  # noqa: F811
+def test_cameras_come_back_as_they_were(scene, relightable, index):
     """Intrinsics through Blender's own projection, pixels of any shape, and through the frame of a moved object."""
     from irgspp.irgspp_addon.cameras import look_through
 
@@ -185,7 +136,7 @@ def test_cameras_come_back_as_they_were(scene, relightable, index):  # noqa: F81
     assert np.allclose(found.to_world, expected.to_world, atol=1e-4)
 
 
-def test_parallel_projection_is_seen_from_far_away(scene, relightable):  # noqa: F811
+def test_parallel_projection_is_seen_from_far_away(scene, relightable):
     scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 4.0
     frame = frame_of(run_object(scene, relightable))
     camera = scene_camera(scene, bpy.context.evaluated_depsgraph_get(), 80, 60, frame)
@@ -196,84 +147,7 @@ def test_parallel_projection_is_seen_from_far_away(scene, relightable):  # noqa:
     assert np.allclose(same.to_world, camera.to_world)
 
 
-def follow_until(what, seconds=300.0):
-    import time
-
-    end = time.monotonic() + seconds
-    while not what():
-        relight_follow.beat()
-        time.sleep(0.01)
-        assert time.monotonic() < end, preview.preview_message()
-
-
-def started(scene, run, **how):
-    return preview.start_preview(scene, run, {"samples": 16, "use_world": True, **how}, 64)
-
-
-def test_the_preview_follows_world_camera_object_and_albedo(scene, relightable):  # noqa: F811
-    follower = started(scene, relightable)
-    follow_until(lambda: follower.done)
-    seen = [image_pixels()]
-
-    def changed() -> None:
-        bpy.context.view_layer.update()
-        relight_follow.beat()
-        assert not follower.done
-        follow_until(lambda: follower.done)
-        seen.append(image_pixels())
-        assert difference(seen[-1], seen[-2]) > 0.005
-
-    mapping(scene).inputs["Rotation"].default_value = (0, 0, 2.0)
-    changed()
-    scene.camera.location.z += 0.5
-    changed()
-    run_object(scene, relightable).rotation_euler = Euler((0.5, 0, pi / 2))
-    changed()
-    run_object(scene, relightable)["irgspp_albedo_scale"] = (0.5, 1.0, 1.0)
-    changed()
-    relight_follow.beat()
-    assert follower.done  # nothing changed, nothing is asked
-    assert bpy.ops.irgspp.relight_stop() == {"FINISHED"}
-    assert not preview.preview_running()
-
-
-def test_a_rendered_world_comes_later_and_the_former_light_stays_meanwhile(scene, relightable):  # noqa: F811
-    follower = started(scene, relightable)
-    follow_until(lambda: follower.done)
-    before = image_pixels()
-    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
-    background = next(node for node in nodes if node.bl_idname == "ShaderNodeBackground")
-    value = nodes.new("ShaderNodeValue")
-    value.outputs[0].default_value = 0.25
-    links.new(value.outputs[0], background.inputs["Strength"])
-    bpy.context.view_layer.update()
-    follow_until(lambda: image_pixels()[..., :3].sum() < 0.5 * before[..., :3].sum() and follower.done, 120)
-    assert difference(image_pixels()[..., :3] * 4, before[..., :3]) < 0.01
-
-
-def test_troubles_are_said_in_words(scene, relightable, tmp_path):  # noqa: F811
-    follower = started(scene, relightable)
-    texture = next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeTexEnvironment")
-    image, texture.image = texture.image, None
-    bpy.context.view_layer.update()
-    follow_until(lambda: "has no image" in follower.message)
-    assert not follower.ended
-    texture.image = image  # mended: it goes on
-    bpy.context.view_layer.update()
-    follow_until(lambda: follower.done and not follower.failed)
-    run_object(scene, relightable).scale = (1, 2, 1)
-    bpy.context.view_layer.update()
-    follow_until(lambda: "stretched" in follower.message)
-    run_object(scene, relightable).scale = (1, 1, 1)
-    bpy.data.objects.remove(run_object(scene, relightable))
-    follow_until(lambda: follower.ended)
-    assert "deleted" in follower.message and not preview.preview_running()
-    scene.render.engine = "IRGSPP"
-    with pytest.raises(RuntimeError, match=r"no reconstructed object|no object of the run"):
-        bpy.ops.render.render()
-
-
-def test_scripts_get_exceptions(scene, relightable, tmp_path, monkeypatch):  # noqa: F811
+def test_scripts_get_exceptions(scene, relightable, tmp_path, monkeypatch):
     ask = {"run": str(relightable), "eye": "camera"}
     with pytest.raises(RuntimeError, match="not a finished run"):
         bpy.ops.irgspp.relight_preview(run=str(tmp_path))
@@ -304,18 +178,6 @@ def test_scripts_get_exceptions(scene, relightable, tmp_path, monkeypatch):  # n
         bpy.ops.irgspp.relight_preview(**ask)
     with pytest.raises(RuntimeError, match="/no/such/python"):
         bpy.ops.render.render()
-
-
-def test_a_worker_that_dies_ends_the_preview_and_the_next_one_has_another(scene, relightable):  # noqa: F811
-    follower = started(scene, relightable)
-    follow_until(lambda: follower.done)
-    session = relight_session.session_of(relightable)
-    session._worker.kill()
-    session._worker.wait()
-    mapping(scene).inputs["Rotation"].default_value = (0, 0, 1.0)
-    again = started(scene, relightable)
-    follow_until(lambda: again.done)
-    assert relight_session.session_of(relightable) is not session
 
 
 def test_the_world_as_a_light_map(scene, tmp_path):

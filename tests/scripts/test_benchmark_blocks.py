@@ -74,3 +74,14 @@ def test_who_was_raced_against_is_told_in_a_sentence_and_who_was_faster_by_name(
     every, worse = (block.text for block in script("benchmarks.summary").blocks(kept))
     assert "Other 0.85 to 5.6; Slow 3." in every
     assert worse == "Not faster than others: Other, ball to our error at 4 samples, 0.85 times as long."
+
+
+def test_what_another_optimiser_does_better_in_the_same_time_is_told(script, tmp_path):
+    store = script("benchmarks.store")
+    kept = store.Store(tmp_path)
+    figures = {"relight_psnr": 30.0, "environment_psnr": 14.0, "roughness_mae": 0.2}
+    kept.add(store.Record("peers", "ball", "inverse: our second stage", figures=figures))
+    kept.add(store.Record("peers", "ball", "inverse: Mitsuba, 1 x", figures={**figures, "relight_psnr": 25.0, "environment_psnr": 17.0}))
+    relit, worse = (block.text for block in script("benchmarks.summary").blocks(kept))
+    assert relit.endswith("ball 30.0 and 25.0 dB.")
+    assert worse == "There Mitsuba's is better in: light dB of ball, 14.00 and 17.00."

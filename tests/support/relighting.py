@@ -1,31 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A relightable run, and the extension registered with an engine, for tests in Blender's process."""
+"""A light in which every turn is seen, and the preview's picture, for tests of relighting in Blender's process."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import blender_side
-import pytest
-
-
-@pytest.fixture(scope="session")
-def relightable(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run of a sphere with Gaussians."""
-    folder = tmp_path_factory.mktemp("relit") / "ball"
-    blender_side.in_engine(Path(__file__).with_name("relight_run.py"), folder)
-    return folder
+import blender_side  # noqa: F401
+import bpy
+import numpy as np
+from irgspp.irgspp_addon import preview
+from sphere_run import axis_light, map_directions
 
 
-@pytest.fixture(scope="module")
-def warm():
-    """The extension's parts that relighting needs, registered; workers stay warm from test to test of a module."""
-    import bpy
-    from irgspp.irgspp_addon import registration
+def lamp() -> np.ndarray:
+    """The smooth light with something bright to one side: what is turned wrongly is seen."""
+    directions = map_directions(64, 128)
+    return (axis_light(64) + 8 * np.clip(directions @ np.array([0.6, -0.64, 0.48]), 0, 1)[..., None] ** 40).astype(np.float32)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("IRGSPP_PYTHON", blender_side.ENGINE)
-        bpy.ops.wm.read_homefile(use_empty=True)
-        registration.register()
-        yield
-        registration.unregister()
+
+def mapping(scene):
+    return next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeMapping")
+
+
+def image_pixels() -> np.ndarray:
+    image = bpy.data.images[preview.IMAGE]
+    width, height = image.size
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(height, width, 4)[::-1]
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Mean difference, relative to the mean."""
+    return float(np.abs(a - b).mean() / b.mean())

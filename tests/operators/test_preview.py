@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The preview follows what it shows, says what is wrong, and outlives its worker."""
+
+import time
+from math import pi
+
+import bpy
+import pytest
+from irgspp.irgspp_addon import preview, relight_follow, relight_session
+from irgspp.irgspp_addon.run_frame import run_object
+from mathutils import Euler
+from relighting import difference, image_pixels, mapping
+
+
+def follow_until(what, seconds=300.0):
+    end = time.monotonic() + seconds
+    while not what():
+        relight_follow.beat()
+        time.sleep(0.01)
+        assert time.monotonic() < end, preview.preview_message()
+
+
+def started(scene, run, **how):
+    return preview.start_preview(scene, run, {"samples": 16, "use_world": True, **how}, 64)
+
+
+def test_the_preview_follows_world_camera_object_and_albedo(scene, relightable):
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    seen = [image_pixels()]
+
+    def changed() -> None:
+        bpy.context.view_layer.update()
+        relight_follow.beat()
+        assert not follower.done
+        follow_until(lambda: follower.done)
+        seen.append(image_pixels())
+        assert difference(seen[-1], seen[-2]) > 0.005
+
+    mapping(scene).inputs["Rotation"].default_value = (0, 0, 2.0)
+    changed()
+    scene.camera.location.z += 0.5
+    changed()
+    run_object(scene, relightable).rotation_euler = Euler((0.5, 0, pi / 2))
+    changed()
+    run_object(scene, relightable)["irgspp_albedo_scale"] = (0.5, 1.0, 1.0)
+    changed()
+    relight_follow.beat()
+    assert follower.done  # nothing changed, nothing is asked
+    assert bpy.ops.irgspp.relight_stop() == {"FINISHED"}
+    assert not preview.preview_running()
+
+
+def test_a_rendered_world_comes_later_and_the_former_light_stays_meanwhile(scene, relightable):
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    before = image_pixels()
+    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
+    background = next(node for node in nodes if node.bl_idname == "ShaderNodeBackground")
+    value = nodes.new("ShaderNodeValue")
+    value.outputs[0].default_value = 0.25
+    links.new(value.outputs[0], background.inputs["Strength"])
+    bpy.context.view_layer.update()
+    follow_until(lambda: image_pixels()[..., :3].sum() < 0.5 * before[..., :3].sum() and follower.done, 120)
+    assert difference(image_pixels()[..., :3] * 4, before[..., :3]) < 0.01
+
+
+def test_troubles_are_said_in_words(scene, relightable, tmp_path):
+    follower = started(scene, relightable)
+    texture = next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeTexEnvironment")
+    image, texture.image = texture.image, None
+    bpy.context.view_layer.update()
+    follow_until(lambda: "has no image" in follower.message)
+    assert not follower.ended
+    texture.image = image  # mended: it goes on
+    bpy.context.view_layer.update()
+    follow_until(lambda: follower.done and not follower.failed)
+    run_object(scene, relightable).scale = (1, 2, 1)
+    bpy.context.view_layer.update()
+    follow_until(lambda: "stretched" in follower.message)
+    run_object(scene, relightable).scale = (1, 1, 1)
+    bpy.data.objects.remove(run_object(scene, relightable))
+    follow_until(lambda: follower.ended)
+    assert "deleted" in follower.message and not preview.preview_running()
+    scene.render.engine = "IRGSPP"
+    with pytest.raises(RuntimeError, match=r"no reconstructed object|no object of the run"):
+        bpy.ops.render.render()
+
+
+def test_a_worker_that_dies_ends_the_preview_and_the_next_one_has_another(scene, relightable):
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    session = relight_session.session_of(relightable)
+    session._worker.kill()
+    session._worker.wait()
+    mapping(scene).inputs["Rotation"].default_value = (0, 0, 1.0)
+    again = started(scene, relightable)
+    follow_until(lambda: again.done)
+    assert relight_session.session_of(relightable) is not session
