@@ -29,6 +29,10 @@ BOUNCES = 12  # as Cycles
 PROBE = "import mitsuba as mi; mi.set_variant('{}'); mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy(); print(mi.__version__)"
 
 
+class Crashed(IrgsppError):
+    """A signal ended the process that Mitsuba ran in."""
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A picture, (H, W, 4) linear premultiplied, of so many samples, and the seconds it took with the scene loaded; CPU: of all threads."""
@@ -130,15 +134,20 @@ def pictures(
 
 
 def ask(module: str, request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What a module of this package answers in a process of its own, and the arrays it leaves. Raises IrgsppError where it fails."""
+    """What a module of this package answers in a process of its own, and the arrays it leaves.
+
+    Raises IrgsppError where it fails, Crashed where its process did.
+    """
     with tempfile.TemporaryDirectory(prefix="irgspp-mitsuba-") as name:
         folder = Path(name)
         about = {"variant": variant()[0], "threads": thread_count(), **request}
         (folder / "request.json").write_text(json.dumps(about), encoding="utf-8")
         np.savez(folder / "arrays.npz", **arrays, body=_body())
-        command = [sys.executable, "-X", "faulthandler", "-m", f"{__package__}.{module}", str(folder)]
+        command = [sys.executable, "-m", f"{__package__}.{module}", str(folder)]
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
         child = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
+        if child.returncode < 0:
+            raise Crashed(f"{module} was ended by signal {-child.returncode}")
         if child.returncode:
             said = (child.stderr.strip().splitlines() or ["no message"])[-1]
             raise IrgsppError(f"{module} ended with status {child.returncode}: {said}")

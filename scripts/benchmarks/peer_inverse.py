@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from irgspp.core.colour import decode_srgb, encode_srgb
@@ -35,6 +37,7 @@ PIXELS, SAMPLES, BOUNCES = 1024, 16, 1  # of an iteration; bounces of indirect l
 ROWS = 32  # of the light map
 RATES = {"vertex_albedo": 0.03, "vertex_roughness": 0.01, "vertex_metallic": 0.01, "light": 0.1}
 ROUGHNESS = 0.5  # of the start
+SEEDS = (0, 1, 2)
 NAMES = ("origin", "corner", "right", "down")  # of a view's rays
 SURE, SATURATED = 0.99, 254.5 / 255
 
@@ -49,7 +52,7 @@ class State:
     light: np.ndarray
 
 
-def descend(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[float], seed: int = 0, **changes) -> list[State]:
+def descend(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[float], **changes) -> list[State]:
     """States after each of the budgets in seconds. metal: what the first stage takes the object for, where it starts."""
     thing = mitsuba_peer.welded(run)
     count = len(thing["vertices"])
@@ -61,9 +64,20 @@ def descend(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[flo
         "vertex_metallic": np.full(count, float(metal), np.float32),
         "light": np.full((ROWS, 2 * ROWS, 3), 2 * mean, np.float32),
     }
-    request = {"pixels": PIXELS, "samples": SAMPLES, "bounces": BOUNCES, "rates": RATES, "light_smoothness": 5e-4, "seed": seed}
-    answer, found = mitsuba_peer.ask("mitsuba_inverse", {**request, "budgets": list(budgets), **changes}, {**thing, **pixels, **start})
+    request = {"pixels": PIXELS, "samples": SAMPLES, "bounces": BOUNCES, "rates": RATES, "light_smoothness": 5e-4}
+    answer, found = _survived(request | {"budgets": list(budgets), **changes}, {**thing, **pixels, **start})
     return [_state(i, about, found) for i, about in enumerate(answer["states"])]
+
+
+def _survived(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The answer with the first of SEEDS that it comes to; raises Crashed where none does.
+
+    Mitsuba crashes now and then after some hundred updates of a scene (its issues 642 and 662); other pixels, and it goes on.
+    """
+    for seed in SEEDS[:-1]:
+        with contextlib.suppress(mitsuba_peer.Crashed):
+            return mitsuba_peer.ask("mitsuba_inverse", {**request, "seed": seed}, arrays)
+    return mitsuba_peer.ask("mitsuba_inverse", {**request, "seed": SEEDS[-1]}, arrays)
 
 
 def _state(number: int, about: dict[str, float], found: dict[str, np.ndarray]) -> State:

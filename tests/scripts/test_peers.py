@@ -96,3 +96,21 @@ def test_time_to_an_error_and_error_at_a_time(load):
     assert duel.times_as_long(ours[0], relighting.MITSUBA) == pytest.approx(1.0)
     assert duel.times_as_long(ours[0], relighting.MITSUBA, "cpu_seconds") == pytest.approx(0.5)
     assert duel.at_our_time(ours[0], relighting.CYCLES) is None
+
+
+def test_another_seed_where_mitsuba_crashes(load, monkeypatch):
+    inverse, peer = load("peer_inverse"), load("mitsuba_peer")
+    asked = []
+
+    def ask(module, request, arrays):
+        asked.append(request["seed"])
+        if request["seed"] < survives:
+            raise peer.Crashed(module)
+        return {"states": []}, {}
+
+    monkeypatch.setattr(peer, "ask", ask)
+    survives = inverse.SEEDS[-1]
+    assert inverse._survived({"budgets": [1.0]}, {}) == ({"states": []}, {}) and asked == list(inverse.SEEDS)
+    survives += 1
+    with pytest.raises(peer.Crashed):
+        inverse._survived({"budgets": [1.0]}, {})
