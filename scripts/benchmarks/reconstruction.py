@@ -36,6 +36,7 @@ COLUMNS = {
     "roughness_mae": "roughness ↓",
     "metallic_mae": "metallic ↓",
 }
+NOTICED = 0.1  # dB
 IRGS = ("transport.sampling=stratified", "transport.samples=512")
 # What one part brings: title, then the configurations that are set side by side.
 PARTS = {
@@ -153,6 +154,9 @@ def blocks(results: Results) -> Iterator[Block]:
     rows = [_row(results, scene, c) for scene in scenes for c in _configurations(results, scene) if " min" in c or c in PRESETS]
     if rows:
         yield Table("Presets, and what a time budget gives", ["scene, configuration", "seconds ↓", *COLUMNS.values()], rows)
+    spoilt = [text for scene in timed for preset in PRESETS if (text := _spoilt(results, scene, preset))]
+    if spoilt:
+        yield Note(f"More time than did good: {'; '.join(spoilt)}.")
     for title, configurations in PARTS.items():
         rows = [
             _row(results, scene, c)
@@ -165,6 +169,19 @@ def blocks(results: Results) -> Iterator[Block]:
     yield Note("The paper: 25.08 dB relit with 2DGRT in training, 24.25 dB without. First stage alone: relit through its own Gaussians.")
     yield from _headline_blocks(results)
     yield from _phase_table(results)
+
+
+def _spoilt(results: Results, scene: str, preset: str) -> str:
+    """Where the longest budget relights worse than a shorter one: what it lost on the best."""
+    found = sorted(
+        (r.figures["seconds"], r.figures["relight_psnr"]) for r in results.records(scene, f"{preset}, ") if "relight_psnr" in r.figures
+    )
+    if not found:
+        return ""
+    (seconds, best), (longest, last) = max(found, key=lambda point: point[1]), found[-1]
+    if best - last < NOTICED:
+        return ""
+    return f"{scene}, {preset}: {best - last:.1f} dB relit lost from {seconds:.0f} to {longest:.0f} s"
 
 
 def _configurations(results: Results, scene: str) -> list[str]:

@@ -58,6 +58,17 @@ def test_time_budgets_are_curves_beside_the_presets(shown):
     assert [row[:3] for row in parts.rows] == [["ball, balanced", 110.0, 30.0], ["ball, without indirect light", 100.0, 29.0]]
 
 
+def test_time_that_made_it_worse_is_told(shown):
+    runs = {1: 30.0, 2: 31.0, 4: 30.5}
+    records = {f"balanced, {m} min": {"seconds": 60.0 * m, "relight_psnr": psnr, "cpu_seconds": 1.0} for m, psnr in runs.items()}
+    records |= {f"draft, {m} min": {"seconds": 60.0 * m, "relight_psnr": 30.0 + m, "cpu_seconds": 1.0} for m in runs}
+    presets = {
+        preset: {"seconds": 50.0, "relight_psnr": 30.0, "peak_memory_bytes": 1, "cpu_seconds": 1.0} for preset in ("balanced", "draft")
+    }
+    told = [note.text for note in shown("reconstruction", records | presets)["Note"] if "good" in note.text]
+    assert told == ["More time than did good: ball, balanced: 0.5 dB relit lost from 120 to 240 s."]
+
+
 def test_the_slope_of_random_samples_is_told(shown):
     points = {n: {"samples": n, "rms_error": n**-0.5, "converged_psnr": 30.0, "seconds": 0.1, "true_psnr": 20.0} for n in (16, 64, 256)}
     blocks = shown("relighting", {f"without denoiser, {n} samples": figures for n, figures in points.items()})
