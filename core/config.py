@@ -112,7 +112,7 @@ class Settings:
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     device: Literal["auto", "cpu", "cuda", "warp-cpu"] = "auto"  # the last is for tests: the GPU's kernels on the CPU, slowly
     materials: Literal["auto", "low-gloss", "glossy"] = "auto"
-    time: Annotated[float | None, Range(1)] = None  # seconds the job may take; schedules are made as long or short as that allows
+    time: Annotated[float | None, Range(1)] = None  # seconds the job may take; schedules are as short as that asks, or as long as helps
     data: DataSettings = field(default_factory=DataSettings)
     reflective: ReflectiveSettings = field(default_factory=ReflectiveSettings)
     transport: TransportSettings = field(default_factory=TransportSettings)

@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--materials", choices=("auto", "low-gloss", "glossy"), help="what the object is made of")
     one.add_argument("--device", choices=("auto", "cpu", "cuda"))
     one.add_argument("--seed", type=int, metavar="N", help="of every random choice (default: 0)")
-    budget = "seconds, minutes or hours the job may take: 90s, 5m, 1h; roughly: schedules become as long or short as that allows"
+    budget = "seconds, minutes or hours the job may take: 90s, 5m, 1h; roughly: schedules are as short as that asks, or as long as helps"
     one.add_argument("--time", type=_seconds, metavar="5m", help=budget)
     _resume_options(one)
     one.add_argument("--overwrite", action="store_true", help="replace the run in the folder")

@@ -19,7 +19,10 @@ REST, REST_GLOSSY = 1000, 750  # what the phases of fixed length cost, in steps 
 SECOND = 400  # the same of the second stage's schedules at the preset's own length
 FUSED = 2.5  # what follows the second stage takes so many times as long as fusing the surface did
 RADIANCE, RADIANCE_GLOSSY = 1.2, 2.3  # a step that fits the radiance, in steps of the refinement
-SLOWEST, FASTEST = 10.0, 0.1  # times the preset's own schedules
+SHORTEST = 0.1  # times the preset's own schedules
+# Longer ones were seen to fit the photographs' noise: normals, albedo and relit pictures get worse again.
+FIRST_LONGEST = 4500  # steps, unless the preset has more
+SECOND_LONGEST = 5.0  # times the preset's
 
 
 def seconds_a_step(step: Callable[[], object], steps: int = MEASURED) -> float:
@@ -40,13 +43,18 @@ def first_pace(iterations: int, seconds: float, glossy: bool, step: float) -> fl
     """
     rest = (REST_GLOSSY if glossy else REST) * step
     preset = (GROWTH * iterations + SECOND) * step
-    return min(max((seconds - rest) / preset, FASTEST), SLOWEST)
+    return min(max((seconds - rest) / preset, SHORTEST), first_longest(iterations))
+
+
+def first_longest(iterations: int) -> float:
+    """The most that `first_pace` gives a preset of so many iterations, whatever the time."""
+    return max(1.0, FIRST_LONGEST / iterations)
 
 
 def second_pace(settings: TransportSettings, seconds: float, glossy: bool, step: float) -> float:
     """Times the preset's schedules of the second stage that so many seconds pay for, where a step of the refinement takes `step`."""
     preset = step * (settings.iterations + (RADIANCE_GLOSSY if glossy else RADIANCE) * settings.radiance_iterations)
-    return min(max(seconds / preset, FASTEST), SLOWEST) if preset > 0 else 1.0
+    return min(max(seconds / preset, SHORTEST), SECOND_LONGEST) if preset > 0 else 1.0
 
 
 def times(pace: float, iterations: int) -> int:

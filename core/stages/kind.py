@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 from .optimizer import Rate
 
+MOVES = ("position", "quaternion", "log_scale")  # where disks are
+
 
 @dataclass(frozen=True)
 class Kind:

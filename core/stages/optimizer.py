@@ -26,6 +26,10 @@ class Rate:
         """The rate at progress 0..1."""
         return self.start * self.final**progress
 
+    def times(self, factor: float) -> Rate:
+        """The rate so many times as fast all along."""
+        return Rate(factor * self.start, self.final)
+
 
 class GaussianOptimizer:
     """Adam (eps 1e-15) with a rate per group; groups that share a tensor (SH dc and rest) step on views of it.

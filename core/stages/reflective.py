@@ -11,7 +11,7 @@ import torch
 from ..config import Settings
 from ..datasets.dataset import Dataset
 from ..kernels.backend import incomplete_pictures, wait_for
-from ..pace import first_pace, seconds_a_step, times
+from ..pace import first_longest, first_pace, seconds_a_step, times
 from ..progress import Checkpoint, Progress, Silent
 from ..scene.reconstruction import Reconstruction
 from ..skipping import decide
@@ -84,4 +84,5 @@ def _set_pace(trainer: Trainer, ends: float, progress: Progress) -> None:
     left, iterations = ends - time.monotonic(), trainer.settings.iterations
     pace = first_pace(iterations, left, trainer.kind.glossy, step)
     trainer.paced(times(pace, iterations))
-    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the first stage is {pace:.2f} times the preset's")
+    longest = ", the most that helps" if pace == first_longest(iterations) else ""
+    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the first stage is {pace:.2f} times the preset's{longest}")

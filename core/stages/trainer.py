@@ -22,7 +22,7 @@ from ..scene.gaussians import Gaussians
 from .deferred import composite, radiance
 from .density import DensityControl, reset_opacity
 from .finite import due
-from .kind import Kind
+from .kind import MOVES, Kind
 from .losses import normal_consistency
 from .optimizer import GaussianOptimizer, Rate
 from .preview import LONGEST, eight_bits
@@ -73,6 +73,7 @@ class Trainer:
         material = torch.logit(gaussians.position.new_tensor(kind.material))
         gaussians = replace(gaussians, material=material[:, None].repeat(1, gaussians.count))
         self.optimizer = GaussianOptimizer(gaussians, table, others)
+        self._rates, self._set_iterations = table, settings.iterations
         self._start = gaussians.count
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order, self._loss = 0, torch.zeros(0, dtype=torch.long), math.nan
@@ -164,7 +165,13 @@ class Trainer:
         return eight_bits(rendered.permute(1, 2, 0).cpu().numpy())
 
     def paced(self, iterations: int) -> None:
-        """Go on with a schedule of another length."""
+        """Go on with a schedule of another length.
+
+        The gradients' noise moves disks by their rate times the root of the steps: they go the slower the longer the schedule is, so that
+        it scatters them no more than the one that was set.
+        """
+        slower = math.sqrt(min(1.0, self._set_iterations / iterations))
+        self.optimizer.rates = {name: rate.times(slower) if name in MOVES else rate for name, rate in self._rates.items()}
         self.settings = replace(self.settings, iterations=iterations)
 
     def run(self, progress: Progress, checkpoint: Checkpoint | None) -> None:

@@ -16,7 +16,7 @@ from ..datasets.camera import Camera
 from ..datasets.dataset import Dataset
 from ..errors import Cancelled, IrgsppError
 from ..kernels.backend import wait_for
-from ..pace import second_pace, seconds_a_step, times
+from ..pace import SECOND_LONGEST, second_pace, seconds_a_step, times
 from ..progress import Progress
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
@@ -120,7 +120,8 @@ def _set_pace(refinement: Refinement, ends: float, progress: Progress) -> float:
     pace = second_pace(refinement.settings, left, refinement.start.glossy, step)
     refinement.paced(times(pace, iterations))
     progress.phase("refine", refinement.settings.iterations)
-    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the second stage is {pace:.2f} times the preset's")
+    longest = ", the most that helps" if pace == SECOND_LONGEST else ""
+    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the second stage is {pace:.2f} times the preset's{longest}")
     return pace
 
 

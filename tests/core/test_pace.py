@@ -6,14 +6,15 @@ from dataclasses import replace
 import pytest
 from irgspp.core.config import preset
 from irgspp.core.pace import (
-    FASTEST,
+    FIRST_LONGEST,
     GROWTH,
     RADIANCE,
     RADIANCE_GLOSSY,
     REST,
     REST_GLOSSY,
     SECOND,
-    SLOWEST,
+    SECOND_LONGEST,
+    SHORTEST,
     first_pace,
     second_pace,
     seconds_a_step,
@@ -23,7 +24,7 @@ from irgspp.core.pace import (
 SETTINGS = preset("balanced")
 
 
-@pytest.mark.parametrize("pace", [0.2, 1.0, 4.0])
+@pytest.mark.parametrize("pace", [0.2, 1.0, 2.9])
 @pytest.mark.parametrize(("glossy", "rest"), [(False, REST), (True, REST_GLOSSY)])
 def test_what_the_first_stage_is_given_costs_what_there_is(pace, glossy, rest):
     step = 0.02
@@ -40,9 +41,12 @@ def test_what_the_second_stage_is_given_costs_what_there_is(pace, glossy, radian
 
 
 def test_pace_has_limits():
-    assert first_pace(1500, -5.0, False, 0.02) == second_pace(SETTINGS.transport, -5.0, False, 0.02) == FASTEST
-    assert first_pace(1500, 1e6, False, 0.02) == second_pace(SETTINGS.transport, 1e6, False, 0.02) == SLOWEST
-    assert second_pace(replace(SETTINGS.transport, iterations=0, radiance_iterations=0), 10.0, False, 0.02) == 1.0
+    transport = SETTINGS.transport
+    assert first_pace(1500, -5.0, False, 0.02) == second_pace(transport, -5.0, False, 0.02) == SHORTEST
+    assert times(first_pace(1500, 1e6, False, 0.02), 1500) == times(first_pace(400, 1e6, False, 0.02), 400) == FIRST_LONGEST
+    assert first_pace(50_000, 1e6, False, 0.02) == 1.0  # never shorter than the preset where there is time
+    assert second_pace(transport, 1e6, False, 0.02) == SECOND_LONGEST
+    assert second_pace(replace(transport, iterations=0, radiance_iterations=0), 10.0, False, 0.02) == 1.0
 
 
 def test_a_schedule_is_at_least_a_step_unless_it_is_none():

@@ -16,7 +16,7 @@ from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.overrides import with_overrides
 from irgspp.core.progress import Silent
 from irgspp.core.stages.hull import initial_gaussians
-from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL, candidates
+from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL, MOVES, candidates
 from irgspp.core.stages.reflective import train
 from irgspp.core.stages.trainer import Trainer, border_radiance
 from irgspp.core.stages.trials import choose_kind, thinned_out
@@ -200,6 +200,18 @@ def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camer
         train(dataset, chosen, StopAfter(30), memory, ends=time.monotonic() + 60)
     assert train(dataset, chosen, checkpoint=memory, ends=time.monotonic() + 60)[1] == 2.0
     assert memory["reflective"]["iterations"] == 40
+
+
+def test_disks_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(3, 32))
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    trainer = Trainer(dataset, settings("reflective.iterations=100").reflective, start, LOW_GLOSS, 0, 0)
+    own = dict(trainer.optimizer.rates)
+    for iterations, slower in ((400, 0.5), (900, 1 / 3), (50, 1.0), (100, 1.0)):
+        trainer.paced(iterations)
+        rates = trainer.optimizer.rates
+        assert {name: rates[name].start / own[name].start for name in MOVES} == pytest.approx(dict.fromkeys(MOVES, slower))
+        assert {name: rate for name, rate in rates.items() if name not in MOVES} == {n: r for n, r in own.items() if n not in MOVES}
 
 
 def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
