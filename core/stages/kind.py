@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from .optimizer import Rate
 
-MOVES = ("position", "quaternion", "log_scale")  # where disks are
+MOVES = ("position", "quaternion", "log_scale")  # where disks are, how they lie and how large they are
 
 
 @dataclass(frozen=True)

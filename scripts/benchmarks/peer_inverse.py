@@ -211,8 +211,8 @@ def blocks(results: Results) -> Iterator[Block]:
     yield Note(
         "Mitsuba gets our mesh, and what the first stage takes the object for (metal or not). Adam by path replay (prb) on the vertices' "
         f"albedo, roughness and metallic and on the logarithm of a {ROWS}-row light: {PIXELS} random pixels of all photographs at "
-        f"{SAMPLES} samples an iteration, {BOUNCES} bounce of indirect light, our BRDF, our loss. Its seconds are without compiling. New "
-        f"views and relit ones are of {SHADED} test views, by each one's own renderer."
+        f"{SAMPLES} samples an iteration, {BOUNCES} bounce of indirect light, our BRDF, our loss; with another seed where it crashes. Its "
+        f"seconds are without compiling. New views and relit ones are of {SHADED} test views, by each one's own renderer."
     )
     yield Table("Materials and light at equal time, the shape given", ["scene", "by", "seconds", "iterations", *UNITS], rows)
     shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix=PREFIX)]

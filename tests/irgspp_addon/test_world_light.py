@@ -9,12 +9,11 @@ from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.scene.light_map import LightMap, reduced, texel_directions
 from irgspp.irgspp_addon import world_light as module
-from irgspp.irgspp_addon.cameras import set_lens
 from irgspp.irgspp_addon.plain_world import plain_light
 from irgspp.irgspp_addon.world import bake_world, node_tree, world_from_map
 from irgspp.irgspp_addon.world_light import WorldBake, ask_world, save_light, world_light
 from irgspp.irgspp_addon.world_print import fingerprint
-from mathutils import Matrix
+from relighting import see_through
 from sphere_run import axis_light
 
 ROWS = 32
@@ -140,15 +139,9 @@ def test_skies_are_rendered_as_a_camera_sees_them(tmp_path):
     assert plain_light(scene.world) is None
     light = LightMap(rendered(scene.world, 512))
     camera = Camera(24, 16, 30.0, 30.0, 12.0, 8.0, look_at((-1.0, 0.4, -0.9)))  # upwards: the horizon has an edge
-    lens = bpy.data.cameras.new("up")
-    set_lens(lens, camera)
-    scene.camera = bpy.data.objects.new("up", lens)
-    scene.collection.objects.link(scene.camera)
-    scene.camera.matrix_world = Matrix(camera.to_world.tolist())
-    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
+    see_through(scene, camera, "up")
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.filter_width = 1, False, 0.01
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.render.filepath = str(tmp_path / "view.exr")
     bpy.ops.render.render(write_still=True)
     seen = read_picture(tmp_path / "view.exr")

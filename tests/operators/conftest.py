@@ -10,11 +10,9 @@ from irgspp.core.datasets.dataset import Bound
 from irgspp.core.relight.orbit import orbit
 from irgspp.core.scene.cameras import load_cameras
 from irgspp.irgspp_addon import registration, relight_follow
-from irgspp.irgspp_addon.cameras import set_lens
 from irgspp.irgspp_addon.scene_builder import import_run
 from irgspp.irgspp_addon.world import world_from_map
-from mathutils import Matrix
-from relighting import lamp
+from relighting import lamp, see_through
 
 
 @pytest.fixture(scope="session")
@@ -44,13 +42,7 @@ def scene(warm, relightable, tmp_path):
     scene = bpy.context.scene
     scene.world = world_from_map(blender_side.write_picture(tmp_path / "lamp.exr", lamp()))
     ((_, camera),) = orbit(1, [placed.camera for placed in load_cameras(relightable / "cameras.json")], Bound((0, 0, 0), 1.3))
-    lens = bpy.data.cameras.new("eye")
-    set_lens(lens, camera)
-    scene.camera = bpy.data.objects.new("eye", lens)
-    scene.collection.objects.link(scene.camera)
-    scene.camera.matrix_world = Matrix(camera.to_world.tolist())
-    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    see_through(scene, camera, "eye")
     scene.render.image_settings.color_mode = "RGBA"
     yield scene
     relight_follow.stop_all()
