@@ -32,6 +32,7 @@ START_RADIANCE = 0.5  # of the light, linear
 CHECKPOINT_SECONDS = 30.0
 RESET_EVERY = 3000  # steps between resets of the opacity (3DGS); shorter schedules have none
 HULL_LEFT = 0.4  # of the disks at the start; photographs that fit each other take a few per cent
+MEANT_FOR = 1500  # steps, that the rates at which disks move were chosen with
 TEST_EVERY = 50  # steps between looks at the held-back view
 
 
@@ -168,9 +169,9 @@ class Trainer:
         """Go on with a schedule of another length.
 
         The gradients' noise moves disks by their rate times the root of the steps: they go the slower the longer the schedule is, so that
-        it scatters them no more than the one that was set.
+        it scatters them no more than one of MEANT_FOR steps does, or the one that was set.
         """
-        slower = math.sqrt(min(1.0, self._set_iterations / iterations))
+        slower = math.sqrt(min(1.0, max(MEANT_FOR, self._set_iterations) / iterations))
         self.optimizer.rates = {name: rate.times(slower) if name in MOVES else rate for name, rate in self._rates.items()}
         self.settings = replace(self.settings, iterations=iterations)
 

@@ -18,7 +18,7 @@ from irgspp.core.progress import Silent
 from irgspp.core.stages.hull import initial_gaussians
 from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL, MOVES, candidates
 from irgspp.core.stages.reflective import train
-from irgspp.core.stages.trainer import Trainer, border_radiance
+from irgspp.core.stages.trainer import MEANT_FOR, Trainer, border_radiance
 from irgspp.core.stages.trials import choose_kind, thinned_out
 
 SMALL = ("reflective.iterations=12", "reflective.gaussians=400", "reflective.light_height=16")
@@ -202,12 +202,13 @@ def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camer
     assert memory["reflective"]["iterations"] == 40
 
 
-def test_disks_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_dataset, camera_ring):
+@pytest.mark.parametrize("own_steps", [400, 2000])
+def test_disks_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_dataset, camera_ring, own_steps):
     dataset = sphere_dataset(camera_ring(3, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    trainer = Trainer(dataset, settings("reflective.iterations=100").reflective, start, LOW_GLOSS, 0, 0)
-    own = dict(trainer.optimizer.rates)
-    for iterations, slower in ((400, 0.5), (900, 1 / 3), (50, 1.0), (100, 1.0)):
+    trainer = Trainer(dataset, settings(f"reflective.iterations={own_steps}").reflective, start, LOW_GLOSS, 0, 0)
+    own, meant = dict(trainer.optimizer.rates), max(own_steps, MEANT_FOR)
+    for iterations, slower in ((4 * meant, 0.5), (9 * meant, 1 / 3), (meant // 2, 1.0), (meant, 1.0)):
         trainer.paced(iterations)
         rates = trainer.optimizer.rates
         assert {name: rates[name].start / own[name].start for name in MOVES} == pytest.approx(dict.fromkeys(MOVES, slower))
