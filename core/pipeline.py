@@ -12,38 +12,38 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from . import overrides
-from .blender import NoBlender
-from .config import Settings
-from .datasets.dataset import Dataset, View
+from .assets.export import write_blend
 from .datasets.load import load_dataset
-from .device_memory import plan
-from .devices import Chosen, choose, computing_on
 from .errors import Cancelled, InputError, IrgsppError
+from .evaluation.contact_sheet import contact_sheet
 from .evaluation.metrics import on_black, psnr
-from .evaluation.sheet import contact_sheet
-from .export import write_blend
-from .host_memory import MOST_RAYS, rays_that_fit
-from .journal import Journal
-from .memory import peak_memory, reset_peak_memory
-from .pace import FUSED
-from .progress import Progress, Silent
+from .machine.blender_process import NoBlender
+from .machine.cpu_memory import MOST_RAYS, rays_that_fit
+from .machine.devices import Chosen, choose, computing_on
+from .machine.disk_space import check_room
+from .machine.gpu_memory import plan
+from .machine.peak_memory import peak_memory, reset_peak_memory
+from .progress.protocol import Progress, Silent
+from .progress.recorder import Journal
 from .relight.backends import best_backend, open_relighter
 from .relight.relighter import RelightSettings
-from .rendered_views import RenderedViews
-from .room import check_room
+from .rendering.gbuffer import render_view
+from .rendering.gbuffer_cache import RenderedViews
 from .run_folder import RunFolder, check_claim
-from .scene.cameras import save_cameras
+from .scene.camera_files import save_cameras
+from .scene.dataset import Dataset, View
 from .scene.glb import save_glb
-from .scene.ply import save_mesh_ply
+from .scene.mesh_ply import save_mesh_ply
 from .scene.reconstruction import Reconstruction
 from .scene.surface import Surface
 from .scene.textures import save_textures
-from .stages.reflective import train
-from .stages.render import render_view
-from .stages.transfer import rays_at_a_time
-from .stages.transport import solve_transport
-from .surface.geometry import extract_geometry
+from .settings import overrides
+from .settings.schema import Settings
+from .stages.common.time_budget import FUSED
+from .stages.first.train import train
+from .stages.second.radiance_transfer import rays_at_a_time
+from .stages.second.solve import solve_transport
+from .surface.extraction import extract_geometry
 from .surface.texturing import textured_mesh
 
 CPU = torch.device("cpu")

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from .config import Settings
 from .errors import Cancelled, InputError
-from .lock import FileLock
-from .memory import peak_memory, reset_peak_memory
-from .notes import Notes
-from .overrides import differences, from_dict, to_dict
-from .replacing import whole, write_atomic
-from .shortage import told
+from .io.atomic import whole, write_atomic
+from .io.file_lock import FileLock
+from .machine.out_of_resources import told
+from .machine.peak_memory import peak_memory, reset_peak_memory
+from .progress.event_log import Notes
+from .settings.overrides import differences, from_dict, to_dict
+from .settings.schema import Settings
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
 RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")

@@ -2,8 +2,8 @@
 """Run a module of this very folder as part of the package `irgspp`, whatever Python runs and whatever the folder is called.
 
 python launch.py __main__ ARGUMENTS                  the command line
-python launch.py irgspp_addon.write_blend ARGUMENTS  one of its modules
-blender --background --python launch.py -- irgspp_addon.write_blend ARGUMENTS
+python launch.py irgspp_addon.importer.write_blend ARGUMENTS  one of its modules
+blender --background --python launch.py -- irgspp_addon.importer.write_blend ARGUMENTS
 """
 
 import importlib
@@ -25,7 +25,7 @@ def mount(folder: Path) -> None:
 
 def end_with_parent() -> None:
     """Where it was asked for, end this process once the one that started it is gone."""
-    end = importlib.import_module("irgspp.core.stdin_end")
+    end = importlib.import_module("irgspp.core.machine.parent_watch")
     if os.environ.pop(end.TIED, ""):
         end.when_stdin_ends(lambda: os._exit(1))
 

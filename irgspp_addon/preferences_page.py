@@ -1,16 +1,74 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the preferences look: which engine, whether it works, how to get one."""
+"""The extension's page in Blender's preferences: which engine, whether it works, how to install one."""
 
-from __future__ import annotations
+# pyright: reportInvalidTypeForm=false
 
 import textwrap
 
 import bpy
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from . import engine, jobs, managed_engine
+from .engine import managed as managed_engine
+from .engine import process as engine
+from .engine.preferences import DEFAULT_KIND
+from .jobs import queue as jobs
+from .user_folder import EXTENSION
 
+KINDS = [
+    ("EXISTING", "Existing", "A Python environment that has the engine's libraries", 0),
+    ("MANAGED", "Managed", "An environment that this extension installs for itself", 1),
+    ("INTERPRETER", "Blender's Python", "The Python that Blender itself runs, where the libraries are installed for it", 2),
+]
+DEVICES = [
+    ("cpu", "CPU", "What the processor needs", 0),
+    ("cuda", "CUDA", "What an NVIDIA graphics card needs as well; larger by some gigabytes", 1),
+]
 LETTERS = 60  # on a line of the preferences, which are not wide
 ICONS = {"ok": "CHECKMARK", "unknown": "QUESTION", "missing": "ERROR", "broken": "ERROR", "version": "ERROR"}
+
+
+def _choose_existing(chosen: "IRGSPP_Preferences", context: bpy.types.Context) -> None:
+    if chosen.engine_python:
+        chosen.engine_kind = "EXISTING"
+
+
+class IRGSPP_Preferences(bpy.types.AddonPreferences):
+    """Where the engine runs."""
+
+    bl_idname = EXTENSION
+
+    engine_kind: EnumProperty(
+        name="Engine",
+        description="What computes: a Python of its own, as its libraries must not enter Blender",
+        items=KINDS,
+        default=DEFAULT_KIND,
+    )
+    engine_python: StringProperty(
+        name="Engine Python",
+        description="Python executable, or folder of a virtual environment, with the engine's libraries (torch and others)",
+        subtype="FILE_PATH",
+        update=_choose_existing,
+    )
+    install_device: EnumProperty(name="For", description="What the engine shall compute on", items=DEVICES)
+    wheels_folder: StringProperty(
+        name="Wheels",
+        description="Folder of Python wheels to install from without the network. Empty: download them",
+        subtype="DIR_PATH",
+    )
+    package_index: StringProperty(
+        name="Package Index",
+        description="Address of another index that pip looks in as well, such as that of torch for the CPU alone. Empty: pip's own",
+    )
+    keep_running: BoolProperty(
+        name="Jobs Survive Blender",
+        description="Let jobs go on when Blender is closed; otherwise they save what they have and stop, and can be resumed",
+        default=False,
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        from ..preferences_page import draw_preferences  # it asks the engine, which asks the preferences
+
+        draw_preferences(self, self.layout)
 
 
 def draw_preferences(chosen: bpy.types.AddonPreferences, layout: bpy.types.UILayout) -> None:

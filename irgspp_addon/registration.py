@@ -16,9 +16,15 @@ from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
 from ..operators.look_through import IRGSPP_OT_look_through
 from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
-from . import job_timer, jobs, materials, properties, relight_follow, relight_session, render_engine
-from .engine import run_engine
-from .preferences import IRGSPP_Preferences
+from . import properties
+from .engine.process import run_engine
+from .importer import materials
+from .jobs import queue as jobs
+from .jobs import timer as job_timer
+from .preferences_page import IRGSPP_Preferences
+from .relight import live_image as relight_follow
+from .relight import render_engine
+from .relight import session as relight_session
 
 CLASSES = (
     IRGSPP_Preferences,

@@ -5,8 +5,8 @@ import sys
 
 import bpy
 
-from ..irgspp_addon import jobs
-from ..irgspp_addon.job import Job
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs.job import Job
 
 SKIP = {"SKIP_SAVE"}
 RUN = {

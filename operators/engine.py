@@ -9,8 +9,12 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..core.errors import IrgsppError
-from ..irgspp_addon import engine, engine_check, jobs, managed_engine
-from ..irgspp_addon.preferences import DEVICES, preferences
+from ..irgspp_addon.engine import managed as managed_engine
+from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.engine.preferences import preferences
+from ..irgspp_addon.jobs import engine_check as engine_check
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.preferences_page import DEVICES
 from .blocking import SKIP, WAIT, Queued, refuse, run_to_end
 
 

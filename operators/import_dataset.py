@@ -10,10 +10,11 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon import jobs, result_import
-from ..irgspp_addon.dataset_import import build_dataset, checked, export_arguments, export_folder, is_fresh
-from ..irgspp_addon.job import Job
-from ..irgspp_addon.placement import Placement
+from ..irgspp_addon.importer.dataset_import import build_dataset, checked, export_arguments, export_folder, is_fresh
+from ..irgspp_addon.importer.placement import Placement
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs import result_import
+from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import UP_AXES
 from .blocking import WAIT, Queued, refuse, run_to_end
 from .import_run import select

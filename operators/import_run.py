@@ -9,9 +9,9 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon.placement import Placement
+from ..irgspp_addon.importer.placement import Placement
+from ..irgspp_addon.importer.scene_builder import import_run, show_as_photographed
 from ..irgspp_addon.properties import SOURCES, UP_AXES
-from ..irgspp_addon.scene_builder import import_run, show_as_photographed
 from .blocking import refuse
 
 

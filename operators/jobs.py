@@ -9,9 +9,9 @@ import bpy
 from bpy.props import StringProperty
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon import jobs
-from ..irgspp_addon.job import Job
-from ..irgspp_addon.job_timer import SHOWING
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.jobs.timer import SHOWING
 from ..irgspp_addon.windows import redraw
 from .blocking import SKIP, refuse
 

@@ -7,7 +7,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon.cameras import look_through
+from ..irgspp_addon.importer.cameras import look_through
 from .blocking import refuse
 
 

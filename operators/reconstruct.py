@@ -10,8 +10,9 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon import jobs, result_import
-from ..irgspp_addon.job import Job
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs import result_import
+from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import DEVICES, MATERIALS, PRESETS
 from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
 

@@ -11,12 +11,13 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..core.run_folder import read_run
-from ..irgspp_addon import jobs, preview
+from ..irgspp_addon.importer.run_frame import chosen_run, frame_of, run_object
+from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.properties import BACKENDS, EYES
-from ..irgspp_addon.relight_session import session_of
-from ..irgspp_addon.run_frame import chosen_run, frame_of, run_object
+from ..irgspp_addon.relight import preview
+from ..irgspp_addon.relight.session import session_of
 from ..irgspp_addon.windows import areas
-from ..irgspp_addon.world_light import save_light, world_light
+from ..irgspp_addon.world.world_light import save_light, world_light
 from .blocking import RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
 MAP_ROWS = 256

@@ -10,12 +10,13 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 from mathutils import Matrix
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon import jobs, result_import
-from ..irgspp_addon.edited_mesh import save_edited
-from ..irgspp_addon.job import Job
-from ..irgspp_addon.materials import source_of
-from ..irgspp_addon.ownership import Owner
-from ..irgspp_addon.scene_builder import run_of
+from ..irgspp_addon.importer.edited_mesh import save_edited
+from ..irgspp_addon.importer.materials import source_of
+from ..irgspp_addon.importer.ownership import Owner
+from ..irgspp_addon.importer.scene_builder import run_of
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs import result_import
+from ..irgspp_addon.jobs.job import Job
 from .blocking import IMPORT, RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import bpy
 
-from ..irgspp_addon import engine, jobs
-from ..irgspp_addon.job import Job
+from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs.job import Job
 from ..operators.look_through import is_imported
 from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column

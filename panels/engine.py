@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..irgspp_addon import engine
-from ..irgspp_addon.preferences import EXTENSION
+from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.user_folder import EXTENSION
 from .sidebar import SidebarPanel, button, say
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import bpy
 
-from ..irgspp_addon import jobs
-from ..irgspp_addon.job import Job
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs.job import Job
 from .phases import phase_in_words
 from .pictures import picture
 from .run_state import run_state

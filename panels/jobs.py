@@ -8,8 +8,8 @@ from typing import Any
 
 import bpy
 
-from ..irgspp_addon import jobs
-from ..irgspp_addon.job import Job
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs.job import Job
 from .job_card import ICONS, draw_job
 from .sidebar import SidebarPanel, button, say
 

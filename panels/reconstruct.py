@@ -7,8 +7,9 @@ from pathlib import Path
 
 import bpy
 
-from ..irgspp_addon import engine, jobs
-from ..irgspp_addon.job import Job
+from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs.job import Job
 from .job_card import BEGAN, RECONSTRUCTIONS, can_go_on, draw_job
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column

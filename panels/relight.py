@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..irgspp_addon import preview
-from ..irgspp_addon.relight_follow import follower_of
-from ..irgspp_addon.render_engine import ENGINE
-from ..irgspp_addon.run_frame import ALBEDO_SCALE
+from ..irgspp_addon.importer.run_frame import ALBEDO_SCALE
+from ..irgspp_addon.relight import preview
+from ..irgspp_addon.relight.live_image import follower_of
+from ..irgspp_addon.relight.render_engine import ENGINE
 from .job_card import draw_last
 from .result import object_of_run, shown_run
 from .run_state import run_state

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import bpy
 
-from ..irgspp_addon.materials import available_sources
-from ..irgspp_addon.ownership import KEY, folder_of
-from ..irgspp_addon.scene_builder import RUN, find_roots, run_of
+from ..irgspp_addon.importer.materials import available_sources
+from ..irgspp_addon.importer.ownership import KEY, folder_of
+from ..irgspp_addon.importer.scene_builder import RUN, find_roots, run_of
 from .job_card import draw_last
 from .run_state import RunState, resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from irgspp.core.colour import encode_srgb
-from irgspp.core.kernels.bvh import DiskTree
-from irgspp.core.kernels.tracing import COLOUR, EXTRA, NORMAL, trace, transmittance
+from irgspp.core.io.srgb import encode_srgb
+from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.trace import COLOUR, EXTRA, NORMAL, trace, transmittance
 from irgspp.core.scene.gaussians import SH_DC, Gaussians
+from irgspp.core.shading.environment_lookup import lookup
 from irgspp.core.shading.light_distribution import LightDistribution
-from irgspp.core.shading.lightmap import lookup
-from irgspp.core.shading.lights import LIGHTS
+from irgspp.core.shading.procedural_lights import LIGHTS
+from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import draw
-from irgspp.core.shading.transport import reflect_light
-from known_scene import CyclesScene, Surface, camera, first_hits, inner_pixels, lift, splats
 from PIL import Image
+from scenes.known_scene import CyclesScene, Surface, camera, first_hits, inner_pixels, lift, splats
 
 
 @dataclass(frozen=True)

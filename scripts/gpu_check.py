@@ -21,9 +21,9 @@ import torch
 from gpu import figures
 from gpu.figures import QUICK, Figure, Size
 from gpu.scene import Work, make_work
-from irgspp.core.cuda import probe
-from irgspp.core.devices import WARP_ON_CPU, choose, computing_on
 from irgspp.core.errors import IrgsppError
+from irgspp.core.machine.cuda import probe
+from irgspp.core.machine.devices import WARP_ON_CPU, choose, computing_on
 from irgspp.core.pipeline import DEMO_DATA
 
 TINY = ("data.resolution=64", "reflective.gaussians=2000", "reflective.iterations=60", "reflective.trial_iterations=10",

@@ -22,7 +22,7 @@ import urllib.request
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from irgspp.irgspp_addon.install_engine import plain, requirements
+from irgspp.irgspp_addon.engine.install import plain, requirements
 
 ROOT = Path(__file__).resolve().parent.parent
 HASHES = ROOT / "requirements.sha256"

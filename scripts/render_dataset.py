@@ -9,16 +9,16 @@ import sys
 from pathlib import Path
 
 import bpy
-import ground_truth
 import numpy as np
-from demo_scene import build_demo_scene
-from irgspp.core.colour import encode_srgb
-from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.errors import InputError, IrgsppError
-from irgspp.core.scene.exr import read_exr_rgb, rgb_channels, write_exr
-from irgspp.core.shading.lights import LIGHTS
-from irgspp.irgspp_addon.world import bake_world, world_from_map
+from irgspp.core.io.exr import read_exr_rgb, rgb_channels, write_exr
+from irgspp.core.io.srgb import encode_srgb
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.shading.procedural_lights import LIGHTS
+from irgspp.irgspp_addon.world.light_to_world import bake_world, world_from_map
 from PIL import Image
+from scenes import cycles_ground_truth
+from scenes.demo_scene import build_demo_scene
 
 ANGLE_X = 0.6911112070083618  # horizontal field of view of the NeRF-synthetic cameras
 LENS_RADII = 4 / 1.3  # camera distance in object radii
@@ -101,9 +101,9 @@ def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path) ->
     folder.mkdir()
     for i, camera in enumerate(cameras):
         tell(f"training view {i + 1} of {len(cameras)}")
-        ground_truth.place_camera(scene, camera)
+        cycles_ground_truth.place_camera(scene, camera)
         scene.cycles.seed = i
-        save_png(folder / f"r_{i:03d}.png", ground_truth.render_picture(scene)["rgba"])
+        save_png(folder / f"r_{i:03d}.png", cycles_ground_truth.render_picture(scene)["rgba"])
 
 
 def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path) -> None:
@@ -114,12 +114,12 @@ def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str,
             tell(f"test view {i + 1} of {len(cameras)} under {name}")
             view = folder / f"r_{i:03d}"
             view.mkdir(parents=True, exist_ok=True)
-            ground_truth.place_camera(scene, camera)
+            cycles_ground_truth.place_camera(scene, camera)
             scene.cycles.seed = 1000 * (n + 1) + i
-            layers = ground_truth.render_picture(scene)
+            layers = cycles_ground_truth.render_picture(scene)
             save_png(view / ("rgba.png" if n == 0 else f"rgba_{name}.png"), layers["rgba"])
             if n == 0:
-                layers |= ground_truth.render_geometry(scene, camera)
+                layers |= cycles_ground_truth.render_geometry(scene, camera)
                 write_layers(view, layers)
 
 
@@ -161,10 +161,10 @@ def render_dataset(args: argparse.Namespace) -> None:
     if args.output.exists() and any(args.output.iterdir()):
         raise InputError(args.output, "is not empty", "name a new folder")
     scene = load_scene(args.scene)
-    ground_truth.prepare(scene, args.samples, SEED)
+    cycles_ground_truth.prepare(scene, args.samples, SEED)
     lights = write_lights(scene, args)
     worlds = {name: world_from_map(args.output / "envs" / f"{name}.exr", name) for name in lights}
-    corners = ground_truth.world_triangles(scene).reshape(-1, 3)
+    corners = cycles_ground_truth.world_triangles(scene).reshape(-1, 3)
     centre = np.zeros(3) if args.scene is None else (corners.min(0) + corners.max(0)) / 2
     radius = 1.3 if args.scene is None else float(np.linalg.norm(corners - centre, axis=-1).max())
     train = orbit(args.train, 0.0, centre, radius, args.resolution)
@@ -172,7 +172,7 @@ def render_dataset(args: argparse.Namespace) -> None:
     write_meta(args, lights, corners, scene)
     write_transforms(args.output / "transforms_train.json", train, "./train/r_{:03d}")
     write_transforms(args.output / "transforms_test.json", test, "./test/r_{:03d}/rgba")
-    points, normals = ground_truth.visible_points(scene, train, args.points, SEED)
+    points, normals = cycles_ground_truth.visible_points(scene, train, args.points, SEED)
     np.savez_compressed(args.output / "surface_points.npz", points=points.astype(np.float32), normals=normals.astype(np.float16))
     scene.world = worlds[lights[0]]
     render_train(scene, train, args.output / "train")

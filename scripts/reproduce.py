@@ -16,14 +16,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from irgspp.core.batch.batch import notes_of, run_batch
+from irgspp.core.batch.job_state import State
 from irgspp.core.batch.jobs import Job
-from irgspp.core.batch.notes import State
-from irgspp.core.config import PRESETS
+from irgspp.core.cli.parser import check_words
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.evaluation.protocols import PROTOCOLS
-from irgspp.core.options import check_words
+from irgspp.core.progress.terminal import Terminal
 from irgspp.core.run_folder import read_run, write_atomic
-from irgspp.core.terminal import Terminal
+from irgspp.core.settings.schema import PRESETS
 from reproduction.scenes import Scene, find_scenes, job_of
 from reproduction.tables import Result, as_html, as_json, as_markdown, benchmark_of, tables_of
 

@@ -26,7 +26,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the engine does: waiti
 import numba
 import numpy
 import torch
-from irgspp.core.kernels.pool import thread_count
+from irgspp.core.machine.thread_pool import thread_count
 from stresses.case import CASES, Case, Outcome, attempt
 
 GROUPS = ("gaussians", "materials", "lights", "training", "endurance", "surfaces")

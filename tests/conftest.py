@@ -10,7 +10,7 @@ import hypothesis
 import irgspp.core  # noqa: F401
 import numpy as np
 import pytest
-from irgspp.core.datasets.camera import Camera, look_at
+from irgspp.core.scene.camera import Camera, look_at
 
 hypothesis.settings.register_profile("patient", deadline=None)  # a busy machine is no fault
 hypothesis.settings.load_profile("patient")

@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from irgspp.core.options import parser
+from irgspp.core.cli.parser import parser
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -14,8 +14,8 @@ from engine_jobs import counter as counter
 from engine_jobs import registry as registry
 from hypothesis import example, given
 from hypothesis import strategies as st
-from irgspp.core.datasets.capture import view_names
-from irgspp.irgspp_addon import jobs
+from irgspp.core.datasets.parsed_dataset import view_names
+from irgspp.irgspp_addon.jobs import queue as jobs
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("core", "irgspp_addon", "operators", "panels")
@@ -23,7 +23,7 @@ SOURCES = [ROOT / "__init__.py", ROOT / "__main__.py", *(f for part in PARTS for
 TREES = {file.relative_to(ROOT).as_posix(): ast.parse(file.read_text("utf-8")) for file in SOURCES}
 
 # Where code that is not imported by name is run: our own files, beside the one that runs them.
-RUNS_OUR_FILES = {"irgspp_addon/worker.py", "irgspp_addon/launch.py", "irgspp_addon/bake_child.py"}
+RUNS_OUR_FILES = {"irgspp_addon/engine/worker.py", "irgspp_addon/launch.py", "irgspp_addon/world/bake_child.py"}
 CODE = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "runpy.run_path", "runpy.run_module", "subprocess.getoutput"}
 UNPICKLERS = {
     f"{module}.{name}" for module in ("pickle", "marshal", "dill", "cloudpickle", "joblib") for name in ("load", "loads", "Unpickler")
@@ -73,8 +73,8 @@ def test_only_arrays_come_out_of_pickles():
     unpicklers = [
         f for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and "pickle.Unpickler" in map(dotted, n.bases)
     ]
-    assert unpicklers == ["core/datasets/pickles.py"]
-    assert {file for file, module in imported() if module == "pickle"} <= {"core/datasets/pickles.py", "core/run_folder.py"}
+    assert unpicklers == ["core/io/safe_pickle.py"]
+    assert {file for file, module in imported() if module == "pickle"} <= {"core/io/safe_pickle.py", "core/run_folder.py"}
     for file, call in calls("torch.load"):
         assert keyword(call, "weights_only") == "True", file
     for file, call in calls("np.load"):
@@ -87,7 +87,7 @@ def test_temporary_files_are_private():
     assert not calls("tempfile.mktemp", "os.tempnam")
     texts = [(f, n.value) for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     assert not [(f, text) for f, text in texts if text.startswith(("/tmp", "/var/tmp", "C:\\"))]
-    assert {f for f, _ in calls("tempfile.gettempdir")} <= {"core/kernels/jit.py"}  # which makes sure whose the folder is
+    assert {f for f, _ in calls("tempfile.gettempdir")} <= {"core/kernels/cpu/jit.py"}  # which makes sure whose the folder is
 
 
 def test_declared_permissions_are_those_that_are_used():
@@ -125,6 +125,6 @@ def test_notes_of_jobs_are_their_users_alone(registry, counter):
 
 def test_engine_is_installed_from_known_files():
     """tests/irgspp_addon/test_install_engine.py has the rest; here: pip is never let at an index and at installing at once."""
-    tree = TREES["irgspp_addon/install_engine.py"]
+    tree = TREES["irgspp_addon/engine/install.py"]
     words = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     assert {"download", "--no-index", "--no-deps", "--only-binary"} <= set(words)

@@ -11,14 +11,14 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from irgspp.core.cli import main
-from irgspp.core.config import preset
+from irgspp.core.cli.main import main
 from irgspp.core.errors import Cancelled
-from irgspp.core.overrides import with_overrides
+from irgspp.core.io.exr import read_exr, read_exr_rgb
 from irgspp.core.pipeline import DEMO_DATA, reconstruct
-from irgspp.core.progress import Silent
+from irgspp.core.progress.protocol import Silent
 from irgspp.core.run_folder import read_run
-from irgspp.core.scene.exr import read_exr, read_exr_rgb
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
 
 TINY = (
     "materials=low-gloss",  # the decision takes longer than the rest; the demonstration below makes it

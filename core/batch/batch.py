@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import Cancelled, InputError
-from ..lock import FileLock
-from .board import Board
+from ..io.file_lock import FileLock
+from .job_runner import CANCEL
+from .job_state import JobFolder, Progress, State, is_there
 from .jobs import Job
-from .notes import JobFolder, Progress, State, is_there
-from .pools import Ticket, pool_for
-from .work import CANCEL
+from .table import Board
+from .workers import Ticket, pool_for
 
 LOOK_SECONDS = 0.2
 LOCK = ".lock"

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..config import DataSettings
 from ..errors import InputError
-from .camera import Camera
-from .capture import MINIMUM_VIEWS, Capture
-from .dataset import Bound, PointCloud, View
+from ..scene.camera import Camera
+from ..scene.dataset import Bound, PointCloud, View
+from ..settings.schema import DataSettings
+from .parsed_dataset import MINIMUM_VIEWS, Capture
 
 MARGIN = 1.08
 FRAME_MARGIN = 1.5  # an object reaches no further than this beyond the sphere that fills the pictures

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from ..errors import InputError
-from .capture import Lens
+from .parsed_dataset import Lens
 
 RADIAL_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 FISHEYE_MODEL = "OPENCV_FISHEYE"

@@ -13,16 +13,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..config import DataSettings
 from ..errors import Cancelled, InputError
-from ..progress import Progress, Silent
+from ..io.image import Picture, on_black, picture_size, read_depth_mask, read_mask, read_picture, reduce_mask, reduce_picture
+from ..io.safe_paths import inside
+from ..progress.protocol import Progress, Silent
+from ..scene.camera import Camera
+from ..scene.dataset import Dataset, View
+from ..settings.schema import DataSettings
 from .bound import object_bound
-from .camera import Camera
-from .capture import MINIMUM_VIEWS, Capture, Frame, Lens, view_names
-from .dataset import Dataset, View
-from .detect import read_capture
-from .paths import inside
-from .picture import Picture, on_black, picture_size, read_depth_mask, read_mask, read_picture, reduce_mask, reduce_picture
+from .format_detection import read_capture
+from .parsed_dataset import MINIMUM_VIEWS, Capture, Frame, Lens, view_names
 from .undistort import pinhole, undistort, undistort_mask
 
 OPAQUE = 1 - 1.5 / 255

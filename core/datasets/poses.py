@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .capture import FARTHEST
+from .parsed_dataset import FARTHEST
 
 RIGID_TOLERANCE = 1e-3
 

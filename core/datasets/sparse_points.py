@@ -9,8 +9,8 @@ import numpy as np
 from plyfile import PlyData
 
 from ..errors import InputError
-from .capture import FARTHEST
-from .dataset import PointCloud
+from ..scene.dataset import PointCloud
+from .parsed_dataset import FARTHEST
 
 
 def read_points(path: Path) -> PointCloud:

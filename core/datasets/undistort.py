@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
-from .capture import Lens
-from .picture import Picture
+from ..io.image import Picture
+from .parsed_dataset import Lens
 
 GRID = 33  # samples along a side when looking for blank borders
 LARGEST_ZOOM = 3.0  # beyond, next to nothing of the picture would be left

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..colour import encode_srgb
+from ..io.srgb import encode_srgb
 from . import metrics
+from .ground_truth import Truth
+from .image_metrics import Metrics, floored_psnr
 from .prediction import Prediction
 from .protocols import Protocol
-from .similarity import Metrics, floored_psnr
-from .truth import Truth
 
 GAMMA = 2.2
 Sample = tuple[np.ndarray, np.ndarray]  # pixels (N, 3) linear: estimated, true

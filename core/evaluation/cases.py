@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..config import DataSettings
-from ..datasets.camera import Camera
-from ..datasets.dataset import View
 from ..datasets.load import load_dataset, load_novel_views
-from ..progress import Progress
+from ..progress.protocol import Progress
+from ..scene.camera import Camera
+from ..scene.dataset import View
 from ..scene.reconstruction import Reconstruction
-from .truth import SceneTruth, Truth, load_scene_truth, load_truth
+from ..settings.schema import DataSettings
+from .ground_truth import SceneTruth, Truth, load_scene_truth, load_truth
 
 
 @dataclass(frozen=True, eq=False)

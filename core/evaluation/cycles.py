@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..blender import run_in_blender
-from ..datasets.camera import Camera
 from ..errors import IrgsppError
-from ..progress import Progress
-from ..relight.lighting import prepare
+from ..io.exr import read_exr, rgb_channels, write_exr
+from ..machine.blender_process import run_in_blender
+from ..progress.protocol import Progress
+from ..relight.prepared_light import prepare
 from ..relight.relighter import Relighter
-from ..scene.exr import read_exr, rgb_channels, write_exr
+from ..scene.camera import Camera
 from .metrics import on_black, psnr
 
 SAMPLES = 256  # of Cycles in a comparison, denoised
@@ -103,7 +103,8 @@ def cycles_pictures(
             "out": str(folder),
         }
         (folder / "request.json").write_text(json.dumps(request), encoding="utf-8")
-        status, said = run_in_blender("irgspp_addon.cycles_views", [str(folder / "request.json"), str(folder / "answer.json")], progress)
+        paths = [str(folder / name) for name in ("request.json", "answer.json")]
+        status, said = run_in_blender("irgspp_addon.relight.cycles_views", paths, progress)
         if status:
             raise IrgsppError(f"{run}: Cycles did not render it: Blender ended with status {status}: {said}")
         seconds = json.loads((folder / "answer.json").read_text(encoding="utf-8"))

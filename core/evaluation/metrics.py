@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 from skimage.transform import resize
 
-from ..colour import encode_srgb
+from ..io.srgb import encode_srgb
 from ..scene.mesh import Mesh
 
 SSIM_WINDOW = 11  # pixels that a picture must have along each side

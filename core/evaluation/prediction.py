@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..scene.buffers import NOTHING, ViewBuffers
+from ..scene.gbuffer import NOTHING, ViewBuffers
 
 
 @dataclass(frozen=True, eq=False)

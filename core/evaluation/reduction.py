@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..datasets.picture import read_picture, reduce_picture, unit
 from ..errors import InputError
+from ..io.image import read_picture, reduce_picture, unit
 
 Shape = tuple[int, int]
 

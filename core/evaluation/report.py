@@ -13,25 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from ..config import DataSettings
-from ..devices import best
 from ..errors import Cancelled, InputError
-from ..progress import Progress, Silent
+from ..machine.devices import best
+from ..progress.protocol import Progress, Silent
 from ..relight.backends import best_backend, open_relighter
-from ..relight.lighting import PreparedLight, prepare
+from ..relight.prepared_light import PreparedLight, prepare
 from ..relight.relighter import Relighter, RelightSettings
-from ..scene.ply import load_mesh_ply
+from ..rendering.gbuffer import render_view
+from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
-from ..stages.render import render_view
+from ..settings.schema import DataSettings
 from . import metrics
 from .cases import Case, Cases, read_cases, spread
 from .cycles import compare
-from .figures import Fits, averages, fitted_figures, relit_figures, view_figures
-from .page import SHOWN, page
-from .perceptual import NO_LPIPS, Lpips, find_lpips
+from .ground_truth import SceneTruth, Truth
+from .html_report import SHOWN, page
+from .lpips import NO_LPIPS, Lpips, find_lpips
 from .prediction import Prediction
 from .protocols import PLAIN, Protocol, described, protocol_named
-from .truth import SceneTruth, Truth
+from .view_metrics import Fits, averages, fitted_figures, relit_figures, view_figures
 
 CHAMFER_UNIT = 2000  # what Stanford-ORB's tables multiply by
 CYCLES_PROTOCOL = (

@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from ..arrays import read_arrays
 from ..datasets.sparse_points import read_points
 from ..errors import InputError
+from ..io.npz import read_arrays
 
 SAMPLES = 30_000
 NEIGHBOURS = 16  # that say which way the surface faces

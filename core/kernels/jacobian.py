@@ -11,27 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from .jit import kernel
-from .pool import even_ranges, run_ranges, thread_count
-from .simd import load, splat, store
-
-_ZERO = np.float32(0.0)
-
-
-@kernel
-def jacobian_range(begin, end, texels, start, root, share, diffuse, metal, irradiance, scaled, rest, rows, coupling):
-    """Points begin..end: rows of their views, (K, texels) flat, and the coupling of light and albedo, (P, texels) flat."""
-    for p in range(begin, end):
-        for texel in range(0, texels, 8):
-            store(coupling, p * texels + texel, splat(_ZERO))
-        for k in range(start[p], start[p + 1]):
-            for texel in range(0, texels, 8):
-                at, to = k * texels + texel, p * texels + texel
-                row = load(irradiance, to) * diffuse[k] + load(rest, at)
-                if metal[k] != _ZERO:
-                    row = row + load(scaled, at) * metal[k]
-                store(rows, at, row * root[k])
-                store(coupling, to, load(coupling, to) + row * share[k])
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from .cpu.jacobian import jacobian_range
 
 
 def jacobian(start: Any, root: Any, share: Any, factors: tuple[Any, Any], transport: tuple[Any, Any, Any], rows: Any) -> Any:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..datasets.camera import Camera
-from .backend import by_warp
-from .binning import TILE, bin_tiles, depth_order
-from .pool import balanced_ranges, even_ranges, run_ranges, thread_count
-from .projection import GEOMETRY, NEAR, RECORD, project_backward_range, project_range
-from .raster import rasterize_backward_range, rasterize_range
+from ..machine.backend import by_warp
+from ..machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
+from ..scene.camera import Camera
+from .constants import NEAR, SPLAT_GRADIENTS, SPLAT_RECORD, TILE
+from .cpu.binning import bin_tiles, depth_order
+from .cpu.projection import project_backward_range, project_range
+from .cpu.raster import rasterize_backward_range, rasterize_range
 
 COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # feature channels; depth and opacity follow the extras
 MIN_GAUSSIANS = 8  # one vector
@@ -51,7 +52,7 @@ class _Rasterize(torch.autograd.Function):
     def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, cam, coefficients, statistics):
         n, extras = position.shape[1], extra.shape[0]
         arrays = [_flat(t) for t in (position, quaternion, log_scale, opacity, sh, extra)]
-        record = np.empty((n, RECORD), np.float32)
+        record = np.empty((n, SPLAT_RECORD), np.float32)
         feature = np.empty((n, 6 + extras), np.float32)
         box = np.empty((n, 4), np.int32)
         depth = np.empty(n, np.float32)
@@ -79,7 +80,7 @@ class _Rasterize(torch.autograd.Function):
         n, channels = len(record), feature.shape[1] + 2
         padded = torch.zeros(channels, plane // stride, stride)
         padded[:, : gradient.shape[1], : gradient.shape[2]] = gradient
-        slots = np.zeros((len(tiles), n, GEOMETRY + feature.shape[1]), np.float32)
+        slots = np.zeros((len(tiles), n, SPLAT_GRADIENTS + feature.shape[1]), np.float32)
         picture = (flat, padded.view(-1).numpy(), stride, plane, slots)
         run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *picture, numbered=True)
         gradients = [torch.empty(shape) for shape in ctx.shapes]

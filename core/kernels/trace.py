@@ -1,268 +1,270 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which 2D Gaussians a ray meets, in exact order: one ray at a time against 8 boxes, or 8 disks, of a `DiskTree`.
-
-A ray keeps its NEAREST next hits in a sorted buffer, ordered by the true distance, then by the Gaussian's number. Where the buffer
-overflows before the ray is opaque, it goes on from the last hit: nothing is dropped or met twice. Nodes wait on a stack, the nearest
-on top; leaves are tested as soon as their box is, side by side for the processor, since the buffer sorts the hits anyway.
-"""
+"""The one face of the ray tracer of 2D Gaussians (2DGRT): rays in, what they see out, differentiable."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import torch
 
-from .bvh import AXIS_U, AXIS_V, CUT, LEAF, NODE, NORMAL, OPACITY
-from .jit import kernel
-from .raster import ALPHA_MAX, TRANSMITTANCE_MIN
-from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
+from ..machine import backend
+from ..machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
+from .constants import SURFEL_GRADIENTS
+from .cpu.adjoint import disk_backward_range, trace_backward_range
+from .cpu.bvh import DiskTree, flat
+from .cpu.compositing import (
+    SH_ROW,
+    SUMS,
+    blend_backward_range,
+    blend_range,
+    composite_backward_range,
+    composite_range,
+    pack_range,
+    unpack_range,
+)
+from .cpu.trace import gather_range, transmittance_range
 
-NEAREST = 48  # hits gathered in one descent
-GROUP = 6  # nodes opened at once: the processor works on one while it waits for another
-GRAZING = 1e-8  # disks whose normal is this close (cosine squared) to square with the ray are missed
-_TINY = np.float32(1e-12)  # directions' components are kept away from 0 by this
-_IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # boxes are entered this much earlier, and left this much later, than computed
-_NOBODY, _EVERYBODY = np.uint64(2**31 - 1), np.uint64(0x7F800000FFFFFFFF)  # hits in front of and behind all others
-_NUMBER = np.uint64(2**32 - 1)
-_SOLID = np.float32(0.9999 * TRANSMITTANCE_MIN)  # a product multiplied and divided many times is sure to be opaque below this
-_OPAQUE, _ZERO, _ONE, _FAR = np.float32(TRANSMITTANCE_MIN), np.float32(0.0), np.float32(1.0), np.float32(math.inf)
+if TYPE_CHECKING:
+    from .warp.trace import DeviceLists, DeviceTree
 
+Tree: TypeAlias = "DiskTree | DeviceTree"
+Lists: TypeAlias = "HitLists | DeviceLists"
 
-@kernel
-def _ray(origin, direction, ray):
-    """A ray as vectors of equal lanes: origin, direction, inverse directions rounded towards entering early and leaving late."""
-    o = (splat(origin[3 * ray]), splat(origin[3 * ray + 1]), splat(origin[3 * ray + 2]))
-    d = (direction[3 * ray], direction[3 * ray + 1], direction[3 * ray + 2])
-    x, y, z = _inverse(d[0]), _inverse(d[1]), _inverse(d[2])
-    into = (splat(x * _IN), splat(y * _IN), splat(z * _IN))
-    out = (splat(x * _OUT), splat(y * _OUT), splat(z * _OUT))
-    return o, (splat(d[0]), splat(d[1]), splat(d[2])), into, out
-
-
-@kernel
-def _inverse(x):
-    one = np.float32(1.0)
-    return one / (x if abs(x) > _TINY else (-_TINY if x < 0 else _TINY))
+COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # columns of what `trace` returns; distance and opacity follow the extras
 
 
-@kernel
-def _sides(direction, ray):
-    """Which half of a node, per axis, holds the sides through which the ray enters: 0 the low ones, 24 the high ones."""
-    x = 24 if direction[3 * ray] < 0 else 0
-    y = 24 if direction[3 * ray + 1] < 0 else 0
-    z = 24 if direction[3 * ray + 2] < 0 else 0
-    return x, y, z
+@dataclass(frozen=True)
+class HitLists:
+    """What R rays meet, in the order they meet it.
 
-
-@kernel
-def _boxes(node, at, side, o, into, out):
-    """Where the ray enters and leaves a node's 8 boxes."""
-    x0 = (load(node, at + side[0]) - o[0]) * into[0]
-    y0 = (load(node, at + side[1] + 8) - o[1]) * into[1]
-    z0 = (load(node, at + side[2] + 16) - o[2]) * into[2]
-    x1 = (load(node, at + 24 - side[0]) - o[0]) * out[0]
-    y1 = (load(node, at + 32 - side[1]) - o[1]) * out[1]
-    z1 = (load(node, at + 40 - side[2]) - o[2]) * out[2]
-    return maximum(maximum(x0, y0), maximum(z0, splat(_ZERO))), minimum(minimum(x1, y1), z1)
-
-
-@kernel
-def _open(stack, top, node, side, ray, t_min, t_max, group, enters):
-    """Take up to GROUP nodes off the stack: returns its new top and a mask of the children met, 8 bits to a node.
-
-    group: receives the nodes. enters: (8 GROUP,) receives where the ray enters their children.
+    Attributes:
+        start: (R + 1,) int64, ray r's hits are start[r] : start[r + 1].
+        index: (H,) int32 Gaussian. weight: (H,) float32 its share of the ray; they sum to the ray's opacity, to 1 where the ray
+            counts as opaque.
+        distance: (H,) float32 along the ray.
+        left: (R,) float32 transmittance behind the last hit, before opaque rays are counted as such.
     """
-    o, _, into, out = ray
-    children, k = np.uint64(0), 0
-    while top > 0 and k < GROUP:
-        top -= 1
-        group[k] = stack[top]
-        enter, leave = _boxes(node, group[k] * NODE, side, o, into, out)
-        met = np.uint64(bits((enter <= leave) & (enter <= t_max) & (leave >= t_min)))
-        children |= met << np.uint64(8 * k)
-        store(enters, 8 * k, enter)
-        k += 1
-    return top, children
+
+    start: np.ndarray
+    index: np.ndarray
+    weight: np.ndarray
+    distance: np.ndarray
+    left: np.ndarray
+
+    @property
+    def rays(self) -> int:
+        """R."""
+        return len(self.start) - 1
 
 
-@kernel
-def _disks(leaf, at, o, d):
-    """Where the ray meets the planes of a leaf's 8 disks, rho there, and whether that lies on the disk.
+def _device() -> Any:
+    """What does the work where warp does: an option, not installed everywhere."""
+    from .warp import trace as tracing
 
-    All of it at once: leaving early where no plane is met would be guessed wrongly too often.
+    return tracing
+
+
+def build_tree(position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> Tree:
+    """A tree over raw parameters: (3, N) world, (4, N) w x y z of any length, (2, N) logs, (N,) logits; no gradients."""
+    kind = _device().DeviceTree if backend.by_warp(opacity) else DiskTree
+    return kind.build(position, quaternion, log_scale, opacity)
+
+
+def _check(origin: torch.Tensor, direction: torch.Tensor) -> None:
+    if origin.shape != direction.shape or origin.ndim != 2 or origin.shape[1] != 3:
+        raise ValueError(f"rays need origins and directions of one shape (R, 3), got {tuple(origin.shape)} and {tuple(direction.shape)}")
+
+
+def hit_lists(tree: Tree, origin: torch.Tensor, direction: torch.Tensor) -> Lists:
+    """Hits of rays (R, 3) with unit directions, in exact order, until the transmittance falls below TRANSMITTANCE_MIN."""
+    _check(origin, direction)
+    return _numba_lists(tree, origin, direction) if isinstance(tree, DiskTree) else _device().hit_lists(tree, origin, direction)
+
+
+def _numba_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists:
+    o, d = flat(origin), flat(direction)
+    rays = len(origin)
+    count, left = np.zeros(rays, np.int64), np.ones(rays, np.float32)
+    parts = [(np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.float32))]
+    if tree.depth and rays:
+        arrays = (o, d, tree.node, tree.child, tree.leaf, tree.index, tree.depth, count, left)
+        parts = run_ranges(gather_range, even_ranges(rays, 4 * thread_count()), *arrays)
+    start = np.concatenate([np.zeros(1, np.int64), np.cumsum(count)])
+    index, weight, distance = (p[0] if len(parts) == 1 else np.concatenate(p) for p in zip(*parts, strict=True))
+    return HitLists(start, index, weight, distance, left)
+
+
+def transmittance(tree: Tree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    """(R,) share of light that passes along rays (R, 3), 0 below TRANSMITTANCE_MIN; no gradients."""
+    _check(origin, direction)
+    if not isinstance(tree, DiskTree):
+        return _device().transmittance(tree, origin, direction)
+    o, d, through = flat(origin), flat(direction), torch.ones(len(origin))
+    if tree.depth and len(origin):
+        arrays = (o, d, tree.node, tree.child, tree.leaf, tree.depth, through.numpy())
+        run_ranges(transmittance_range, even_ranges(len(origin), 4 * thread_count()), *arrays)
+    return through
+
+
+def _whole(channels: int) -> int:
+    """Floats of a row that holds so many channels in whole vectors."""
+    return -(-channels // 8) * 8
+
+
+def _pack(sh: torch.Tensor | None, extra: torch.Tensor, coefficients: int) -> np.ndarray:
+    n = extra.shape[1]
+    rows = np.empty((n, (SH_ROW if coefficients else 0) + _whole(len(extra))), np.float32)
+    values = np.empty(0, np.float32) if sh is None else flat(sh)
+    run_ranges(pack_range, even_ranges(n, thread_count()), values, flat(extra), coefficients, n, rows)
+    return rows
+
+
+def _composite(
+    tree: DiskTree, lists: HitLists, direction: torch.Tensor, rows: np.ndarray, coefficients: int, extras: int
+) -> tuple[torch.Tensor, np.ndarray, list[tuple[int, int]]]:
+    """Sums (R, 8 + E) over the hits, which channels of colour each hit lit, and the ranges of rays that were worked on at a time."""
+    out = torch.empty(lists.rays, SUMS + extras)
+    lit = np.empty(len(lists.index), np.uint8)
+    hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
+    ranges = balanced_ranges(np.diff(lists.start) + 1, thread_count())
+    run_ranges(composite_range, ranges, flat(direction), *hits, tree.record, rows, coefficients, extras, out.numpy(), lit)
+    return out, lit, ranges
+
+
+class _Trace(torch.autograd.Function):
+    """CPU backend."""
+
+    @staticmethod
+    def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients):
+        lists = _numba_lists(tree, origin, direction)
+        rows = _pack(sh, extra, coefficients)
+        out, lit, ranges = _composite(tree, lists, direction, rows, coefficients, len(extra))
+        ctx.lists, ctx.lit, ctx.ranges, ctx.rays = lists, lit, ranges, (flat(origin), flat(direction))
+        ctx.record, ctx.quaternion, ctx.rows, ctx.coefficients = tree.record, tree.parameters[1], rows, coefficients
+        ctx.shapes = [None if p is None else p.shape for p in (position, quaternion, log_scale, opacity, sh, extra, origin, direction)]
+        ctx.save_for_backward(out)
+        return out
+
+    @staticmethod
+    def backward(ctx, gradient):
+        geometry = any(ctx.needs_input_grad[:4]) or any(ctx.needs_input_grad[6:8])
+        gradients = [None if shape is None else torch.zeros(shape) for shape in ctx.shapes]
+        outputs = [np.empty(0, np.float32) if g is None else g.view(-1).numpy() for g in gradients]
+        gradient = gradient.contiguous().numpy()
+        (n, width), extras = ctx.rows.shape, ctx.shapes[5][0]
+        slots = np.zeros((len(ctx.ranges), n, width + (SURFEL_GRADIENTS if geometry else 0)), np.float32)
+        if geometry:
+            _geometry_backward(ctx, gradient, slots, gradients, outputs)
+        else:
+            arrays = (ctx.rays[1], ctx.lists.start, ctx.lists.index, ctx.lists.weight, ctx.lit, ctx.coefficients, extras)
+            run_ranges(composite_backward_range, ctx.ranges, *arrays, gradient, slots, numbered=True)
+        run_ranges(unpack_range, even_ranges(n, thread_count()), slots, ctx.coefficients, n, *outputs[4:6])
+        wanted = zip(ctx.needs_input_grad, gradients, strict=False)
+        return *(g if needed else None for needed, g in wanted), None, None
+
+
+def _geometry_backward(ctx, gradient, slots, gradients, outputs):
+    """Gradients of disks and rays; those of rows are left in the slots."""
+    lists, (n, width) = ctx.lists, ctx.rows.shape
+    hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
+    scene = (ctx.record, ctx.rows, ctx.coefficients, ctx.shapes[5][0], ctx.saved_tensors[0].detach().numpy())
+    rays = [g.numpy() for g in gradients[6:8]]
+    run_ranges(trace_backward_range, ctx.ranges, *ctx.rays, *hits, *scene, gradient, slots, *rays, numbered=True)
+    run_ranges(disk_backward_range, even_ranges(n, thread_count()), slots, width, ctx.record, ctx.quaternion, n, *outputs[:4])
+
+
+def trace(
+    position: torch.Tensor,
+    quaternion: torch.Tensor,
+    log_scale: torch.Tensor,
+    opacity: torch.Tensor,
+    sh: torch.Tensor | None,
+    extra: torch.Tensor,
+    origin: torch.Tensor,
+    direction: torch.Tensor,
+    tree: Tree,
+    degree: int = 3,
+) -> torch.Tensor:
+    """Composite 2D Gaussians along rays, in the exact order of their hits.
+
+    Args:
+        position: (3, N) world; quaternion: (4, N) w x y z, any length; log_scale: (2, N); opacity: (N,) logits.
+        sh: (K, 3, N) radiance max(0.5 + sum, 0) in the ray's direction, K >= (degree + 1)^2; None: no colour, zeros.
+        extra: (E, N) further channels, E >= 0.
+        origin: (R, 3); direction: (R, 3) unit. Hits lie strictly ahead; offsets from a surface are the caller's.
+        tree: built from, or refitted to, these very Gaussians. degree: SH degree in use, 0..3.
+
+    Returns:
+        (R, 8 + E) sums over hits of weight x (colour 3, unit normal turned against the ray 3, extra E, distance 1), not divided by
+        opacity, and opacity itself last (nearly opaque counts as opaque: there the sums are means).
+
+    Raises:
+        ValueError: shapes that don't fit, or a tree of other Gaussians (on a device: of other tensors, or of what was in them before).
     """
-    cx, cy, cz = load(leaf, at) - o[0], load(leaf, at + 8) - o[1], load(leaf, at + 16) - o[2]
-    nx, ny, nz = load(leaf, at + NORMAL * 8), load(leaf, at + NORMAL * 8 + 8), load(leaf, at + NORMAL * 8 + 16)
-    cosine = nx * d[0] + ny * d[1] + nz * d[2]
-    t = (nx * cx + ny * cy + nz * cz) / cosine
-    x, y, z = d[0] * t - cx, d[1] * t - cy, d[2] * t - cz
-    at_u, at_v = at + AXIS_U * 8, at + AXIS_V * 8
-    u = x * load(leaf, at_u) + y * load(leaf, at_u + 8) + z * load(leaf, at_u + 16)
-    v = x * load(leaf, at_v) + y * load(leaf, at_v + 8) + z * load(leaf, at_v + 16)
-    rho = u * u + v * v
-    return t, rho, (cosine * cosine > GRAZING) & (rho <= load(leaf, at + CUT * 8))
+    _check(origin, direction)
+    if not tree.matches(position, quaternion, log_scale, opacity):
+        raise ValueError("the tree stands for other Gaussians; refit or rebuild it after they change")
+    coefficients = 0 if sh is None else (degree + 1) ** 2
+    function = _Trace if isinstance(tree, DiskTree) else _device().Trace
+    return function.apply(position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients)
 
 
-@kernel
-def _alpha(leaf, at, rho):
-    return minimum(exp(rho * np.float32(-0.5)) * load(leaf, at + OPACITY * 8), splat(np.float32(ALPHA_MAX)))
+class Seen:
+    """What rays see of Gaussians that stay as they are: their rows are laid out once. No gradients.
 
-
-@kernel
-def _hit(t, g):
-    """A hit as one number that sorts by distance, then by Gaussian."""
-    return np.uint64(np.float32(t).view(np.uint32)) << np.uint64(32) | np.uint64(g)
-
-
-@kernel
-def _distance(hit):
-    """The distance of such a hit."""
-    return np.uint32(hit >> np.uint64(32)).view(np.float32)
-
-
-@kernel
-def _push(stack, stack_t, bottom, top, item, t):
-    """Put a node on the stack, above those from `bottom` on that the ray enters later."""
-    while top > bottom and stack_t[top - 1] < t:
-        stack[top], stack_t[top] = stack[top - 1], stack_t[top - 1]
-        top -= 1
-    stack[top], stack_t[top] = item, t
-
-
-@kernel
-def _insert(near, near_alpha, n, hit, alpha, behind):
-    """Put a hit among the n nearest; returns their number and the transmittance behind them, without those that nobody sees."""
-    place = n
-    if n == NEAREST:
-        place -= 1
-        behind /= _ONE - near_alpha[place]
-    else:
-        n += 1
-    while place > 0 and near[place - 1] > hit:
-        near[place], near_alpha[place] = near[place - 1], near_alpha[place - 1]
-        place -= 1
-    near[place], near_alpha[place] = hit, alpha
-    behind *= _ONE - alpha
-    while n > 1 and behind <= _SOLID * (_ONE - near_alpha[n - 1]):
-        n -= 1
-        behind /= _ONE - near_alpha[n]
-    return n, behind
-
-
-@kernel
-def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t, group, enters, lane_t, lane_alpha):
-    """The next hits behind the hit `last`, where the transmittance is `before` -> near, near_alpha; returns how many."""
-    o, d, _, _ = ray
-    n, behind, furthest = 0, before, _EVERYBODY
-    t_min, t_max = _distance(last), _FAR
-    stack[0], stack_t[0], top = 0, _ZERO, 1
-    while top > 0:
-        if stack_t[top - 1] > t_max:
-            top -= 1
-            continue
-        bottom, children = _open(stack, top, node, side, ray, t_min, t_max, group, enters)
-        top = bottom
-        while children != 0:
-            lane = first_bit(children)
-            children &= children - np.uint64(1)
-            below = child[group[lane >> 3], lane & 7]
-            if below >= 0:
-                _push(stack, stack_t, bottom, top, below, enters[lane])
-                top += 1
-                continue
-            t, rho, met = _disks(leaf, ~below * LEAF, o, d)
-            mask = bits(met & (t >= t_min) & (t <= t_max))
-            if mask == 0:
-                continue
-            store(lane_t, 0, t)
-            store(lane_alpha, 0, _alpha(leaf, ~below * LEAF, rho))
-            while mask != 0:
-                lane = first_bit(mask)
-                mask &= mask - np.uint32(1)
-                hit = _hit(lane_t[lane], index[~below * 8 + lane])
-                if last < hit <= furthest:
-                    n, behind = _insert(near, near_alpha, n, hit, lane_alpha[lane], behind)
-                    if n == NEAREST or behind <= _SOLID:
-                        furthest = near[n - 1]
-            t_max = _distance(furthest)
-    return n
-
-
-@kernel
-def _grown(array):
-    larger = np.empty(2 * len(array), array.dtype)
-    larger[: len(array)] = array
-    return larger
-
-
-@kernel
-def _stack_size(depth):
-    """Opening groups off the top, each of a tree's levels leaves less than one group's children on the stack."""
-    return 8 * GROUP * (depth + 1)
-
-
-@kernel
-def gather_range(begin, end, origin, direction, node, child, leaf, index, depth, count, left):
-    """Follow rays begin..end: returns (hits,) Gaussian, weight and distance of their hits, one ray after the other.
-
-    origin, direction: (3 R,). count: (R,) receives the hits of each ray, left: (R,) its transmittance behind them. Weights sum to
-    1 where that is no more than TRANSMITTANCE_MIN.
+    Args: tree, sh, extra: as for `trace`, whose degree follows from the coefficients there are.
     """
-    capacity = (end - begin) * 6 + NEAREST
-    out_index, out_weight, out_t = np.empty(capacity, np.int32), np.empty(capacity, np.float32), np.empty(capacity, np.float32)
-    near, near_alpha = np.empty(NEAREST, np.uint64), np.empty(NEAREST, np.float32)
-    stack, stack_t = np.empty(_stack_size(depth), np.int32), np.empty(_stack_size(depth), np.float32)
-    group, enters = np.empty(GROUP, np.int64), np.empty(8 * GROUP, np.float32)
-    lane_t, lane_alpha = np.empty(8, np.float32), np.empty(8, np.float32)
-    at = 0
-    for i in range(begin, end):
-        ray, side = _ray(origin, direction, i), _sides(direction, i)
-        first, before, last, n = at, _ONE, _NOBODY, NEAREST
-        while n == NEAREST and before > _OPAQUE:
-            n = _nearest(
-                ray, side, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t, group, enters, lane_t, lane_alpha
-            )  # fmt: skip
-            if at + n > len(out_t):
-                out_index, out_weight, out_t = _grown(out_index), _grown(out_weight), _grown(out_t)
-            for j in range(n):
-                if before <= _OPAQUE:
-                    break
-                last = near[j]
-                out_index[at], out_t[at], out_weight[at] = np.int32(last & _NUMBER), _distance(last), before * near_alpha[j]
-                before *= _ONE - near_alpha[j]
-                at += 1
-        if before <= _OPAQUE:
-            for hit in range(first, at):
-                out_weight[hit] /= _ONE - before
-        count[i], left[i] = at - first, before
-    return out_index[:at], out_weight[:at], out_t[:at]
+
+    def __init__(self, tree: Tree, sh: torch.Tensor, extra: torch.Tensor) -> None:
+        self._device = None if isinstance(tree, DiskTree) else _device().Seen(tree, sh, extra)
+        if not isinstance(tree, DiskTree):
+            return
+        self._tree, self._extras = tree, len(extra)
+        self._coefficients = len(sh)
+        self._rows = _pack(sh, extra, self._coefficients)
+
+    def along(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+        """(R, 8 + E), the sums that `trace` returns, for rays (R, 3)."""
+        if self._device is not None:
+            return self._device.along(origin, direction)
+        lists = _numba_lists(self._tree, origin, direction)
+        return _composite(self._tree, lists, direction, self._rows, self._coefficients, self._extras)[0]
 
 
-@kernel
-def transmittance_range(begin, end, origin, direction, node, child, leaf, depth, through):
-    """What passes through along rays begin..end -> through (R,); in any order, and no further than to TRANSMITTANCE_MIN."""
-    stack, group, enters = np.empty(_stack_size(depth), np.int32), np.empty(GROUP, np.int64), np.empty(8 * GROUP, np.float32)
-    one = splat(_ONE)
-    for i in range(begin, end):
-        ray, side = _ray(origin, direction, i), _sides(direction, i)
-        o, d, _, _ = ray
-        left, stack[0], top = _ONE, 0, 1
-        while top > 0:
-            top, children = _open(stack, top, node, side, ray, _ZERO, _FAR, group, enters)
-            while children != 0:
-                lane = first_bit(children)
-                children &= children - np.uint64(1)
-                below = child[group[lane >> 3], lane & 7]
-                if below >= 0:
-                    stack[top] = below
-                    top += 1
-                    continue
-                t, rho, met = _disks(leaf, ~below * LEAF, o, d)
-                met = met & (t > _ZERO)
-                if bits(met) == 0:
-                    continue
-                left *= product(select(met, one - _alpha(leaf, ~below * LEAF, rho), one))
-                if left <= _OPAQUE:
-                    left, top = _ZERO, 0
-                    break
-        through[i] = left
+class _Blend(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, values, lists, ray):
+        rows = _pack(None, values, 0)
+        out = torch.empty(len(ray), len(values))
+        ranges = balanced_ranges(np.diff(lists.start)[ray] + 1, thread_count())
+        run_ranges(blend_range, ranges, ray, lists.start, lists.index, lists.weight, rows, len(values), out.numpy())
+        ctx.lists, ctx.ray, ctx.ranges, ctx.shape = lists, ray, ranges, values.shape
+        return out
+
+    @staticmethod
+    def backward(ctx, gradient):
+        lists, (channels, n) = ctx.lists, ctx.shape
+        slots = np.zeros((len(ctx.ranges), n, _whole(channels)), np.float32)
+        arrays = (ctx.ray, lists.start, lists.index, lists.weight, gradient.contiguous().numpy(), slots)
+        run_ranges(blend_backward_range, ctx.ranges, *arrays, numbered=True)
+        out = torch.empty(channels, n)
+        run_ranges(unpack_range, even_ranges(n, thread_count()), slots, 0, n, np.empty(0, np.float32), out.view(-1).numpy())
+        return out, None, None
+
+
+def blend(lists: Lists, values: torch.Tensor, rows: torch.Tensor | None = None) -> torch.Tensor:
+    """Sums over hits of weight x value, differentiable in the values.
+
+    Args:
+        lists: what R rays meet. values: (C, N) channels of the Gaussians. rows: (B,) rays wanted, any order; None: all R.
+
+    Returns:
+        (B, C), not divided by opacity.
+    """
+    if not isinstance(lists, HitLists):
+        every = torch.arange(lists.rays, device=values.device) if rows is None else rows.detach().to(torch.int64).contiguous()
+        return _device().Blend.apply(values, lists, every)
+    ray = np.arange(lists.rays) if rows is None else rows.detach().to(torch.int64).contiguous().numpy()
+    return _Blend.apply(values, lists, ray)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..errors import InputError
-from ..scene.ply import load_mesh_ply
+from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from .gaussian_query import GaussianQuery
 from .mesh_query import MeshQuery

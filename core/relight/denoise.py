@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..kernels.backend import by_warp
-from ..kernels.bilateral import bilateral_range, mean_range, weigh_range
-from ..kernels.pool import even_ranges, run_ranges, thread_count
+from ..kernels.cpu.bilateral import bilateral_range, mean_range, weigh_range
+from ..machine.backend import by_warp
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
 from ..shading.split_sum import specular_albedo
 from .estimate import Estimate
-from .primary import Primary
+from .primary_hits import Primary
 
 REACH = 6  # pixels of margin, as far as any filter reaches
 BLOCKS = 4  # rows are handed out in this many ranges per thread: the object rarely covers them evenly

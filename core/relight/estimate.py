@@ -10,8 +10,8 @@ import torch
 
 from ..shading.brdf import base_reflectance, facing
 from ..shading.specular_albedo import diffuse_share
-from .lighting import PreparedLight
-from .primary import Primary
+from .prepared_light import PreparedLight
+from .primary_hits import Primary
 
 RATIO = 2.0  # by so much at most a sum of few samples is corrected
 

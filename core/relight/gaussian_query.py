@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import torch
 
-from ..kernels.tracing import build_tree, trace
+from ..kernels.trace import build_tree, trace
 from ..scene.reconstruction import Reconstruction
-from .primary import Primary
-from .query import Hits
+from .primary_hits import Primary
+from .secondary_query import Hits
 
 OFFSET = 0.02  # of the scene radius: the mean depth lies inside the cloud of disks that make a surface, whose thickness this clears
 FAINTEST = 1 / 255  # opacity below which a ray counts as free

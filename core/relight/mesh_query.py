@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from ..scene.mesh import Mesh
-from .primary import Primary
-from .query import Hits
+from .primary_hits import Primary
+from .secondary_query import Hits
 from .triangles import triangles_of
 
 # Of the scene radius:

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..datasets.camera import Camera
-from ..datasets.dataset import Bound
 from ..errors import InputError
+from ..scene.camera import Camera
+from ..scene.dataset import Bound
 
 ELEVATION = 20.0  # degrees above the horizon
 

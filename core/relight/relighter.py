@@ -16,24 +16,24 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import torch
 
-from ..config import SkipSettings
-from ..datasets.camera import Camera
-from ..device_memory import rays_that_fit
 from ..errors import InputError
-from ..kernels.backend import by_warp
+from ..machine.backend import by_warp
+from ..machine.gpu_memory import rays_that_fit
+from ..scene.camera import Camera
 from ..scene.reconstruction import Reconstruction
+from ..settings.schema import SkipSettings
 from ..shading.sampling import Samples, draw
-from .adaptive import PILOT, ROUNDS, noise
+from .adaptive_sampling import PILOT, ROUNDS, noise
 from .denoise import Guides, denoised
+from .direct_light import add_light_samples
 from .estimate import estimated
-from .gathering import Points, SecondaryRays, Surroundings, gather, trace_samples
-from .light_samples import add_light_samples
-from .lighting import PreparedLight
+from .indirect_light import Points, SecondaryRays, Surroundings, gather, trace_samples
 from .mesh_query import MeshQuery
-from .openness import Openness, survey
-from .primary import Primary, primary_surface
-from .query import SurfaceQuery
-from .samples import Counts, pixel_shifts, sample_counts
+from .prepared_light import PreparedLight
+from .primary_hits import Primary, primary_surface
+from .sample_counts import Counts, pixel_shifts, sample_counts
+from .secondary_query import SurfaceQuery
+from .visibility_cache import Openness, survey
 
 RAYS = 1 << 17  # at a time: few enough for the cache, enough for every thread
 KEPT_BYTES = 1 << 28  # of secondary rays that are kept from light to light

@@ -10,8 +10,8 @@ import torch
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from ..kernels.backend import by_warp
-from ..kernels.pool import even_ranges, run_ranges, thread_count
+from ..machine.backend import by_warp
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
 
 

@@ -11,8 +11,8 @@ import torch
 from plyfile import PlyData, PlyElement
 
 from ..errors import InputError
-from ..replacing import whole
-from .buffers import SurfaceSamples
+from ..io.atomic import whole
+from .gbuffer import SurfaceSamples
 
 SH_COEFFICIENTS = 16  # degree 3
 SH_DC = 0.28209479177387814

@@ -12,7 +12,7 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from ..replacing import write_atomic
+from ..io.atomic import write_atomic
 from .mesh import Mesh
 from .textures import occlusion_roughness_metallic
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..arrays import read_arrays
-from ..datasets.dataset import Bound
 from ..errors import InputError
-from ..replacing import whole, write_atomic
-from .buffers import SurfaceSamples
-from .exr import read_exr_rgb, rgb_channels, write_exr
+from ..io.atomic import whole, write_atomic
+from ..io.exr import read_exr_rgb, rgb_channels, write_exr
+from ..io.npz import read_arrays
+from .dataset import Bound
 from .gaussians import Gaussians, load_gaussians, save_gaussians
+from .gbuffer import SurfaceSamples
 
 
 @dataclass(frozen=True, eq=False)

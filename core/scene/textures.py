@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError
-from ..replacing import whole
+from ..io.atomic import whole
 
 CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3}
 

@@ -7,7 +7,7 @@ import math
 
 import torch
 
-from .lightmap import direction_to_uv, solid_angles
+from .environment_lookup import direction_to_uv, solid_angles
 
 FLOOR = 1e-3  # share of the mean that even a black texel gets, so that none dies
 SIDE = 1 / 6  # weight of either neighbour: lookup is bilinear, light spills half a texel over the edge

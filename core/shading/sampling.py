@@ -13,9 +13,9 @@ from functools import cache
 
 import torch
 
-from ..kernels.backend import by_warp
-from ..kernels.directions import draw_range
-from ..kernels.pool import even_ranges, run_ranges, thread_count
+from ..kernels.cpu.directions import draw_range
+from ..machine.backend import by_warp
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from .brdf import facing, ggx_alpha, sample_visible_normal, visible_normal_density
 from .light_distribution import LightDistribution
 

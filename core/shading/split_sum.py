@@ -12,7 +12,7 @@ from functools import cache
 import torch
 
 from .brdf import base_reflectance, ggx_alpha, ggx_distribution
-from .lightmap import lookup, solid_angles, texel_directions
+from .environment_lookup import lookup, solid_angles, texel_directions
 from .specular_albedo import diffuse_share, specular_albedo
 
 LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness of the specular stack; 0 is the map itself

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ..colour import encode_srgb
-from ..kernels.jit import kernel
+from ..io.srgb import encode_srgb
+from ..kernels.cpu.jit import kernel
 from .meshing import unit
 
 NOISE = 1.5  # times the median difference between two normals: what is less is noise

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from ..kernels.jit import kernel
-from ..kernels.pool import even_ranges, run_ranges, thread_count
-from ..progress import Progress
-from ..scene.buffers import ViewBuffers
-from .grid import BLOCK, Grid
+from ..kernels.cpu.jit import kernel
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from ..progress.protocol import Progress
+from ..scene.gbuffer import ViewBuffers
+from .voxel_grid import BLOCK, Grid
 
 TRUNCATION = 4.0  # voxels
 GRAZING = 0.1  # cosine below which a depth says nothing about the distance

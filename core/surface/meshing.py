@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from ..errors import IrgsppError
-from .grid import Grid
+from .voxel_grid import Grid
 
 PATIENCE = 5  # how fast decimation allows greater errors; its default, 7, errs three times as far in no less time
 TAUBIN = (0.5, -0.53)  # a shrinking and a growing step: noise goes, volume stays (Taubin 1995)

@@ -13,7 +13,7 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from ..datasets.camera import Camera
+from ..scene.camera import Camera
 
 LARGEST = 1.5  # pixels; a larger offset is no bias of splatting but something missing
 

@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..config import SurfaceSettings
 from ..errors import Cancelled
-from ..progress import Progress
-from ..scene.buffers import SurfaceSamples, ViewBuffers
+from ..progress.protocol import Progress
+from ..scene.gbuffer import SurfaceSamples, ViewBuffers
 from ..scene.mesh import Mesh
 from ..scene.surface import Surface
+from ..settings.schema import SurfaceSettings
 from . import meshing
-from .attributes import fuse_attributes
 from .bake import colour_byte, detailed, rasterise, tangent_space, tangents, to_byte
+from .material_fusion import fuse_attributes
 from .meshing import Triangles
 from .unwrap import unwrap
 

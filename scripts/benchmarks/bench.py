@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from irgspp import core
-from irgspp.core.config import DataSettings
-from irgspp.core.datasets.dataset import Dataset, View
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.devices import devices
 from irgspp.core.errors import IrgsppError
+from irgspp.core.evaluation.ground_truth import SceneTruth, Truth, load_scene_truth, load_truth
 from irgspp.core.evaluation.report import evaluate
-from irgspp.core.evaluation.truth import SceneTruth, Truth, load_scene_truth, load_truth
-from irgspp.core.overrides import from_dict
+from irgspp.core.machine.devices import devices
 from irgspp.core.run_folder import versions
+from irgspp.core.scene.dataset import Dataset, View
+from irgspp.core.settings.overrides import from_dict
+from irgspp.core.settings.schema import DataSettings
 
 from . import runs
 from .runs import Run, RunPlan

@@ -8,15 +8,16 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from irgspp.core.evaluation import metrics, pictures
-from irgspp.core.evaluation.perceptual import NO_LPIPS, Lpips, find_lpips
+from irgspp.core.evaluation import metrics
+from irgspp.core.evaluation import visualisation as pictures
+from irgspp.core.evaluation.ground_truth import Truth
+from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips, find_lpips
 from irgspp.core.evaluation.prediction import Prediction
-from irgspp.core.evaluation.truth import Truth
 from irgspp.core.relight.backends import best_backend, open_relighter
-from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.rendering.gbuffer import render_view
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.stages.render import render_view
 
 from .bench import PRESETS, Bench, Scene
 from .section import Block, Measurement, Note, Pictures, Table, Task

@@ -8,11 +8,12 @@ from functools import partial
 
 import numpy as np
 import torch
-from irgspp.core.evaluation import metrics, pictures
+from irgspp.core.evaluation import metrics
+from irgspp.core.evaluation import visualisation as pictures
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.mesh_query import MeshQuery
 from irgspp.core.relight.relighter import RelightSettings
-from irgspp.core.scene.ply import load_mesh_ply
+from irgspp.core.scene.mesh_ply import load_mesh_ply
 from irgspp.core.scene.reconstruction import Reconstruction
 
 from .bench import Bench, Scene

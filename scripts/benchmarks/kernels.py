@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from irgspp.core.kernels.pool import thread_count
+from irgspp.core.machine.thread_pool import thread_count
 
 from . import other_rasters
 from .bench import Bench, Scene

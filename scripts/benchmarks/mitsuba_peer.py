@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from irgspp.core.datasets.camera import Camera
 from irgspp.core.errors import IrgsppError
-from irgspp.core.kernels.pool import thread_count
-from irgspp.core.scene.ply import load_mesh_ply
+from irgspp.core.machine.thread_pool import thread_count
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.mesh_ply import load_mesh_ply
 from irgspp.core.scene.textures import load_textures
 from irgspp.core.shading.specular_albedo import TABLE, diffuse_share
 

@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from irgspp.core.errors import IrgsppError
-from irgspp.core.kernels.binning import TILE
-from irgspp.core.kernels.pool import run_ranges
-from irgspp.core.kernels.projection import LOW_PASS
-from irgspp.core.kernels.raster import _W_MIN, ALPHA_MAX, TRANSMITTANCE_MIN
-from irgspp.core.kernels.reference import rasterize_reference
+from irgspp.core.kernels.constants import ALPHA_MAX, LOW_PASS, TILE, TRANSMITTANCE_MIN
+from irgspp.core.kernels.constants import HORIZON_MIN as _W_MIN
+from irgspp.core.kernels.reference.rasterize import rasterize_reference
+from irgspp.core.machine.thread_pool import run_ranges
 
 from .workloads import Splats, torus, viewer
 

@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from irgspp.core.colour import decode_srgb, encode_srgb
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import View
-from irgspp.core.evaluation import metrics, pictures
-from irgspp.core.evaluation.figures import albedo_figures, averages, view_figures
+from irgspp.core.evaluation import metrics
+from irgspp.core.evaluation import visualisation as pictures
 from irgspp.core.evaluation.prediction import Prediction
-from irgspp.core.scene.buffers import ViewBuffers
+from irgspp.core.evaluation.view_metrics import albedo_figures, averages, view_figures
+from irgspp.core.io.srgb import decode_srgb, encode_srgb
+from irgspp.core.rendering.gbuffer import render_view
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import View
+from irgspp.core.scene.gbuffer import ViewBuffers
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.stages.render import render_view
 
 from . import mitsuba_peer
 from .bench import Bench, Scene

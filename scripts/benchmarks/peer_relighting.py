@@ -11,7 +11,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from irgspp.core.evaluation.cycles import CyclesPass, cycles_pictures
 from irgspp.core.evaluation.metrics import on_black, psnr
-from irgspp.core.progress import Silent
+from irgspp.core.progress.protocol import Silent
 
 from . import mitsuba_peer
 from .mitsuba_peer import Frame

@@ -8,9 +8,9 @@ from dataclasses import asdict
 from functools import partial
 
 import numpy as np
-from irgspp.core.blender import NoBlender, blender_command
-from irgspp.core.evaluation import pictures
+from irgspp.core.evaluation import visualisation as pictures
 from irgspp.core.evaluation.metrics import on_black, psnr
+from irgspp.core.machine.blender_process import NoBlender, blender_command
 
 from . import mitsuba_peer, peer_inverse
 from .bench import Bench, Scene

@@ -8,7 +8,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from irgspp.core.evaluation import metrics, pictures
+from irgspp.core.evaluation import metrics
+from irgspp.core.evaluation import visualisation as pictures
 from irgspp.core.relight.backends import best_backend
 from irgspp.core.scene.gaussians import load_gaussians
 

@@ -12,10 +12,11 @@ from functools import partial
 
 import numpy as np
 import torch
-from irgspp.core.evaluation import metrics, pictures
+from irgspp.core.evaluation import metrics
+from irgspp.core.evaluation import visualisation as pictures
 from irgspp.core.relight.mesh_query import MeshQuery
-from irgspp.core.relight.query import Hits, SurfaceQuery
 from irgspp.core.relight.relighter import Relighter
+from irgspp.core.relight.secondary_query import Hits, SurfaceQuery
 
 from .bench import Bench, Scene
 from .section import Block, Chart, Measurement, Note, Pictures, Series, Table, Task

@@ -58,7 +58,7 @@ def _render(kind: str, folder: Path, target: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     partial, blend = folder / f"{kind}.part", folder / f"{kind}.blend"
     shutil.rmtree(partial, ignore_errors=True)  # of an interrupted start
-    _call("demo_scene.py", kind, blend)
+    _call("scenes/demo_scene.py", kind, blend)
     _call("render_dataset.py", blend, "-o", partial, *SIZE)
     partial.rename(target)
 

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import TextIO
 
 import numpy as np
-from irgspp.core.terminal import clock
+from irgspp.core.progress.terminal import clock
 from PIL import Image
 
 from .bench import Bench, Scene

@@ -10,9 +10,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from irgspp.core.config import SkipSettings
 from irgspp.core.evaluation import metrics
-from irgspp.core.relight.lighting import PreparedLight
+from irgspp.core.relight.prepared_light import PreparedLight
+from irgspp.core.settings.schema import SkipSettings
 
 from .bench import Bench, Scene
 from .reconstruction import COLUMNS, FIGURES, costs

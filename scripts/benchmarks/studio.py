@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from irgspp.core.config import SkipSettings
-from irgspp.core.datasets.dataset import View
 from irgspp.core.evaluation import metrics
 from irgspp.core.relight.backends import Backend, open_relighter
-from irgspp.core.relight.lighting import PreparedLight, prepare
+from irgspp.core.relight.prepared_light import PreparedLight, prepare
 from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.scene.dataset import View
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.settings.schema import SkipSettings
 
 from .bench import Bench, Scene
 from .timing import median_seconds

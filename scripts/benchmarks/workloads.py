@@ -12,19 +12,23 @@ from typing import Any
 
 import numpy as np
 import torch
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.kernels.binning import TILE, bin_tiles, depth_order
-from irgspp.core.kernels.bvh import DiskTree, flat
-from irgspp.core.kernels.compositing import SH_ROW, SUMS, composite_backward_range, composite_range, pack_range
-from irgspp.core.kernels.pool import balanced_ranges, even_ranges, run_ranges, thread_count
-from irgspp.core.kernels.projection import GEOMETRY, NEAR, RECORD, project_range
-from irgspp.core.kernels.raster import rasterize_backward_range, rasterize_range
+from irgspp.core.kernels.constants import NEAR, TILE
+from irgspp.core.kernels.constants import SPLAT_GRADIENTS as GEOMETRY
+from irgspp.core.kernels.constants import SPLAT_RECORD as RECORD
+from irgspp.core.kernels.cpu.binning import bin_tiles, depth_order
+from irgspp.core.kernels.cpu.bvh import DiskTree, flat
+from irgspp.core.kernels.cpu.compositing import SH_ROW, SUMS, composite_backward_range, composite_range, pack_range
+from irgspp.core.kernels.cpu.projection import project_range
+from irgspp.core.kernels.cpu.raster import rasterize_backward_range, rasterize_range
+from irgspp.core.kernels.cpu.trace import gather_range
 from irgspp.core.kernels.rasterize import camera_numbers
-from irgspp.core.kernels.trace import gather_range
-from irgspp.core.kernels.tracing import NORMAL, trace
+from irgspp.core.kernels.trace import NORMAL, trace
+from irgspp.core.machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
+from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.gaussians import quaternion_to
-from plain_raster import plain_backward_range, plain_range
-from plain_trace import plain_composite_backward_range, plain_composite_range, plain_gather_range
+
+from .plain_raster import plain_backward_range, plain_range
+from .plain_trace import plain_composite_backward_range, plain_composite_range, plain_gather_range
 
 EXTRAS = 4  # with colour, normal, depth and opacity: 12 channels
 MAJOR, MINOR = 1.0, 0.4  # radii of the torus
@@ -115,7 +119,7 @@ def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splat
 
 @dataclass
 class Rays:
-    """Secondary rays and what the kernels make of them; attributes as in `core/kernels/tracing.py`."""
+    """Secondary rays and what the kernels make of them; attributes as in `core/kernels/trace.py`."""
 
     tree: DiskTree
     rows: np.ndarray

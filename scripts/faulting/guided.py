@@ -16,7 +16,8 @@ from pathlib import Path
 import atheris
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-with atheris.instrument_imports(include=["irgspp.core.datasets", "irgspp.core.scene", "irgspp.core.batch", "irgspp.core.overrides"]):
+ROOMS = ("datasets", "io", "scene", "batch", "settings")
+with atheris.instrument_imports(include=[f"irgspp.core.{room}" for room in ROOMS]):
     from faulting.fuzz_child import fault_of
     from faulting.readers import READERS
 

@@ -9,12 +9,12 @@ import tempfile
 from pathlib import Path
 
 import psutil
-from irgspp.core.config import Settings, preset
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.host_memory import bytes_needed
-from irgspp.core.overrides import with_overrides
+from irgspp.core.machine.cpu_memory import bytes_needed
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import Settings, preset
 from stresses.case import Measured
 
 from .cases import case_of

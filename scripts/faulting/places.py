@@ -13,10 +13,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from irgspp.core.datasets.capture import view_names
 from irgspp.core.datasets.load import load_dataset
+from irgspp.core.datasets.parsed_dataset import view_names
 from irgspp.core.run_folder import read_run
-from irgspp.core.scene.cameras import save_views
+from irgspp.core.scene.camera_files import save_views
 from stresses.case import Measured
 
 from .cases import case_of

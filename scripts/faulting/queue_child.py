@@ -27,7 +27,8 @@ COUNTER = Path(__file__).with_name("counter.py")
 def main(count: int, folder: Path) -> dict[str, Any]:
     """Queue so many jobs in batches, cancel some, wait for all; what is left of them."""
     runpy.run_path(str(ROOT / "irgspp_addon" / "launch.py"))["mount"](ROOT)
-    from irgspp.irgspp_addon import job_timer, jobs
+    from irgspp.irgspp_addon.jobs import queue as jobs
+    from irgspp.irgspp_addon.jobs import timer as job_timer
 
     temporary = folder / "temporary"
     temporary.mkdir()

@@ -16,22 +16,22 @@ import torch
 from formats import WRITERS
 from formats.source import load_source
 from irgspp.core.batch.jobs import read_jobs
-from irgspp.core.config import DataSettings
-from irgspp.core.datasets.colmap_model import read_points as read_colmap_points
+from irgspp.core.cli.parser import check_words
+from irgspp.core.datasets.formats.colmap_model import read_points as read_colmap_points
 from irgspp.core.datasets.load import load_cameras
-from irgspp.core.datasets.pickles import read_pickle
-from irgspp.core.datasets.picture import picture_size, read_mask, read_picture
 from irgspp.core.datasets.sparse_points import read_points
 from irgspp.core.errors import InputError
 from irgspp.core.evaluation.surface_truth import rendered_points
-from irgspp.core.options import check_words
+from irgspp.core.io.exr import exr_size, read_exr_rgb, write_exr
+from irgspp.core.io.image import picture_size, read_mask, read_picture
+from irgspp.core.io.safe_pickle import read_pickle
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.scene.edited_mesh import load_edited_mesh
-from irgspp.core.scene.exr import exr_size, read_exr_rgb, write_exr
+from irgspp.core.scene.environment_files import read_light
 from irgspp.core.scene.gaussians import Gaussians, load_gaussians, save_gaussians
-from irgspp.core.scene.light_files import read_light
 from irgspp.core.scene.mesh import Mesh
-from irgspp.core.scene.ply import load_mesh_ply, save_mesh_ply
+from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
+from irgspp.core.settings.schema import DataSettings
 from PIL import Image
 
 from .runs import read_checkpoint, read_layer, read_state, write_run
@@ -77,7 +77,7 @@ def write_colmap(folder: Path, text: bool) -> None:
 
 def _converted(model: Path, text: bool) -> None:
     from formats import colmap_files
-    from irgspp.core.datasets import colmap_model
+    from irgspp.core.datasets.formats import colmap_model
 
     assert text, "the writer makes binary models"
     cameras = colmap_model.read_cameras(model / "cameras.bin")

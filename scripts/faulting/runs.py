@@ -14,15 +14,15 @@ import numpy as np
 import torch
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import IrgsppError
-from irgspp.core.overrides import from_dict
 from irgspp.core.run_folder import RunFolder, read_run
-from irgspp.core.scene.cameras import load_cameras
+from irgspp.core.scene.camera_files import load_cameras
 from irgspp.core.scene.reconstruction import Reflections
 from irgspp.core.scene.surface import Surface
-from irgspp.core.stages.hull import initial_gaussians
-from irgspp.core.stages.kind import COATED
-from irgspp.core.stages.trainer import Trainer
-from irgspp.core.stages.trials import kind_named
+from irgspp.core.settings.overrides import from_dict
+from irgspp.core.stages.first.initialization import initial_gaussians
+from irgspp.core.stages.first.material_class import COATED
+from irgspp.core.stages.first.material_class_selection import kind_named
+from irgspp.core.stages.first.trainer import Trainer
 
 from .tiny import settings, write_dataset
 

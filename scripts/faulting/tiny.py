@@ -18,9 +18,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from irgspp.core.config import Settings, preset
-from irgspp.core.overrides import with_overrides
 from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import Settings, preset
 
 VIEWS, CHECKS = 20, 1  # of the demonstration's photographs
 SETTINGS = (
@@ -74,8 +74,8 @@ def work(dataset: str, run: str, resume: bool, doom: Doom, overwrite: bool = Fal
     with open(said_to or f"{run}.txt", "w", encoding="utf-8") as said:
         for stream in (1, 2):
             os.dup2(said.fileno(), stream)
-    from irgspp.core.cli import main
-    from irgspp.core.stages import trainer
+    from irgspp.core.cli.main import main
+    from irgspp.core.stages.first import trainer
 
     trainer.CHECKPOINT_SECONDS = CHECKPOINT_SECONDS
     operations = _watch(Path(run), doom)
@@ -114,7 +114,7 @@ class Nursery:
         name = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
         self._context = multiprocessing.get_context(name)
         if name == "forkserver":
-            self._context.set_forkserver_preload(["irgspp.core.pipeline", "irgspp.core.cli", "faulting.tiny"])
+            self._context.set_forkserver_preload(["irgspp.core.pipeline", "irgspp.core.cli.main", "faulting.tiny"])
 
     def start(self, function: Callable[..., None], *arguments: Any) -> BaseProcess:
         """A process at work on `function(*arguments)`."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from irgspp.core.datasets.ref_real import SPHERES
+from irgspp.core.datasets.formats.ref_real import SPHERES
 from PIL import Image
 
 from .colmap_files import write_model

@@ -11,9 +11,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from irgspp.core.colour import decode_srgb, encode_srgb
 from irgspp.core.errors import InputError
-from irgspp.core.scene.exr import read_exr, read_exr_rgb, rgb_channels, write_exr
+from irgspp.core.io.exr import read_exr, read_exr_rgb, rgb_channels, write_exr
+from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from PIL import Image
 from plyfile import PlyData, PlyElement
 from scipy.spatial.transform import Rotation

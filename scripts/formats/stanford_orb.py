@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from irgspp.core.colour import decode_srgb, encode_srgb
+from irgspp.core.io.srgb import decode_srgb, encode_srgb
 
 from .source import Shot, Source, over, placed, save_exr, save_json, save_png, similarity
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from irgspp.core.colour import encode_srgb
+from irgspp.core.io.srgb import encode_srgb
 
 from .source import Shot, Source, save_exr, save_json, save_png
 

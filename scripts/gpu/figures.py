@@ -13,17 +13,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from irgspp.core.config import ReflectiveSettings, TransportSettings, preset
-from irgspp.core.overrides import with_overrides
 from irgspp.core.pipeline import reconstruct
-from irgspp.core.relight.lighting import prepare
 from irgspp.core.relight.mesh_query import MeshQuery
+from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import Relighter, RelightSettings
-from irgspp.core.stages.kind import KINDS
-from irgspp.core.stages.pixel_pool import pool_pixels
-from irgspp.core.stages.refinement import Refinement
-from irgspp.core.stages.tracer import Tracer
-from irgspp.core.stages.trainer import Trainer
+from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import ReflectiveSettings, TransportSettings, preset
+from irgspp.core.stages.first.material_class import KINDS
+from irgspp.core.stages.first.trainer import Trainer
+from irgspp.core.stages.second.pixel_pool import pool_pixels
+from irgspp.core.stages.second.refinement import Refinement
 
 from .scene import RADIUS, Work, ring
 

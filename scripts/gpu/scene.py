@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
-from irgspp.core.colour import encode_srgb
-from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.datasets.dataset import Bound, Dataset, View
+from irgspp.core.io.srgb import encode_srgb
+from irgspp.core.rendering.gbuffer import render_view
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.shading.lights import sky_light
-from irgspp.core.stages.hull import disks
-from irgspp.core.stages.render import render_view
+from irgspp.core.shading.procedural_lights import sky_light
+from irgspp.core.stages.first.initialization import disks
 
 MAJOR, MINOR, RADIUS = 1.0, 0.4, 1.6
 VIEWS = 24

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from irgspp.core.batch.jobs import Job
-from irgspp.core.config import DataSettings
-from irgspp.core.datasets.detect import LOOKED_FOR, NoDataset, read_capture
+from irgspp.core.datasets.format_detection import LOOKED_FOR, NoDataset, read_capture
 from irgspp.core.errors import InputError
+from irgspp.core.settings.schema import DataSettings
 
 DEEPEST = 3  # folders below the root
 TRUTH = {"relight_gt", "ground_truth"}  # what collections keep beside their scenes, with cameras of its own

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from irgspp.core.evaluation.page import STYLE
+from irgspp.core.evaluation.html_report import STYLE
 from PIL import Image
 
 PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from irgspp.core.colour import encode_srgb
-from irgspp.core.config import ReflectiveSettings, preset
-from irgspp.core.datasets.dataset import Dataset
 from irgspp.core.errors import IrgsppError
+from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.kernels.rasterize import rasterize
-from irgspp.core.kernels.reference import rasterize_reference
-from irgspp.core.overrides import with_overrides
+from irgspp.core.kernels.reference.rasterize import rasterize_reference
 from irgspp.core.pipeline import DEMO_DATA, reconstruct
 from irgspp.core.run_folder import read_run
+from irgspp.core.scene.dataset import Dataset
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.stages.hull import initial_gaussians
-from irgspp.core.stages.kind import COATED, LOW_GLOSS, METAL, Kind
-from irgspp.core.stages.optimizer import Rate
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import ReflectiveSettings, preset
+from irgspp.core.stages.common.optimizer import Rate
+from irgspp.core.stages.first.initialization import initial_gaussians
+from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, Kind
 
 from .case import Measured, group
 from .gaussians import thread_setting

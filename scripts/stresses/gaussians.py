@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from irgspp.core.kernels.bvh import DiskTree
-from irgspp.core.kernels.projection import NEAR
+from irgspp.core.kernels.constants import NEAR
+from irgspp.core.kernels.cpu.bvh import DiskTree
 from irgspp.core.kernels.rasterize import rasterize
-from irgspp.core.kernels.tracing import hit_lists, trace, transmittance
+from irgspp.core.kernels.trace import hit_lists, trace, transmittance
 
 from .case import Measured, group
 from .twins import ALLOWED, GEOMETRY, Disks, Limits, Rays, agree_along_rays, agree_in_pictures, camera, cloud, scattered, towards

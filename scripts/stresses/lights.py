@@ -8,20 +8,20 @@ from functools import cache
 
 import numpy as np
 import torch
-from irgspp.core.datasets.dataset import Bound
-from irgspp.core.kernels.directions import lightmap_place
+from irgspp.core.kernels.cpu.directions import lightmap_place
 from irgspp.core.relight.gaussian_query import GaussianQuery
-from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import Relighter, RelightSettings
-from irgspp.core.scene.light_files import DIM, repaired
+from irgspp.core.scene.dataset import Bound
+from irgspp.core.scene.environment_files import DIM, repaired
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.brdf import ggx_alpha, ggx_distribution
+from irgspp.core.shading.environment_lookup import direction_to_uv, lookup, solid_angles, texel_directions
 from irgspp.core.shading.light_distribution import LightDistribution
-from irgspp.core.shading.lightmap import direction_to_uv, lookup, solid_angles, texel_directions
+from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import draw
 from irgspp.core.shading.split_sum import LEVELS, diffuse_light, specular_light
-from irgspp.core.shading.transport import reflect_light
-from irgspp.core.stages.hull import disks
+from irgspp.core.stages.first.initialization import disks
 
 from .case import Measured, group, relative
 from .twins import camera

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from irgspp.core.kernels.lobes import lobe_rows, lobe_sums
 from irgspp.core.shading.brdf import base_reflectance, facing, ggx_alpha, specular_lobe
+from irgspp.core.shading.environment_lookup import solid_angles, texel_directions
 from irgspp.core.shading.light_distribution import LightDistribution
-from irgspp.core.shading.lightmap import solid_angles, texel_directions
+from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import Samples, draw
 from irgspp.core.shading.specular_albedo import diffuse_share, specular_albedo
 from irgspp.core.shading.split_sum import diffuse_light, shade, specular_light
-from irgspp.core.shading.transport import reflect_light
 
 from .case import Measured, group, relative
 

@@ -9,17 +9,17 @@ import numpy as np
 import torch
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from irgspp.core.colour import decode_srgb
-from irgspp.core.config import SurfaceSettings
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import Bound
 from irgspp.core.errors import IrgsppError
-from irgspp.core.progress import Silent
-from irgspp.core.scene.buffers import SurfaceSamples, ViewBuffers
+from irgspp.core.io.srgb import decode_srgb
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Bound
+from irgspp.core.scene.gbuffer import SurfaceSamples, ViewBuffers
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.surface import Surface
+from irgspp.core.settings.schema import SurfaceSettings
 from irgspp.core.surface.bake import rasterise
-from irgspp.core.surface.geometry import extract_geometry
+from irgspp.core.surface.extraction import extract_geometry
 from irgspp.core.surface.meshing import Triangles, cleaned, decimated, main_components, smoothed, vertex_normals
 from irgspp.core.surface.texturing import textured_mesh
 from scipy import sparse

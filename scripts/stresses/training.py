@@ -13,18 +13,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from irgspp.core.colour import encode_srgb
-from irgspp.core.config import ReflectiveSettings, preset
-from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.datasets.dataset import Bound, Dataset, View
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError, IrgsppError
-from irgspp.core.overrides import with_overrides
-from irgspp.core.stages.hull import initial_gaussians
-from irgspp.core.stages.kind import LOW_GLOSS, METAL, Kind
-from irgspp.core.stages.reflective import train
-from irgspp.core.stages.render import render_view
-from irgspp.core.stages.trainer import Trainer
+from irgspp.core.io.srgb import encode_srgb
+from irgspp.core.rendering.gbuffer import render_view
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import Bound, Dataset, View
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import ReflectiveSettings, preset
+from irgspp.core.stages.first.initialization import initial_gaussians
+from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL, Kind
+from irgspp.core.stages.first.train import train
+from irgspp.core.stages.first.trainer import Trainer
 from PIL import Image
 
 from .case import Measured, group

@@ -18,11 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.kernels.bvh import DiskTree
+from irgspp.core.kernels.cpu.bvh import DiskTree
 from irgspp.core.kernels.rasterize import rasterize
-from irgspp.core.kernels.reference import rasterize_reference, trace_reference
-from irgspp.core.kernels.tracing import trace
+from irgspp.core.kernels.reference.rasterize import rasterize_reference
+from irgspp.core.kernels.reference.trace import trace_reference
+from irgspp.core.kernels.trace import trace
+from irgspp.core.scene.camera import Camera, look_at
 
 from .case import Measured, relative
 

@@ -43,8 +43,8 @@ def time_everything() -> None:
         for name in ("draw", "invoke"):
             if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
                 hands.time_calls(cls, name, f"{cls.__name__}.{name}")
-    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.jobs"], "poll", "jobs.poll")
-    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.relight_follow"], "beat", "relight_follow.beat")
+    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.jobs.queue"], "poll", "jobs.poll")
+    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.relight.live_image"], "beat", "relight_follow.beat")
 
 
 def set_up_engine() -> Iterator[float]:
@@ -56,7 +56,7 @@ def set_up_engine() -> Iterator[float]:
     yield 1.0
     hands.sidebar_shot("02_engine_unchecked")
     yield from hands.click("irgspp.check_engine")
-    engine = sys.modules[f"{MODULE}.irgspp_addon.engine"]
+    engine = sys.modules[f"{MODULE}.irgspp_addon.engine.process"]
     yield from hands.wait(lambda: engine.status().state == "ok", 120)
     yield 1.0
     hands.shot("03_start")
@@ -84,7 +84,7 @@ def reconstruct(run: Path) -> Iterator[float]:
     settings = bpy.context.scene.irgspp
     settings.preset, settings.overrides = "draft", SETTINGS
     assert settings.run_path() == run
-    jobs = sys.modules[f"{MODULE}.irgspp_addon.jobs"]
+    jobs = sys.modules[f"{MODULE}.irgspp_addon.jobs.queue"]
     yield from hands.click("irgspp.reconstruct")
     yield from hands.wait(lambda: jobs.running(), 30)
     job = jobs.running()[0]
@@ -134,8 +134,8 @@ def relight(hdri: Path) -> Iterator[float]:
     yield from frame_selected()
     yield from scroll_to_end()
     yield from hands.click("irgspp.relight_preview")
-    preview = sys.modules[f"{MODULE}.irgspp_addon.preview"]
-    follow = sys.modules[f"{MODULE}.irgspp_addon.relight_follow"]
+    preview = sys.modules[f"{MODULE}.irgspp_addon.relight.preview"]
+    follow = sys.modules[f"{MODULE}.irgspp_addon.relight.live_image"]
     follower = follow.follower_of(preview.CHANNEL)
     yield from hands.wait(lambda: follower.done or follower.failed, 120)
     assert not follower.failed, follower.message

@@ -19,12 +19,12 @@ MODULE = "bl_ext.user_default.irgspp"
 def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "troubles.blend"))
-    settings, jobs = bpy.context.scene.irgspp, sys.modules[f"{MODULE}.irgspp_addon.jobs"]
+    settings, jobs = bpy.context.scene.irgspp, sys.modules[f"{MODULE}.irgspp_addon.jobs.queue"]
     yield from hands.open_sidebar("IRGS++")
     yield from open_preferences()
     yield from hands.open_sidebar("IRGS++")
     yield from hands.click("irgspp.check_engine")
-    yield from hands.wait(lambda: sys.modules[f"{MODULE}.irgspp_addon.engine"].status().state == "ok", 120)
+    yield from hands.wait(lambda: sys.modules[f"{MODULE}.irgspp_addon.engine.process"].status().state == "ok", 120)
 
     (work / "empty").mkdir()
     settings.dataset = "//empty"

@@ -4,7 +4,7 @@
 from collections.abc import Iterator
 
 import pytest
-from irgspp.core.kernels.backend import warp_on_cpu
+from irgspp.core.machine.backend import warp_on_cpu
 
 
 @pytest.fixture(params=["numba", "warp"])

@@ -8,17 +8,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from irgspp.core import pipeline, rendered_views
-from irgspp.core.blender import NoBlender
-from irgspp.core.config import Settings
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import Bound, Dataset, View
+from irgspp.core import pipeline
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
-from irgspp.core.overrides import with_overrides
-from irgspp.core.progress import Silent
-from irgspp.core.rendered_views import RenderedViews
+from irgspp.core.machine.blender_process import NoBlender
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.rendering import gbuffer_cache as rendered_views
+from irgspp.core.rendering.gbuffer_cache import RenderedViews
 from irgspp.core.run_folder import read_run
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.surface import Surface
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import Settings
 
 
 def camera(width=4, height=4):

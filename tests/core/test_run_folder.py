@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core import run_folder
-from irgspp.core.config import Settings, preset
 from irgspp.core.errors import Cancelled, InputError
-from irgspp.core.journal import Journal
-from irgspp.core.lock import FileLock
-from irgspp.core.memory import peak_memory, reset_peak_memory
-from irgspp.core.progress import Silent
+from irgspp.core.io.file_lock import FileLock
+from irgspp.core.machine.peak_memory import peak_memory, reset_peak_memory
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.progress.recorder import Journal
 from irgspp.core.run_folder import RunFolder, read_run, write_atomic
+from irgspp.core.settings.schema import Settings, preset
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_disk_that_refuses_is_told_as_input_error(tmp_path, monkeypatch):
 
 def test_run_in_use_by_another_process_is_refused(run):
     run.close()
-    code = "from irgspp.core.lock import FileLock; held = FileLock('.lock'); print('held', flush=True); input()"
+    code = "from irgspp.core.io.file_lock import FileLock; held = FileLock('.lock'); print('held', flush=True); input()"
     command = [sys.executable, "-P", "-c", code]
     holder = subprocess.Popen(command, cwd=run.path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert holder.stdout.readline() == "held\n"

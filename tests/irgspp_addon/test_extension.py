@@ -37,7 +37,8 @@ def extension(archive):
 
 def test_zip_holds_the_package_and_nothing_else(archive):
     names = zipfile.ZipFile(archive).namelist()
-    assert {"blender_manifest.toml", "__init__.py", "LICENSE", "core/demo_data/meta.json", "irgspp_addon/scene_builder.py"} <= set(names)
+    packed = {"blender_manifest.toml", "__init__.py", "LICENSE", "core/demo_data/meta.json", "irgspp_addon/importer/scene_builder.py"}
+    assert packed <= set(names)
     top = {name.split("/")[0] for name in names}
     assert not top & {"tests", "scripts", "typings", ".venv", ".git", ".ci", "docs", "dist"}
     assert not [name for name in names if name.endswith((".pyc", ".zip", ".part"))]
@@ -85,7 +86,7 @@ def test_import_operator_reports_a_folder_that_is_no_run(extension, tmp_path):
 
 
 def test_command_line_runs_the_engine_of_the_extension(extension, capfd, monkeypatch):
-    engine = sys.modules[f"{MODULE}.irgspp_addon.engine"]
+    engine = sys.modules[f"{MODULE}.irgspp_addon.engine.process"]
     assert engine.engine_python() == ENGINE
     assert engine.run_engine(["devices", "--json"]) == 0
     assert '"cpu"' in capfd.readouterr().out

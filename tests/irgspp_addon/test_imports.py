@@ -23,7 +23,7 @@ runpy.run_path(str(root / "irgspp_addon" / "launch.py"))["mount"](root)
 count = 0
 for package in ("irgspp_addon", "operators", "panels"):
     package = importlib.import_module(f"irgspp.{package}")
-    for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         importlib.import_module(module.name)
         count += 1
 import irgspp, os, traceback

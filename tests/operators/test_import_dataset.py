@@ -10,11 +10,11 @@ import irgspp
 import numpy as np
 import pytest
 from blender_side import ROOT, in_engine
-from irgspp.core.datasets.camera import Camera
-from irgspp.irgspp_addon import jobs
-from irgspp.irgspp_addon.cameras import look_through
-from irgspp.irgspp_addon.dataset_import import export_folder, is_fresh
-from irgspp.irgspp_addon.placement import to_dataset
+from irgspp.core.scene.camera import Camera
+from irgspp.irgspp_addon.importer.cameras import look_through
+from irgspp.irgspp_addon.importer.dataset_import import export_folder, is_fresh
+from irgspp.irgspp_addon.importer.placement import to_dataset
+from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.operators.import_dataset import dataset_of
 
 DEMO = ROOT / "core" / "demo_data"

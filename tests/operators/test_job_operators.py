@@ -10,8 +10,12 @@ from engine_jobs import DATASET, TINY, until
 from engine_jobs import counter as counter
 from engine_jobs import registry as registry
 from irgspp.core.errors import IrgsppError
-from irgspp.core.version import VERSION
-from irgspp.irgspp_addon import engine, jobs, managed_engine, properties, registration, result_import
+from irgspp.core.machine.version import VERSION
+from irgspp.irgspp_addon import properties, registration
+from irgspp.irgspp_addon.engine import managed as managed_engine
+from irgspp.irgspp_addon.engine import process as engine
+from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs import result_import
 
 SETTINGS = " ".join(f"{key}={value}" for key, value in TINY.items())
 

@@ -6,8 +6,10 @@ from math import pi
 
 import bpy
 import pytest
-from irgspp.irgspp_addon import preview, relight_follow, relight_session
-from irgspp.irgspp_addon.run_frame import run_object
+from irgspp.irgspp_addon.importer.run_frame import run_object
+from irgspp.irgspp_addon.relight import live_image as relight_follow
+from irgspp.irgspp_addon.relight import preview
+from irgspp.irgspp_addon.relight import session as relight_session
 from mathutils import Euler
 from relighting import difference, image_pixels, mapping
 

@@ -8,10 +8,10 @@ import bpy
 import numpy as np
 import pytest
 from blender_side import read_picture
-from irgspp.core.scene.cameras import load_cameras
-from irgspp.irgspp_addon import relight_session
-from irgspp.irgspp_addon.engine import engine_command, engine_environment
-from irgspp.irgspp_addon.run_frame import camera_of, frame_of, run_object, scene_camera
+from irgspp.core.scene.camera_files import load_cameras
+from irgspp.irgspp_addon.engine.process import engine_command, engine_environment
+from irgspp.irgspp_addon.importer.run_frame import camera_of, frame_of, run_object, scene_camera
+from irgspp.irgspp_addon.relight import session as relight_session
 from mathutils import Matrix
 from relighting import difference, image_pixels, lamp, mapping
 
@@ -87,7 +87,7 @@ def test_f12_is_the_preview(scene, relightable, tmp_path):
     assert np.allclose(opaque[..., 3], 1)
     camera = scene_camera(scene, bpy.context.evaluated_depsgraph_get(), whole.shape[1], whole.shape[0], frame_of(None))
     behind = whole[..., 3] == 0
-    from irgspp.irgspp_addon.plain_world import plain_light
+    from irgspp.irgspp_addon.world.plain_world import plain_light
 
     assert np.allclose(opaque[behind, :3], plain_light(scene.world).radiance(camera.rays())[behind], rtol=1e-3, atol=1e-3)
 
@@ -121,7 +121,7 @@ def test_border_percentage_and_pixel_aspect(scene, relightable, tmp_path):
 @pytest.mark.parametrize("index", range(3))
 def test_cameras_come_back_as_they_were(scene, relightable, index):
     """Intrinsics through Blender's own projection, pixels of any shape, and through the frame of a moved object."""
-    from irgspp.irgspp_addon.cameras import look_through
+    from irgspp.irgspp_addon.importer.cameras import look_through
 
     expected = load_cameras(relightable / "cameras.json")[index].camera
     cameras = sorted((o for o in scene.objects if o.type == "CAMERA" and o.name != "eye"), key=lambda o: o.name[-1])

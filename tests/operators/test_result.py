@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from blender_side import ENGINE, ROOT
 from engine_jobs import reconstruction
-from irgspp.irgspp_addon import jobs
-from irgspp.irgspp_addon.edited_mesh import save_edited
-from irgspp.irgspp_addon.materials import source_of
-from irgspp.irgspp_addon.ply import read_ply
+from irgspp.irgspp_addon.importer.edited_mesh import save_edited
+from irgspp.irgspp_addon.importer.materials import source_of
+from irgspp.irgspp_addon.importer.ply import read_ply
+from irgspp.irgspp_addon.jobs import queue as jobs
 from mathutils import Matrix
 
 

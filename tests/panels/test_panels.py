@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import bpy
 import irgspp
 import pytest
-from irgspp.irgspp_addon import engine, jobs
-from irgspp.irgspp_addon.job import Job
+from irgspp.irgspp_addon.engine import process as engine
+from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.irgspp_addon.properties import show_jobs
 from irgspp.panels import dataset, pictures, reconstruct, relight, result, run_state
 from irgspp.panels import engine as engine_panel
@@ -237,7 +238,7 @@ def test_a_preview_is_shown_while_it_is_there(settings, tmp_path, monkeypatch):
 
 
 def test_defaults_are_those_of_the_engine(settings):
-    from irgspp.core.config import PRESETS, Settings
+    from irgspp.core.settings.schema import PRESETS, Settings
 
     defaults = Settings()
     for name in ("preset", "materials", "device", "seed"):

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from irgspp.irgspp_addon.job import Job
+from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.panels import run_state
 from irgspp.panels.job_card import figures_text, progress_text
 from irgspp.panels.jobs import job_when
@@ -32,7 +32,7 @@ def test_every_phase_that_a_reconstruction_names_has_words():
     said = {
         line.split('.phase("')[1].split('"')[0]
         for folder in ("stages", "surface", "datasets")
-        for path in (CORE / folder).glob("*.py")
+        for path in (CORE / folder).rglob("*.py")
         for line in path.read_text().splitlines()
         if '.phase("' in line
     } | {"scene", "contact sheet"}

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from irgspp.core.cli.parser import parser
 from irgspp.core.errors import InputError, IrgsppError
-from irgspp.core.options import parser
 from irgspp.core.pipeline import DEMO_DATA
 from scripts_folder import script as script
 

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.datasets.dataset import Bound
-from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.mesh import Mesh
-from irgspp.core.scene.ply import save_mesh_ply
+from irgspp.core.scene.mesh_ply import save_mesh_ply
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.shading.lights import LIGHTS
-from irgspp.core.stages.hull import disks
+from irgspp.core.shading.procedural_lights import LIGHTS
+from irgspp.core.stages.first.initialization import disks
 from scripts_folder import script as script
 from sphere_run import sphere
 

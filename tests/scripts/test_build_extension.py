@@ -65,7 +65,7 @@ def test_manifest_names_no_wheels_and_asks_for_no_more_than_is_used():
 
 def test_zip_holds_what_the_managed_engine_is_installed_from(archive):
     names = zipfile.ZipFile(archive).namelist()
-    assert {"requirements.lock", "pyproject.toml", "__main__.py", "core/cli.py", "irgspp_addon/launch.py"} <= set(names)
+    assert {"requirements.lock", "pyproject.toml", "__main__.py", "core/cli/main.py", "irgspp_addon/launch.py"} <= set(names)
 
 
 def test_every_module_that_is_imported_is_in_the_zip(archive):

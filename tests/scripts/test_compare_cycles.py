@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.shading.lights import studio_light
+from irgspp.core.shading.procedural_lights import studio_light
 from PIL import Image
 from scripts_folder import scripts_on_path
 

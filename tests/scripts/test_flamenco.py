@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from irgspp.core.options import parser
+from irgspp.core.cli.parser import parser
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "flamenco" / "irgspp_relight.js"
 SETTINGS = {

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.datasets.dataset import View
-from irgspp.core.shading.lightmap import solid_angles, texel_directions
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import View
+from irgspp.core.shading.environment_lookup import solid_angles, texel_directions
+from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import Samples
-from irgspp.core.shading.transport import reflect_light
 from scripts_folder import scripts_on_path
 from sphere_run import axis_light, materials, sphere
 

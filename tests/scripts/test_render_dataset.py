@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.evaluation.truth import load_scene_truth, load_truth
+from irgspp.core.evaluation.ground_truth import load_scene_truth, load_truth
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = """

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from irgspp.core.batch import work
-from irgspp.core.datasets.camera import look_at
+from irgspp.core.batch import job_runner as work
+from irgspp.core.scene.camera import look_at
 from PIL import Image
 from scripts_folder import script as script
 

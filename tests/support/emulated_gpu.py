@@ -13,16 +13,18 @@ from typing import Any
 import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
 import torch
 import warp as wp
-from irgspp.core import devices, pipeline
-from irgspp.core.config import preset
-from irgspp.core.kernels.warp import adjoint, bilateral, light, lobes, mesh, photometric, rasterize, runtime, tracing  # noqa: F401
-from irgspp.core.overrides import with_overrides
+from irgspp.core import pipeline
+from irgspp.core.kernels.warp import bilateral, light, lobes, mesh, photometric, rasterize, runtime
+from irgspp.core.kernels.warp import trace as tracing
+from irgspp.core.machine import devices
 from irgspp.core.relight.backends import open_relighter
-from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import RelightSettings
-from irgspp.core.scene.cameras import load_cameras
+from irgspp.core.scene.camera_files import load_cameras
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.shading.lights import sky_light
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
+from irgspp.core.shading.procedural_lights import sky_light
 from torch.utils import _pytree, backend_registration
 from torch.utils._python_dispatch import TorchDispatchMode
 

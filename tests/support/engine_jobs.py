@@ -43,7 +43,7 @@ def reconstruction(run: Path, **more: object) -> list[str]:
 
 def until(what: Callable[[], object], seconds: float = PATIENCE) -> None:
     """Poll the jobs until something is true, as Blender's timer does."""
-    from irgspp.irgspp_addon import jobs
+    from irgspp.irgspp_addon.jobs import queue as jobs
 
     end = time.monotonic() + seconds
     while not what():
@@ -55,7 +55,12 @@ def until(what: Callable[[], object], seconds: float = PATIENCE) -> None:
 @pytest.fixture
 def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty registry of jobs in a folder of the test, whose processes are ended with it."""
-    from irgspp.irgspp_addon import engine, job_process, jobs, managed_engine, session, user_folder
+    from irgspp.irgspp_addon import user_folder
+    from irgspp.irgspp_addon.engine import managed as managed_engine
+    from irgspp.irgspp_addon.engine import process as engine
+    from irgspp.irgspp_addon.jobs import process as job_process
+    from irgspp.irgspp_addon.jobs import queue as jobs
+    from irgspp.irgspp_addon.jobs import session
 
     folder = tmp_path / "user"
 
@@ -79,7 +84,7 @@ def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.fixture
 def counter() -> Callable[..., object]:
     """Start a job that counts: how far, and what `jobs.start` takes besides its words."""
-    from irgspp.irgspp_addon import jobs
+    from irgspp.irgspp_addon.jobs import queue as jobs
 
     def start(steps: int = 1000, kind: str = "render", folder: Path | None = None, **options):
         return jobs.start(kind, f"count to {steps}", folder, [str(steps)], program=str(COUNTER), **options)

@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from irgspp.core.lock import FileLock
-from irgspp.core.scene.exr import rgb_channels, write_exr
-from irgspp.core.shading.lightmap import texel_directions
+from irgspp.core.io.exr import rgb_channels, write_exr
+from irgspp.core.io.file_lock import FileLock
+from irgspp.core.shading.environment_lookup import texel_directions
 
 ROOT = Path(__file__).resolve().parents[2]
 BALL, RADIUS = np.array([0.15, -0.08, 0.1]), 0.75

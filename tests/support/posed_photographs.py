@@ -12,7 +12,7 @@ from pathlib import Path
 
 import irgspp.core
 import numpy as np
-from irgspp.core.datasets.camera import look_at
+from irgspp.core.scene.camera import look_at
 
 W, H = 90, 62
 CENTRE = np.array([0.4, -0.3, 0.2])
@@ -86,8 +86,8 @@ def quaternion(r: np.ndarray) -> np.ndarray:
 
 def write_truth(dataset: Path, path: Path) -> None:
     """The readers' own words: cameras {"split name": [width, height, fx, fy, cx, cy, to_world]}, points and the frame."""
-    from irgspp.core.config import DataSettings
     from irgspp.core.datasets.load import load_dataset
+    from irgspp.core.settings.schema import DataSettings
 
     data = load_dataset(dataset, DataSettings(resolution=1000))
     views = [(f"{split} {view.name}", view.camera) for split in ("train", "test") for view in getattr(data, split)]

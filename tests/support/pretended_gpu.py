@@ -13,26 +13,22 @@ from typing import Any
 import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
 import numpy as np
 import torch
-from irgspp.core.config import ReflectiveSettings, TransportSettings
-from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.datasets.dataset import Bound, Dataset, View
-from irgspp.core.kernels import backend
-from irgspp.core.kernels.warp import (
-    adjoint,  # noqa: F401
-    rasterize,
-    runtime,
-    tracing,
-)
 from irgspp.core.kernels.warp import photometric as losses
+from irgspp.core.kernels.warp import rasterize, runtime
+from irgspp.core.kernels.warp import trace as tracing
+from irgspp.core.machine import backend
+from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.settings.schema import ReflectiveSettings, TransportSettings
 from irgspp.core.shading import sampling, specular_albedo, split_sum
-from irgspp.core.stages.finite import LOOK_EVERY
-from irgspp.core.stages.hull import disks
-from irgspp.core.stages.kind import KINDS
-from irgspp.core.stages.pixel_pool import pool_pixels
-from irgspp.core.stages.refinement import Refinement
-from irgspp.core.stages.tracer import Tracer
-from irgspp.core.stages.trainer import Trainer
+from irgspp.core.stages.common.finite_check import LOOK_EVERY
+from irgspp.core.stages.first.initialization import disks
+from irgspp.core.stages.first.material_class import KINDS
+from irgspp.core.stages.first.trainer import Trainer
+from irgspp.core.stages.second.pixel_pool import pool_pixels
+from irgspp.core.stages.second.refinement import Refinement
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils import backend_registration
 

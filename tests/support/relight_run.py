@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from irgspp.core.config import Settings
-from irgspp.core.datasets.dataset import Bound
-from irgspp.core.overrides import to_dict
+from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.stages.hull import disks
+from irgspp.core.settings.overrides import to_dict
+from irgspp.core.settings.schema import Settings
+from irgspp.core.stages.first.initialization import disks
 from sphere_run import axis_light, materials, write_run
 
 

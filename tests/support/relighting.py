@@ -6,9 +6,9 @@ from __future__ import annotations
 import blender_side  # noqa: F401
 import bpy
 import numpy as np
-from irgspp.core.datasets.camera import Camera
-from irgspp.irgspp_addon import preview
-from irgspp.irgspp_addon.cameras import set_lens
+from irgspp.core.scene.camera import Camera
+from irgspp.irgspp_addon.importer.cameras import set_lens
+from irgspp.irgspp_addon.relight import preview
 from mathutils import Matrix
 from sphere_run import axis_light, map_directions
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from irgspp.core.shading.lightmap import texel_directions
+from irgspp.core.shading.environment_lookup import texel_directions
 from irgspp.core.shading.specular_albedo import diffuse_share
-from irgspp.core.stages.observations import Observations
-from irgspp.core.stages.separation import Separation
-from irgspp.core.stages.transfer import Transfer, subdivided_directions
+from irgspp.core.stages.second.light_material_solver import Separation
+from irgspp.core.stages.second.multi_view_samples import Observations
+from irgspp.core.stages.second.radiance_transfer import Transfer, subdivided_directions
 
 HEIGHT = 8
 TEXELS = 2 * HEIGHT**2

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from irgspp.core.datasets.camera import Camera, look_at
+from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.mesh import Mesh
 
 
@@ -71,10 +71,10 @@ def write_run(folder: Path, size: int = 128) -> None:
     """Mesh, textures, light and cameras of a finished run, written by the engine's own functions; photographs lie beside it."""
     import json
 
-    from irgspp.core.datasets.dataset import Bound, Dataset, View
-    from irgspp.core.scene.cameras import save_cameras
-    from irgspp.core.scene.exr import rgb_channels, write_exr
-    from irgspp.core.scene.ply import save_mesh_ply
+    from irgspp.core.io.exr import rgb_channels, write_exr
+    from irgspp.core.scene.camera_files import save_cameras
+    from irgspp.core.scene.dataset import Bound, Dataset, View
+    from irgspp.core.scene.mesh_ply import save_mesh_ply
     from irgspp.core.scene.textures import save_textures
     from PIL import Image
 

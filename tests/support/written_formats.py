@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import torch
 from formats_scene import BALL, RADIUS, render_scene
-from irgspp.core.colour import decode_srgb
-from irgspp.core.config import DataSettings
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import Dataset, View
 from irgspp.core.datasets.load import load_dataset, load_novel_views
-from irgspp.core.evaluation.truth import SceneTruth, Truth, load_scene_truth, load_truth, turned
-from irgspp.core.shading.lightmap import lookup
+from irgspp.core.evaluation.ground_truth import SceneTruth, Truth, load_scene_truth, load_truth, turned
+from irgspp.core.io.srgb import decode_srgb
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Dataset, View
+from irgspp.core.settings.schema import DataSettings
+from irgspp.core.shading.environment_lookup import lookup
 from scripts_folder import scripts_on_path
 
 with scripts_on_path():

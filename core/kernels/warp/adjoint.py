@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The way back from what rays saw to radiance, attributes and geometry; formulas stand in core/kernels/adjoint.py.
+"""The way back from what rays saw to radiance, attributes and geometry; formulas stand in core/kernels/cpu/adjoint.py.
 
 First each ray goes over its hits and leaves the gradients of their geometry in the hits' places, then each Gaussian sums over its hits,
 in the rays' order: always the same sum.
@@ -7,16 +7,14 @@ in the rays' order: always the same sum.
 
 import warp as wp
 
-from ..adjoint import GEOMETRY
-from ..bvh import AXIS_U, AXIS_V, CUT, NORMAL, OPACITY, SCALE_U, SCALE_V
-from ..raster import ALPHA_MAX, TRANSMITTANCE_MIN
-from .disks import facing, shown, triple
+from ..constants import ALPHA_MAX, AXIS_U, AXIS_V, CUT, NORMAL, OPACITY, SCALE_U, SCALE_V, SURFEL_GRADIENTS, TRANSMITTANCE_MIN
 from .harmonics import Basis, basis, basis_pull, quaternion_gradient
+from .surfels import facing, shown, triple
 
 _N, _U, _V, _O, _CUT = wp.constant(NORMAL), wp.constant(AXIS_U), wp.constant(AXIS_V), wp.constant(OPACITY), wp.constant(CUT)
-_SU, _SV, _GEOMETRY = wp.constant(SCALE_U), wp.constant(SCALE_V), wp.constant(GEOMETRY)
+_SU, _SV, _GEOMETRY = wp.constant(SCALE_U), wp.constant(SCALE_V), wp.constant(SURFEL_GRADIENTS)
 _ALPHA_MAX, _OPAQUE = wp.constant(ALPHA_MAX), wp.constant(TRANSMITTANCE_MIN)
-Columns = wp.types.vector(length=GEOMETRY, dtype=wp.float32)
+Columns = wp.types.vector(length=SURFEL_GRADIENTS, dtype=wp.float32)
 
 
 @wp.kernel
@@ -27,7 +25,7 @@ def trace_backward(
     gradient: wp.array2d(dtype=float), of_hit: wp.array2d(dtype=float), g_origin: wp.array(dtype=wp.vec3),
     g_direction: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """Gradients of the records of each hit, (H, GEOMETRY), and of the rays."""
+    """Gradients of the records of each hit, (H, SURFEL_GRADIENTS), and of the rays."""
     ray = wp.tid()
     o, d = origin[ray], direction[ray]
     b = basis(d, coefficients)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cross-bilateral filter on the device, a thread for each pixel; the weights are those of core/kernels/bilateral.py."""
+"""The cross-bilateral filter on the device, a thread for each pixel; the weights are those of core/kernels/cpu/bilateral.py."""
 
 from functools import cache
 from typing import Any

@@ -3,12 +3,12 @@
 
 import warp as wp
 
-from .. import harmonics as numbers
+from ..constants import SH_C0, SH_C1, SH_C2, SH_C3
 
 Basis = wp.types.vector(length=16, dtype=wp.float32)
-_C0, _C1 = wp.constant(numbers.C0), wp.constant(numbers.C1)
-_A, _B, _D, _E, _F = (wp.constant(c) for c in numbers.C2)
-_G, _H, _I, _J, _K, _L, _M = (wp.constant(c) for c in numbers.C3)
+_C0, _C1 = wp.constant(SH_C0), wp.constant(SH_C1)
+_A, _B, _D, _E, _F = (wp.constant(c) for c in SH_C2)
+_G, _H, _I, _J, _K, _L, _M = (wp.constant(c) for c in SH_C3)
 
 
 @wp.func

@@ -4,11 +4,11 @@
 import torch
 import warp as wp
 
-from .. import photometric as cpu
+from ..constants import SSIM_C1, SSIM_C2, SSIM_RADIUS, SSIM_TAPS
 from .runtime import launch
 
-_RADIUS = wp.constant(cpu.RADIUS)
-_C1, _C2 = wp.constant(float(cpu.C1)), wp.constant(float(cpu.C2))
+_RADIUS = wp.constant(SSIM_RADIUS)
+_C1, _C2 = wp.constant(float(SSIM_C1)), wp.constant(float(SSIM_C2))
 
 
 @wp.func
@@ -128,5 +128,5 @@ _known: dict[torch.device, torch.Tensor] = {}
 
 def _taps(device: torch.device) -> torch.Tensor:
     if device not in _known:
-        _known[device] = torch.from_numpy(cpu.TAPS).to(device)
+        _known[device] = torch.from_numpy(SSIM_TAPS).to(device)
     return _known[device]

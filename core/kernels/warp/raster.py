@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compositing of splats, a thread for each pixel of a tile; formulas stand in core/kernels/raster.py.
+"""Compositing of splats, a thread for each pixel of a tile; formulas stand in core/kernels/cpu/raster.py.
 
 A warp is four rows of a tile. Going back, its threads sum what they have for a splat and the first of them writes it to a place of its
 own: nothing is added up in an order that chance decides.
@@ -10,17 +10,15 @@ from typing import Any
 
 import warp as wp
 
-from ..binning import TILE
-from ..projection import GEOMETRY, LOW_PASS
-from ..raster import _W_MIN, ALPHA_MAX, TRANSMITTANCE_MIN
+from ..constants import ALPHA_MAX, HORIZON_MIN, LOW_PASS, SPLAT_GRADIENTS, TILE, TRANSMITTANCE_MIN
 from .runtime import LANES, any_lane, lane_sum, leads
 
 PIXELS = TILE * TILE
 PARTS = PIXELS // LANES  # warps to a tile
 _SIDE, _PIXELS, _PARTS, _LANES = wp.constant(TILE), wp.constant(PIXELS), wp.constant(PARTS), wp.constant(LANES)
-_LOW_PASS, _AHEAD = wp.constant(LOW_PASS), wp.constant(_W_MIN)
+_LOW_PASS, _AHEAD = wp.constant(LOW_PASS), wp.constant(HORIZON_MIN)
 _ALPHA_MAX, _OPAQUE = wp.constant(ALPHA_MAX), wp.constant(TRANSMITTANCE_MIN)
-_GEOMETRY = wp.constant(GEOMETRY)
+_GEOMETRY = wp.constant(SPLAT_GRADIENTS)
 
 
 @wp.struct
@@ -60,7 +58,7 @@ def pixel_of(thread: int, columns: int) -> wp.vec2i:
 def kernels(features: int) -> tuple[Any, Any]:
     """Forward and backward for splats of so many features: as constants they stay in registers."""
     Row = wp.types.vector(length=features, dtype=wp.float32)
-    Gradient = wp.types.vector(length=GEOMETRY + features, dtype=wp.float32)
+    Gradient = wp.types.vector(length=SPLAT_GRADIENTS + features, dtype=wp.float32)
     count = features
 
     @wp.kernel(module="unique")

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from ..binning import TILE
-from ..projection import GEOMETRY, RECORD
+from ..constants import SPLAT_GRADIENTS, SPLAT_RECORD, TILE
 from . import splats
 from .raster import PARTS, PIXELS, kernels
 from .runtime import launch
@@ -76,7 +75,7 @@ class Rasterize(torch.autograd.Function):
         device, n, extras = position.device, position.shape[1], extra.shape[0]
         parameters = [p.detach().contiguous() for p in (position, quaternion, log_scale, opacity, sh, extra)]
         pinhole, width, height = _pinhole(cam.tobytes()), int(cam[16]), int(cam[17])
-        record, feature = torch.empty(n, RECORD, device=device), torch.empty(n, 6 + extras, device=device)
+        record, feature = torch.empty(n, SPLAT_RECORD, device=device), torch.empty(n, 6 + extras, device=device)
         box, tiles = torch.empty(n, 4, dtype=torch.int32, device=device), torch.empty(n, dtype=torch.int64, device=device)
         launch(splats.project, n, *parameters, coefficients, extras, pinhole, n, record, feature, box, tiles)
         end = torch.cumsum(tiles, 0)
@@ -101,10 +100,10 @@ class Rasterize(torch.autograd.Function):
     def backward(ctx, gradient):
         start, _, _, record, feature, *_ = ctx.lists
         (end, tiles, capacity), (n, features), device = ctx.order, feature.shape, record.device
-        slots = torch.zeros(capacity * PARTS, GEOMETRY + features, device=device)
+        slots = torch.zeros(capacity * PARTS, SPLAT_GRADIENTS + features, device=device)
         threads = (len(start) - 1) * PIXELS
         launch(kernels(features)[1], threads, *ctx.lists, ctx.picture, gradient.contiguous(), slots)
-        sums = torch.empty(n, GEOMETRY + features, device=device)
+        sums = torch.empty(n, SPLAT_GRADIENTS + features, device=device)
         launch(splats.sum_slots, sums.shape, slots, end, tiles, capacity, PARTS, sums)
         gradients = [torch.empty_like(p) for p in ctx.parameters]
         gradients[4][ctx.coefficients :] = 0.0

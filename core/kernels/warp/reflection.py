@@ -5,7 +5,7 @@ import math
 
 import warp as wp
 
-from ..reflection import SHORTEST2
+from ..constants import SHORTEST2
 from . import runtime  # noqa: F401  (sets warp up)
 
 _SHORTEST2, _HALF_PI = wp.constant(SHORTEST2), wp.constant(0.5 / math.pi)

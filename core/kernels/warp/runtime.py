@@ -11,7 +11,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from ..jit import private_folder
+from ...machine.cache_folder import private_folder
 
 
 def _cache_folder() -> Path:

@@ -3,15 +3,13 @@
 
 import warp as wp
 
-from ..binning import TILE
-from ..frame import COSINE_MIN
-from ..projection import ALPHA_MIN, GEOMETRY, LOG_SCALE_MIN, LOW_PASS
+from ..constants import ALPHA_MIN, COSINE_MIN, LOG_SCALE_MIN, LOW_PASS, SPLAT_GRADIENTS, TILE
 from .harmonics import Basis, basis, basis_pull, normal_of, quaternion_gradient, tangent_u, tangent_v, unit_quaternion
 
 _SIDE = wp.constant(TILE)
 _ALPHA_MIN, _COSINE_MIN = wp.constant(ALPHA_MIN), wp.constant(COSINE_MIN)
 _LOG_SCALE_MIN, _LOW_PASS = wp.constant(LOG_SCALE_MIN), wp.constant(LOW_PASS)
-_FEATURES = wp.constant(GEOMETRY)  # column of a splat's gradients at which its features begin
+_FEATURES = wp.constant(SPLAT_GRADIENTS)  # column of a splat's gradients at which its features begin
 
 
 @wp.struct
@@ -192,7 +190,7 @@ def project_backward(
     g_position: wp.array(dtype=float), g_quaternion: wp.array(dtype=float), g_log_scale: wp.array(dtype=float),
     g_opacity: wp.array(dtype=float), g_sh: wp.array(dtype=float), g_extra: wp.array(dtype=float), screen: wp.array(dtype=float),
 ):  # fmt: skip
-    """Adjoint of `project`: gradients of splats (N, GEOMETRY + F) to those of parameters; screen: (N,) of the projected centre."""
+    """Adjoint of `project`: gradients of splats (N, SPLAT_GRADIENTS + F) to those of parameters; screen: (N,) of the projected centre."""
     i = wp.tid()
     f = frame(position, quaternion, n, i, cam)
     isu, isv = wp.exp(-wp.max(log_scale[i], _LOG_SCALE_MIN)), wp.exp(-wp.max(log_scale[n + i], _LOG_SCALE_MIN))

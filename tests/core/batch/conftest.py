@@ -4,11 +4,11 @@
 from pathlib import Path
 
 import pytest
-from irgspp.core.batch import work
+from irgspp.core.batch import job_runner as work
 from irgspp.core.batch.jobs import Job
 
 STAND_IN = '''
-"""core.batch.child LOCK reconstruct DATASET -o RUN ...: what happens is said by the dataset's name."""
+"""core.cli.batch_child LOCK reconstruct DATASET -o RUN ...: what happens is said by the dataset's name."""
 import json, os, pathlib, sys, threading, time
 _, lock, command, *words = sys.argv[1:]
 if command != "reconstruct":

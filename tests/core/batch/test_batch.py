@@ -8,11 +8,11 @@ import sys
 import pytest
 from irgspp.core.batch import batch as batches
 from irgspp.core.batch.batch import run_batch
-from irgspp.core.batch.board import Board, doing, row_line, summary
-from irgspp.core.batch.notes import JobFolder, Progress, State
-from irgspp.core.cli import main
+from irgspp.core.batch.job_state import JobFolder, Progress, State
+from irgspp.core.batch.table import Board, doing, row_line, summary
+from irgspp.core.cli.main import main
 from irgspp.core.errors import Cancelled, InputError
-from irgspp.core.lock import FileLock
+from irgspp.core.io.file_lock import FileLock
 
 
 def never() -> bool:
@@ -68,7 +68,7 @@ def test_cancelling_saves_what_runs_and_leaves_the_rest(stand_in, notes):
 
 
 def test_cores_are_shared_by_jobs_that_run_at_a_time(stand_in, notes, monkeypatch):
-    monkeypatch.setattr("irgspp.core.batch.pools.cores", lambda: 8)
+    monkeypatch.setattr("irgspp.core.batch.workers.cores", lambda: 8)
     run_batch([stand_in("a", "good", ("evaluate",))], notes, never, at_once=3)
     run_batch([stand_in("b", "good", ("evaluate",))], notes, never)
     assert "evaluate by 2" in (notes / "a" / "log.txt").read_text()
@@ -84,7 +84,7 @@ def test_two_batches_of_one_list(stand_in, notes):
 
 
 def test_a_fault_of_ours_is_a_failed_job(stand_in, notes, monkeypatch):
-    monkeypatch.setattr("irgspp.core.batch.work._run", lambda *_: 1 / 0)
+    monkeypatch.setattr("irgspp.core.batch.job_runner._run", lambda *_: 1 / 0)
     assert run_batch([stand_in("a")], notes, never)["a"] == State("failed", "ZeroDivisionError: division by zero")
 
 
@@ -121,7 +121,7 @@ def test_a_bad_list_starts_nothing(tmp_path, capsys):
 
 
 def test_dask_without_a_scheduler(listed, capsys, monkeypatch):
-    monkeypatch.setattr("irgspp.core.batch.pools.CONNECT_SECONDS", 0.2)
+    monkeypatch.setattr("irgspp.core.batch.workers.CONNECT_SECONDS", 0.2)
     assert main(["batch", listed("good"), "--dask", "tcp://127.0.0.1:9"]) == 2
     assert "no scheduler answers there" in capsys.readouterr().err.splitlines()[-1]
 

@@ -10,10 +10,10 @@ import time
 
 import pytest
 from irgspp.core.batch.batch import run_batch
+from irgspp.core.batch.job_state import JobFolder
 from irgspp.core.batch.jobs import read_jobs
-from irgspp.core.batch.notes import JobFolder
+from irgspp.core.cli.parser import check_words
 from irgspp.core.errors import Cancelled
-from irgspp.core.options import check_words
 from irgspp.core.pipeline import DEMO_DATA
 
 distributed = pytest.importorskip("distributed")

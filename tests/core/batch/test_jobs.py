@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 from irgspp.core.batch.jobs import read_jobs
+from irgspp.core.cli.parser import check_words
 from irgspp.core.errors import InputError
-from irgspp.core.options import check_words
 
 GOOD = """
 [defaults]

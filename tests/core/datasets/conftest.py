@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.camera import look_at
+from irgspp.core.scene.camera import look_at
 from PIL import Image
 
 W, H, FOCAL, RADIUS = 60, 48, 70.0, 0.5

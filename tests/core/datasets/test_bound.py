@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from irgspp.core.config import DataSettings
 from irgspp.core.datasets.bound import focus_of
-from irgspp.core.datasets.capture import view_names
-from irgspp.core.datasets.inspect import describe
 from irgspp.core.datasets.load import load_cameras, load_dataset
-from irgspp.core.datasets.upright import rotation_to_z
+from irgspp.core.datasets.parsed_dataset import view_names
+from irgspp.core.datasets.summary import describe
+from irgspp.core.datasets.up_direction import rotation_to_z
+from irgspp.core.settings.schema import DataSettings
 
 
 def test_masks_enclose_the_ball_tightly(capture):

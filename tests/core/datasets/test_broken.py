@@ -6,11 +6,11 @@ import zlib
 
 import numpy as np
 import pytest
-from irgspp.core.config import DataSettings
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.datasets.picture import picture_size, read_mask, read_picture
 from irgspp.core.errors import Cancelled, InputError
-from irgspp.core.progress import Silent
+from irgspp.core.io.image import picture_size, read_mask, read_picture
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.settings.schema import DataSettings
 from PIL import Image
 
 NAN = float("nan")

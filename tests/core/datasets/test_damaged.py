@@ -10,10 +10,10 @@ import OpenEXR
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from irgspp.core.datasets.colmap_model import read_cameras, read_images, read_points
+from irgspp.core.datasets.formats.colmap_model import read_cameras, read_images, read_points
 from irgspp.core.datasets.load import load_cameras
-from irgspp.core.datasets.picture import read_picture
 from irgspp.core.errors import InputError
+from irgspp.core.io.image import read_picture
 from PIL import Image
 
 fuzz = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from irgspp.core.datasets.capture import Lens
-from irgspp.core.datasets.picture import Picture
+from irgspp.core.datasets.parsed_dataset import Lens
 from irgspp.core.datasets.undistort import pinhole, undistort
 from irgspp.core.errors import InputError
+from irgspp.core.io.image import Picture
 
 W, H = 160, 120
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import irgspp.core
 import numpy as np
 import pytest
-from irgspp.core.colour import decode_srgb
-from irgspp.core.datasets.dataset import View
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.evaluation.figures import Prediction
-from irgspp.core.evaluation.truth import Truth, load_scene_truth, load_truth
-from irgspp.core.scene.buffers import ViewBuffers
+from irgspp.core.evaluation.ground_truth import Truth, load_scene_truth, load_truth
+from irgspp.core.evaluation.view_metrics import Prediction
+from irgspp.core.io.srgb import decode_srgb
+from irgspp.core.scene.dataset import View
+from irgspp.core.scene.gbuffer import ViewBuffers
 
 DEMO = Path(irgspp.core.__file__).parent / "demo_data"
 

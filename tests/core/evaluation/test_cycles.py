@@ -10,7 +10,7 @@ import torch
 from irgspp.core.errors import IrgsppError
 from irgspp.core.evaluation import cycles
 from irgspp.core.evaluation.cycles import CyclesPass, compare, cycles_pictures
-from irgspp.core.progress import Silent
+from irgspp.core.progress.protocol import Silent
 from irgspp.core.shading.brdf import base_reflectance
 from irgspp.core.shading.specular_albedo import diffuse_share, specular_albedo
 from sphere_run import cameras, materials, write_run

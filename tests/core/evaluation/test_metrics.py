@@ -3,10 +3,10 @@
 
 import numpy as np
 import pytest
-from irgspp.core.colour import encode_srgb
 from irgspp.core.evaluation import metrics
+from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.scene.mesh import Mesh
-from irgspp.core.shading.lights import sky_light
+from irgspp.core.shading.procedural_lights import sky_light
 from skimage.metrics import structural_similarity
 
 RANDOM = np.random.default_rng(0)

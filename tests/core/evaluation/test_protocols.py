@@ -5,15 +5,15 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from irgspp.core.colour import decode_srgb, encode_srgb
-from irgspp.core.datasets.camera import Camera
 from irgspp.core.errors import InputError
-from irgspp.core.evaluation.figures import Fits, averages, fitted_figures, relit_figures, view_figures
+from irgspp.core.evaluation.ground_truth import Truth
+from irgspp.core.evaluation.image_metrics import shown
 from irgspp.core.evaluation.prediction import Prediction
 from irgspp.core.evaluation.protocols import PLAIN, PROTOCOLS, described, protocol_named
-from irgspp.core.evaluation.similarity import shown
-from irgspp.core.evaluation.truth import Truth
-from irgspp.core.scene.buffers import ViewBuffers
+from irgspp.core.evaluation.view_metrics import Fits, averages, fitted_figures, relit_figures, view_figures
+from irgspp.core.io.srgb import decode_srgb, encode_srgb
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.gbuffer import ViewBuffers
 
 HEIGHT, WIDTH = 24, 32
 EVERYWHERE = np.ones((HEIGHT, WIDTH), np.float32)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import Cancelled, InputError
-from irgspp.core.evaluation import cases, report, sheet
-from irgspp.core.evaluation.perceptual import NO_LPIPS, Lpips
+from irgspp.core.evaluation import cases, report
+from irgspp.core.evaluation import contact_sheet as sheet
+from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips
 from irgspp.core.evaluation.protocols import PROTOCOLS, described
-from irgspp.core.progress import Silent
+from irgspp.core.progress.protocol import Silent
 from PIL import Image
 
 EDGES = {"tensoir": 27, "irgs": 33}  # dB that half-covered pixels leave, as these papers don't show them half covered

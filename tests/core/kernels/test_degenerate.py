@@ -5,9 +5,9 @@ import math
 
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.kernels.rasterize import rasterize
-from irgspp.core.kernels.tracing import build_tree, hit_lists, trace, transmittance
+from irgspp.core.kernels.trace import build_tree, hit_lists, trace, transmittance
+from irgspp.core.scene.camera import Camera, look_at
 
 COUNT, BROKEN = 40, 9  # Gaussians, and how many of them are degenerate
 pytestmark = pytest.mark.usefixtures("engine")

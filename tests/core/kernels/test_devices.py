@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from irgspp.core.cuda import obstacle, probe
-from irgspp.core.datasets.camera import Camera, look_at
-from irgspp.core.kernels.backend import incomplete_pictures, warp_on_cpu
 from irgspp.core.kernels.photometric import photometric_loss
 from irgspp.core.kernels.rasterize import rasterize
-from irgspp.core.kernels.tracing import blend, build_tree, hit_lists, trace, transmittance
+from irgspp.core.kernels.trace import blend, build_tree, hit_lists, trace, transmittance
+from irgspp.core.machine.backend import incomplete_pictures, warp_on_cpu
+from irgspp.core.machine.cuda import obstacle, probe
 from irgspp.core.relight.triangles import EmbreeTriangles, triangles_of
+from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.mesh import Mesh
 
 pytest.importorskip("warp")
@@ -147,7 +147,8 @@ MODULES = ("splats", "disks", "adjoint", "mesh", "photometric", "lobes", "light"
 def test_kernels_compile_for_gpus(tmp_path: Path):
     """By NVIDIA's compiler in warp's wheel, which needs no GPU."""
     import warp as wp
-    from irgspp.core.kernels.warp import bilateral, disks, raster
+    from irgspp.core.kernels.warp import bilateral, raster
+    from irgspp.core.kernels.warp import surfels as disks
 
     modules = [importlib.import_module(f"irgspp.core.kernels.warp.{name}") for name in MODULES]
     special = [*raster.kernels(11), disks.composite(5), bilateral._kernel(4)]

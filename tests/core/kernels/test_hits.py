@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 from disk_clouds import UP, cloud, rays, stack
-from irgspp.core.kernels.bvh import DiskTree
-from irgspp.core.kernels.raster import TRANSMITTANCE_MIN
-from irgspp.core.kernels.trace import NEAREST
-from irgspp.core.kernels.tracing import EXTRA, blend, build_tree, hit_lists, trace, transmittance
+from irgspp.core.kernels.constants import TRANSMITTANCE_MIN
+from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.cpu.trace import NEAREST
+from irgspp.core.kernels.trace import EXTRA, blend, build_tree, hit_lists, trace, transmittance
 
 pytestmark = pytest.mark.usefixtures("engine")
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.kernels import lobes
-from irgspp.core.kernels.backend import by_warp
+from irgspp.core.machine.backend import by_warp
 from irgspp.core.shading.brdf import specular_lobe
-from irgspp.core.stages.transfer import subdivided_directions
+from irgspp.core.stages.second.radiance_transfer import subdivided_directions
 
 HEIGHT, SIDE, POINTS = 4, 2, 6
 TEXELS = 2 * HEIGHT**2

@@ -3,13 +3,14 @@
 
 import pytest
 import torch
-from irgspp.core.kernels.photometric import TAPS, photometric_loss
+from irgspp.core.kernels.constants import SSIM_TAPS
+from irgspp.core.kernels.photometric import photometric_loss
 
 pytestmark = pytest.mark.usefixtures("engine")
 
 
 def reference(x, y, share):
-    window = torch.as_tensor(TAPS).double()
+    window = torch.as_tensor(SSIM_TAPS).double()
     window = (window[:, None] * window[None])[None, None].repeat(3, 1, 1, 1)
     blur = lambda t: torch.nn.functional.conv2d(t[None], window, padding=5, groups=3)[0]  # noqa: E731
     mx, my = blur(x), blur(y)

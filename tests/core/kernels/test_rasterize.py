@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera, look_at
 from irgspp.core.kernels.rasterize import rasterize
-from irgspp.core.kernels.reference import rasterize_reference
+from irgspp.core.kernels.reference.rasterize import rasterize_reference
+from irgspp.core.scene.camera import Camera, look_at
 
 NAMES = ("position", "quaternion", "log_scale", "opacity", "sh", "extra")
 pytestmark = pytest.mark.usefixtures("engine")

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import Bound
 from irgspp.core.relight.gaussian_query import GaussianQuery
 from irgspp.core.relight.mesh_query import MeshQuery
 from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.stages.hull import disks
+from irgspp.core.stages.first.initialization import disks
 
 BALLS = ((np.zeros(3), 1.0), (np.array([1.1, 0.0, 1.1]), 0.5))  # centre and radius of each
 RADIUS = 2.0  # of the scene

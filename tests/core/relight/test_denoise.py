@@ -6,10 +6,10 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera
 from irgspp.core.relight.denoise import PICTURE, Filter, Guides, denoised
 from irgspp.core.relight.estimate import Estimate
-from irgspp.core.relight.primary import Primary
+from irgspp.core.relight.primary_hits import Primary
+from irgspp.core.scene.camera import Camera
 
 pytestmark = pytest.mark.usefixtures("engine")
 CAMERA = Camera(61, 43, 60.0, 60.0, 30.5, 21.5, np.eye(4))

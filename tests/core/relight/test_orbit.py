@@ -3,10 +3,10 @@
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import Bound
 from irgspp.core.errors import InputError
 from irgspp.core.relight.orbit import orbit
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Bound
 
 
 def template(distance):

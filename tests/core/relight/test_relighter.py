@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera
 from irgspp.core.relight import relighter as module
-from irgspp.core.relight.lighting import prepare
+from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.scene.camera import Camera
 from irgspp.core.shading.brdf import base_reflectance
-from irgspp.core.shading.lights import studio_light, sunset_light
+from irgspp.core.shading.procedural_lights import studio_light, sunset_light
 from irgspp.core.shading.specular_albedo import specular_albedo
 
 BACKENDS = ("mesh", "gaussian")

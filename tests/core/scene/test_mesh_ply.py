@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 import trimesh
-from irgspp.core.colour import decode_srgb
 from irgspp.core.errors import InputError
-from irgspp.core.scene.ply import load_mesh_ply, save_mesh_ply
+from irgspp.core.io.srgb import decode_srgb
+from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
 from numpy.lib.recfunctions import repack_fields
 from plyfile import PlyData, PlyElement
 

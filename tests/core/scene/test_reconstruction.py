@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.dataset import Bound
 from irgspp.core.errors import InputError
+from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.scene.reconstruction import Reconstruction, Reflections
 

@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from irgspp.core.shading.lightmap import lookup, solid_angles
+from irgspp.core.shading.environment_lookup import lookup, solid_angles
 from irgspp.core.shading.sampling import LightDistribution
 from sampled import COUNT, F64, LIGHT_MAPS, NORMAL, assert_follows, hot, one_each
 

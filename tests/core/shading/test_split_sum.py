@@ -5,7 +5,8 @@ import math
 
 import pytest
 import torch
-from irgspp.core.shading import brdf, lightmap, split_sum
+from irgspp.core.shading import brdf, split_sum
+from irgspp.core.shading import environment_lookup as lightmap
 
 
 def smooth_light(height=32, width=64):

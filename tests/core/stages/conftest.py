@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import Bound, Dataset, PointCloud, View
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Bound, Dataset, PointCloud, View
 from irgspp.core.scene.gaussians import Gaussians
-from irgspp.core.stages.hull import disks
+from irgspp.core.stages.first.initialization import disks
 
 BOUND = Bound((0.0, 0.0, 0.0), 1.5)
 

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.camera import Camera
-from irgspp.core.datasets.dataset import Bound
-from irgspp.core.scene.buffers import SurfaceSamples, ViewBuffers
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Bound
+from irgspp.core.scene.gbuffer import SurfaceSamples, ViewBuffers
 
 
 def colour_of(points: np.ndarray) -> np.ndarray:

@@ -5,11 +5,11 @@ import itertools
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.dataset import Bound
 from irgspp.core.errors import IrgsppError
-from irgspp.core.progress import Silent
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.dataset import Bound
 from irgspp.core.surface import fusion
-from irgspp.core.surface.grid import BLOCK, Grid, make_grid
+from irgspp.core.surface.voxel_grid import BLOCK, Grid, make_grid
 
 
 def centres(grid: Grid) -> np.ndarray:

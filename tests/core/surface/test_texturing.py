@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from irgspp.core.colour import decode_srgb
-from irgspp.core.config import SurfaceSettings
 from irgspp.core.errors import Cancelled
-from irgspp.core.progress import Silent
-from irgspp.core.surface.geometry import extract_geometry
+from irgspp.core.io.srgb import decode_srgb
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.settings.schema import SurfaceSettings
+from irgspp.core.surface.extraction import extract_geometry
 from irgspp.core.surface.texturing import textured_mesh
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000, texture=256)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mesh and textures of a finished run once more: at another size, with another number of triangles, or on an edited mesh."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError, IrgsppError
+from ..io.file_lock import FileLock
+from ..machine.devices import best
+from ..progress.protocol import Progress
+from ..rendering.gbuffer_cache import RenderedViews
+from ..run_folder import RunFolder, read_run
+from ..scene.camera_files import load_cameras
+from ..scene.edited_mesh import EditedMesh, load_edited_mesh
+from ..scene.glb import save_glb
+from ..scene.mesh import Mesh
+from ..scene.mesh_ply import load_mesh_ply, save_mesh_ply
+from ..scene.reconstruction import Reconstruction
+from ..scene.surface import Surface
+from ..scene.textures import save_textures
+from ..settings import overrides
+from ..settings.schema import SurfaceSettings
+from ..surface.extraction import extract_geometry
+from ..surface.meshing import Triangles, vertex_normals
+from ..surface.texturing import baked_textures, painted_mesh, stoppable, textured_mesh
+from ..surface.voxel_grid import make_grid
+from .export import write_blend
+
+PARTIAL = "bake.part"  # folder in the run folder that is filled before anything is replaced
+
+
+def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: int | None = None, edited: Path | None = None) -> None:
+    """Replace mesh.ply, textures, asset.glb and scene.blend of a finished run.
+
+    Args:
+        size: texels along a side; as before where None.
+        triangles: a new mesh from the Gaussians with at most so many. edited: a PLY in the run's frame that takes the mesh's place,
+            with its own UVs where it has any. Without either the mesh stays as it is and only its textures are made anew.
+
+    Raises InputError for bad input or a run in use, Cancelled where the user stopped the work; the run is then as it was.
+    """
+    state = read_run(run)
+    settings = overrides.from_dict(state["settings"], run / "run.json")
+    if triangles is not None and edited is not None:
+        raise InputError("--triangles", "doesn't go with --mesh", "decimate the mesh before")
+    given = {name: value for name, value in (("texture", size), ("triangles", triangles)) if value is not None}
+    wished = dataclasses.replace(settings.surface, **given)
+    overrides.check(dataclasses.replace(settings, surface=wished))
+    if state.get("status") == "running" or not (run / "mesh.ply").is_file():
+        raise InputError(run, "is not a finished run", "finish the reconstruction first")
+    folder = RunFolder(run, state, _lock(run))
+    try:
+        mesh = _mesh(run, wished, triangles, edited, progress)
+        _replace(run, mesh)
+        state["baked"] = {"texture": wished.texture, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
+        folder.write()
+        folder.log(f"baked again: {wished.texture} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
+        _renew_blend(run, settings.export.material, progress)
+    finally:
+        shutil.rmtree(run / PARTIAL, ignore_errors=True)
+        folder.close()
+
+
+def _lock(run: Path) -> FileLock:
+    try:
+        return FileLock(run / ".lock")
+    except BlockingIOError as error:
+        raise InputError(run, "is in use by another process") from error
+    except OSError as error:
+        raise InputError(run, f"is not writable ({error.strerror})") from error
+
+
+def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: Path | None, progress: Progress) -> Mesh:
+    given = load_edited_mesh(edited) if edited else None
+    reconstruction = Reconstruction.load(run).to(best())
+    if given is not None and edited is not None:
+        _check_place(given, reconstruction, edited)
+    cameras = [placed.camera for placed in load_cameras(run / "cameras.json") if placed.split == "train"]
+    views, samples = RenderedViews(reconstruction, cameras), reconstruction.surface_samples()
+    if triangles is not None:
+        # The masks themselves may be gone; the Gaussians were fitted to them.
+        masks = [view.alpha for view in views] if reconstruction.background is None else None
+        surface = extract_geometry(views, samples, reconstruction.bound, settings, progress, masks)
+        return textured_mesh(surface, views, samples, settings, progress)
+    voxel = make_grid(views, samples, reconstruction.bound, settings.voxels).voxel
+    if given is None:
+        mesh = load_mesh_ply(run / "mesh.ply")
+        progress.phase("bake", len(views))
+        textures = baked_textures(mesh, views, samples, voxel, settings, stoppable(progress))
+        return dataclasses.replace(mesh, textures=textures)
+    normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
+    if given.uvs is None:
+        return textured_mesh(Surface(given.vertices, normals, given.faces, voxel), views, samples, settings, progress)
+    return painted_mesh(given.vertices, normals, given.uvs, given.faces, views, samples, voxel, settings, progress)
+
+
+def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:
+    """A mesh in another frame would be painted with the wrong parts of the object."""
+    bound = reconstruction.bound
+    distance = np.linalg.norm(mesh.vertices - np.asarray(bound.centre), axis=-1)
+    if np.median(distance) > 1.5 * bound.radius or distance.max() < 0.01 * bound.radius:
+        raise InputError(path, "doesn't lie where the run's object is", "export it in the frame of the run's mesh.ply (+Z up, unscaled)")
+
+
+def _replace(run: Path, mesh: Mesh) -> None:
+    """Write everything aside, then put it in the place of the old files."""
+    partial = run / PARTIAL
+    try:
+        partial.mkdir(exist_ok=True)
+        save_mesh_ply(mesh, partial / "mesh.ply")
+        save_textures(mesh.textures, partial)
+        save_glb(mesh, partial / "asset.glb")
+        (run / "textures").mkdir(exist_ok=True)
+        for name in mesh.textures:
+            os.replace(partial / f"{name}.png", run / "textures" / f"{name}.png")
+        for name in ("mesh.ply", "asset.glb"):
+            os.replace(partial / name, run / name)
+    except OSError as error:
+        raise IrgsppError(f"{run}: can't be written ({error.strerror or error})") from error
+
+
+def _renew_blend(run: Path, material: str, progress: Progress) -> None:
+    """Bring scene.blend up to date, where the run has one."""
+    if not (run / "scene.blend").is_file():
+        return
+    progress.phase("scene", 0)
+    try:
+        write_blend(run, run / "scene.blend", material, progress)
+    except IrgsppError as error:
+        (run / "scene.blend").unlink()
+        progress.message(f"warning: scene.blend showed the old mesh and was removed; it can't be written again: {error}")

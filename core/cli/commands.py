@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What each command does: it gets its options and whom to tell of progress, prints results, and returns an exit status."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+
+from ..progress.recorder import JobJournal
+from ..progress.terminal import Terminal
+from ..run_folder import read_run
+from ..settings.overrides import from_dict, with_overrides
+from ..settings.schema import Settings, preset
+
+# Heavy imports (torch, numba) stand inside the commands: `irgspp --help` answers at once.
+
+
+def demo(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Reconstruct the embedded dataset; an earlier demonstration in the folder is replaced."""
+    from ..pipeline import DEMO_DATA, DEMO_OVERRIDES, reconstruct
+
+    replace = not args.resume and (args.run / "run.json").exists() and read_run(args.run).get("dataset") == str(DEMO_DATA)
+    settings = with_overrides(preset("balanced"), [*DEMO_OVERRIDES, *args.set])
+    run = reconstruct(DEMO_DATA, args.run, settings, resume=args.resume, overwrite=replace, progress=terminal)
+    terminal.end_line()
+    print(run / "contact_sheet.png")
+    return 0
+
+
+def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Print what was understood of a dataset."""
+    from ..datasets.load import load_dataset
+    from ..datasets.summary import describe, facts
+
+    settings = with_overrides(Settings(), args.set).data
+    data = load_dataset(args.dataset, settings, terminal)
+    if args.export is not None:
+        from ..datasets.export import save_dataset
+
+        save_dataset(data, settings, args.export, terminal)
+    terminal.end_line()
+    print(json.dumps(facts(data)) if args.json else describe(data))
+    return 0
+
+
+def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Photographs to a run folder."""
+    settings = settings_of(args)
+    from ..pipeline import reconstruct  # takes seconds: what is wrong in the settings is told before
+
+    run = reconstruct(args.dataset, args.run, settings, resume=args.resume, overwrite=args.overwrite, progress=terminal)
+    terminal.end_line()
+    print(run)
+    return 0
+
+
+def settings_of(args: argparse.Namespace) -> Settings:
+    """The settings that the options say; those of the run itself for a bare `--resume`."""
+    chosen = {name: getattr(args, name) for name in ("materials", "device", "seed", "time") if getattr(args, name) is not None}
+    if args.resume and not chosen and not args.set and args.preset is None and (args.run / "run.json").exists():
+        return from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), args.set)
+
+
+def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Compare a run with a dataset's test views: a table here, a page and JSON in the report folder."""
+    from ..evaluation.report import evaluate, table
+
+    settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    choices = {"protocol": args.protocol, "views": args.views, "samples": args.samples, "lpips": args.lpips}
+    report = evaluate(args.run, args.dataset, args.out, settings.data, terminal, args.cycles, **choices)
+    terminal.end_line()
+    print(table(report))
+    return 0
+
+
+def batch(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Many jobs from a list; a line for each on stdout."""
+    from ..batch.batch import notes_of, run_batch
+    from ..batch.jobs import read_jobs
+    from .parser import check_words
+
+    jobs = read_jobs(args.jobs, check_words)
+    states = run_batch(jobs, notes_of(args.jobs), lambda: terminal.cancelled, args.at_once, args.dask)
+    for job in jobs:
+        state = states[job.name]
+        more = f": {state.error} (more in {notes_of(args.jobs) / job.name / 'log.txt'})" if state.state == "failed" else ""
+        print(f"{job.name}: {state.state}{more}")
+    return int(any(state.state == "failed" for state in states.values()))
+
+
+def export(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Copy or write what a run made, by the file's suffix."""
+    from ..assets.export import export
+
+    settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
+    export(args.run, args.out, args.material or settings.export.material, terminal)
+    print(args.out)
+    return 0
+
+
+def bake(args: argparse.Namespace, terminal: Terminal | JobJournal) -> int:
+    """Mesh and textures of a finished run once more."""
+    from ..assets.rebake import bake
+
+    bake(args.run, terminal, size=args.size, triangles=args.triangles, edited=args.mesh)
+    terminal.end_line()
+    print(args.run)
+    return 0
+
+
+def devices(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Print what can be used to compute on."""
+    from ..machine.devices import describe
+    from ..machine.devices import devices as found
+
+    print(json.dumps(found(), indent=2) if args.json else describe(found()))
+    return 0

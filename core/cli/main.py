@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: `irgspp demo|inspect|reconstruct|render|evaluate|batch|export|bake|devices`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import Cancelled, IrgsppError
+from ..machine.out_of_resources import shortage
+from ..progress.recorder import JobJournal, JobNotes
+from ..progress.terminal import Terminal
+from .parser import parser
+
+JOB_FOLDER = "IRGSPP_JOB"  # variable of the environment
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit status: 0 done, 1 failed, 2 bad usage or bad input, 130 cancelled."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        args = parser().parse_args(words)
+    except SystemExit as end:
+        return int(end.code or 0)
+    with Terminal().signals() as terminal:
+        return _run(args, words, watched(terminal))
+
+
+def watched(terminal: Terminal) -> Terminal | JobJournal:
+    """Progress as the program that started this process wants it: in the folder $IRGSPP_JOB as well, where it names one."""
+    folder = os.environ.pop(JOB_FOLDER, "")
+    return JobJournal(JobNotes(Path(folder)), terminal) if folder else terminal
+
+
+def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobJournal) -> int:
+    try:
+        return args.command(args, terminal)
+    except Cancelled as error:
+        _complain(terminal, f"cancelled: {error}")
+        if args.resumable:
+            _complain(terminal, f"go on with: {resume_line(words)}")
+        return error.exit_status
+    except IrgsppError as error:
+        _complain(terminal, str(error))
+        return error.exit_status
+    except Exception as error:  # a fault of ours or of the machine: one line here, the rest where it can be read later
+        short, log = shortage(error, getattr(args, "run", Path()), args.resumable), _keep_traceback(args)
+        line = str(short) if short else f"failed: {type(error).__name__}: {' '.join(str(error).split())}"
+        _complain(terminal, line + (f" (more in {log})" if log else ""))
+        return 1
+
+
+def _complain(terminal: Terminal | JobJournal, line: str) -> None:
+    terminal.end_line()
+    print(f"irgspp: {line}", file=sys.stderr, flush=True)
+
+
+def _keep_traceback(args: argparse.Namespace) -> Path | None:
+    """Append the traceback to the run's log.txt, or to a new temporary file where the command has no run folder; None on a full disk."""
+    run = getattr(args, "run", None)
+    try:
+        if run is not None and (run / "log.txt").exists():
+            log = run / "log.txt"
+        else:
+            handle, name = tempfile.mkstemp(prefix="irgspp-", suffix=".log")
+            os.close(handle)
+            log = Path(name)
+        with log.open("a", encoding="utf-8") as file:
+            traceback.print_exc(file=file)
+    except OSError:
+        return None
+    return log
+
+
+def resume_line(words: Sequence[str]) -> str:
+    """The command line that goes on with a stopped `reconstruct` or `demo`."""
+    kept = [word for word in words if word not in ("--resume", "--overwrite")]
+    join = subprocess.list2cmdline if sys.platform == "win32" else shlex.join
+    return join(["irgspp", *kept, "--resume"])

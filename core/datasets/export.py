@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A dataset as files that need no library to read but numpy: what Blender builds cameras and points from."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import Cancelled, InputError
+from ..io.atomic import write_atomic
+from ..progress.protocol import Progress
+from ..scene.camera_files import save_views
+from ..scene.dataset import Dataset, View
+from ..settings.schema import DataSettings
+from .load import full_size_views
+from .summary import facts
+
+
+def save_dataset(dataset: Dataset, settings: DataSettings, folder: Path, progress: Progress) -> None:
+    """Write cameras.json, points.npz (where there are points), and dataset.json last: with it the folder is complete.
+
+    Cameras are those of the unreduced photographs; where these show lens distortion, undistorted copies are written to `photographs/`.
+    points.npz holds `position` (P, 3) float32 in our world and `colour` (P, 3) uint8 sRGB; dataset.json is `datasets.inspect.facts`.
+    Raises InputError where the folder can't be written or a photograph has changed, Cancelled where the user stopped the work.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "dataset.json").unlink(missing_ok=True)
+        save_views(folder / "cameras.json", _told(dataset, settings, progress))
+        (folder / "points.npz").unlink(missing_ok=True)
+        if dataset.points is not None:
+            data = io.BytesIO()
+            np.savez(data, position=dataset.points.position, colour=np.round(255 * np.clip(dataset.points.colour, 0, 1)).astype(np.uint8))
+            write_atomic(folder / "points.npz", data.getvalue())
+        write_atomic(folder / "dataset.json", json.dumps(facts(dataset), indent=1).encode())
+    except OSError as error:
+        raise InputError(folder, f"can't be written ({error.strerror})") from error
+
+
+def _told(dataset: Dataset, settings: DataSettings, progress: Progress) -> Iterator[tuple[str, View]]:
+    progress.phase("export", len(dataset.train) + len(dataset.test))
+    for done, pair in enumerate(full_size_views(dataset, settings), 1):
+        if progress.cancelled:
+            raise Cancelled("stopped while photographs were being exported")
+        yield pair
+        progress.step(done)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""NeRO's GlossySynthetic: pickled cameras, depth maps for masks, a world with +Y up; and pictures under other lights apart from it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...io.image import picture_size
+from ...io.safe_paths import inside
+from ...io.safe_pickle import read_pickle
+from ...scene.camera import GL_TO_CV
+from ...settings.schema import DataSettings
+from ..parsed_dataset import Capture, Frame, Lens
+from ..poses import rigid
+from ..world_frame import moved
+
+DEPTH_RANGE = 15.0  # what the largest integer of a depth map stands for
+FAR = 14.5  # depth of the background and beyond
+CAMERA = re.compile(r"(\d+)-camera\.pkl")
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # (x, y, z) to Blender's (x, -z, y)
+SPLIT = "synthetic_split_128.pkl"
+# The test views of NeRO's split of 128, which that file holds.
+NERO_TEST = (0, 2, 3, 4, 5, 7, 11, 14, 19, 29, 30, 31, 33, 49, 56, 57, 59, 61, 66, 68, 71, 73, 75, 91, 93, 95, 109, 110, 111, 113, 120, 127)
+
+
+def views_of(folder: Path) -> list[Path]:
+    """The camera files of such a scene by number; empty where the folder is none."""
+    files = [f for f in folder.glob("*-camera.pkl") if CAMERA.fullmatch(f.name)]
+    return sorted(files, key=lambda f: int(f.name.split("-")[0]))
+
+
+def read_glossy_synthetic(folder: Path, settings: DataSettings) -> Capture:
+    """Read such a scene: every `holdout`-th view is a test view (Ref-Gaussian's split), NeRO's where its file of them lies there or beside.
+
+    Raises InputError where a camera is none, or a pickle holds anything but arrays.
+    """
+    frames = [_frame(f) for f in views_of(folder)]
+    file = next((f for f in (folder / SPLIT, folder.parent / SPLIT) if f.is_file()), None)
+    chosen = {f"{n}.png" for n in (NERO_TEST if file is None else _test_ids(file))}
+    learn, check = [f for f in frames if f.listed not in chosen], [f for f in frames if f.listed in chosen]
+    declared = (frames, None) if file is None else (learn, check)
+    published = frozenset(f.listed for f in check) if file is not None or len(frames) == 128 else frozenset()
+    return upright(Capture(folder, folder, "glossy-synthetic", *declared, np.eye(4), published=published, novel=_novel(folder)))
+
+
+def upright(capture: Capture) -> Capture:
+    """The capture, read in the +Y-up world of these scenes, in ours."""
+    return moved(capture, Y_UP)
+
+
+def relit_folders(folder: Path) -> dict[str, Path]:
+    """The folders of a scene's pictures under other lights: relight_gt/SCENE_LIGHT beside it or further up, by light."""
+    prefix = folder.resolve().name.removesuffix("_blender") + "_"
+    for parent in list(folder.resolve().parents)[:2]:
+        for place in (parent / "relight_gt", parent / "glossy_relight" / "relight_gt"):
+            theirs = [f for f in sorted(place.glob("*")) if f.name.startswith(prefix) and f.is_dir()]
+            found = {f.name.removeprefix(prefix): inside(f, place) for f in theirs}
+            if found:
+                return found
+    return {}
+
+
+def light_files(folder: Path) -> dict[str, Path]:
+    """The maps of those lights (hdr2k beside relight_gt), in Blender's frame."""
+    files = {light: relit.parent.parent / "hdr2k" / f"{light}.exr" for light, relit in relit_folders(folder).items()}
+    return {light: inside(file, file.parent) for light, file in files.items() if file.is_file()}
+
+
+def depth_of(picture: Path) -> Path:
+    """The depth map that goes with a picture."""
+    return picture.with_name(picture.stem + "-depth.png")
+
+
+def _novel(folder: Path) -> list[Frame]:
+    """Views under other lights; the cameras are those beside the pictures, or those of the scene where there are none."""
+    frames = []
+    for light, relit in relit_folders(folder).items():
+        for camera in views_of(relit) or [f for f in views_of(folder) if (relit / f"{f.name.split('-')[0]}.png").is_file()]:
+            frames.append(_frame(camera, relit, light))
+    return frames
+
+
+def _frame(camera: Path, folder: Path | None = None, light: str | None = None) -> Frame:
+    number, place = camera.name.split("-")[0], folder or camera.parent
+    matrix, intrinsics = _arrays(camera)
+    to_world = np.linalg.inv(rigid(camera, matrix, "the pose")) @ GL_TO_CV
+    picture = inside(place / f"{number}.png", place)
+    exists = picture.is_file()
+    width, height = picture_size(picture) if exists else (round(2 * intrinsics[0, 2]), round(2 * intrinsics[1, 2]))
+    fx, fy, cx, cy = (float(intrinsics[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    lens = Lens("PINHOLE", width, height, fx, fy, cx, cy).checked(camera)
+    depth = depth_of(picture)
+    listed = picture.name if light is None else f"{place.name}/{picture.name}"
+    return Frame(listed, picture if exists else None, depth if depth.is_file() else None, lens, to_world, FAR / DEPTH_RANGE, light)
+
+
+def _arrays(camera: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(3x4 world to camera in OpenCV's axes, 3x3 intrinsics)."""
+    content = read_pickle(camera)
+    if isinstance(content, (list, tuple)) and len(content) == 2 and all(isinstance(a, np.ndarray) for a in content):
+        pose, intrinsics = content
+        if pose.shape == (3, 4) and intrinsics.shape == (3, 3) and pose.dtype.kind == "f" and intrinsics.dtype.kind in "fi":
+            return pose.astype(np.float64), intrinsics.astype(np.float64)
+    raise InputError(camera, "does not hold a 3x4 pose and a 3x3 matrix of intrinsics")
+
+
+def _test_ids(file: Path) -> list[int]:
+    content = read_pickle(file)
+    try:
+        test, _ = content
+        return [int(n) for n in test]
+    except (TypeError, ValueError) as error:
+        raise InputError(file, "does not hold the numbers of test and training views") from error

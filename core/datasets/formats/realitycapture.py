@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cameras as RealityCapture exports them (Registration > Internal/External camera parameters, .csv)."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...io.image import picture_size
+from ...io.safe_paths import inside
+from ...settings.schema import DataSettings
+from ..parsed_dataset import FARTHEST, Capture, Frame, Lens, find_mask, find_picture
+from ..world_frame import settle
+from .metashape import PICTURE_FOLDERS
+
+COLUMNS = ("#name", "x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
+FILM = 36.0  # mm: focal lengths are those of a 35 mm camera, whose longer side this is
+HEAD = 5  # lines among which the columns are named
+
+
+def find_cameras(folder: Path) -> Path | None:
+    """The file of cameras in a folder, or None."""
+    return next((f for f in sorted(folder.glob("*.csv")) if _header(f) is not None), None)
+
+
+def read_realitycapture(path: Path, settings: DataSettings) -> Capture:
+    """Read such a file, or the folder it lies in, with the pictures beside it or in `images`.
+
+    The world has +Z up already; the object is moved to the origin. Raises InputError on bad input.
+    """
+    file = find_cameras(path) if path.is_dir() else path
+    start = None if file is None else _header(file)
+    if file is None or start is None:
+        raise InputError(path, "is not a file of cameras exported by RealityCapture", f"its columns are {', '.join(COLUMNS)}")
+    rows = _rows(file, start)
+    places = {row["#name"]: _picture(file.parent, row["#name"]) for row in rows}
+    present = {name: picture for name, picture in places.items() if picture is not None}
+    if not present:
+        raise InputError(file, f"none of its {len(rows)} pictures exists", f"looked for {rows[0]['#name'][:80]!r} beside it and in images")
+    frames = [_frame(file, row, present[row["#name"]]) for row in rows if row["#name"] in present]
+    missing = len(rows) - len(frames)
+    warnings = [f"{file.name}: {missing} of {len(rows)} pictures are missing; left out"] if missing else []
+    return settle(file, file.parent, "realitycapture", sorted(frames, key=lambda f: f.listed), None, warnings, upright=True)
+
+
+def _header(file: Path) -> int | None:
+    """Which line names the columns, or None where none does."""
+    try:
+        with file.open("r", encoding="utf-8-sig", errors="replace") as stream:
+            lines = [stream.readline(2000) for _ in range(HEAD)]
+    except OSError:
+        return None  # told where it is the file that was asked for
+    return next((i for i, line in enumerate(lines) if {"#name", "heading", "pitch", "roll", "f"} <= set(_split(line))), None)
+
+
+def _split(line: str) -> list[str]:
+    return [word.strip() for word in line.replace(";", ",").split(",")]
+
+
+def _rows(file: Path, start: int) -> list[dict[str, str]]:
+    try:
+        lines = file.read_text("utf-8-sig", "replace").splitlines()[start:]
+    except OSError as error:
+        raise InputError(file, f"can't be read ({error.strerror})") from error
+    columns = _split(lines[0])
+    missing = [c for c in COLUMNS[:8] if c not in columns]
+    if missing:
+        raise InputError(file, f"has no column {', '.join(missing)}", "export internal and external camera parameters")
+    separator = ";" if ";" in lines[0] else ","
+    try:
+        rows = [dict(zip(columns, row, strict=False)) for row in csv.reader(lines[1:], delimiter=separator) if row and row[0].strip()]
+    except csv.Error as error:
+        raise InputError(file, f"is no table ({error})") from error
+    if not rows:
+        raise InputError(file, "lists no cameras")
+    return rows
+
+
+def _picture(folder: Path, name: str) -> Path | None:
+    candidates = (folder / place / name.replace("\\", "/") for place in PICTURE_FOLDERS)
+    return next(filter(None, (find_picture(inside(c, folder)) for c in candidates)), None)
+
+
+def _frame(file: Path, row: dict[str, str], picture: Path) -> Frame:
+    where = f"{file}, {row['#name'][:80]}"
+    x, y, z, heading, pitch, roll, f, px, py, k1, k2, k3, k4, t1, t2 = (_number(where, row, c) for c in COLUMNS[1:])
+    if max(map(abs, (x, y, z))) > FARTHEST:
+        raise InputError(where, "puts the camera at infinity")
+    if k4:
+        raise InputError(where, "has distortion that OpenCV's models have not (k4)", "choose Brown3 with or without tangential distortion")
+    width, height = picture_size(picture)
+    longest = max(width, height)
+    distortion = (k1, k2, t1, t2, k3)
+    focal = f / FILM * longest
+    lens = Lens("REALITYCAPTURE", width, height, focal, focal, width / 2 + px * longest, height / 2 + py * longest,
+                distortion if any(distortion) else ()).checked(where)  # fmt: skip
+    to_world = np.eye(4)
+    to_world[:3, :3], to_world[:3, 3] = _rotation(-heading, pitch, roll), (x, y, z)
+    return Frame(row["#name"], picture, find_mask(picture, picture.parent), lens, to_world)
+
+
+def _number(where: str, row: dict[str, str], column: str) -> float:
+    try:
+        value = float(row.get(column) or 0.0)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(where, f"{column} is not a number")
+    return value
+
+
+def _rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """(3, 3) from degrees about Z, then X, then Y of the turned frame; all 0 looks straight down with the picture's top to +Y."""
+    (sz, cz), (sx, cx), (sy, cy) = ((math.sin(a), math.cos(a)) for a in map(math.radians, (yaw, pitch, roll)))
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    return about_z @ about_x @ about_y

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One picture that shows a whole reconstruction: what went in, what came out, and the object under other lights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ..errors import Cancelled
+from ..io.atomic import whole
+from ..progress.protocol import Progress
+from ..relight.prepared_light import PreparedLight, prepare
+from ..relight.relighter import Relighter
+from ..rendering.gbuffer import render_view
+from ..scene.dataset import Dataset, View
+from ..shading.procedural_lights import studio_light, sunset_light
+from . import visualisation as pictures
+from .cases import spread_views
+
+COLUMNS = ("photograph", "radiance", "recovered light", "albedo", "roughness", "metallic", "normal", "studio light", "sunset light")
+LIGHT_SIZE = (64, 128)
+TILE, GAP, HEADER = 224, 6, 40
+PAPER, INK = (24, 25, 28), (226, 226, 222)
+# Dark like the black that masked photographs are fitted on: the outermost pixels may be too bright and too transparent at once, which
+# cancels there and would be a bright fringe on a light ground.
+CHECKER = (0.14, 0.18)
+
+
+def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: Progress, rows: int = 4) -> None:
+    """Write a PNG with up to `rows` views, test views where there are any, one below the other; see COLUMNS for what stands beside.
+
+    Raises Cancelled between two rows.
+    """
+    lights = relighter.reconstruction.environment_map(), studio_light(*LIGHT_SIZE), sunset_light(*LIGHT_SIZE)
+    prepared, tiles = [prepare(light) for light in lights], []
+    views = spread_views(dataset.test or dataset.train, rows)
+    progress.phase("contact sheet", len(views))
+    for view in views:
+        if progress.cancelled:
+            raise Cancelled("stopped in the contact sheet")
+        tiles.append(view_row(view, relighter, prepared))
+        progress.step(len(tiles))
+    sheet = compose(tiles, COLUMNS)
+    with whole(path) as partial:
+        sheet.save(partial, "PNG", optimize=True)
+
+
+def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) -> list[np.ndarray]:
+    """The pictures of one row, each (H, W, 4) as in `pictures`; the first light is the recovered one."""
+    camera, (width, height) = view.camera, fitted(view.camera.width, view.camera.height, TILE)
+    if width < camera.width:  # a tile shows no more pixels; but never more than were learnt from
+        camera = camera.resized(width, height)
+    buffers, surface = render_view(relighter.reconstruction, camera), relighter.surface(camera)
+    own, *others = (pictures.shaded(relighter.relit(surface, light).numpy()) for light in lights)
+    photograph = pictures.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
+    return [
+        photograph,
+        pictures.shaded(buffers.picture),
+        own,
+        pictures.colour(buffers.albedo, buffers.alpha),
+        pictures.grey(buffers.roughness, buffers.alpha),
+        pictures.grey(buffers.metallic, buffers.alpha),
+        pictures.normal(buffers.normal, buffers.alpha),
+        *others,
+    ]
+
+
+def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Image.Image:
+    """Rows of pictures as one image, each in a tile on a faint checkerboard, the columns named above."""
+    heights = [max(fitted(p.shape[1], p.shape[0], TILE)[1] for p in row) for row in rows]
+    width = GAP + len(columns) * (TILE + GAP)
+    sheet = Image.new("RGB", (width, HEADER + sum(height + GAP for height in heights)), PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=17)
+    for i, name in enumerate(columns):
+        draw.text((GAP + i * (TILE + GAP) + TILE / 2, HEADER / 2), name, INK, font, anchor="mm")
+    top = HEADER
+    for row, height in zip(rows, heights, strict=True):
+        for i, picture in enumerate(row):
+            sheet.paste(_tile(picture, height), (GAP + i * (TILE + GAP), top))
+        top += height + GAP
+    return sheet
+
+
+def fitted(width: int, height: int, side: int) -> tuple[int, int]:
+    """The size with the same shape whose width is at most `side` and whose height at most 1.5 times that."""
+    scale = min(side / width, 1.5 * side / height)
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _tile(picture: np.ndarray, height: int) -> Image.Image:
+    """(TILE, height) pixels with the picture in the middle."""
+    size = fitted(picture.shape[1], picture.shape[0], TILE)
+    premultiplied = np.concatenate([picture[..., :3] * picture[..., 3:], picture[..., 3:]], -1)
+    channels = [Image.fromarray(np.ascontiguousarray(premultiplied[..., i], np.float32)) for i in range(4)]
+    # Unlike bicubic, this filter has no negative lobes: no bright rim where the object ends.
+    scaled = np.clip(np.stack([np.asarray(c.resize(size, Image.Resampling.HAMMING)) for c in channels], -1), 0, 1)
+    canvas = np.zeros((height, TILE, 4))
+    top, left = (height - size[1]) // 2, (TILE - size[0]) // 2
+    canvas[top : top + size[1], left : left + size[0]] = scaled
+    rows, columns = np.indices((height, TILE)) // 14
+    backdrop = np.where((rows + columns) % 2, *CHECKER)[..., None]
+    return Image.fromarray(np.round(255 * np.clip(canvas[..., :3] + backdrop * (1 - canvas[..., 3:]), 0, 1)).astype(np.uint8))

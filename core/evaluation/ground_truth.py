@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Ground truth that lies beside the pictures of a rendered dataset, brought into the world of a run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..datasets.format_detection import read_capture
+from ..datasets.ground_truth import MapFile, layers_of, light_files, relit_names
+from ..errors import InputError
+from ..io.exr import read_exr, read_exr_rgb
+from ..io.safe_paths import inside
+from ..scene.dataset import View
+from ..scene.environment_files import read_light
+from ..settings.schema import DataSettings
+from ..shading.environment_lookup import lookup, texel_directions
+from .reduction import fitted_layer, fitted_picture
+from .surface_truth import rendered_points, surface_points
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What is known of one view; None or missing where nothing is.
+
+    Attributes:
+        picture: (H, W, 3) encoded, times alpha, above 1 where the file is HDR; `alpha` (H, W), ones where the dataset has none.
+        albedo: (H, W, 3) linear; normal: (H, W, 3) unit, in the world of the run; depth: (H, W) planar, 0 = nothing there.
+        roughness, metallic: (H, W).
+        relit: light name -> (H, W, 3) encoded, times that picture's alpha, above 1 where the file is HDR. Of a view that was taken under
+            another light than the dataset's (`View.light`), the picture itself.
+        lights: light name -> (H', W', 3) linear lat-long map in the world of the run, where the light is known view by view; it goes
+            before the scene's of the same name. Lights that are in neither can't be relit under.
+    """
+
+    picture: np.ndarray
+    alpha: np.ndarray
+    albedo: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    depth: np.ndarray | None = None
+    roughness: np.ndarray | None = None
+    metallic: np.ndarray | None = None
+    relit: dict[str, np.ndarray] = field(default_factory=dict)
+    lights: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def object(self) -> np.ndarray:
+        """(H, W) pixels that are inside the object for certain."""
+        inside = self.alpha > 0.99
+        return inside if self.depth is None else inside & (self.depth > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTruth:
+    """What a dataset says of the whole scene: lights by name (the training light's name apart), constants, surface samples.
+
+    `format` is the dataset's, which says where the truth of a view is found.
+    """
+
+    train_light: str | None = None
+    lights: dict[str, np.ndarray] = field(default_factory=dict)
+    constants: tuple[float, float] | None = None  # roughness, metallic of a scene of one plain material
+    points: tuple[np.ndarray, np.ndarray] | None = None  # positions and normals
+    format: str = "transforms"
+
+
+def load_scene_truth(dataset: Path, to_world: np.ndarray) -> SceneTruth:
+    """What the files of a dataset say of its scene, as far as they are there; `to_world` leads to the run's world.
+
+    Lights are those of pictures that are there too. Raises InputError where a file is damaged.
+    """
+    folder = dataset if dataset.is_dir() else dataset.parent
+    if (folder / "meta.json").is_file():
+        return _rendered_scene(folder, to_world)
+    try:
+        capture = read_capture(dataset, DataSettings())
+    except InputError:
+        return SceneTruth()  # whoever reads its views is told why
+    relit = sorted({name for frame in (capture.test or [])[:1] if frame.picture for name in relit_names(capture.format, frame.picture)})
+    train, files = light_files(capture.format, folder, relit)
+    lights = {name: _light(file, to_world) for name, file in files.items()}
+    return SceneTruth(train, lights, None, _moved_points(surface_points(capture.format, folder), to_world), capture.format)
+
+
+def _rendered_scene(folder: Path, to_world: np.ndarray) -> SceneTruth:
+    """meta.json, envs/ and surface_points.npz of a dataset that scripts/render_dataset.py wrote."""
+    file = folder / "meta.json"
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+        train, relights = meta.get("train_light"), list(meta.get("relights", []))
+        materials = [m for m in dict(meta.get("materials", {})).values() if isinstance(m, dict)]
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(file, f"is not the description of a rendered dataset ({error})") from error
+    files = {name: inside(folder / "envs" / f"{name}.exr", folder) for name in [train, *relights] if name}
+    lights = {name: turned(read_exr_rgb(path), to_world) for name, path in files.items() if path.is_file()}
+    plain = len(materials) == 1 and not meta.get("has_material_maps") and all(k in materials[0] for k in ("roughness", "metallic"))
+    constants = (float(materials[0]["roughness"]), float(materials[0]["metallic"])) if plain else None
+    return SceneTruth(train, lights, constants, _moved_points(rendered_points(folder), to_world))
+
+
+def load_truth(view: View, scene: SceneTruth, to_world: np.ndarray) -> Truth:
+    """The picture of a view, and what stands beside its file, reduced to its size. Raises InputError where that is no reduction."""
+    alpha = np.ones(view.colour.shape[:2], np.float32) if view.alpha is None else view.alpha
+    picture = np.maximum(view.colour, 0) * alpha[..., None]
+    rotation, size = _rotation_and_size(to_world)
+    stated = layers_of(scene.format, view)
+    layers = {"albedo": stated.albedo, "normal": stated.normal, "depth": stated.depth, "roughness": stated.roughness}
+    relit_files = stated.relit
+    if scene.format == "transforms":
+        layers, relit_files = _rendered_layers(view, scene)
+    shape = alpha.shape[0], alpha.shape[1]
+    fitted = {name: fitted_layer(view.path.parent, name, layer, shape, stated.cover) for name, layer in layers.items() if layer is not None}
+    if "normal" in fitted:
+        fitted["normal"] = fitted["normal"] @ rotation.T.astype(np.float32)
+    if "depth" in fitted:
+        fitted["depth"] = fitted["depth"] * np.float32(size)
+    relit = {name: fitted_picture(path, shape, alpha) for name, path in relit_files.items()}
+    if view.light is not None:
+        relit[view.light] = picture
+    lights = {name: _light(file, to_world) for name, file in stated.lights.items()}
+    return Truth(picture, alpha, **fitted, relit=relit, lights=lights)
+
+
+def _rendered_layers(view: View, scene: SceneTruth) -> tuple[dict[str, np.ndarray | None], dict[str, Path]]:
+    """Layers and relit pictures beside a test picture that scripts/render_dataset.py wrote."""
+    folder = view.path.parent
+    if view.path.stem != "rgba" or not (folder / "depth.exr").is_file():
+        return {}, {}
+    for name in ("depth", "albedo", "normal", "material", *scene.lights):
+        inside(folder / (f"rgba_{name}.png" if name in scene.lights else f"{name}.exr"), folder)
+    layers: dict[str, np.ndarray | None] = {"depth": read_exr(folder / "depth.exr")["Z"]}
+    if (folder / "albedo.exr").is_file():
+        layers["albedo"] = read_exr_rgb(folder / "albedo.exr")
+    if (folder / "normal.exr").is_file():
+        layers["normal"] = read_exr_rgb(folder / "normal.exr")
+    if (folder / "material.exr").is_file():
+        material = read_exr(folder / "material.exr")
+        layers["roughness"], layers["metallic"] = material["R"], material["G"]
+    elif scene.constants:
+        shape = view.colour.shape[:2]
+        layers["roughness"], layers["metallic"] = (np.full(shape, value, np.float32) for value in scene.constants)
+    files = {name: folder / f"rgba_{name}.png" for name in scene.lights}
+    return layers, {name: path for name, path in files.items() if path.is_file()}
+
+
+def _light(file: MapFile, to_world: np.ndarray) -> np.ndarray:
+    """A light map in the world of the run."""
+    light, _ = read_light(file.path)
+    whole = np.eye(4)
+    whole[:3, :3] = to_world[:3, :3] @ file.turn
+    return turned(light, whole)
+
+
+def turned(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
+    """A lat-long map (H, W, 3) of a dataset's frame in the world that `to_world` leads to."""
+    rotation, _ = _rotation_and_size(to_world)
+    if np.allclose(rotation, np.eye(3), atol=1e-7):
+        return light
+    direction = texel_directions(light.shape[0], light.shape[1], torch.float64).reshape(-1, 3) @ torch.from_numpy(rotation)
+    return lookup(torch.from_numpy(light), direction.float()).reshape(light.shape).numpy()
+
+
+def _moved_points(points: tuple[np.ndarray, np.ndarray] | None, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Positions and normals of the dataset's frame in the world that `to_world` leads to."""
+    if points is None:
+        return None
+    position, normal = (a.astype(np.float64) for a in points)
+    return position @ to_world[:3, :3].T + to_world[:3, 3], normal @ _rotation_and_size(to_world)[0].T
+
+
+def _rotation_and_size(similarity: np.ndarray) -> tuple[np.ndarray, float]:
+    size = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    return similarity[:3, :3] / size, size

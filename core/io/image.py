@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decoding of photographs and masks, and their reduction to a smaller size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from ..errors import InputError
+from .exr import check_filled, check_pixels, exr_size, read_exr
+from .srgb import decode_srgb, encode_srgb
+
+BAND = 256  # rows that are linear floats at a time: a 50-megapixel photograph would take gigabytes as a whole
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by kind of colour
+EXR_SIGNATURE = b"\x76\x2f\x31\x01"
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Decoded pixels, sRGB-encoded and straight.
+
+    Attributes:
+        colour: (H, W, 3) float32 0..1, above where the file is HDR; or uint8, uint16 as read, until `reduce_picture`.
+        alpha: (H, W) of the same kind, or None.
+    """
+
+    colour: np.ndarray
+    alpha: np.ndarray | None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.colour.shape[1], self.colour.shape[0]
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the header alone. Raises InputError where it is no PNG, JPEG or EXR, or claims to be enormous."""
+    try:
+        with path.open("rb") as file:
+            head, size = file.read(26), path.stat().st_size
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})") from error
+    if head[:4] == EXR_SIGNATURE:
+        return exr_size(path)
+    if head[:8] == PNG_SIGNATURE and head[12:16] == b"IHDR":
+        sides = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+        check_pixels(path, *sides)
+        # A byte of a PNG can't stand for more than 1032 of its pixels' bytes (deflate), one of a JPEG for no more than 341 pixels.
+        bits = head[24] * PNG_CHANNELS.get(head[25], 1) if len(head) == 26 else 1
+        check_filled(path, sides[0] * sides[1] * bits // 8, 1032 * size)
+    width, height = _raster_size(path)
+    check_pixels(path, width, height)
+    if head[:8] != PNG_SIGNATURE:
+        check_filled(path, width * height, 341 * size)
+    return width, height
+
+
+def _raster_size(path: Path) -> tuple[int, int]:
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            return image.size
+    except Exception as error:  # Pillow raises OSError, SyntaxError, ValueError, struct.error, ... for broken files
+        raise InputError(path, f"not a readable PNG, JPEG or EXR picture ({_reason(error)})") from error
+
+
+def read_picture(path: Path) -> Picture:
+    """Decode a PNG (8 or 16 bit), JPEG or EXR (linear, premultiplied), integers as they are stored.
+
+    The EXIF orientation is never applied: cameras are solved for the pixels as stored.
+    Raises InputError where the file is unreadable, truncated or has pixels that are not finite.
+    """
+    picture_size(path)
+    data = path.read_bytes()
+    if data[:4] == EXR_SIGNATURE:
+        return _read_exr(path)
+    pixels = _decode(path, data)
+    colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, -1)
+    return Picture(colour, pixels[..., -1] if pixels.shape[2] in (2, 4) else None)
+
+
+def read_mask(path: Path) -> np.ndarray:
+    """(H, W) float32 in 0..1, 1 on the object: a grey or colour picture's brightness, or the alpha of one that has any."""
+    picture = read_picture(path)
+    alpha = None if picture.alpha is None else unit(picture.alpha)
+    return alpha if alpha is not None and alpha.min() < 1 else np.clip(unit(picture.colour.max(-1)), 0, 1)
+
+
+def read_depth_mask(path: Path, far: float) -> np.ndarray:
+    """(H, W) float32, 1 where a depth map, whose integers span 0..1, is nearer than `far`."""
+    return (unit(read_picture(path).colour[..., 0]) < far).astype(np.float32)
+
+
+def _decode(path: Path, data: bytes) -> np.ndarray:
+    """(H, W, 1..4) uint8 or uint16. Pillow judges every file, since OpenCV hands out half a picture where a file is truncated."""
+    try:
+        with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
+            image.load()
+            deep = data[:8] == PNG_SIGNATURE and data[24] == 16
+            pixels = _decode_deep(data) if deep else np.asarray(_eight_bit(image))
+    except Exception as error:  # see _raster_size
+        raise InputError(path, f"unreadable or truncated picture ({_reason(error)})") from error
+    return pixels.reshape(*pixels.shape[:2], -1)
+
+
+def _eight_bit(image: Image.Image) -> Image.Image:
+    if image.mode in ("L", "LA", "RGB", "RGBA") and "transparency" not in image.info:
+        return image
+    return image.convert("RGBA" if "transparency" in image.info or image.mode in ("PA", "RGBa", "La") else "RGB")
+
+
+def _decode_deep(data: bytes) -> np.ndarray:
+    """16-bit PNG through OpenCV, since Pillow keeps only 8 bits of its colours."""
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise ValueError("not decodable")
+    order = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
+    return cv2.cvtColor(pixels, order[pixels.shape[2]]) if pixels.ndim == 3 else pixels
+
+
+def _read_exr(path: Path) -> Picture:
+    channels = read_exr(path)
+    grey = channels.get("Y", next(iter(channels.values()))) if len(channels) == 1 or "Y" in channels else None
+    missing = [c for c in "RGB" if c not in channels]
+    if grey is None and missing:
+        raise InputError(path, f"has channels {', '.join(channels)} but not {', '.join(missing)}")
+    linear = np.stack([channels[c] if grey is None else grey for c in "RGB"], -1)
+    alpha = channels.get("A")
+    if not np.isfinite(linear).all() or (alpha is not None and not np.isfinite(alpha).all()):
+        raise InputError(path, "has pixels that are not finite")
+    if alpha is not None:
+        alpha = np.clip(alpha, 0, 1)
+        linear = _straight(linear, alpha)
+    return Picture(encode_srgb(linear), alpha)
+
+
+def unit(pixels: np.ndarray) -> np.ndarray:
+    """Integers as float32 in 0..1; floats as they are."""
+    return pixels.astype(np.float32) / np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else pixels
+
+
+def reduce_picture(picture: Picture, width: int, height: int) -> Picture:
+    """Float pixels at another size by area averaging in linear light, colour weighted by alpha; unchanged where it has that size."""
+    if picture.size == (width, height):
+        return Picture(unit(picture.colour), None if picture.alpha is None else unit(picture.alpha))
+    # Area averaging is separable: rows are narrowed band by band, then the narrow picture is made lower.
+    starts = range(0, picture.size[1], BAND)
+    narrow = np.concatenate([_narrow_band(picture, slice(i, i + BAND), width) for i in starts])
+    small = _area(narrow, width, height)
+    if picture.alpha is None:
+        return Picture(encode_srgb(small), None)
+    return Picture(encode_srgb(_straight(small[..., :3], small[..., 3])), np.ascontiguousarray(small[..., 3]))
+
+
+def _narrow_band(picture: Picture, rows: slice, width: int) -> np.ndarray:
+    """(rows, width, 3 or 4) linear, premultiplied where there is alpha."""
+    linear = decode_srgb(unit(picture.colour[rows]))
+    if picture.alpha is not None:
+        alpha = unit(picture.alpha[rows])[..., None]
+        linear = np.concatenate([linear * alpha, alpha], -1)
+    return _area(linear, width, len(linear))
+
+
+def reduce_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(H, W) float32 mask at another size by area averaging."""
+    return mask if mask.shape == (height, width) else _area(mask, width, height)
+
+
+def on_black(picture: Picture) -> Picture:
+    """The float picture without its alpha, composited over black in linear light."""
+    if picture.alpha is None:
+        return picture
+    return Picture(encode_srgb(decode_srgb(picture.colour) * picture.alpha[..., None]), None)
+
+
+def _area(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
+    return cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def _straight(premultiplied: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    return np.where(alpha[..., None] > 1e-6, premultiplied / np.maximum(alpha, 1e-6)[..., None], 0)
+
+
+def _reason(error: Exception) -> str:
+    return str(error).split("\n")[0].split(": <_io")[0].split(" <_io")[0][:120] or type(error).__name__

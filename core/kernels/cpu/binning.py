@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which splats touch which tile, nearest first."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..constants import TILE
+from .jit import kernel
+
+
+@kernel
+def depth_order(depth, box):
+    """Indices of the visible splats by rising depth: a stable radix sort of the float bits (depths are positive)."""
+    keys = depth.view(np.uint32)
+    count = 0
+    for g in range(len(depth)):
+        count += box[g, 0] <= box[g, 2]
+    order, other = np.empty(count, np.int32), np.empty(count, np.int32)
+    at = 0
+    for g in range(len(depth)):
+        if box[g, 0] <= box[g, 2]:
+            order[at] = g
+            at += 1
+    for shift in (0, 11, 22):
+        histogram = np.zeros(2049, np.int64)
+        for i in range(count):
+            histogram[((keys[order[i]] >> shift) & 2047) + 1] += 1
+        for b in range(2048):
+            histogram[b + 1] += histogram[b]
+        for i in range(count):
+            bucket = (keys[order[i]] >> shift) & 2047
+            other[histogram[bucket]] = order[i]
+            histogram[bucket] += 1
+        order, other = other, order
+    return order
+
+
+@kernel
+def bin_tiles(order, box, columns, rows):
+    """Tile lists: splats of tile t are entries[start[t] : start[t + 1]], nearest first."""
+    start = np.zeros(columns * rows + 1, np.int64)
+    for g in order:
+        for ty in range(box[g, 1] // TILE, box[g, 3] // TILE + 1):
+            for tx in range(box[g, 0] // TILE, box[g, 2] // TILE + 1):
+                start[ty * columns + tx + 1] += 1
+    for t in range(columns * rows):
+        start[t + 1] += start[t]
+    fill = start[:-1].copy()
+    entries = np.empty(start[-1], np.int32)
+    for g in order:
+        for ty in range(box[g, 1] // TILE, box[g, 3] // TILE + 1):
+            for tx in range(box[g, 0] // TILE, box[g, 2] // TILE + 1):
+                t = ty * columns + tx
+                entries[fill[t]] = g
+                fill[t] += 1
+    return start, entries

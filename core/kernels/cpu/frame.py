@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where 8 disks stand before a camera: their centres and axes in its space, the way back to their quaternions, and vectors of three."""
+
+from __future__ import annotations
+
+from ..constants import COSINE_MIN
+from .jit import kernel
+from .simd import load, maximum, select, splat, sqrt
+
+
+@kernel
+def cross(a, b):
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@kernel
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def add(a, b):
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@kernel
+def scaled(a, s):
+    return (a[0] * s, a[1] * s, a[2] * s)
+
+
+@kernel
+def rotate(m, v):
+    """m (row-major 3x3 scalars) times v."""
+    return (
+        v[0] * m[0] + v[1] * m[1] + v[2] * m[2],
+        v[0] * m[3] + v[1] * m[4] + v[2] * m[5],
+        v[0] * m[6] + v[1] * m[7] + v[2] * m[8],
+    )
+
+
+@kernel
+def rotate_back(m, v):
+    """Transpose of m times v."""
+    return (
+        v[0] * m[0] + v[1] * m[3] + v[2] * m[6],
+        v[0] * m[1] + v[1] * m[4] + v[2] * m[7],
+        v[0] * m[2] + v[1] * m[5] + v[2] * m[8],
+    )
+
+
+@kernel
+def _rotation(q, n, i):
+    """Columns of the rotation and the quaternion's length."""
+    w, x, y, z = load(q, i), load(q, n + i), load(q, 2 * n + i), load(q, 3 * n + i)
+    length = sqrt(maximum(w * w + x * x + y * y + z * z, splat(1e-20)))
+    inv = 1.0 / length
+    w, x, y, z = w * inv, x * inv, y * inv, z * inv
+    r0 = (1.0 - (y * y + z * z) * 2.0, (x * y + w * z) * 2.0, (x * z - w * y) * 2.0)
+    r1 = ((x * y - w * z) * 2.0, 1.0 - (x * x + z * z) * 2.0, (y * z + w * x) * 2.0)
+    r2 = ((x * z + w * y) * 2.0, (y * z - w * x) * 2.0, 1.0 - (x * x + y * y) * 2.0)
+    return r0, r1, r2, (w, x, y, z), inv
+
+
+@kernel
+def frame(position, quaternion, n, i, cam):
+    """Camera-space centre and axes; foreshortening n.c is kept away from 0, `free` where it was not touched."""
+    world = (load(position, i), load(position, n + i), load(position, 2 * n + i))
+    offset = (world[0] - cam[13], world[1] - cam[14], world[2] - cam[15])
+    c = rotate(cam, offset)
+    r0, r1, r2, q, inv = _rotation(quaternion, n, i)
+    tu, tv, normal = rotate(cam, r0), rotate(cam, r1), rotate(cam, r2)
+    nc = dot(normal, c)
+    side = select(nc > 0.0, splat(1.0), splat(-1.0))
+    floor = sqrt(maximum(dot(c, c), splat(cam[18] * cam[18]))) * COSINE_MIN
+    free = nc * side > floor
+    return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), side, free, q, inv
+
+
+@kernel
+def quaternion_gradient(q, inv, g0, g1, g2):
+    """From gradients of the rotation's columns to the raw quaternion."""
+    w, x, y, z = q
+    gw = (z * (g0[1] - g1[0]) + y * (g2[0] - g0[2]) + x * (g1[2] - g2[1])) * 2.0
+    gx = (y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g1[2] - g2[1]) - x * (g1[1] + g2[2]) * 2.0) * 2.0
+    gy = (x * (g0[1] + g1[0]) + z * (g1[2] + g2[1]) + w * (g2[0] - g0[2]) - y * (g0[0] + g2[2]) * 2.0) * 2.0
+    gz = (x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) + w * (g0[1] - g1[0]) - z * (g0[0] + g1[1]) * 2.0) * 2.0
+    radial = gw * w + gx * x + gy * y + gz * z
+    return (gw - w * radial) * inv, (gx - x * radial) * inv, (gy - y * radial) * inv, (gz - z * radial) * inv

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How CPU kernels are compiled: numba, without the GIL, cached on disk per version of the sources."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ...machine.cache_folder import private_folder
+
+
+def cache_folder() -> Path:
+    """A writable folder named by the kernels' sources: numba's own cache misses edits of imported helpers."""
+    digest = hashlib.sha256()
+    here = Path(__file__).parent
+    for source in [*sorted(here.glob("*.py")), here.parent / "constants.py"]:
+        digest.update(source.read_bytes())
+    return private_folder(f"kernels-{digest.hexdigest()[:12]}")
+
+
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
+
+import numba  # noqa: E402  (reads NUMBA_CACHE_DIR on import)
+from numba.core.caching import IndexDataCacheFile  # noqa: E402
+
+# Sums may be contracted and reordered; NaN and infinity keep their meaning, so that faults stay visible.
+FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+
+
+class KernelFiles(IndexDataCacheFile):
+    """The files of a kernel's compiled versions, each named by what it was compiled for.
+
+    numba numbers them. Processes that compile at once would give two versions the same number, and one would run the other's code.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        name = self._data_name(int(hashlib.sha256(repr(key).encode()).hexdigest()[:12], 16))
+        self._save_data(name, data)
+        self._save_index({**self._load_index(), key: name})
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile `function(begin, end, ...)` or a helper of one. Helpers shared between modules must live in this folder.
+
+    Helpers are always inlined: one that is called could be another copy in code just compiled than in code from the cache, with sums
+    contracted otherwise, and the first run on a machine would differ from the later ones.
+    """
+    compiled: Any = numba.njit(function, nogil=True, cache=True, forceinline=True, fastmath=FASTMATH, error_model="numpy")
+    cache = compiled._cache
+    cache._cache_file = KernelFiles(cache.cache_path, cache._impl.filename_base, cache._impl.locator.get_source_stamp())
+    return compiled

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""CPU kernels that sum light samples with the BRDF's weights, and their gradients, in one pass over memory.
+
+The reference in plain operations is `specular_lobe` in core/shading/brdf.py, which defines the names.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..constants import SHORTEST2
+from .jit import kernel
+
+
+@kernel
+def point_terms(view, normal, alpha, p):
+    """What `specular_terms` wants of point p: its normal, its view, alpha^2, n.v and root_v."""
+    nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
+    vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
+    a2 = float(alpha[p]) * float(alpha[p])
+    n_v = nx * vx + ny * vy + nz * vz
+    return (nx, ny, nz), (vx, vy, vz), a2, n_v, math.sqrt(n_v * n_v * (1 - a2) + a2)
+
+
+@kernel
+def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
+    """D V (1 - p) and D V p, p = (1 - v.h)^5, for normal n, view v and direction d; root_v = sqrt(n.v^2 (1 - alpha^2) + alpha^2)."""
+    hx, hy, hz = dx + vx, dy + vy, dz + vz
+    length2 = max(hx * hx + hy * hy + hz * hz, SHORTEST2)
+    n_h = n_l + n_v
+    tx, ty, tz = hx - n_h * nx, hy - n_h * ny, hz - n_h * nz
+    k = a2 + (tx * tx + ty * ty + tz * tz) / length2 * (1 - a2)
+    sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
+    value = a2 / (math.pi * k * k) * 0.5 / sum_l
+    x = 1 - 0.5 * math.sqrt(length2)
+    bias = value * (x * x) * (x * x) * x
+    return value - bias, bias
+
+
+@kernel
+def reflect_range(begin, end, view, normal, alpha, direction, density, incoming, sums):
+    """Points begin..end: sums (P, 9) of incoming light weighted for the diffuse lobe, for F0 and for what Fresnel adds."""
+    count = density.shape[1]
+    for p in range(begin, end):
+        (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
+        s0, s1, s2, s3, s4, s5, s6, s7, s8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(count):
+            dx, dy, dz = float(direction[p, i, 0]), float(direction[p, i, 1]), float(direction[p, i, 2])
+            n_l = nx * dx + ny * dy + nz * dz
+            if n_l <= 0:
+                continue
+            weight = n_l / (float(density[p, i]) * count)
+            value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
+            value, bias = value * weight, bias * weight
+            r, g, b = float(incoming[p, i, 0]), float(incoming[p, i, 1]), float(incoming[p, i, 2])
+            s0, s1, s2 = s0 + weight * r, s1 + weight * g, s2 + weight * b
+            s3, s4, s5 = s3 + value * r, s4 + value * g, s5 + value * b
+            s6, s7, s8 = s6 + bias * r, s7 + bias * g, s8 + bias * b
+        sums[p, 0], sums[p, 1], sums[p, 2] = s0, s1, s2
+        sums[p, 3], sums[p, 4], sums[p, 5] = s3, s4, s5
+        sums[p, 6], sums[p, 7], sums[p, 8] = s6, s7, s8
+
+
+@kernel
+def reflect_backward_range(begin, end, view, normal, alpha, direction, density, incoming, gradient, d_point, d_incoming):
+    """The way back: `gradient` (P, 9) of the sums to `d_point` (P, 7), those of view, normal and alpha, and `d_incoming` (P, N, 3)."""
+    count = density.shape[1]
+    for p in range(begin, end):
+        nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
+        vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
+        g0, g1, g2 = float(gradient[p, 0]), float(gradient[p, 1]), float(gradient[p, 2])
+        g3, g4, g5 = float(gradient[p, 3]), float(gradient[p, 4]), float(gradient[p, 5])
+        g6, g7, g8 = float(gradient[p, 6]), float(gradient[p, 7]), float(gradient[p, 8])
+        a2 = float(alpha[p]) * float(alpha[p])
+        n_v = nx * vx + ny * vy + nz * vz
+        root_v = math.sqrt(n_v * n_v * (1 - a2) + a2)
+        d_n_v, d_a2 = 0.0, 0.0
+        dvx, dvy, dvz, dnx, dny, dnz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(count):
+            dx, dy, dz = float(direction[p, i, 0]), float(direction[p, i, 1]), float(direction[p, i, 2])
+            n_l = nx * dx + ny * dy + nz * dz
+            if n_l <= 0:
+                d_incoming[p, i, 0], d_incoming[p, i, 1], d_incoming[p, i, 2] = 0.0, 0.0, 0.0
+                continue
+            hx, hy, hz = dx + vx, dy + vy, dz + vz
+            length2 = max(hx * hx + hy * hy + hz * hz, SHORTEST2)
+            n_h = n_l + n_v
+            tx, ty, tz = hx - n_h * nx, hy - n_h * ny, hz - n_h * nz
+            sine2 = (tx * tx + ty * ty + tz * tz) / length2
+            k = a2 + sine2 * (1 - a2)
+            root_l = math.sqrt(n_l * n_l * (1 - a2) + a2)
+            sum_l = n_l * root_v + n_v * root_l
+            share = 1 / (float(density[p, i]) * count)
+            weight = n_l * share
+            distribution = a2 / (math.pi * k * k)
+            visibility = 0.5 / sum_l
+            length = math.sqrt(length2)
+            x = 1 - 0.5 * length
+            x4 = (x * x) * (x * x)
+            power = x4 * x
+            value = distribution * visibility * weight
+            scaled = value * (1 - power)
+            bias = value * power
+            d_incoming[p, i, 0] = weight * g0 + scaled * g3 + bias * g6
+            d_incoming[p, i, 1] = weight * g1 + scaled * g4 + bias * g7
+            d_incoming[p, i, 2] = weight * g2 + scaled * g5 + bias * g8
+
+            r, g, b = float(incoming[p, i, 0]), float(incoming[p, i, 1]), float(incoming[p, i, 2])
+            d_scaled, d_bias = g3 * r + g4 * g + g5 * b, g6 * r + g7 * g + g8 * b
+            d_value = d_scaled * (1 - power) + d_bias * power
+            d_weight = g0 * r + g1 * g + g2 * b + d_value * distribution * visibility
+            d_n_l = d_weight * share
+            # visibility = 0.5 / (n_l root_v + n_v root_l)
+            d_sum = -2 * visibility * visibility * d_value * distribution * weight
+            d_n_l += d_sum * (root_v + n_v * n_l * (1 - a2) / root_l)
+            d_n_v += d_sum * (root_l + n_l * n_v * (1 - a2) / root_v)
+            d_a2 += 0.5 * d_sum * (n_l * (1 - n_v * n_v) / root_v + n_v * (1 - n_l * n_l) / root_l)
+            # distribution = a2 / (pi k^2), k = a2 + sine2 (1 - a2)
+            d_distribution = d_value * visibility * weight
+            d_k = -2 * distribution / k * d_distribution
+            d_a2 += d_distribution * distribution / a2 + d_k * (1 - sine2)
+            # sine2 = t.t / length2, t = h - n_h n
+            d_sine2 = d_k * (1 - a2) / length2
+            d_power = value * (d_bias - d_scaled)
+            d_length2 = -d_sine2 * sine2 - 1.25 * x4 * d_power / length
+            if length2 <= SHORTEST2:
+                d_length2 = 0.0
+            d_t = 2 * d_sine2
+            d_n_h = -d_t * (tx * nx + ty * ny + tz * nz)
+            d_n_l += d_n_h
+            d_n_v += d_n_h
+            d_h = 2 * d_length2
+            dvx += d_t * tx + d_h * hx
+            dvy += d_t * ty + d_h * hy
+            dvz += d_t * tz + d_h * hz
+            dnx += d_n_l * dx - d_t * n_h * tx
+            dny += d_n_l * dy - d_t * n_h * ty
+            dnz += d_n_l * dz - d_t * n_h * tz
+        d_point[p, 0], d_point[p, 1], d_point[p, 2] = dvx + d_n_v * nx, dvy + d_n_v * ny, dvz + d_n_v * nz
+        d_point[p, 3], d_point[p, 4], d_point[p, 5] = dnx + d_n_v * vx, dny + d_n_v * vy, dnz + d_n_v * vz
+        d_point[p, 6] = 2 * float(alpha[p]) * d_a2

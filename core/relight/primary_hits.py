@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a camera sees of the Gaussians, as surface points to be lit."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import torch
+
+from ..rendering.deferred import surface_pixels
+from ..rendering.gbuffer import rasterize_view
+from ..scene.camera import Camera
+from ..scene.gbuffer import NOTHING
+from ..scene.reconstruction import Reconstruction
+
+
+@dataclass(frozen=True, eq=False)
+class Primary:
+    """The covered pixels of a view; P of them, without gradients.
+
+    Attributes:
+        camera: the view's camera.
+        index: (P,) flat pixel index, ascending.
+        ray: (P, 3) world direction of planar depth 1; view: (P, 3) unit, towards the camera.
+        point: (P, 3) world; depth: (P,) planar. origin: (P, 3) where secondary rays start.
+        normal: (P, 3) unit; near silhouettes it may look a little away from the camera.
+        albedo: (P, 3); roughness, metallic: (P,); alpha: (P,) opacity, in `coverage` (H, W) with what is too faint to be lit.
+    """
+
+    camera: Camera
+    index: torch.Tensor
+    ray: torch.Tensor
+    view: torch.Tensor
+    point: torch.Tensor
+    depth: torch.Tensor
+    normal: torch.Tensor
+    albedo: torch.Tensor
+    roughness: torch.Tensor
+    metallic: torch.Tensor
+    alpha: torch.Tensor
+    coverage: torch.Tensor
+    origin: torch.Tensor
+
+    def only(self, which: torch.Tensor) -> Primary:
+        """Some of its points, by their number (K,) ascending."""
+        rows = {f.name: getattr(self, f.name)[which] for f in dataclasses.fields(self) if f.name not in ("camera", "coverage")}
+        return dataclasses.replace(self, **rows)
+
+    def composite(self, colour: torch.Tensor) -> torch.Tensor:
+        """(P, 3) straight colours of the points as an (H, W, 4) linear premultiplied picture."""
+        rgba = colour.new_zeros(self.coverage.numel(), 4)
+        rgba[self.index, :3] = colour * self.alpha[:, None]
+        rgba[:, 3] = self.coverage.flatten()
+        return rgba.view(*self.coverage.shape, 4)
+
+
+def primary_surface(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> Primary:
+    """Rasterise the Gaussians and divide by opacity; albedo_scale: (3,) factors of the albedo."""
+    picture, rays = rasterize_view(reconstruction, camera)
+    with torch.no_grad():
+        p = surface_pixels(picture, rays, NOTHING)
+        ray = rays.flatten(1)[:, p.index].T.contiguous()
+        depth = picture[-2].flatten()[p.index] / p.alpha
+        point = torch.from_numpy(camera.centre).to(depth) + depth[:, None] * ray
+        materials = (p.albedo * albedo_scale, p.roughness, p.metallic, p.alpha)
+        return Primary(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, picture[-1].contiguous(), point)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A request for a picture as the warm worker gets it: JSON, checked before any work is done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...scene.camera import Camera
+from ..sample_counts import sample_counts
+from .loaded_run import LightSource, Request
+
+PIXELS = 1 << 28
+
+
+def read_request(values: Any, session: Path) -> Request:
+    """A request from its JSON: {"number", "camera": {width, height, fx, fy, cx, cy, to_world (4 x 4)}, "light": null or {"map": .npy in the
+    session, "turn": 9 numbers, "strength"}, "backdrop", "samples", "denoise", "indirect", "backend", "albedo_scale": [r, g, b],
+    "progressive"}. Raises InputError.
+    """
+    try:
+        camera = _camera(values["camera"])
+        light = _light(values["light"], session) if values.get("light") else None
+        scale = tuple(float(factor) for factor in values.get("albedo_scale", (1, 1, 1)))
+        options = {name: bool(values[name]) for name in ("denoise", "indirect", "progressive", "backdrop") if name in values}
+        samples, backend = values.get("samples", 32), values.get("backend", "mesh")
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError("request", f"can't be understood ({error!r})") from error
+    if not isinstance(samples, int | str):
+        raise InputError("request", f"samples {samples}: neither a number nor a word")
+    if backend not in ("mesh", "gaussian") or len(scale) != 3 or not all(0 <= factor < float("inf") for factor in scale):
+        raise InputError("request", f"backend {backend}, albedo scale {scale}: not to be had")
+    sample_counts(samples, glossy=False)
+    return Request(camera, light, samples=samples, backend=backend, albedo_scale=scale, **options)
+
+
+def _camera(values: dict[str, Any]) -> Camera:
+    to_world = np.array(values["to_world"], float)
+    numbers = [float(values[name]) for name in ("fx", "fy", "cx", "cy")]
+    width, height = int(values["width"]), int(values["height"])
+    if to_world.shape != (4, 4) or not np.isfinite(to_world).all() or not np.isfinite(numbers).all():
+        raise ValueError("camera: not finite, or to_world is not 4 x 4")
+    if width < 1 or height < 1 or width * height > PIXELS or numbers[0] <= 0 or numbers[1] <= 0:
+        raise ValueError(f"camera: a picture of {width} x {height} with focal lengths {numbers[:2]}")
+    return Camera(width, height, numbers[0], numbers[1], numbers[2], numbers[3], to_world)
+
+
+def _light(values: dict[str, Any], session: Path) -> LightSource:
+    turn, strength = tuple(float(x) for x in values["turn"]), float(values["strength"])
+    rows = np.array(turn).reshape(3, 3)
+    if not np.allclose(rows @ rows.T, np.eye(3), atol=1e-3) or not 0 <= strength < float("inf"):
+        raise ValueError(f"light: turn {turn} is no rotation, or strength {strength} is none")
+    return LightSource(session / Path(values["map"]).name, turn, strength)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cameras of a run and where their photographs are, as JSON that needs no library to read."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..io.atomic import write_atomic
+from .camera import Camera
+from .dataset import Dataset, View
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedCamera:
+    """A camera of a run: the frame's `name`, its `split` ("train" or "test"), the camera in the world, the photograph's file."""
+
+    name: str
+    split: str
+    camera: Camera
+    picture: Path
+
+
+def save_cameras(path: Path, dataset: Dataset) -> None:
+    """Write the cameras of both splits; pictures inside the run folder are named relative to it, others absolutely.
+
+    Photographs with lens distortion don't fit their cameras: undistorted copies are written to `photographs/` beside `path`.
+    """
+    save_views(path, [("train", view) for view in dataset.train] + [("test", view) for view in dataset.test])
+
+
+def save_views(path: Path, views: Iterable[tuple[str, View]]) -> None:
+    """The same for (split, view) pairs, which are taken one by one."""
+    folder = path.parent.resolve()
+    records = [_record(split, view, folder) for split, view in views]
+    write_atomic(path, json.dumps(records, indent=1).encode())
+
+
+def load_cameras(path: Path) -> list[PlacedCamera]:
+    """Read what `save_cameras` wrote. Raises InputError where the file is missing or not of that form."""
+    try:
+        return [_placed(record, path.parent) for record in json.loads(path.read_text(encoding="utf-8"))]
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(path, f"is not a list of cameras ({error!r})") from error
+
+
+def _record(split: str, view: View, folder: Path) -> dict[str, object]:
+    camera, picture = view.camera, view.path.resolve()
+    if view.distorted:
+        picture = folder / "photographs" / split / f"{view.name}.jpg"
+        _save_undistorted(view, picture)
+    inside = picture.is_relative_to(folder)
+    return {
+        "name": view.name,
+        "split": split,
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "to_world": camera.to_world.tolist(),
+        "picture": (picture.relative_to(folder) if inside else picture).as_posix(),
+    }
+
+
+def _placed(record: dict, folder: Path) -> PlacedCamera:
+    to_world = np.array(record["to_world"], float)
+    if to_world.shape != (4, 4):
+        raise ValueError(f"to_world has shape {to_world.shape}")
+    lens = {name: float(record[name]) for name in ("fx", "fy", "cx", "cy")}
+    camera = Camera(int(record["width"]), int(record["height"]), **lens, to_world=to_world)
+    return PlacedCamera(str(record["name"]), str(record["split"]), camera, folder / record["picture"])
+
+
+def _save_undistorted(view: View, target: Path) -> None:
+    from PIL import Image  # not there inside Blender, which only reads
+
+    target.parent.mkdir(parents=True, exist_ok=True)
+    data = io.BytesIO()
+    Image.fromarray(np.round(255 * np.clip(view.colour, 0, 1)).astype(np.uint8)).save(data, "JPEG", quality=92)
+    write_atomic(target, data.getvalue())

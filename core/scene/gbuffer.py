@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a reconstruction hands on: the layers of one view, and its Gaussians as surface samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .camera import Camera
+
+NOTHING = 0.5 / 255  # below this alpha a pixel shows nothing, and its layers are noise divided by almost zero
+
+
+@dataclass(frozen=True, eq=False)
+class ViewBuffers:
+    """What a camera sees of the reconstruction; float32, divided by accumulated alpha, 0 where alpha is 0.
+
+    Attributes:
+        camera: the camera, pictures are (H, W).
+        alpha: (H, W) opacity in 0..1.
+        depth: (H, W) planar depth, world units.
+        normal: (H, W, 3) unit world normal, turned to the camera.
+        radiance: (H, W, 3) linear Rec.709.
+        albedo: (H, W, 3) linear 0..1 (F0 where metallic).
+        roughness, metallic: (H, W) in 0..1.
+        background: (H, W, 3) linear radiance behind it all, or None where the photographs were masked.
+    """
+
+    camera: Camera
+    alpha: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
+    radiance: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    background: np.ndarray | None = None
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(H, W, 4) what the photograph would show by the own radiance, linear premultiplied; opaque where a background is known."""
+        alpha = self.alpha[..., None]
+        if self.background is None:
+            return np.concatenate([self.radiance * alpha, alpha], -1)
+        return np.concatenate([self.radiance * alpha + self.background * (1 - alpha), np.ones_like(alpha)], -1)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """The Gaussians as points of a surface, for what no view sees; float32.
+
+    Attributes:
+        position: (N, 3) world.
+        normal: (N, 3) unit world; the side is not defined.
+        opacity: (N,) in 0..1.
+        albedo: (N, 3) linear 0..1.
+        roughness, metallic: (N,) in 0..1.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    opacity: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The mesh as a PLY file that other viewers open too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from ..errors import InputError
+from ..io.atomic import whole
+from ..io.srgb import encode_srgb
+from .mesh import Mesh
+
+COLUMNS = {
+    "vertices": ("x", "y", "z"),
+    "normals": ("nx", "ny", "nz"),
+    "uvs": ("s", "t"),
+    "albedo": ("albedo_r", "albedo_g", "albedo_b"),
+    "roughness": ("roughness",),
+    "metallic": ("metallic",),
+}
+COLOUR = ("red", "green", "blue")  # the albedo once more, 8-bit sRGB, for viewers that know nothing of ours
+
+
+def save_mesh_ply(mesh: Mesh, path: Path) -> None:
+    """Write geometry, UVs and vertex materials (not the textures) as a binary PLY, whole or not at all."""
+    floats = [(name, "f4") for names in COLUMNS.values() for name in names]
+    vertex = np.empty(len(mesh.vertices), [*floats, *((name, "u1") for name in COLOUR)])
+    for field, names in COLUMNS.items():
+        values = getattr(mesh, field).reshape(len(vertex), len(names))
+        for i, name in enumerate(names):
+            vertex[name] = values[:, i]
+    colour = np.round(255 * np.clip(encode_srgb(np.clip(mesh.albedo, 0, 1)), 0, 1))
+    for i, name in enumerate(COLOUR):
+        vertex[name] = colour[:, i]
+    face = np.empty(len(mesh.faces), [("vertex_indices", "i4", (3,))])
+    face["vertex_indices"] = mesh.faces
+    with whole(path) as partial:
+        PlyData([PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")], byte_order="<").write(str(partial))
+
+
+def load_mesh_ply(path: Path) -> Mesh:
+    """Read what `save_mesh_ply` wrote; textures are empty. Raises InputError where the file is missing, broken or lacks something."""
+    ply = _read(path)
+    for name in ("vertex", "face"):
+        if name not in ply:
+            raise InputError(path, f"has no {name} element")
+    vertex, face = ply["vertex"].data, ply["face"].data
+    missing = [name for names in COLUMNS.values() for name in names if name not in (vertex.dtype.names or ())]
+    if missing:
+        raise InputError(path, f"its vertices lack {', '.join(missing)}", "give a mesh.ply of a run folder")
+    values = {field: np.stack([vertex[name] for name in names], -1).astype(np.float32) for field, names in COLUMNS.items()}
+    if not all(np.isfinite(value).all() for value in values.values()):
+        raise InputError(path, "has vertices that are not finite")
+    faces = _faces(face, path)
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertex)):
+        raise InputError(path, f"has faces with vertices beyond the {len(vertex)} there are")
+    roughness, metallic = values.pop("roughness")[:, 0], values.pop("metallic")[:, 0]
+    return Mesh(**values, faces=faces, roughness=roughness, metallic=metallic)  # pyright: ignore[reportArgumentType]
+
+
+def _read(path: Path) -> PlyData:
+    try:
+        return PlyData.read(str(path), mmap="c", known_list_len={"face": {"vertex_indices": 3}})
+    except FileNotFoundError as error:
+        raise InputError(path, "no such file") from error
+    except (OSError, PlyParseError, ValueError, MemoryError, UnicodeDecodeError) as error:
+        raise InputError(path, f"not a readable PLY of triangles ({error})") from error
+
+
+def _faces(face: np.ndarray, path: Path) -> np.ndarray:
+    if "vertex_indices" not in (face.dtype.names or ()):
+        raise InputError(path, "its faces lack vertex_indices")
+    indices = face["vertex_indices"]
+    if indices.dtype == object and len({len(i) for i in indices}) == 1:  # a PLY in ASCII comes as lists
+        indices = np.array(indices.tolist())
+    if indices.ndim != 2 or indices.shape[1] != 3:
+        raise InputError(path, "has faces that are not triangles")
+    return indices.astype(np.int32)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""First albedo and light: the Gaussians' diffuse radiance explained by a distant light first, by albedo second.
+
+Without shadows or inter-reflections. The second stage, which has both, starts from roughness and metallic alone, on metal also from
+this. "Light first" because an albedo started from the radiance itself is a local minimum that nothing leaves.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ...kernels.reference.harmonics import sh_basis
+from ...scene.gaussians import ALBEDO, METALLIC, Gaussians
+from ...scene.reconstruction import Reconstruction
+from ...shading.environment_lookup import lookup
+from ...shading.split_sum import diffuse_light
+
+LIGHT_HEIGHT = 16
+STEPS = 200
+SAMPLE = 8000  # Gaussians that the light is fitted to
+ALBEDO_RANGE = (0.03, 0.97)
+SMOOTHNESS = 2.0  # of albedo between neighbours of like colour
+
+
+def facing_radiance(gaussians: Gaussians) -> torch.Tensor:
+    """(N, 3) linear radiance of each disk towards its own normal."""
+    basis = sh_basis(-gaussians.normals(), 3)
+    return ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0).T
+
+
+def separate_light(reconstruction: Reconstruction, seed: int) -> Reconstruction:
+    """Set albedo, and the light where the stage has not found one by reflections, from the diffuse radiance.
+
+    The light is kept where `glossy`. The overall scale between light and albedo is unknowable: a light that is fitted here is
+    scaled so that the median albedo is 0.5. Where no disk is opaque there is nothing to separate and all stays as it is.
+    """
+    g = reconstruction.gaussians
+    # The start orients normals outward, and training turns them by less than a right angle.
+    normal, seen = g.normals().T, facing_radiance(g)
+    share = 1 - g.materials()[METALLIC]
+    solid = torch.nonzero(g.opacity.sigmoid() > 0.5)[:, 0]
+    if not len(solid):
+        return reconstruction
+    pick = solid[torch.randperm(len(solid), generator=torch.Generator().manual_seed(seed))[:SAMPLE]]
+    if not reconstruction.glossy:
+        light = _fit_light(normal[pick], seen[pick], g.position.T[pick])
+        height = reconstruction.environment.shape[0]
+        reconstruction.environment = _enlarge(light, height)
+    irradiance = lookup(diffuse_light(reconstruction.environment), normal).clamp_min(1e-4)
+    body = (seen / irradiance).clamp(*ALBEDO_RANGE)
+    metal = g.materials()[ALBEDO].T
+    albedo = share[:, None] * body + (1 - share[:, None]) * metal
+    g.material[ALBEDO] = torch.logit(albedo.clamp(1e-3, 1 - 1e-3)).T
+    return reconstruction
+
+
+def _enlarge(light: torch.Tensor, height: int) -> torch.Tensor:
+    planes = light.permute(2, 0, 1)[None]
+    wide = torch.nn.functional.interpolate(planes, size=(height, 2 * height), mode="bilinear", align_corners=False)
+    return wide[0].permute(1, 2, 0).contiguous()
+
+
+def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
+    """(16, 32, 3) light: fitted with a constant albedo first, then jointly with a smooth one."""
+    _, nearest = KDTree(position.numpy()).query(position.numpy(), k=5)
+    neighbours = torch.from_numpy(np.asarray(nearest)[:, 1:])
+    alike = torch.exp(-10 * (seen[:, None] - seen[neighbours]).abs().sum(-1))
+    log_light = torch.full((LIGHT_HEIGHT, 2 * LIGHT_HEIGHT, 3), math.log(2 * float(seen.mean()) + 1e-3), requires_grad=True)
+    log_albedo = torch.full_like(seen, math.log(0.5)).requires_grad_()
+    adam = torch.optim.Adam([{"params": [log_light], "lr": 0.1}, {"params": [log_albedo], "lr": 0.0}], fused=True)
+    for step in range(STEPS):
+        adam.param_groups[0]["lr"] = 0.1 * 0.1 ** (step / STEPS)
+        adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else 0.05 * 0.1 ** (step / STEPS)
+        albedo = log_albedo.exp()
+        predicted = albedo * lookup(diffuse_light(log_light.exp()), normal)
+        # gather, not [neighbours]: the gradient of an index adds up in whatever order the threads come.
+        around = log_albedo.gather(0, neighbours.reshape(-1, 1).expand(-1, 3)).view(*neighbours.shape, 3)
+        jumps = (log_albedo[:, None] - around).abs().sum(-1)
+        prior = 1e-3 * (log_light - log_light.detach().mean((0, 1))).square().mean()
+        loss = (predicted.clamp_min(1e-4).sqrt() - seen.clamp_min(1e-4).sqrt()).abs().mean() + prior
+        loss = loss + SMOOTHNESS * 1e-2 * (alike * jumps).mean()
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+    scale = (log_albedo.exp().median() / 0.5).detach()
+    return log_light.detach().exp() * scale

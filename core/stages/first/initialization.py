@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where the first Gaussians go: on the visual hull of the masks, on sparse points, or at random in the bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.ndimage import gaussian_filter
+from scipy.spatial import KDTree
+from skimage.measure import marching_cubes
+
+from ...errors import InputError
+from ...io.srgb import decode_srgb
+from ...kernels.cpu.jit import kernel
+from ...machine.thread_pool import even_ranges, run_ranges, thread_count
+from ...scene.dataset import Bound, Dataset, View
+from ...scene.gaussians import SH_COEFFICIENTS, SH_DC, Gaussians, quaternion_to
+
+GRID = 96  # cells along the longest side of the hull
+OPACITY = 0.7
+SURROUNDINGS = 5.0  # radii of the bound that random points reach
+SPREAD = 0.65  # scale of a disk in units of the spacing
+UNSEEN = 2.0  # alpha of a cell that no view has shown yet
+MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # albedo, roughness, metallic of the start
+
+
+@kernel
+def carve_range(begin, end, corner, step, shape, matrix, alpha, inside):
+    """Lower `inside` (X, Y, Z) to the bilinear alpha of one view, for planes begin..end; cells out of the picture stay."""
+    height, width = alpha.shape
+    for i in range(begin, end):
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                x, y, z = corner[0] + i * step, corner[1] + j * step, corner[2] + k * step
+                depth = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+                if inside[i, j, k] == 0.0 or depth <= 0.0:
+                    continue
+                u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / depth - 0.5
+                v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / depth - 0.5
+                if u < 0.0 or v < 0.0 or u > width - 1.0 or v > height - 1.0:
+                    continue
+                c, r = min(int(u), width - 2), min(int(v), height - 2)
+                fu, fv = u - c, v - r
+                top = alpha[r, c] * (1.0 - fu) + alpha[r, c + 1] * fu
+                bottom = alpha[r + 1, c] * (1.0 - fu) + alpha[r + 1, c + 1] * fu
+                inside[i, j, k] = min(inside[i, j, k], top * (1.0 - fv) + bottom * fv)
+
+
+def _projection(view: View) -> np.ndarray:
+    c = view.camera
+    intrinsics = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]])
+    return (intrinsics @ c.world_to_cv[:3]).astype(np.float32)
+
+
+def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, float]:
+    step = float((high - low).max()) / cells
+    shape = np.maximum(np.ceil((high - low) / step).astype(int) + 1, 3)
+    inside = np.full(shape, UNSEEN, np.float32)
+    for view in views:
+        assert view.alpha is not None
+        arrays = (low.astype(np.float32), np.float32(step), shape, _projection(view), view.alpha)
+        run_ranges(carve_range, even_ranges(shape[0], thread_count()), *arrays, inside)
+    x, y, z = ((low[i] + step * np.arange(shape[i]) - bound.centre[i]) ** 2 for i in range(3))
+    # The corners of the box lie beyond the bound and often beyond every picture's border, where nothing carves them.
+    inside[(x[:, None, None] + y[:, None] + z > bound.radius**2) | (inside > 1)] = 0
+    return inside, low, step
+
+
+def visual_hull(views: list[View], bound: Bound) -> tuple[np.ndarray, np.ndarray, float]:
+    """Carve the bound with the masks of all views, coarse then fine.
+
+    Returns:
+        minimum alpha per cell (X, Y, Z) float32, the world position of cell (0, 0, 0), and the cell size.
+    """
+    centre, radius = np.asarray(bound.centre), bound.radius
+    inside, corner, step = _carve(views, bound, centre - radius, centre + radius, GRID // 2)
+    cells = np.argwhere(inside > 0.1)
+    if not len(cells):
+        raise InputError("masks", "no point of the object's bound is inside all masks", "check the cameras, or give the bound")
+    low, high = corner + (cells.min(0) - 1.5) * step, corner + (cells.max(0) + 1.5) * step
+    return _carve(views, bound, low, high, GRID)
+
+
+def _surface(inside: np.ndarray, corner: np.ndarray, step: float, count: int, rng: np.random.Generator):
+    """Area-uniform points and outward normals on the hull's 0.5 level."""
+    padded = np.pad(inside, 1)
+    vertices, faces, _, _ = marching_cubes(padded, min(0.5, 0.5 * float(inside.max())))
+    triangles = ((vertices - 1) * step + corner)[faces]
+    edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.linalg.norm(edges, axis=1)
+    pick = rng.choice(len(faces), count, p=area / area.sum())
+    r1, r2 = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    a, b, c = triangles[pick, 0], triangles[pick, 1], triangles[pick, 2]
+    points = (1 - r1) * a + r1 * (1 - r2) * b + r1 * r2 * c
+    gradient = np.stack(np.gradient(gaussian_filter(inside, 1.5)), -1) / step
+    cell = np.clip(np.round((points - corner) / step).astype(int), 0, np.array(inside.shape) - 1)
+    normals = -gradient[tuple(cell.T)]
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = edges[pick] / np.maximum(area[pick, None], 1e-20)
+    return points, np.where(length > 1e-6, normals / np.maximum(length, 1e-6), flat), float(area.sum())
+
+
+def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(N, 3) linear colour: mean over the views that a point's normal faces, weighted by the cosine; grey where none does."""
+    total, weight = np.zeros((len(points), 3)), np.full((len(points), 1), 1e-9)
+    for view in views:
+        pixel, depth = view.camera.project(points)
+        to_camera = view.camera.centre - points
+        cosine = (to_camera * normals).sum(1) / np.linalg.norm(to_camera, axis=1)
+        column, row = np.floor(pixel).astype(int).T
+        ok = (depth > 0) & (cosine > 0.2) & (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
+        total[ok] += cosine[ok, None] * view.colour[row[ok], column[ok]]
+        weight[ok] += cosine[ok, None]
+    return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)
+
+
+def disks(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: np.ndarray, opacity: float) -> Gaussians:
+    """Disks on points (N, 3) facing normals (N, 3), linear colour (N, 3), scale from spacing (N,)."""
+    n = len(points)
+    sh = torch.zeros(SH_COEFFICIENTS, 3, n)
+    sh[0] = (torch.as_tensor(colour, dtype=torch.float32).T - 0.5) / SH_DC
+    scale = torch.as_tensor(np.log(np.maximum(SPREAD * spacing, 1e-12)), dtype=torch.float32)
+    material = torch.logit(torch.tensor(MATERIAL))[:, None].repeat(1, n)
+    normal = torch.as_tensor(normals, dtype=torch.float32).T
+    position = torch.as_tensor(points, dtype=torch.float32).T.contiguous()
+    return Gaussians(position, quaternion_to(normal), scale[None].repeat(2, 1), torch.logit(torch.full((n,), opacity)), sh, material)
+
+
+def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
+    """`count` disks on the visual hull of the training masks, in spatial order."""
+    inside, corner, step = visual_hull(dataset.train, dataset.bound)
+    points, normals, area = _surface(inside, corner, step, count, rng)
+    order, spacing = spatial_order(points), np.full(count, np.sqrt(area / count))
+    points, normals = points[order], normals[order]
+    return disks(points, normals, observed_colour(dataset.train, points, normals), spacing, OPACITY)
+
+
+def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
+    """Disks on the sparse points, and at random in and around the bound up to half of `count`; density control grows the rest.
+
+    Normals point to the nearest camera.
+    """
+    centre, radius = np.asarray(dataset.bound.centre), dataset.bound.radius
+    known = dataset.points.position if dataset.points is not None else np.zeros((0, 3), np.float32)
+    colours = decode_srgb(dataset.points.colour) if dataset.points is not None else np.zeros((0, 3), np.float32)
+    if len(known) > count:
+        chosen = rng.choice(len(known), count, replace=False)
+        known, colours = known[chosen], colours[chosen]
+    direction = rng.normal(size=(max(count // 2 - len(known), 0), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    # Every other one around the object, log-uniform in distance, since the background has to be somewhere.
+    inner = rng.random(len(direction)) ** (1 / 3)
+    reach = np.where(np.arange(len(direction)) % 2 == 0, inner, SURROUNDINGS ** rng.random(len(direction)))
+    filler = centre + direction * radius * reach[:, None]
+    cameras = np.stack([v.camera.centre for v in dataset.train])
+    room = 0.5 * np.linalg.norm(cameras - centre, axis=1).min()  # a disk close before a lens hides everything
+    filler = filler[KDTree(cameras).query(filler)[0] > room]
+    points = np.concatenate([known, filler])
+    _, nearest = KDTree(cameras).query(points)
+    normals = cameras[nearest] - points
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    distance, _ = KDTree(points).query(points, k=4)
+    spacing = np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
+    colour = np.concatenate([colours, observed_colour(dataset.train, points[len(known) :], normals[len(known) :])])
+    return disks(points, normals, colour, spacing, 0.1)
+
+
+def spatial_order(points: np.ndarray) -> np.ndarray:
+    """(N,) order of points (N, 3) along a Morton curve: what is near in space is near in memory, and seen or hidden together."""
+    low, extent = points.min(0), np.ptp(points, 0).max()
+    grid = ((points - low) / max(extent, 1e-30) * 1023).astype(np.uint32)
+    code = np.zeros(len(points), np.uint32)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((grid[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def initial_gaussians(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
+    """The start of the first stage: the hull where every view has a mask, points or random elsewhere."""
+    return from_hull(dataset, count, rng) if dataset.has_alpha else from_points(dataset, count, rng)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Normal and material at points of the surface: fused from the views that see them, from the nearest Gaussians elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ..kernels.cpu.jit import kernel
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from ..scene.gbuffer import SurfaceSamples, ViewBuffers
+from .fusion import projection
+
+FACING = 0.2  # cosine between normal and view direction below which a view has no say
+NEAREST = 8  # Gaussians asked where no view sees a point
+LAYERS = 8  # normal xyz, albedo rgb, roughness, metallic
+
+
+@dataclass(frozen=True, eq=False)
+class Attributes:
+    """At P points, float32: unit world normal (P, 3), albedo (P, 3), roughness, metallic and weight (P,); weight 0 = seen by no view."""
+
+    normal: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+    weight: np.ndarray
+
+
+def fuse_attributes(
+    points: np.ndarray,
+    normals: np.ndarray,
+    views: Sequence[ViewBuffers],
+    samples: SurfaceSamples,
+    voxel: float,
+    step: Callable[[int], None] = lambda done: None,
+) -> Attributes:
+    """Attributes at surface points (P, 3) with unit normals (P, 3); `step` is told the number of views done."""
+    points, normals = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64)
+    total, weight = np.zeros((len(points), LAYERS), np.float32), np.zeros(len(points), np.float32)
+    ranges = even_ranges(len(points), 4 * thread_count())
+    for done, view in enumerate(views):
+        pixel = max(1 / view.camera.fx, 1 / view.camera.fy)
+        layers = _layers(view)
+        alpha = np.where(np.isfinite(view.depth) & (view.depth > 0), view.alpha, 0).astype(np.float32)
+        depth = np.ascontiguousarray(view.depth, np.float32)
+        run_ranges(gather, ranges, points, normals, view.camera.centre, projection(view), voxel, pixel, depth, alpha, layers, total, weight)
+        step(done + 1)
+    unseen = weight <= 1e-6
+    values = total / np.where(unseen, 1, weight)[:, None]
+    if unseen.any():
+        values[unseen] = _nearest(points[unseen], samples)
+    materials = np.clip(values[:, 3:], 0, 1)
+    normal = _turned(values[:, :3], normals)
+    return Attributes(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight))
+
+
+def _layers(view: ViewBuffers) -> np.ndarray:
+    parts = [view.normal, view.albedo, view.roughness[..., None], view.metallic[..., None]]
+    return np.ascontiguousarray(np.concatenate(parts, -1), np.float32)
+
+
+def _turned(fused: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Fused normals of length one on the side of the mesh's normals, which stand in where none was found."""
+    fused = np.where((fused * normals).sum(-1, keepdims=True) < 0, -fused, fused)
+    length = np.linalg.norm(fused, axis=-1, keepdims=True)
+    return np.where(length > 1e-6, fused / np.maximum(length, 1e-6), normals).astype(np.float32)
+
+
+def _nearest(points: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
+    """(P, LAYERS) averages over the nearest samples, by opacity; the normals of samples are turned to agree first."""
+    _, index = KDTree(samples.position).query(points, k=min(NEAREST, len(samples.position)), workers=-1)
+    index = index.reshape(len(points), -1)
+    weight = (samples.opacity[index] + 1e-6)[..., None]
+    normal = samples.normal[index]
+    normal = np.where((normal * normal[:, :1]).sum(-1, keepdims=True) < 0, -normal, normal)
+    materials = samples.albedo[index], samples.roughness[index][..., None], samples.metallic[index][..., None]
+    values = np.concatenate([normal, *materials], -1)
+    return (values * weight).sum(1) / weight.sum(1)
+
+
+@kernel
+def gather(begin, end, points, normals, centre, matrix, voxel, pixel, depth, alpha, layers, total, weight):
+    """Add one view's pixels to the points begin..end: bilinear over those of the four pixels that show the point's own surface."""
+    height, width = depth.shape
+    for p in range(begin, end):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        far = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+        if far <= 0:
+            continue
+        u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / far - 0.5
+        v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / far - 0.5
+        if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+            continue
+        dx, dy, dz = centre[0] - x, centre[1] - y, centre[2] - z
+        facing = (dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2]) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        if facing < FACING:
+            continue
+        tolerance = 2 * max(voxel, pixel * far)
+        column, row = int(np.floor(u)), int(np.floor(v))
+        for r in range(max(row, 0), min(row + 2, height)):
+            for c in range(max(column, 0), min(column + 2, width)):
+                # Measured across the surface: a slanted one changes its depth from pixel to pixel.
+                if alpha[r, c] <= 0.5 or abs(depth[r, c] - far) * facing > tolerance:
+                    continue
+                # A thin part's far side is as near, but looks the other way.
+                if layers[r, c, 0] * normals[p, 0] + layers[r, c, 1] * normals[p, 1] + layers[r, c, 2] * normals[p, 2] <= 0:
+                    continue
+                w = facing * alpha[r, c] * (1 - abs(u - c)) * (1 - abs(v - r))
+                weight[p] += w
+                for k in range(layers.shape[2]):
+                    total[p, k] += w * layers[r, c, k]

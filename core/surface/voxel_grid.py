@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The voxel grid around the object, and the blocks of it that can hold a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from ..errors import IrgsppError
+from ..scene.dataset import Bound
+from ..scene.gbuffer import SurfaceSamples, ViewBuffers
+
+BLOCK = 4  # voxels along a block's side
+MARGIN = 6  # voxels between the object and the border of the grid
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Voxels in blocks of BLOCK^3.
+
+    Attributes:
+        origin: (3,) float64, world position of the centre of voxel (0, 0, 0).
+        voxel: side of a voxel, world units.
+        blocks: number of blocks along each axis.
+        active: (B, 3) int32 block indices near evidence of a surface; the rest of the grid is never stored or meshed.
+    """
+
+    origin: np.ndarray
+    voxel: float
+    blocks: tuple[int, int, int]
+    active: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of voxels along each axis."""
+        x, y, z = self.blocks
+        return x * BLOCK, y * BLOCK, z * BLOCK
+
+    def table(self) -> np.ndarray:
+        """Which active block stands where, -1 for none, with a border of none all around: (X + 2, Y + 2, Z + 2) int32."""
+        table = np.full([n + 2 for n in self.blocks], -1, np.int32)
+        table[tuple((self.active + 1).T)] = np.arange(len(self.active))
+        return table
+
+    def dense(self, values: np.ndarray, fill: float) -> np.ndarray:
+        """Values of the active blocks (B, BLOCK^3) as a volume of `shape`, `fill` elsewhere."""
+        x, y, z = self.blocks
+        volume = np.full((x, y, z, BLOCK**3), fill, values.dtype)
+        volume[tuple(self.active.T)] = values
+        volume = volume.reshape(x, y, z, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
+        return volume.reshape(self.shape)
+
+
+def depth_points(view: ViewBuffers, bound: Bound) -> np.ndarray:
+    """(P, 3) world points of the pixels with alpha > 0.5 whose depth falls inside the bound."""
+    seen = (view.alpha > 0.5) & np.isfinite(view.depth) & (view.depth > 0)
+    points = view.camera.centre + view.depth[seen][:, None].astype(np.float64) * view.camera.rays()[seen]
+    return points[_inside(points, bound)]
+
+
+def make_grid(views: Sequence[ViewBuffers], samples: SurfaceSamples, bound: Bound, voxels: int) -> Grid:
+    """A grid of `voxels` along the object's longest side. Raises IrgsppError where no view and no Gaussian shows a surface."""
+    solid = samples.position[(samples.opacity > 0.5) & _inside(samples.position, bound)].astype(np.float64)
+    seen = [depth_points(view, bound) for view in views]
+    if not sum(map(len, seen)):
+        raise IrgsppError("no surface: no view has a depth inside the object's bound where its alpha is above 0.5")
+    low, high = _robust_box(solid if len(solid) else np.concatenate(seen))
+    voxel = float((high - low).max()) / voxels
+    blocks = np.ceil(((high - low) / voxel + 2 * MARGIN) / BLOCK).astype(int)
+    origin = (low + high) / 2 - (blocks * BLOCK - 1) / 2 * voxel
+    marked = np.zeros(blocks, bool)
+    for points in [solid, *seen]:
+        index = np.floor(((points - origin) / voxel + 0.5) / BLOCK).astype(int)
+        index = index[((index >= 0) & (index < blocks)).all(-1)]
+        marked[tuple(index.T)] = True
+    active = np.argwhere(ndimage.binary_dilation(marked, np.ones((3, 3, 3)))).astype(np.int32)
+    return Grid(origin, voxel, (int(blocks[0]), int(blocks[1]), int(blocks[2])), active)
+
+
+def _inside(points: np.ndarray, bound: Bound) -> np.ndarray:
+    return np.linalg.norm(points - np.asarray(bound.centre), axis=-1) < bound.radius
+
+
+def _robust_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a box that strays don't stretch, but that thin tips, rare among the points, still fit into."""
+    low, high = np.quantile(points, [0.005, 0.995], axis=0)
+    reach = 0.15 * (high - low).max()
+    kept = points[((points >= low - reach) & (points <= high + reach)).all(-1)]
+    return kept.min(0), np.maximum(kept.max(0), kept.min(0) + 1e-6 * (1 + np.abs(kept).max()))

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh object that a person has edited or made anew, on its way to be baked onto."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...core.errors import InputError
+from ..user_folder import user_folder
+from .ply import write_ply
+from .scene_builder import RUN, find_roots
+
+
+def save_edited(context: bpy.types.Context, thing: bpy.types.Object, run: Path) -> Path:
+    """Write the object as it is shown, modifiers and all, in the run's frame; the file. Raises InputError where it has no faces."""
+    if thing.type != "MESH":
+        raise InputError(thing.name, "is not a mesh", "name a mesh object")
+    if thing.mode == "EDIT":
+        thing.update_from_editmode()
+    root = next((root for root in find_roots(context.scene, RUN) if Path(root[RUN]) == run.resolve()), None)
+    context.view_layer.update()
+    to_run = (root.matrix_world.inverted() if root else Matrix()) @ thing.matrix_world
+    digest = hashlib.sha1(str(run.resolve()).encode(), usedforsecurity=False).hexdigest()[:12]
+    path = user_folder("edited") / f"{digest}.ply"
+    evaluated = thing.evaluated_get(context.evaluated_depsgraph_get())
+    try:
+        _write(path, evaluated.to_mesh(), np.array(to_run), thing.name)
+    finally:
+        evaluated.to_mesh_clear()
+    return path
+
+
+def _write(path: Path, mesh: bpy.types.Mesh, to_run: np.ndarray, name: str) -> None:
+    mesh.calc_loop_triangles()
+    if not len(mesh.loop_triangles):
+        raise InputError(name, "has no faces")
+    loops = _values(mesh.loop_triangles, "loops", 3, np.int32)
+    if np.linalg.det(to_run[:3, :3]) < 0:  # a mirrored object is inside out otherwise
+        loops = loops[:, ::-1]
+    corners = loops.reshape(-1)
+    vertex_of = _values(mesh.loops, "vertex_index", 1, np.int32)[:, 0]
+    position = _values(mesh.vertices, "co", 3)[vertex_of[corners]] @ to_run[:3, :3].T + to_run[:3, 3]
+    normal = _values(mesh.corner_normals, "vector", 3)[corners] @ np.linalg.inv(to_run[:3, :3])
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    layer = mesh.uv_layers.active
+    uvs = _values(layer.uv, "vector", 2)[corners] if layer else None
+    write_ply(path, position, np.arange(len(corners)).reshape(-1, 3), normal, uvs)
+
+
+def _values(collection, attribute: str, width: int, kind: type = np.float32) -> np.ndarray:
+    values = np.empty(width * len(collection), kind)
+    collection.foreach_get(attribute, values)
+    return values.reshape(-1, width)

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Principled material of a run: it holds both its textures and the mesh's attributes, and reads one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import bpy
+from bpy.props import EnumProperty
+
+from ...core.errors import InputError
+from ..properties import SOURCES as SOURCE_ITEMS
+from ..world.light_to_world import node_tree
+
+TEXTURES = ("albedo", "roughness", "metallic", "normal")
+SOURCES = ("textures", "attributes")
+# Which node and output feeds each input of the Principled BSDF. Linking the one or the other is the whole switch: nothing has to be
+# computed for what is not read, and exporters find the pictures where they look for them.
+LINKS = {
+    "textures": {
+        "Base Color": ("albedo texture", "Color"),
+        "Roughness": ("roughness texture", "Color"),
+        "Metallic": ("metallic texture", "Color"),
+        "Normal": ("normal map", "Normal"),
+    },
+    "attributes": {
+        "Base Color": ("albedo attribute", "Color"),
+        "Roughness": ("roughness attribute", "Fac"),
+        "Metallic": ("metallic attribute", "Fac"),
+    },
+}
+FRAMES = {
+    "textures": "Textures: pictures through the UV map (to switch: IRGS++ tab > Result, or link these to the Principled BSDF)",
+    "attributes": "Attributes: values at the vertices (to switch: IRGS++ tab > Result, or link these to the Principled BSDF)",
+}
+
+
+def build_material(material: bpy.types.Material, images: Mapping[str, bpy.types.Image], source: str) -> None:
+    """Fill a material anew: `images` by the names in TEXTURES, or none where the run has only attributes."""
+    nodes, links = node_tree(material)
+    principled, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
+    output.location = (350, 0)
+    links.new(principled.outputs["BSDF"], output.inputs["Surface"])
+    principled.inputs["IOR"].default_value, principled.inputs["Specular IOR Level"].default_value = 1.5, 0.5  # F0 = 0.04
+    principled.distribution = "GGX"  # as our BRDF; the default makes rough metals up to a tenth brighter
+    if images:
+        _add_textures(nodes, links, images)
+    _add_attributes(nodes)
+    use_source(material, source)
+
+
+def _add_textures(nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, images: Mapping[str, bpy.types.Image]) -> None:
+    frame = _frame(nodes, "textures")
+    for row, name in enumerate(TEXTURES):
+        node = _node(nodes, "ShaderNodeTexImage", f"{name} texture", frame, (-750, 400 - 290 * row))
+        node.label, node.image = name, images[name]
+    normal = _node(nodes, "ShaderNodeNormalMap", "normal map", frame, (-430, -470))
+    links.new(nodes["normal texture"].outputs["Color"], normal.inputs["Color"])
+
+
+def _add_attributes(nodes: bpy.types.Nodes) -> None:
+    frame = _frame(nodes, "attributes")
+    for column, name in enumerate(("albedo", "roughness", "metallic")):
+        node = _node(nodes, "ShaderNodeAttribute", f"{name} attribute", frame, (-750 + 220 * column, -900))
+        node.attribute_type, node.attribute_name, node.label = "GEOMETRY", name, name
+
+
+def _frame(nodes: bpy.types.Nodes, source: str) -> bpy.types.Node:
+    frame = nodes.new("NodeFrame")
+    frame.name, frame.label, frame.label_size = source, FRAMES[source], 16
+    return frame
+
+
+def _node(nodes: bpy.types.Nodes, kind: str, name: str, frame: bpy.types.Node, place: tuple[float, float]) -> bpy.types.Node:
+    node = nodes.new(kind)
+    node.name, node.parent, node.location = name, frame, place
+    return node
+
+
+def principled_of(material: bpy.types.Material) -> bpy.types.Node | None:
+    """Its Principled BSDF, if it has one."""
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return next((node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"), None)
+
+
+def available_sources(material: bpy.types.Material) -> list[str]:
+    """Those of SOURCES that the material can read: their nodes are there."""
+    tree, principled = material.node_tree, principled_of(material)
+    if tree is None or principled is None:
+        return []
+    return [source for source in SOURCES if all(name in tree.nodes for name, _ in LINKS[source].values())]
+
+
+def source_of(material: bpy.types.Material) -> str | None:
+    """What the material reads: "textures", "attributes", or None where a person has linked something else."""
+    principled = principled_of(material)
+    fed = principled.inputs["Base Color"].links if principled else ()
+    name = fed[0].from_node.name if fed else ""
+    return next((source for source in SOURCES if LINKS[source]["Base Color"][0] == name), None)
+
+
+def use_source(material: bpy.types.Material, source: str) -> None:
+    """Let the material read its textures or the mesh's attributes. Raises InputError where it lacks them."""
+    if source not in available_sources(material):
+        raise InputError(material.name, f"has no nodes for {source}", "import the run again")
+    tree, principled = material.node_tree, principled_of(material)
+    assert tree is not None and principled is not None
+    for name in LINKS["textures"]:
+        for old in list(principled.inputs[name].links):
+            tree.links.remove(old)
+    for name, (node, output) in LINKS[source].items():
+        tree.links.new(tree.nodes[node].outputs[output], principled.inputs[name])
+
+
+def _get_source(material: bpy.types.Material) -> int:
+    return SOURCES.index(source_of(material) or "textures")
+
+
+def _set_source(material: bpy.types.Material, value: int) -> None:
+    if SOURCES[value] in available_sources(material):  # else the switch stays where it is: the getter says what is linked
+        use_source(material, SOURCES[value])
+
+
+def register() -> None:
+    """`material.irgspp_source`: the switch as a property, which has no memory of its own but says how the nodes are linked."""
+    bpy.types.Material.irgspp_source = EnumProperty(
+        name="Material Reads", description="Where the material has its values from", items=SOURCE_ITEMS, get=_get_source, set=_set_source
+    )
+
+
+def unregister() -> None:
+    """Take it off."""
+    del bpy.types.Material.irgspp_source

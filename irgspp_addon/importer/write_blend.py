@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Write a run folder as a .blend: `python -m irgspp.irgspp_addon.importer.write_blend RUN OUT.blend`, a process of its own with `bpy`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+import bpy
+
+from ...core.errors import IrgsppError
+from ...core.io.atomic import whole
+from .scene_builder import SOURCES, import_run, show_as_photographed
+
+
+def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = True) -> None:
+    """Replace the open file by the run's scene and save it; `target` appears whole or not at all."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    imported = import_run(run, source, pack)
+    show_as_photographed(bpy.context.scene, imported)
+    for image in bpy.data.images:
+        image.filepath = _relative(image.filepath, target.resolve().parent)
+    with whole(target.resolve()) as partial:
+        bpy.ops.wm.save_as_mainfile(filepath=str(partial), compress=True, relative_remap=False)
+
+
+def _relative(path: str, folder: Path) -> str:
+    """Blender's form of a path relative to the .blend, so that both can move together."""
+    try:
+        return "//" + os.path.relpath(bpy.path.abspath(path), folder).replace(os.sep, "/")
+    except ValueError:  # another drive of Windows
+        return path
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="irgspp.irgspp_addon.importer.write_blend", description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("target", type=Path)
+    parser.add_argument("--material", choices=SOURCES, default="textures")
+    parser.add_argument("--no-pack", action="store_true", help="link textures and light instead of packing them")
+    args = parser.parse_args(argv)
+    try:
+        write_blend(args.run, args.target, args.material, not args.no_pack)
+    except IrgsppError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

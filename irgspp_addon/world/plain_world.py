@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Worlds that are one picture or one colour, read without rendering: what most artists use, and at once."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Euler
+
+from ...core.errors import InputError
+from ...core.scene.environment_map import LightMap, reduced
+
+LINEAR = ("Linear Rec.709", "Non-Color", "Linear", "Raw", "scene_linear")
+MOST_ROWS = 2048  # larger pictures are reduced once; a light needs no more
+
+_read: dict[tuple, np.ndarray | None] = {}  # the picture read last
+
+
+def plain_light(world: bpy.types.World | None) -> LightMap | None:
+    """The light of a World of the plain form; None where it has to be rendered.
+
+    Plain is a colour, or Environment Texture [with a Mapping of rotation alone] -> Background -> World Output.
+    Raises InputError where there is no World, or its picture is missing.
+    """
+    if world is None:
+        raise InputError("the scene", "has no World to light the object by", "add one in the World properties")
+    tree = world.node_tree
+    if tree is None or (bpy.app.version < (5, 0, 0) and not world.use_nodes):
+        return _colour(world.color)
+    output = tree.get_output_node("CYCLES")
+    surface = _feeding(output.inputs["Surface"]) if output else None
+    if output is None or not output.inputs["Surface"].is_linked:
+        return _colour((0.0, 0.0, 0.0))
+    if output.inputs["Volume"].is_linked or surface is None or surface.bl_idname != "ShaderNodeBackground":
+        return None
+    return _background(world, surface)
+
+
+def _background(world: bpy.types.World, node: bpy.types.Node) -> LightMap | None:
+    colour, strength = node.inputs["Color"], node.inputs["Strength"]
+    if strength.is_linked:
+        return None
+    if not colour.is_linked:
+        return _colour(strength.default_value * np.array(colour.default_value[:3]))
+    texture = _feeding(colour)
+    if texture is None or texture.bl_idname != "ShaderNodeTexEnvironment":
+        return None
+    turn = _turn(texture.inputs["Vector"])
+    if turn is None or texture.projection != "EQUIRECTANGULAR" or texture.interpolation != "Linear":
+        return None
+    texels = _picture(world, texture.image)
+    return None if texels is None else LightMap(texels, turn, max(0.0, strength.default_value))
+
+
+def _feeding(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
+    """The node that feeds a socket; None where there is none, or it is muted."""
+    if len(socket.links) != 1 or socket.links[0].is_muted or socket.links[0].from_node.mute:
+        return None
+    return socket.links[0].from_node
+
+
+def _turn(vector: bpy.types.NodeSocket) -> np.ndarray | None:
+    """(3, 3) what directions go through before the picture is looked up; None where that is more than a rotation."""
+    if not vector.is_linked:
+        return np.eye(3)
+    node = _feeding(vector)
+    if node is None:
+        return None
+    if node.bl_idname == "ShaderNodeTexCoord":
+        return np.eye(3) if vector.links[0].from_socket.identifier == "Generated" else None
+    if node.bl_idname != "ShaderNodeMapping" or node.vector_type not in ("POINT", "TEXTURE"):
+        return None
+    inputs = {name: node.inputs[name] for name in ("Location", "Rotation", "Scale")}
+    if any(socket.is_linked for socket in inputs.values()) or not node.inputs["Vector"].is_linked:
+        return None
+    if any(inputs["Location"].default_value) or any(value != 1 for value in inputs["Scale"].default_value):
+        return None
+    rotation = np.array(Euler(inputs["Rotation"].default_value, "XYZ").to_matrix())
+    before = _turn(node.inputs["Vector"])
+    return None if before is None else (rotation if node.vector_type == "POINT" else rotation.T) @ before
+
+
+def _picture(world: bpy.types.World, image: bpy.types.Image | None) -> np.ndarray | None:
+    """(H, W, 3) linear, top row first; None where Cycles does more with the image than we know."""
+    if image is None:
+        raise InputError(f"World {world.name}", "its Environment Texture has no image", "open one, or remove the node")
+    if image.source not in ("FILE", "GENERATED"):
+        return None
+    width, height = image.size  # asking for it reads the file
+    if not image.has_data or not width or not height:
+        raise InputError(f"World {world.name}", f"the image {image.name} can't be read ({image.filepath or 'no file'})", "find the file")
+    name = image.colorspace_settings.name
+    if name not in LINEAR and (image.is_float or name != "sRGB"):
+        return None
+    key = (image.name_full, image.as_pointer(), image.filepath, width, height, name)
+    if key not in _read or image.is_dirty:
+        _read.clear()
+        _read[key] = _texels(image, name == "sRGB")
+    return _read[key]
+
+
+def _texels(image: bpy.types.Image, encoded: bool) -> np.ndarray | None:
+    width, height = image.size
+    pixels = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(height, width, image.channels)[::-1]
+    if image.channels == 2 or (image.channels == 4 and pixels[..., 3].min() < 1):
+        return None
+    colour = np.repeat(pixels, 3, -1) if image.channels == 1 else pixels[..., :3]
+    if encoded:
+        colour = np.where(colour <= 0.04045, colour / 12.92, ((np.maximum(colour, 0.04045) + 0.055) / 1.055) ** 2.4)
+    return _sane(reduced(colour, -(-height // MOST_ROWS)))
+
+
+def forget_pictures() -> None:
+    """Read pictures anew: they may have changed without a word, as when another file was opened."""
+    _read.clear()
+
+
+def _colour(colour) -> LightMap:
+    return LightMap(_sane(np.array(colour, np.float32)[None, None, :3]))
+
+
+def _sane(texels: np.ndarray) -> np.ndarray:
+    """Light is finite and >= 0: what is not becomes 0."""
+    return np.clip(np.nan_to_num(texels, nan=0.0, posinf=0.0, neginf=0.0), 0, None).astype(np.float32)

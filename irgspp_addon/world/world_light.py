@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The light of any World: read where it is plain, otherwise rendered by a second Blender while the first goes on."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...core.errors import InputError, IrgsppError
+from ...core.scene.environment_map import LightMap
+from ..engine.child import detached
+from .fingerprint import fingerprint
+from .plain_world import forget_pictures, plain_light
+
+ROWS = 1024  # of a rendered World: the sun of a Sky Texture is half a degree wide
+PATIENCE = 120.0  # seconds
+CHILD = Path(__file__).with_name("bake_child.py")
+
+_rendered: dict[str, LightMap] = {}  # by fingerprint, the latest few
+
+
+def world_light(world: bpy.types.World | None, frame: int = 1, timeout: float = PATIENCE) -> LightMap:
+    """The light of a World at a frame, waited for; also right while a render runs. Raises InputError where there is none."""
+    asked = ask_world(world, frame)
+    if isinstance(asked, LightMap):
+        return asked
+    try:
+        return asked.wait(timeout)
+    finally:
+        asked.close()
+
+
+def ask_world(world: bpy.types.World | None, frame: int = 1) -> LightMap | WorldBake:
+    """The light where it is known or easily read, otherwise the started work to find it. Raises InputError where there is none."""
+    light = plain_light(world)
+    if light is not None:
+        return light
+    assert world is not None
+    return _rendered.get(_key(world, frame)) or WorldBake(world, frame)
+
+
+def _key(world: bpy.types.World, frame: int) -> str:
+    """Where it may be animated, every frame has another light."""
+    moving = world.animation_data is not None or (world.node_tree is not None and world.node_tree.animation_data is not None)
+    return f"{fingerprint(world)} {frame if moving else ''}"
+
+
+class WorldBake:
+    """One World on its way through another Blender; `poll` until it gives the light, `close` in any case."""
+
+    def __init__(self, world: bpy.types.World, frame: int = 1, rows: int = ROWS) -> None:
+        self._key, self._name = _key(world, frame), world.name
+        self._folder = Path(tempfile.mkdtemp(prefix="irgspp-world-"))
+        self._map, self._log = self._folder / "map.npy", self._folder / "log.txt"
+        try:
+            self._child = self._start(world, rows, frame)
+        except (OSError, RuntimeError) as error:  # the latter is Blender's
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise IrgsppError(f"World {world.name}: could not be rendered ({str(error).strip()})") from error
+
+    def _start(self, world: bpy.types.World, rows: int, frame: int) -> subprocess.Popen:
+        blend = self._folder / "world.blend"
+        bpy.data.libraries.write(str(blend), {world.original}, path_remap="ABSOLUTE", fake_user=True)
+        command = [*blender_command(CHILD), "--", str(blend), str(self._map), str(rows), str(frame)]
+        with self._log.open("wb") as log:
+            return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, **detached())
+
+    def shows(self, world: bpy.types.World | None, frame: int) -> bool:
+        """True where this is the World's present look."""
+        return world is not None and self._key == _key(world, frame)
+
+    def poll(self) -> LightMap | None:
+        """The light when it is there. Raises IrgsppError where it can't be had."""
+        status = self._child.poll()
+        if status is None:
+            return None
+        if status or not self._map.is_file():
+            lines = self._log.read_text(errors="replace").strip().splitlines()
+            raise IrgsppError(f"World {self._name}: could not be rendered ({lines[-1] if lines else f'status {status}'})")
+        light = LightMap(np.load(self._map, allow_pickle=False))
+        while len(_rendered) >= 4:
+            del _rendered[next(iter(_rendered))]
+        _rendered[self._key] = light
+        return light
+
+    def wait(self, timeout: float) -> LightMap:
+        """The light, within so many seconds. Raises IrgsppError where it can't be had."""
+        until = time.monotonic() + timeout
+        while time.monotonic() < until:
+            if (light := self.poll()) is not None:
+                return light
+            time.sleep(0.02)
+        raise IrgsppError(f"World {self._name}: not rendered within {timeout:.0f} seconds")
+
+    def close(self) -> None:
+        """End the other Blender where it still works, and leave no file."""
+        if self._child.poll() is None:
+            self._child.kill()
+        self._child.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def forget() -> None:
+    """Drop what was rendered: another file may hold other pictures under the same names."""
+    _rendered.clear()
+    forget_pictures()
+
+
+def blender_command(script: Path) -> list[str]:
+    """The words that run a script in another Blender like this one, up to its own arguments."""
+    if bpy.app.binary_path:
+        return [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(script)]
+    return [sys.executable, str(script)]  # Blender as a module
+
+
+def save_light(light: LightMap, path: Path, rows: int) -> None:
+    """Write a light map in our convention as 32-bit .exr or as .npy; whole or not at all. Raises InputError where that is not possible."""
+    save = {".npy": np.save, ".exr": _save_exr}.get(path.suffix.lower())
+    if save is None:
+        raise InputError(path, "is no light map", "let the name end with .exr or .npy")
+    partial = path.with_name(f".{path.stem}.part{path.suffix.lower()}")
+    try:
+        save(partial, light.picture(rows))
+        partial.replace(path)
+    except (OSError, RuntimeError) as error:  # the latter is Blender's
+        partial.unlink(missing_ok=True)
+        raise InputError(path, f"can't be written ({getattr(error, 'strerror', None) or str(error).strip()})") from error
+
+
+def _save_exr(path: Path, texels: np.ndarray) -> None:
+    """By Blender's own functions: other EXR libraries crash in its process."""
+    rows, columns = texels.shape[:2]
+    image = bpy.data.images.new("irgspp light map", columns, rows, float_buffer=True, is_data=True)
+    try:
+        rgba = np.concatenate([texels[::-1], np.ones((rows, columns, 1), np.float32)], -1)
+        image.pixels.foreach_set(np.ascontiguousarray(rgba, np.float32).reshape(-1))
+        image.file_format, image.filepath_raw = "OPEN_EXR", str(path)
+        image.save()
+    finally:
+        bpy.data.images.remove(image)

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tile rasteriser in plain scalar loops: what `core/kernels/cpu/raster.py` would be without its vector type. For comparison only."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from irgspp.core.kernels.constants import ALPHA_MAX, LOW_PASS, TILE, TRANSMITTANCE_MIN
+from irgspp.core.kernels.constants import HORIZON_MIN as _W_MIN
+from irgspp.core.kernels.constants import SPLAT_GRADIENTS as GEOMETRY
+from irgspp.core.kernels.cpu.jit import kernel
+
+_ONE, _ZERO, _HALF, _FAR = np.float32(1.0), np.float32(0.0), np.float32(0.5), np.float32(1e9)
+_LOW, _MAX, _STOP, _BEHIND = np.float32(LOW_PASS), np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN), np.float32(_W_MIN)
+
+
+@kernel
+def _evaluate(record, g, dx, dy):
+    """Where one pixel's ray meets the disk: rho, 1/w, u, v and whether the low-pass filter won."""
+    w = _ONE + dx * record[g, 6] + dy * record[g, 7]
+    ahead = w > _BEHIND
+    iw = _ONE / (w if ahead else _ONE)
+    u = (dx * record[g, 2] + dy * record[g, 3]) * iw
+    v = (dx * record[g, 4] + dy * record[g, 5]) * iw
+    rho = u * u + v * v if ahead else _FAR
+    flat = _LOW * (dx * dx + dy * dy)
+    return min(rho, flat), iw, u, v, rho > flat
+
+
+@kernel
+def _exhausted(transmittance):
+    for row in range(TILE):
+        for column in range(TILE):
+            if transmittance[row, column] > _STOP:
+                return False
+    return True
+
+
+@kernel
+def plain_range(begin, end, start, entries, record, feature, box, columns, picture, stride, plane):
+    """`rasterize_range`, one pixel at a time."""
+    features = feature.shape[1]
+    acc = np.empty((features + 1, TILE, TILE), np.float32)
+    transmittance = np.empty((TILE, TILE), np.float32)
+    for tile in range(begin, end):
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        acc[:] = _ZERO
+        transmittance[:] = _ONE
+        for entry in range(start[tile], start[tile + 1]):
+            if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
+                break
+            g = entries[entry]
+            cut, opacity, z = record[g, 10], record[g, 9], record[g, 8]
+            for row in range(max(box[g, 1] - y0, 0), min(box[g, 3] - y0, TILE - 1) + 1):
+                dy = np.float32(y0 + row) + _HALF - record[g, 1]
+                for column in range(TILE):
+                    dx = np.float32(x0 + column) + _HALF - record[g, 0]
+                    before = transmittance[row, column]
+                    rho, iw, _, _, filtered = _evaluate(record, g, dx, dy)
+                    if rho > cut or before <= _STOP:
+                        continue
+                    weight = min(math.exp(-_HALF * rho) * opacity, _MAX) * before
+                    transmittance[row, column] = before - weight
+                    for channel in range(features):
+                        acc[channel, row, column] += weight * feature[g, channel]
+                    acc[features, row, column] += weight * (z if filtered else iw * z)
+        for row in range(TILE):
+            for column in range(TILE):
+                at = (y0 + row) * stride + x0 + column
+                left = transmittance[row, column]
+                opaque = left <= _STOP
+                scale = _ONE / (_ONE - left) if opaque else _ONE
+                for channel in range(features + 1):
+                    picture[channel * plane + at] = acc[channel, row, column] * scale
+                picture[(features + 1) * plane + at] = _ONE if opaque else _ONE - left
+                picture[(features + 2) * plane + at] = left
+
+
+@kernel
+def _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, s_total):
+    """A tile's upstream gradients, as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
+    for row in range(TILE):
+        for column in range(TILE):
+            at = (y0 + row) * stride + x0 + column
+            left = picture[channels * plane + at]
+            opaque = left <= _STOP
+            scale = _ONE / (_ONE - left) if opaque else _ONE
+            s = _ZERO
+            for channel in range(channels - 1):
+                g = gradient[channel * plane + at]
+                g_tile[channel, row, column] = g * scale
+                s += g * picture[channel * plane + at]
+            g = gradient[(channels - 1) * plane + at]
+            g_tile[channels - 1, row, column] = -s * scale if opaque else g
+            s_total[row, column] = _ZERO if opaque else s + g * (_ONE - left)
+
+
+@kernel
+def plain_backward_range(slot, begin, end, start, entries, record, feature, box, columns, picture, gradient, stride, plane, slots):
+    """`rasterize_backward_range`, one pixel at a time."""
+    features = feature.shape[1]
+    g_tile = np.empty((features + 2, TILE, TILE), np.float32)
+    s_total, s_run = np.empty((TILE, TILE), np.float32), np.empty((TILE, TILE), np.float32)
+    transmittance = np.empty((TILE, TILE), np.float32)
+    sums = np.empty(GEOMETRY + features, np.float32)
+    out = slots[slot]
+    for tile in range(begin, end):
+        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        _load_gradients(gradient, picture, stride, plane, x0, y0, features + 2, g_tile, s_total)
+        s_run[:] = _ZERO
+        transmittance[:] = _ONE
+        for entry in range(start[tile], start[tile + 1]):
+            if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
+                break
+            g = entries[entry]
+            cut, opacity, z = record[g, 10], record[g, 9], record[g, 8]
+            sums[:] = _ZERO
+            touched = False
+            for row in range(max(box[g, 1] - y0, 0), min(box[g, 3] - y0, TILE - 1) + 1):
+                dy = np.float32(y0 + row) + _HALF - record[g, 1]
+                for column in range(TILE):
+                    dx = np.float32(x0 + column) + _HALF - record[g, 0]
+                    before = transmittance[row, column]
+                    rho, iw, u, v, filtered = _evaluate(record, g, dx, dy)
+                    if rho > cut or before <= _STOP:
+                        continue
+                    touched = True
+                    bell = math.exp(-_HALF * rho)
+                    alpha = min(bell * opacity, _MAX)
+                    weight = alpha * before
+                    transmittance[row, column] = before - weight
+                    gd = g_tile[features, row, column]
+                    q = g_tile[features + 1, row, column] + gd * (z if filtered else iw * z)
+                    for channel in range(features):
+                        gc = g_tile[channel, row, column]
+                        q += gc * feature[g, channel]
+                        sums[GEOMETRY + channel] += weight * gc
+                    run = s_run[row, column] + weight * q
+                    s_run[row, column] = run
+                    g_rho = _ZERO
+                    if bell * opacity < _MAX:
+                        g_alpha = before * q - (s_total[row, column] - run) / (_ONE - alpha)
+                        sums[9] += g_alpha * bell
+                        g_rho = -_HALF * g_alpha * alpha
+                    gt = weight * gd
+                    if filtered:
+                        sums[0] -= g_rho * (_LOW + _LOW) * dx
+                        sums[1] -= g_rho * (_LOW + _LOW) * dy
+                        sums[8] += gt
+                        continue
+                    gu, gv = (g_rho + g_rho) * iw * u, (g_rho + g_rho) * iw * v
+                    gw = -(gt * iw * iw * z + gu * u + gv * v)
+                    sums[0] -= gu * record[g, 2] + gv * record[g, 4] + gw * record[g, 6]
+                    sums[1] -= gu * record[g, 3] + gv * record[g, 5] + gw * record[g, 7]
+                    sums[2] += gu * dx
+                    sums[3] += gu * dy
+                    sums[4] += gv * dx
+                    sums[5] += gv * dy
+                    sums[6] += gw * dx
+                    sums[7] += gw * dy
+                    sums[8] += gt * iw
+            if touched:
+                for j in range(GEOMETRY + features):
+                    out[g, j] += sums[j]

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A finished run baked again: a ball whose albedo is known everywhere, on its own mesh, a new one and an edited one."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from irgspp.core.assets.rebake import bake
+from irgspp.core.cli.main import main
+from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.io.file_lock import FileLock
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.run_folder import RunFolder
+from irgspp.core.scene.camera_files import save_views
+from irgspp.core.scene.dataset import Bound, View
+from irgspp.core.scene.mesh import Mesh
+from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
+from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.textures import load_textures, save_textures
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import Settings
+from irgspp.core.stages.first.initialization import disks
+from irgspp.core.surface.bake import rasterise
+
+SETTINGS = with_overrides(Settings(), ["surface.voxels=40", "surface.triangles=1500", "surface.texture=64"])
+
+
+def albedo_at(points):
+    """(P, 3): reddish above, bluish below."""
+    share = 1 / (1 + np.exp(-6 * points[:, 2:] / np.linalg.norm(points, axis=-1, keepdims=True)))
+    return 0.2 + 0.5 * np.concatenate([share, 0 * share + 0.4, 1 - share], -1)
+
+
+def ball(count=12_000):
+    z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
+    normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
+    gaussians = disks(normal, normal, np.full((count, 3), 0.5), np.full(count, np.sqrt(4 * np.pi / count)), 0.99)
+    values = np.concatenate([albedo_at(normal), np.full((count, 1), 0.6), np.full((count, 1), 0.01)], -1)
+    gaussians.material = torch.logit(torch.from_numpy(values.T.copy()).float())
+    return Reconstruction(gaussians, torch.full((8, 16, 3), 0.5), Bound((0, 0, 0), 1.3), np.eye(4))
+
+
+def unwrapped(scale=1.0):
+    """The ball as a mesh with a UV map of longitude and latitude, split along the seam."""
+    v, u = np.meshgrid(np.linspace(0.02, 0.98, 17), np.linspace(0, 1, 33), indexing="ij")
+    theta, phi = (1 - v) * np.pi, u * 2 * np.pi
+    normal = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3).astype(np.float32)
+    a = (np.arange(16)[:, None] * 33 + np.arange(32)).reshape(-1)
+    faces = np.concatenate([np.stack([a, a + 1, a + 34], -1), np.stack([a, a + 34, a + 33], -1)]).astype(np.int32)
+    n = len(normal)
+    grey, half = np.full((n, 3), 0.5, np.float32), np.full(n, 0.5, np.float32)
+    uvs = np.stack([u, v], -1).reshape(-1, 2).astype(np.float32)
+    textures = {name: np.zeros((8, 8), np.uint8) for name in ("roughness", "metallic")}
+    return Mesh(scale * normal, normal, uvs, faces, grey, half, half, textures)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, camera_ring):
+    folder = RunFolder.open(tmp_path_factory.mktemp("finished") / "run", SETTINGS, "nowhere")
+    with folder.job():
+        ball().save(folder.path)
+        save_mesh_ply(unwrapped(), folder.path / "mesh.ply")
+        save_textures(unwrapped().textures, folder.path / "textures")
+        views = [View(str(i), camera, folder.path / "none.png", np.empty((0, 0, 3)), None) for i, camera in enumerate(camera_ring(14))]
+        save_views(folder.path / "cameras.json", [("train", view) for view in views[:-1]] + [("test", views[-1])])
+    folder.close()
+    return folder.path
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def albedo_error(run):
+    """Mean difference between the albedo texture and the ball's own at each texel, linear."""
+    mesh, texture = load_mesh_ply(run / "mesh.ply"), load_textures(run / "textures")["albedo"] / 255.0
+    texels = rasterise(mesh.uvs, mesh.faces, len(texture))
+    linear = np.where(texture <= 0.04045, texture / 12.92, ((texture + 0.055) / 1.055) ** 2.4)[texels.row, texels.column]
+    return np.abs(linear - albedo_at(texels.interpolate(mesh.vertices, mesh.faces))).mean()
+
+
+def test_size_changes_the_pictures_and_nothing_else(run):
+    before = (run / "mesh.ply").read_bytes()
+    bake(run, Silent(), size=128)
+    assert (run / "mesh.ply").read_bytes() == before
+    sizes = {name: len(texture) for name, texture in load_textures(run / "textures").items()}
+    assert sizes == dict.fromkeys(("albedo", "roughness", "metallic", "normal"), 128)
+    assert albedo_error(run) < 0.01
+    assert int(trimesh.load(run / "asset.glb").geometry["object"].visual.material.baseColorTexture.height) == 128
+    state = json.loads((run / "run.json").read_text())
+    assert state["status"] == "done" and state["baked"] == {"texture": 128, "triangles": 1024, "mesh": None}
+    assert not (run / "bake.part").exists() and not (run / "scene.blend").exists()
+
+
+def test_triangles_make_a_new_mesh(run):
+    bake(run, Silent(), triangles=600)
+    mesh = load_mesh_ply(run / "mesh.ply")
+    assert 300 < len(mesh.faces) <= 600
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=-1) - 1).max() < 0.04  # disks that nothing was fitted with stick out a little
+    assert np.abs(mesh.albedo - albedo_at(mesh.vertices)).mean() < 0.02 and albedo_error(run) < 0.02
+    assert len(load_textures(run / "textures")["albedo"]) == 64  # as in the run's settings
+
+
+def test_edited_mesh_keeps_its_uvs(run, tmp_path):
+    edited = unwrapped(1.01)
+    save_mesh_ply(edited, tmp_path / "edited.ply")
+    bake(run, Silent(), edited=tmp_path / "edited.ply", size=96)
+    mesh = load_mesh_ply(run / "mesh.ply")
+    order = np.lexsort(np.concatenate([edited.vertices, edited.uvs], -1).T)
+    found = np.lexsort(np.concatenate([mesh.vertices, mesh.uvs], -1).T)
+    assert np.array_equal(mesh.vertices[found], edited.vertices[order]) and np.array_equal(mesh.uvs[found], edited.uvs[order])
+    assert albedo_error(run) < 0.01
+    assert np.abs(mesh.albedo - albedo_at(mesh.vertices)).mean() < 0.01 and np.abs(mesh.roughness - 0.6).mean() < 0.01
+
+
+def test_edited_mesh_without_uvs_is_unwrapped(run, tmp_path):
+    trimesh.creation.icosphere(3).export(tmp_path / "ball.ply")
+    bake(run, Silent(), edited=tmp_path / "ball.ply")
+    mesh = load_mesh_ply(run / "mesh.ply")
+    assert len(mesh.faces) == 1280 and np.ptp(mesh.uvs) > 0.5
+    assert albedo_error(run) < 0.02
+
+
+class Stopped(Silent):
+    cancelled = True
+
+
+@pytest.mark.parametrize("how", [{"triangles": 600}, {"size": 32}])
+def test_stopped_work_leaves_the_run_as_it_was(run, how):
+    before = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file() and path.name != ".lock"}
+    with pytest.raises(Cancelled):
+        bake(run, Stopped(), **how)
+    after = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file() and path.name != ".lock"}
+    assert after == before
+    FileLock(run / ".lock").release()  # free again
+
+
+def test_bad_wishes_are_refused_before_anything_is_done(run, tmp_path, capsys):
+    save_mesh_ply(unwrapped(10.0), tmp_path / "far.ply")
+    for wish, words in [
+        (["--size", "3"], "surface.texture"),
+        (["--triangles", "5"], "surface.triangles"),
+        (["--mesh", str(tmp_path / "none.ply")], "no such file"),
+        (["--mesh", str(tmp_path / "far.ply")], "doesn't lie where the run's object is"),
+        (["--mesh", "a.ply", "--triangles", "500"], "doesn't go with"),
+    ]:
+        assert main(["bake", str(run), *wish]) == 2
+        told = capsys.readouterr().err
+        assert words in told and told.count("\n") == 1, told
+    assert main(["bake", str(tmp_path)]) == 2
+
+
+def test_run_in_use_or_unfinished_is_left_alone(run):
+    lock = FileLock(run / ".lock")
+    with pytest.raises(InputError, match="in use by another process"):
+        bake(run, Silent())
+    lock.release()
+    state = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps({**state, "status": "running"}))
+    with pytest.raises(InputError, match="not a finished run"):
+        bake(run, Silent())

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: exit statuses, one line per error, the line that resumes, no heavy imports before they are needed."""
+
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from irgspp.core import pipeline
+from irgspp.core.cli.commands import settings_of
+from irgspp.core.cli.main import main, resume_line
+from irgspp.core.cli.parser import parser
+from irgspp.core.errors import Cancelled, InputError, IrgsppError
+from irgspp.core.run_folder import RunFolder, read_run
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import Settings, preset
+
+
+@pytest.fixture
+def job(monkeypatch):
+    """Replaces the main job: `job.error` is raised, arguments are kept."""
+
+    class Job:
+        error = None
+        calls: list = []  # noqa: RUF012
+
+        def __call__(self, dataset, run, settings, **options):
+            self.calls.append((dataset, run, settings, options))
+            if self.error:
+                raise self.error
+            return run
+
+    fake = Job()
+    fake.calls = []
+    monkeypatch.setattr(pipeline, "reconstruct", fake)
+    return fake
+
+
+@pytest.mark.parametrize(
+    "line", ["", "paint", "reconstruct photos", "inspect", "render r --views d -o o --layers rgb", "demo --fast", "devices --json=3"]
+)
+def test_bad_usage_is_status_2(line, capsys):
+    assert main(line.split()) == 2
+    assert "usage: irgspp" in capsys.readouterr().err
+
+
+def test_help_is_status_0(capsys):
+    assert main(["--help"]) == 0
+    assert "reconstruct" in capsys.readouterr().out
+
+
+def test_help_imports_nothing_heavy():
+    heavy = "{'torch', 'numba', 'scipy', 'bpy'}"
+    code = f"import sys; from irgspp.core.cli.main import main; main(['--help']); sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-P", "-c", code], capture_output=True).returncode == 0
+
+
+def test_module_runs(tmp_path):
+    command = [sys.executable, "-P", "-m", "irgspp", "inspect", str(tmp_path / "missing")]
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 2
+    assert process.stdout == ""
+    assert process.stderr.startswith("irgspp: ")
+    assert process.stderr.count("\n") == 1
+    assert "missing" in process.stderr
+
+
+def test_inspect_says_what_is_there(capsys):
+    assert main(["inspect", str(pipeline.DEMO_DATA)]) == 0
+    out = capsys.readouterr().out
+    for words in ("transforms", "40 training, 6 test", "64x64", "39.6 degrees", "40 of 40 training views"):
+        assert words in out
+
+
+def test_devices(capsys):
+    assert main(["devices", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["cpu"]["threads"] >= 1
+    assert main(["devices"]) == 0
+    assert found["cpu"]["name"] in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(InputError("a.png", "truncated"), 2), (IrgsppError("no surface"), 1), (Cancelled("asked"), 130)]
+)
+def test_errors_end_with_their_status_and_one_line(job, tmp_path, capsys, error, status):
+    job.error = error
+    assert main(["reconstruct", "photos", "-o", str(tmp_path / "run")]) == status
+    captured = capsys.readouterr()
+    assert str(error) in captured.err.splitlines()[0]
+    assert "Traceback" not in captured.err
+    assert captured.out == ""
+
+
+def test_cancel_says_how_to_go_on(job, tmp_path, capsys):
+    job.error = Cancelled("asked")
+    main(["reconstruct", "my photos", "-o", str(tmp_path / "run"), "--preset", "draft", "--overwrite"])
+    line = capsys.readouterr().err.splitlines()[-1].partition("go on with: ")[2]
+    words = shlex.split(line)
+    assert words == ["irgspp", "reconstruct", "my photos", "-o", str(tmp_path / "run"), "--preset", "draft", "--resume"]
+    assert parser().parse_args(words[1:]).resume
+    assert resume_line(["demo", "--resume"]).split() == ["irgspp", "demo", "--resume"]
+
+
+def test_unexpected_error_keeps_its_traceback_in_the_log(job, tmp_path, capsys):
+    RunFolder.open(tmp_path / "run", Settings(), "photos").log("began")
+    job.error = ZeroDivisionError("division\nby zero")
+    assert main(["reconstruct", "photos", "-o", str(tmp_path / "run")]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "log.txt" in error
+    assert "Traceback" in (tmp_path / "run" / "log.txt").read_text()
+
+
+def test_result_goes_to_stdout_alone(job, tmp_path, capsys):
+    assert main(["reconstruct", "photos", "-o", str(tmp_path / "run")]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == f"{tmp_path / 'run'}\n"
+    assert captured.err == ""
+
+
+def test_settings_come_from_preset_options_and_overrides():
+    line = "reconstruct d -o r --preset draft --seed 3 --materials glossy --set data.resolution=100 --set data.masks=no"
+    settings = settings_of(parser().parse_args(line.split()))
+    assert settings == with_overrides(preset("draft"), ["seed=3", "materials=glossy", "data.resolution=100", "data.masks=no"])
+    assert settings_of(parser().parse_args(["reconstruct", "d", "-o", "r"])) == Settings()
+
+
+def test_bare_resume_takes_the_settings_of_the_run(tmp_path):
+    settings = with_overrides(preset("draft"), ["seed=5"])
+    RunFolder.open(tmp_path / "run", settings, "d").close()
+    assert settings_of(parser().parse_args(["reconstruct", "d", "-o", str(tmp_path / "run"), "--resume"])) == settings
+
+
+def test_bad_override_is_status_2(job, tmp_path, capsys):
+    assert main(["reconstruct", "photos", "-o", str(tmp_path / "run"), "--set", "reflective.iteration=3"]) == 2
+    assert "reflective.iterations" in capsys.readouterr().err
+    assert job.calls == []
+
+
+def test_demo_replaces_an_earlier_demo_and_nothing_else(job, tmp_path):
+    def make(dataset):
+        RunFolder.open(tmp_path / "demo", Settings(), dataset, overwrite=True).close()
+        assert main(["demo", "-o", str(tmp_path / "demo")]) == 0
+        return job.calls[-1][3]["overwrite"]
+
+    assert make(str(pipeline.DEMO_DATA)) is True
+    assert make("my photos") is False
+
+
+@pytest.mark.parametrize("command", [["render", "RUN", "--views", "d", "-o", "o"], ["export", "RUN", "-o", "a.glb"]])
+def test_commands_on_a_folder_that_is_no_run(tmp_path, capsys, command):
+    (tmp_path / "empty").mkdir()
+    assert main([str(tmp_path / "empty") if word == "RUN" else word for word in command]) == 2
+    assert "not a run folder" in capsys.readouterr().err
+
+
+def test_export_of_an_unfinished_run(tmp_path, capsys):
+    RunFolder.open(tmp_path / "run", Settings(), "d").close()
+    target = tmp_path / "a.glb"
+    assert main(["export", str(tmp_path / "run"), "-o", str(target)]) == 2
+    assert not target.exists()
+    assert read_run(tmp_path / "run")["status"] == "running"
+    assert main(["export", str(tmp_path / "run"), "-o", str(tmp_path / "a.fbx")]) == 2
+    assert ".fbx" in capsys.readouterr().err
+
+
+def test_package_says_where_the_demo_data_are():
+    assert (pipeline.DEMO_DATA / "transforms_train.json").is_file()
+    assert isinstance(pipeline.DEMO_DATA, Path)

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cameras of RealityCapture: either separator, and files that are hostile or damaged."""
+
+import numpy as np
+import pytest
+from irgspp.core.datasets.format_detection import read_capture
+from irgspp.core.datasets.load import load_dataset
+from irgspp.core.settings.schema import DataSettings
+from refused import refused
+
+HEAD = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("../secret.png,0,0,0,0,0,0,40,0,0,0,0,0,0,0,0", ["leads out"]),
+        ("003.png,0,0,0,0,0,0,40,0,0,0,0,0,0.1,0,0", ["k4"]),
+        ("003.png,0,0,0,0,0,0,wide,0,0,0,0,0,0,0,0", ["f is not a number"]),
+        ("003.png,0,nan,0,0,0,0,40,0,0,0,0,0,0,0,0", ["y is not a number"]),
+        ("x" * 200_000 + ",0,0,0,0,0,0,40", ["no table"]),
+        ("003.png,1e30,0,0,0,0,0,40,0,0,0,0,0,0,0,0", ["infinity"]),
+        ("003.png,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0", ["focal"]),
+    ],
+)
+def test_hostile_and_damaged_cameras_of_realitycapture(trapped, row, words):
+    trapped.save_pictures([f"images/{i:03d}.png" for i in range(10)])
+    rows = [f"{i:03d}.png,{i},0,0,{20 * i},40,0,40,0,0,0,0,0,0,0,0" for i in range(10)]
+    file = trapped.folder / "cameras.csv"
+    file.write_text("\n".join(["#cameras 10", HEAD, *rows]))
+    assert read_capture(trapped.folder, DataSettings()).format == "realitycapture"
+    file.write_text("\n".join([HEAD, *rows[:3], row, *rows[4:]]))
+    with refused(*words):
+        load_dataset(trapped.folder)
+
+
+def test_capture_of_realitycapture_with_a_semicolon(trapped):
+    trapped.save_pictures([f"{i:03d}.png" for i in range(10)])
+    rows = [f"{i:03d};{i};0;0;{20 * i};40;0;40;0.01;-0.02;0;0;0;0;0;0" for i in range(10)]  # names without extension, pictures beside
+    (trapped.folder / "cameras.csv").write_text("\n".join([HEAD.replace(",", ";"), *rows]))
+    capture = read_capture(trapped.folder, DataSettings())
+    lens = capture.train[0].lens
+    assert len(capture.train) == 10 and np.allclose((lens.fx, lens.cx, lens.cy), (40 / 36 * 60, 30.6, 22.8))

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Arrays beside pictures that lie about their size, or hold objects."""
+
+import pickle
+
+import numpy as np
+from irgspp.core.datasets.ground_truth import layers_of
+from irgspp.core.datasets.load import load_dataset
+from PIL import Image
+from refused import refused
+
+
+def test_arrays_that_lie_or_hold_objects_are_refused(tmp_path, capture):
+    scene = tmp_path / "blender_LDR" / "thing"
+    truth = tmp_path / "ground_truth" / "thing" / "z_depth"
+    truth.mkdir(parents=True)
+    (scene / "test").mkdir(parents=True)
+    Image.new("RGB", (8, 8)).save(scene / "test" / "0000.png")
+    capture.transforms()
+    view = load_dataset(capture.folder).train[0]
+    view = type(view)(view.name, view.camera, scene / "test" / "0000.png", view.colour, None)
+    path = truth / "0000.npy"
+    np.save(path, np.ones((8, 8), np.float32))
+    assert layers_of("stanford-orb", view).depth.shape == (8, 8)
+    whole = path.read_bytes()
+    for data in (
+        pickle.dumps(1),
+        whole[:100],
+        b"",
+        whole.replace(b"(8, 8), }" + 8 * b" ", b"(99999, 99999), }"),
+        whole.replace(b"}", b" "),
+    ):
+        path.write_bytes(data)
+        with refused(r"0000\.npy"):
+            layers_of("stanford-orb", view)
+    for value in (np.array([{}], object), np.zeros((2, 2), int), np.zeros((2, 2, 2, 2)), np.zeros((4, 4, 7))):
+        np.save(path, value, allow_pickle=True)
+        with refused(r"0000\.npy"):
+            layers_of("stanford-orb", view)

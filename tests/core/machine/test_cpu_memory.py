@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Memory that a job needs against memory that there is: fewer rays at a time, or one line; the results are the same."""
+
+import sys
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.datasets.load import load_dataset
+from irgspp.core.errors import InputError
+from irgspp.core.machine import cpu_memory as host_memory
+from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, Free, bytes_needed, free_memory, rays_that_fit
+from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.settings.schema import preset
+from irgspp.core.stages.second import radiance_transfer as transfer
+
+MIB = 1 << 20
+
+
+@pytest.fixture(scope="module")
+def data():
+    return load_dataset(DEMO_DATA)
+
+
+def test_more_of_anything_needs_more(data):
+    sizes = [bytes_needed(preset(name), data) for name in ("draft", "balanced", "paper")]
+    assert 900 * MIB < sizes[0] <= sizes[1] < sizes[2]
+    assert bytes_needed(preset("draft"), data, FEWEST_RAYS) < sizes[0] - 200 * MIB
+
+
+def test_rays_are_as_many_as_fit(data, monkeypatch):
+    how, taken = preset("draft"), 300 * MIB
+    monkeypatch.setattr(host_memory, "resident", lambda: taken)  # the process of other tests may have taken more than the job needs
+    whole, least = (bytes_needed(how, data, rays) - taken for rays in (MOST_RAYS, FEWEST_RAYS))
+    assert rays_that_fit(how, data, Free(2 * whole, "plenty")) == MOST_RAYS
+    assert FEWEST_RAYS <= rays_that_fit(how, data, Free((whole + least) // 2 + 60 * MIB, "some")) < MOST_RAYS
+    with pytest.raises(InputError, match=r"memory: the job needs about \d\.\d GiB, .* can be had \(too little\); close other programs"):
+        rays_that_fit(how, data, Free(1, "too little"))
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_limits_of_cgroups_are_known(tmp_path, monkeypatch, version):
+    monkeypatch.setattr(host_memory, "CGROUP", tmp_path)
+    limit, usage = (tmp_path / name for name in host_memory.CGROUPS[version])
+    limit.parent.mkdir(exist_ok=True)
+    limit.write_text(f"{3 * MIB}\n")
+    usage.write_text(f"{MIB}\n")
+    assert free_memory() == Free(2 * MIB, "the limit of its cgroup")
+    limit.write_text("max\n" if version == 0 else f"{(1 << 63) - 4096}\n")
+    assert "cgroup" not in free_memory().limit
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+def test_limits_of_the_process_are_known(monkeypatch):
+    import resource
+
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (1 << 20, 1 << 20) if kind == resource.RLIMIT_AS else (-1, -1))
+    assert free_memory() == Free(0, "the limit of this process, ulimit -v")
+
+
+def test_fewer_rays_at_a_time_see_the_same(monkeypatch):
+    """A tracer of plain functions: what counts is how its calls are cut."""
+
+    class Looks:
+        calls = 0
+
+        def look(self, origin, direction):
+            self.calls += 1
+            return direction[:, 0] * origin[:, 1], direction * origin
+
+    random = np.random.default_rng(0)
+    origin, direction = (torch.from_numpy(random.normal(size=s).astype(np.float32)) for s in ((20, 3), (3, 50)))
+    wanted, seen, tracer = origin @ direction > 0, [], Looks()
+    for rays in (MOST_RAYS, 100):
+        with transfer.rays_at_a_time(rays):
+            seen.append(transfer._look_around(origin, direction, wanted, tracer, lambda done: None))
+    assert transfer.RAYS == MOST_RAYS and tracer.calls == 1 + 5
+    assert all(torch.equal(a, b) for a, b in zip(*seen, strict=True))

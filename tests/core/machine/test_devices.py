@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which device a job gets, whatever machine the tests run on: what is found of CUDA is made up."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.machine import cuda
+from irgspp.core.machine.backend import by_warp
+from irgspp.core.machine.cuda import DeviceLost, Findings, faults, obstacle
+from irgspp.core.machine.devices import WARP_ON_CPU, choose, computing_on
+from irgspp.core.machine.gpu_memory import FEWEST, RAYS, bytes_needed, plan, rays_that_fit
+from irgspp.core.pipeline import DEMO_DATA, reconstruct
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
+from irgspp.core.stages.first import trainer as trainers
+from irgspp.core.stages.first.trainer import Trainer
+
+GIB = 1 << 30
+GOOD = Findings((13, 0), "13.0", True, True, (9, 0), 20 * GIB)
+HINDERED = {
+    "no driver": (replace(GOOD, driver=None), "no NVIDIA driver"),
+    "old driver": (replace(GOOD, driver=(12, 4)), "580 or newer"),
+    "torch for the CPU": (replace(GOOD, torch_cuda=None, torch_sees=False), "CPU alone"),
+    "no card": (replace(GOOD, torch_sees=False, capability=None), "no GPU"),
+    "old card": (replace(GOOD, capability=(7, 0)), "7.5"),
+    "no warp": (replace(GOOD, warp=False), "irgspp[cuda]"),
+}
+
+
+def test_a_gpu_that_will_do_is_taken():
+    for name in ("auto", "cuda"):
+        chosen = choose(name, lambda: GOOD)
+        assert chosen.device == torch.device("cuda", 0) and chosen.warp and chosen.free == 20 * GIB
+    assert obstacle(GOOD) is None and obstacle(replace(GOOD, driver=(13, 2), capability=(7, 5))) is None
+
+
+@pytest.mark.parametrize(("found", "said"), HINDERED.values(), ids=HINDERED)
+def test_what_hinders_is_told_in_one_line_and_auto_takes_the_cpu(found, said):
+    with pytest.raises(InputError, match=said.replace("[", r"\[")) as caught:
+        choose("cuda", lambda: found)
+    assert "\n" not in str(caught.value) and "--device cuda" in str(caught.value)
+    chosen = choose("auto", lambda: found)
+    assert chosen.device.type == "cpu" and not chosen.warp and "cuda can't be used" in chosen.why
+
+
+def test_cpu_is_taken_without_a_look_at_the_gpu():
+    assert choose("cpu", lambda: pytest.fail("looked")).device.type == "cpu"
+
+
+def test_warp_works_on_the_cpu_where_a_test_asks_for_it():
+    tensor = torch.zeros(1)
+    with computing_on(choose(WARP_ON_CPU)):
+        assert by_warp(tensor)
+    assert not by_warp(tensor)
+    with computing_on(choose("cpu")):
+        assert not by_warp(tensor)
+
+
+def test_probing_this_machine_does_not_fail():
+    found = cuda.probe()
+    assert found.torch_sees == torch.cuda.is_available()
+
+
+@pytest.mark.parametrize("said", ["CUDA error: an illegal memory access was encountered\nCUDA kernel errors might be ...",
+                                  "Warp CUDA error 719: unspecified launch failure", "CUDA driver error: device lost"])  # fmt: skip
+def test_a_gpu_that_fails_is_told_in_one_line(said):
+    with pytest.raises(DeviceLost) as caught, faults(resumable=True):
+        raise RuntimeError(said)
+    assert "\n" not in str(caught.value) and "--resume" in str(caught.value) and caught.value.exit_status == 1
+
+
+@pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nmore"),
+                                   RuntimeError("Failed to allocate 1024 bytes on device 'cuda:0'")])  # fmt: skip
+def test_memory_that_ran_out_is_told_in_one_line(error):
+    with pytest.raises(IrgsppError, match=r"memory ran out.*--resume") as caught, faults(resumable=True):
+        raise error
+    assert "\n" not in str(caught.value)
+
+
+def test_other_errors_stay_what_they_are():
+    with pytest.raises(RuntimeError, match="shape") as caught, faults():
+        raise RuntimeError("shape mismatch")
+    assert not isinstance(caught.value, IrgsppError)
+    with pytest.raises(InputError), faults():
+        raise InputError("here", "is wrong")
+
+
+def test_a_job_fits_by_keeping_less_on_the_gpu():
+    settings = preset("paper")
+    views = (settings, 200, 800, 800)
+    roomy = plan(*views, 80 * GIB)
+    assert roomy.targets
+    moved = plan(*views, int(0.9 * roomy.needed))
+    assert not moved.targets and roomy.needed - moved.needed > 200 * 800 * 800 * 40
+
+
+def test_fewer_rays_are_at_work_where_memory_is_short():
+    gpu = torch.device("cuda", 0)
+    numbers = [rays_that_fit(gpu, lambda device, free=free: free) for free in (80 * GIB, GIB, GIB // 4, 0)]
+    assert numbers[0] == RAYS > numbers[1] > numbers[2] > numbers[3] == FEWEST
+    assert rays_that_fit(torch.device("cpu")) == RAYS
+
+
+def test_a_job_that_cannot_fit_is_refused_before_it_starts():
+    with pytest.raises(InputError, match=r"GiB .*, of which 2\.0 GiB are free") as caught:
+        plan(preset("paper"), 200, 800, 800, 2 * GIB)
+    assert "\n" not in str(caught.value) and "data.resolution" in str(caught.value)
+
+
+def test_more_of_anything_takes_more_memory():
+    settings = preset("paper")
+    base = bytes_needed(settings, 100, 800, 800, True)
+    assert bytes_needed(settings, 101, 800, 800, True) > base
+    assert bytes_needed(settings, 100, 900, 800, True) > base
+    more = replace(settings, reflective=replace(settings.reflective, gaussians=10_000_000))
+    assert bytes_needed(more, 100, 800, 800, True) > base
+
+
+def test_a_lost_gpu_leaves_a_checkpoint(tmp_path, monkeypatch):
+    done = Trainer.step
+
+    def fails(trainer):
+        if trainer.done == 12:
+            raise RuntimeError("CUDA error: unspecified launch failure\nCompile with ...")
+        return done(trainer)
+
+    monkeypatch.setattr(trainers, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(Trainer, "step", fails)
+    small = ["materials=low-gloss", "reflective.gaussians=500", "reflective.iterations=30", "device=cpu"]
+    with pytest.raises(DeviceLost, match="--resume"):
+        reconstruct(DEMO_DATA, tmp_path / "run", with_overrides(preset("draft"), small))
+    state = torch.load(tmp_path / "run" / "checkpoint" / "reflective.pt", weights_only=True)
+    assert int(state["done"]) == 12
+    assert "GPU failed" in json.loads((tmp_path / "run" / "run.json").read_text())["error"]

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A whole job by the GPU's kernels on an emulated GPU: no tensor is left on the CPU or taken for numpy; and it finds what numba finds."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from irgspp.core import pipeline
+from irgspp.core.pipeline import DEMO_DATA, reconstruct
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
+
+EMULATED = Path(__file__).resolve().parents[2] / "support" / "emulated_gpu.py"
+TINY = [
+    "materials=glossy", "reflective.gaussians=2000", "reflective.iterations=80", "reflective.trial_iterations=10",
+    "reflective.trial_gaussians=400", "transport.points=300", "transport.rows=8", "transport.views=4", "transport.iterations=8",
+    "transport.pixels=32", "transport.samples=16", "transport.pool=2000", "transport.radiance_iterations=5", "surface.voxels=48",
+    "surface.triangles=2000", "surface.texture=128",
+]  # fmt: skip
+
+
+@pytest.mark.long
+def test_a_whole_job_runs_and_finds_what_numba_finds(tmp_path, monkeypatch):
+    """In a process of its own, as torch keeps the emulated GPU for good."""
+    pytest.importorskip("warp")
+    words = [sys.executable, str(EMULATED), str(DEMO_DATA), str(tmp_path / "gpu"), *TINY]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    assert done.returncode == 0, done.stderr[-3000:]
+    monkeypatch.setattr(pipeline, "write_blend", lambda *_: None)
+    reconstruct(DEMO_DATA, tmp_path / "cpu", with_overrides(preset("balanced"), [*TINY, "device=cpu"]))
+    states = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("gpu", "cpu")]
+    assert [state["computed_on"]["device"] for state in states] == ["emulated:0", "cpu"]
+    found, expected = (state["training"]["test_radiance_psnr"] for state in states)
+    assert found == pytest.approx(expected, abs=0.3) and expected > 15

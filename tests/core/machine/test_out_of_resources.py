@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Disks without room and little memory are told in one line, whatever library met them; other errors pass as they are."""
+
+import errno
+import os
+
+import pytest
+from irgspp.core import run_folder
+from irgspp.core.cli import commands
+from irgspp.core.cli import main as cli
+from irgspp.core.datasets.load import load_dataset
+from irgspp.core.errors import InputError
+from irgspp.core.machine import disk_space as room
+from irgspp.core.machine.out_of_resources import Shortage, shortage, told
+from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.run_folder import RunFolder, read_run
+from irgspp.core.settings.schema import Settings, preset
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "/runs/a/mesh.ply"), "/runs/a/mesh.ply: the disk is full"),
+        (OSError(errno.EDQUOT, "x"), "quota"),
+        (OSError(errno.EROFS, "x"), "can only be read"),
+        (OSError(errno.EFBIG, "x"), "larger than"),
+        (RuntimeError(f"Cannot write image file: {os.strerror(errno.ENOSPC)}."), "the disk is full"),
+        (MemoryError(), "memory ran out"),
+        (RuntimeError("[enforce fail at alloc_cpu.cpp] DefaultCPUAllocator: can't allocate memory: you tried 9 bytes"), "memory ran out"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "memory ran out"),
+    ],
+)
+def test_shortages_are_told(tmp_path, error, words):
+    with pytest.raises(Shortage, match=r"--resume$") as found, told(tmp_path):
+        raise error
+    assert words in str(found.value) and "\n" not in str(found.value)
+    assert found.value.exit_status == 1
+
+
+def test_shortage_behind_another_error_is_found(tmp_path):
+    with pytest.raises(Shortage, match="the disk is full"), told(tmp_path):
+        try:
+            raise OSError(errno.ENOSPC, "x")
+        except OSError:
+            raise RuntimeError("PytorchStreamWriter failed") from None
+
+
+def test_what_cannot_be_resumed_is_not_told_to_be(tmp_path):
+    assert str(shortage(MemoryError(), tmp_path, resumable=False)) == f"{tmp_path}: memory ran out; close other programs"
+
+
+def test_libraries_that_do_not_say_why_are_asked_about_the_disk(tmp_path, monkeypatch):
+    error = RuntimeError("write failed")
+    assert shortage(error, tmp_path) is None
+    monkeypatch.setattr("irgspp.core.machine.out_of_resources.FULL", 1 << 62)
+    assert "the disk is full" in str(shortage(error, tmp_path))
+
+
+@pytest.mark.parametrize("error", [InputError("a", "is bad"), FileNotFoundError(2, "x"), ValueError("x")])
+def test_other_errors_pass(tmp_path, error):
+    with pytest.raises(type(error)), told(tmp_path):
+        raise error
+
+
+def test_disk_that_is_too_full_for_the_log_too(tmp_path, monkeypatch, capsys):
+    """The handler of an error must not meet the same disk and end in a traceback."""
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(commands, "devices", full)
+    monkeypatch.setattr(cli.tempfile, "mkstemp", full)
+    assert cli.main(["devices"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("irgspp: ") and line.endswith("the disk is full; free some room")  # nothing of it can be resumed
+
+
+def test_job_on_a_full_disk_tells_its_own_error(tmp_path, monkeypatch):
+    folder = RunFolder.open(tmp_path / "run", Settings(), "photos")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "x")
+
+    monkeypatch.setattr(run_folder, "write_atomic", full)
+    with pytest.raises(Shortage, match="the disk is full"), folder.job(), folder.timed("fit"):
+        raise ValueError("the disk was full, so to speak")
+    folder.close()
+    assert read_run(tmp_path / "run")["status"] == "running"  # as after a kill
+
+
+def test_room_is_looked_for_before_anything_is_written(tmp_path, monkeypatch):
+    data, settings = load_dataset(DEMO_DATA), preset("balanced")
+    needed = room.bytes_needed(settings, data)
+    assert 50e6 < needed < 500e6
+    assert room.bytes_needed(preset("paper"), data) > 2 * needed > 2 * room.bytes_needed(preset("draft"), data)
+    room.check_room(tmp_path / "a" / "run", settings, data)
+    usage = type("Usage", (), {"free": 10**6})
+    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(InputError, match=r"run: the job needs about \d+ MB of the disk, of which 1 MB are free; free some room"):
+        room.check_room(tmp_path / "a" / "run", settings, data)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work is handed out once, evenly, and always the same way."""
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from irgspp.core.machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
+
+
+def covers(ranges, count):
+    return [i for a, b in ranges for i in range(a, b)] == list(range(count)) and all(b > a for a, b in ranges)
+
+
+@given(count=st.integers(0, 500), parts=st.integers(1, 40))
+def test_even_ranges_cover_once(count, parts):
+    ranges = even_ranges(count, parts)
+    assert covers(ranges, count)
+    assert len(ranges) == min(parts, count)
+    sizes = [b - a for a, b in ranges]
+    assert not sizes or max(sizes) - min(sizes) <= 1
+
+
+@given(cost=st.lists(st.integers(0, 1000), max_size=300), parts=st.integers(1, 40))
+def test_balanced_ranges_cover_once_and_balance(cost, parts):
+    cost = np.array(cost, np.int64)
+    ranges = balanced_ranges(cost, parts)
+    assert covers(ranges, len(cost)) and len(ranges) <= parts
+    if len(cost) and cost.sum():
+        assert max(cost[a:b].sum() for a, b in ranges) <= cost.sum() / parts + 2 * cost.max()
+    assert ranges == balanced_ranges(cost.copy(), parts)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_every_item_is_worked_on_once(threads, monkeypatch):
+    monkeypatch.setenv("IRGSPP_THREADS", str(threads))
+    assert thread_count() == threads
+    done, slots, workers = np.zeros(1000, int), np.full(1000, -1), set()
+
+    def work(slot, begin, end, scale):
+        workers.add(threading.get_ident())
+        done[begin:end] += scale
+        slots[begin:end] = slot
+
+    ranges = even_ranges(1000, 7)
+    run_ranges(work, ranges, 5, numbered=True)
+    assert (done == 5).all() and len(workers) <= threads
+    assert all((slots[a:b] == i).all() for i, (a, b) in enumerate(ranges))
+
+
+def test_no_work_is_no_call():
+    run_ranges(lambda *_: pytest.fail("called"), [])
+
+
+@pytest.mark.parametrize("parts", [1, 4])
+def test_failure_in_a_thread_is_raised(parts):
+    def work(begin, end):
+        if end == 100:
+            raise ValueError("last")
+
+    with pytest.raises(ValueError, match="last"):
+        run_ranges(work, even_ranges(100, parts))
+
+
+def test_one_thread_at_least(monkeypatch):
+    monkeypatch.setenv("IRGSPP_THREADS", "0")
+    assert thread_count() == 1
+    monkeypatch.delenv("IRGSPP_THREADS")
+    assert thread_count() >= 1

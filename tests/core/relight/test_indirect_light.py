@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The gathering kernel against its twin in plain operations, and against the rendering equation's other estimate."""
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.relight.direct_light import add_light_samples
+from irgspp.core.relight.indirect_light import Points, SecondaryRays, Surroundings, gather, gather_reference, trace_samples
+from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.visibility_cache import Openness
+from irgspp.core.shading.environment_lookup import lookup, rotate
+from irgspp.core.shading.procedural_lights import studio_light
+from irgspp.core.shading.rendering_equation import reflect_light
+from irgspp.core.shading.sampling import Samples, draw
+
+pytestmark = pytest.mark.usefixtures("engine")
+COUNTS = (9, 6, 5)
+SCALE = torch.tensor([1.0, 0.8, 0.6])
+
+
+@pytest.fixture
+def light():
+    """Brighter at one side than at the other, of unequal size to what it is reduced to."""
+    return prepare(studio_light(40, 80) * np.linspace(0.5, 1.5, 80, dtype=np.float32)[None, :, None])
+
+
+def points_of(surface) -> tuple[Points, torch.Tensor]:
+    """A view's points and how their samples are shifted."""
+    points = Points.of(surface.origin, surface.view, surface.normal, surface.roughness)
+    return points, torch.rand(len(surface.index), 2, generator=torch.Generator().manual_seed(0))
+
+
+def drawn(surface, counts, light, **how) -> Samples:
+    samples = draw(surface.view, surface.normal, surface.roughness, counts, light.distribution, points_of(surface)[1], **how)
+    return Samples(samples.direction, samples.density * sum(counts))
+
+
+def traced(one, surface, samples, scale=SCALE) -> SecondaryRays:
+    return trace_samples(Surroundings(one.query, scale, conserving=True), points_of(surface)[0], samples)
+
+
+@pytest.mark.parametrize("backend", ["mesh", "gaussian"])
+@pytest.mark.parametrize("material", [(0.6, 0.4, 0.2, 0.7, 0.0), (0.9, 0.7, 0.3, 0.2, 1.0)])
+@pytest.mark.parametrize(("scale", "share"), [(SCALE, 0), (SCALE, 5), (None, 5)])
+def test_equals_the_twin(relighter, camera, light, backend, material, scale, share):
+    one = relighter(backend, material)
+    surface = one.surface(camera)
+    rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if share else COUNTS, light), scale)
+    assert 0 < len(rays.met.opacity) < rays.row.numel() and rays.size > 20 * rays.row.numel()
+    for seen in (light, light.turned(77)):
+        found, expected = (function(rays, seen, share) for function in (gather, gather_reference))
+        scaled = (found - expected).abs() / expected.abs().mean(0)
+        assert scaled.quantile(0.999) < 2e-3 and scaled.mean() < 1e-4
+
+
+def test_parts_of_the_mixture_come_to_the_whole(relighter, camera, light):
+    """Lasting and light samples apart, added, are all samples at once, and with nothing in the way what `reflect_light` estimates."""
+    one = relighter("mesh", balls=((np.zeros(3), 1.0),))
+    surface = one.surface(camera)
+    whole = drawn(surface, COUNTS, light)
+    at_once = gather(traced(one, surface, whole, None), light, 0).sum(1)
+    lasting, late = drawn(surface, (*COUNTS[:2], 0), light), drawn(surface, COUNTS, light, light_only=True)
+    apart = (gather(traced(one, surface, lasting, None), light, COUNTS[2]) + gather(traced(one, surface, late, None), light, 0)).sum(1)
+    torch.testing.assert_close(apart, at_once, rtol=2e-3, atol=2e-3 * float(at_once.mean()))
+    incoming = lookup(light.radiance, whole.direction.view(-1, 3)).view_as(whole.direction)
+    plain = Samples(whole.direction, whole.density / sum(COUNTS))
+    white = torch.ones(len(surface.index), 3)
+    diffuse, _ = reflect_light(surface.view, surface.normal, white, surface.roughness, torch.zeros(len(white)), plain, incoming, False)
+    torch.testing.assert_close(at_once[:, 9:] / torch.pi, diffuse, rtol=1e-3, atol=1e-3 * float(diffuse.mean()))
+
+
+@pytest.mark.parametrize("backend", ["mesh", "gaussian"])
+def test_what_is_met_is_as_bright_where_samples_of_the_light_leave_it_out(relighter, camera, light, backend):
+    """Whichever way it is shared out among the samples, its mean is the same."""
+    one, many = relighter(backend, (0.9, 0.7, 0.3, 0.5, 0.5)), tuple(16 * n for n in COUNTS)
+    surface = one.surface(camera)
+    ways = ((drawn(surface, (*many[:2], 0), light), many[2]), (drawn(surface, many, light), 0))
+    apart, at_once = (
+        (gather(traced(one, surface, samples), light, share) - gather(traced(one, surface, samples, None), light, share)).sum((0, 1))
+        for samples, share in ways
+    )
+    assert (at_once[:9] > 0).all() and (at_once[9:] == 0).all()
+    torch.testing.assert_close(apart[:9], at_once[:9], rtol=0.05, atol=0)
+
+
+@pytest.mark.parametrize("backend", ["mesh", "gaussian"])
+@pytest.mark.parametrize("degrees", [0.0, 123.0])
+def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backend, degrees):
+    """Against drawing them one by one: the table rounds their place in the light, by a texel of its own at most."""
+    light = prepare(np.linspace(0.5, 1.5, 64, dtype=np.float32)[None, :, None] * np.ones((32, 1, 3), np.float32)).turned(degrees)
+    still = prepare(rotate(light.radiance.numpy(), degrees).astype(np.float32))
+    one = relighter(backend, (0.9, 0.7, 0.3, 0.4, 0.5))
+    surface = one.surface(camera)
+    points, shift = points_of(surface)
+    expected = gather(traced(one, surface, drawn(surface, COUNTS, still, light_only=True), None), still, 0)
+    sums = torch.zeros_like(expected)
+    above, asked = add_light_samples(sums, points, shift, COUNTS, light, Openness.unknown(len(shift)), one.query)
+    assert above == asked and 0.3 * len(shift) * COUNTS[2] < above < 0.8 * len(shift) * COUNTS[2]
+    torch.testing.assert_close(sums.mean(0), expected.mean(0), rtol=0.05, atol=0.02 * float(expected.mean()))
+    if degrees == 0.0:  # else the turned light's samples are others
+        assert ((sums - expected).abs().median(0).values < 0.03 * expected.mean(0)).all()
+
+
+def test_rays_that_nothing_hides_are_not_traced_and_bring_the_light_itself(relighter, camera, light, engine):
+    one = relighter("mesh", balls=((np.zeros(3), 1.0),))
+    surface = one.surface(camera)
+    points, shift = points_of(surface)
+    unknown = Openness.unknown(len(shift))
+    known = Openness(unknown.tile, torch.ones_like(unknown.clear))
+    sums = torch.zeros(2, len(shift), 2, 12)
+    asked = [add_light_samples(part, points, shift, COUNTS, light, o, one.query) for part, o in zip(sums, (unknown, known), strict=True)]
+    assert asked[0][0] == asked[0][1] == asked[1][0] > 0
+    assert asked[1][1] == (0 if engine == "numba" else asked[1][0])  # a device traces them all
+    assert ((sums[0] - sums[1]).abs() < 1e-5).float().mean() > 0.99  # but for a few that meet the triangle next to theirs

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What rays tell of the open directions around: nothing where few went, nothing near what one of them met."""
+
+import torch
+from irgspp.core.relight.indirect_light import Met, SecondaryRays
+from irgspp.core.relight.visibility_cache import BINS, Openness, survey
+
+WIDTH, RAYS = 8, 4000
+
+
+def rays(met: torch.Tensor, above: torch.Tensor) -> SecondaryRays:
+    """Of 16 x RAYS, those `met`, of those `above` the horizon."""
+    row = torch.where(met, 0, -1).int()
+    nothing = torch.zeros(1, 3)
+    return SecondaryRays(above[..., None].float().repeat(1, 1, 6), row, Met(torch.ones(1), nothing, nothing, torch.zeros(1, 5)))
+
+
+def scene():
+    """A patch of 4 x 4 pixels whose rays go all around, up is free but for a cone about +X."""
+    direction = torch.nn.functional.normalize(torch.randn(16, RAYS // 16, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    above = direction[..., 2] > 0
+    return direction, rays((direction[..., 0] > 0.8) & above, above), (torch.arange(16) // 4) * WIDTH + torch.arange(16) % 4
+
+
+def clear_of(openness: Openness, direction) -> bool:
+    """Read the map, by its definition (Engelhardt and Dachsbacher 2008), for directions above the horizon."""
+    x, y, z = direction
+    size = abs(x) + abs(y) + abs(z)
+    column, row = (min(int((c / size / 2 + 0.5) * BINS), BINS - 1) for c in (x, y))
+    return bool(openness.clear[openness.tile[0], row * BINS + column])
+
+
+def test_directions_are_clear_where_many_rays_met_nothing():
+    openness = survey(*scene(), WIDTH)
+    assert openness.tile.tolist() == [0] * 16
+    assert all(clear_of(openness, d) for d in ((0, 0, 1), (0, 0.7, 0.7), (0, -0.7, 0.7), (-0.7, 0, 0.7)))
+    assert not any(clear_of(openness, d) for d in ((1, 0, 0.01), (0.9, 0, 0.4), (0.8, 0.4, 0.4)))
+
+
+def test_nothing_is_clear_below_the_horizon_or_after_few_rays():
+    direction, traced, index = scene()
+    assert 0.2 < survey(direction, traced, index, WIDTH).clear.float().mean() < 0.6
+    few = SecondaryRays(traced.terms[:, :20], traced.row[:, :20], traced.met)
+    assert not survey(direction[:, :20].contiguous(), few, index, WIDTH).clear.any()
+
+
+def test_a_tile_heeds_what_its_neighbours_met_and_no_others():
+    direction, traced, index = scene()
+    far = 64 * WIDTH  # rows of 16 tiles further down
+    direction, row = direction.repeat(2, 1, 1), torch.cat([torch.full_like(traced.row, -1), traced.row])
+    both = SecondaryRays(traced.terms.repeat(2, 1, 1), row, traced.met)
+    for step, clear in ((4 * WIDTH, False), (far, True)):
+        openness = survey(direction, both, torch.cat([index, index + step]), WIDTH)
+        assert clear_of(openness, (0.9, 0, 0.4)) == clear
+    assert survey(direction[:0], SecondaryRays(both.terms[:0], both.row[:0], both.met), index[:0], WIDTH).tile.numel() == 0

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A sphere of splats seen by a camera against the sphere itself."""
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.rendering.gbuffer import reduced, render_view
+from irgspp.core.scene.dataset import Bound
+from irgspp.core.scene.reconstruction import Reconstruction
+
+ALBEDO = (0.6, 0.4, 0.2)
+
+
+@pytest.fixture(scope="module")
+def reconstruction(splat_sphere):
+    g = splat_sphere(6000, opacity=0.99)
+    g.material = torch.logit(torch.tensor([*ALBEDO, 0.8, 1e-4]))[:, None].repeat(1, g.count)
+    return Reconstruction(g, torch.full((16, 32, 3), 0.9), Bound((0, 0, 0), 1.5), np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def camera(camera_ring):
+    return camera_ring(5, size=128)[3]
+
+
+@pytest.fixture(scope="module")
+def analytic(camera):
+    """Planar depth, normal and distance of each ray to the silhouette, in pixels (negative inside)."""
+    rays = camera.rays().astype(np.float64)
+    a, b, c = (rays**2).sum(-1), rays @ camera.centre, camera.centre @ camera.centre - 1
+    root = b * b - a * c
+    depth = (-b - np.sqrt(np.maximum(root, 0))) / a
+    angle = np.arccos(np.clip(-b / np.sqrt(a * (c + 1)), -1, 1)) - np.arcsin(1 / np.sqrt(c + 1))
+    return depth, camera.centre + depth[..., None] * rays, angle * camera.fx
+
+
+def test_layers_are_those_of_the_sphere(reconstruction, camera, analytic):
+    depth, normal, edge = analytic
+    seen = render_view(reconstruction, camera)
+    inside, outside = edge < -2, edge > 2
+    assert inside.sum() > 500 and outside.sum() > 500
+    assert seen.alpha[inside].min() > 0.99 and seen.alpha[outside].max() < 0.01
+    # A small splat's centre stands for all of it, and the far side shines through a little.
+    assert np.abs(seen.depth - depth)[inside].max() < 0.06
+    assert np.abs(seen.depth - depth)[inside].mean() < 0.005
+    assert (seen.normal * normal).sum(-1)[inside].min() > 0.99
+    assert np.allclose(seen.albedo[inside], ALBEDO, atol=1e-4)
+    assert np.allclose(seen.roughness[inside], 0.8, atol=1e-4) and np.allclose(seen.metallic[inside], 0, atol=1e-3)
+    assert np.allclose(seen.radiance[inside], 0.5, atol=1e-4)
+    empty = seen.alpha == 0
+    assert empty.any() and not seen.depth[empty].any() and not seen.normal[empty].any() and not seen.radiance[empty].any()
+
+
+def test_glossy_reconstruction_shows_reflections(reconstruction, camera, analytic):
+    inside = analytic[2] < -2
+    glossy = Reconstruction(reconstruction.gaussians, reconstruction.environment, reconstruction.bound, np.eye(4), glossy=True)
+    added = (render_view(glossy, camera).radiance - render_view(reconstruction, camera).radiance)[inside]
+    assert added.min() > 0.01 and np.median(added) < 0.06
+
+
+def test_radiance_stays_when_materials_and_light_are_new(reconstruction, camera):
+    """Another look at materials and light changes the layers of materials alone, glossy or not."""
+    g = reconstruction.gaussians
+    new = torch.logit(torch.tensor([0.1, 0.8, 0.3, 0.2, 0.9]))[:, None].repeat(1, g.count)
+    for glossy in (False, True):
+        before = Reconstruction(g, reconstruction.environment, reconstruction.bound, np.eye(4), glossy)
+        after = before.relabelled(new, torch.rand(8, 16, 3)).relabelled(new, torch.rand(8, 16, 3))
+        old, seen = render_view(before, camera), render_view(after, camera)
+        for name in ("radiance", "alpha", "depth", "normal"):
+            assert np.array_equal(getattr(seen, name), getattr(old, name)), name
+        inside = seen.alpha > 0.99
+        assert np.allclose(seen.albedo[inside], [0.1, 0.8, 0.3], atol=1e-4)
+        assert np.allclose(seen.roughness[inside], 0.2, atol=1e-4) and np.allclose(seen.metallic[inside], 0.9, atol=1e-4)
+
+
+@pytest.mark.parametrize("height", [16, 64, 256])
+def test_reduced_light_keeps_its_mean(height):
+    light = np.random.default_rng(0).random((height, 2 * height, 3)).astype(np.float32)
+    small = reduced(light)
+    assert small.shape == (min(height, 64), 2 * min(height, 64), 3)
+    assert np.allclose(small.mean((0, 1)), light.mean((0, 1)), atol=1e-5)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings: overrides are typed by the annotations, unknown keys name similar ones, JSON round trip."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from irgspp.core.errors import InputError
+from irgspp.core.relight.sample_counts import sample_counts
+from irgspp.core.settings.overrides import check, differences, from_dict, to_dict, with_overrides
+from irgspp.core.settings.schema import PRESETS, Settings, preset
+
+
+@pytest.mark.parametrize(
+    ("text", "read", "expected"),
+    [
+        ("seed=7", lambda s: s.seed, 7),
+        ("reflective.iterations=600", lambda s: s.reflective.iterations, 600),
+        ("data.masks=no", lambda s: s.data.masks, False),
+        ("transport.indirect=off", lambda s: s.transport.indirect, False),
+        ("data.masks = TRUE", lambda s: s.data.masks, True),
+        ("data.centre=1,-2.5,3e-1", lambda s: s.data.centre, (1.0, -2.5, 0.3)),
+        ("data.centre=none", lambda s: s.data.centre, None),
+        ("data.radius=2", lambda s: s.data.radius, 2.0),
+        ("export.material=attributes", lambda s: s.export.material, "attributes"),
+    ],
+)
+def test_override_is_typed(text, read, expected):
+    value = read(with_overrides(Settings(), [text]))
+    assert value == expected
+    assert type(value) is type(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("reflective.iteration=4", "reflective.iterations"),
+        ("iterations=4", "reflective.iterations"),
+        ("preset=draft", "no such setting"),
+        ("data=3", "no such setting"),
+        ("seed", "key=value"),
+        ("seed=x", "whole number"),
+        ("seed=1.5", "whole number"),
+        ("seed=-1", "out of range"),
+        ("transport.rows=5", "multiple of 2"),
+        ("data.radius=0", "out of range"),
+        ("data.radius=nan", "not a number"),
+        ("data.radius=inf", "not a number"),
+        ("data.centre=1,2", "3 values"),
+        ("data.masks=maybe", "true or false"),
+        ("device=gpu", "auto, cpu, cuda"),
+    ],
+)
+def test_bad_override_is_told_in_one_line(text, words):
+    with pytest.raises(InputError) as error:
+        with_overrides(Settings(), [text])
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_valid_and_survive_json(name):
+    settings = preset(name)
+    assert settings.preset == name
+    assert from_dict(json.loads(json.dumps(to_dict(check(settings))))) == settings
+
+
+def test_the_papers_schedule():
+    paper = preset("paper")
+    assert paper.data.resolution == 800
+    assert (paper.reflective.iterations, paper.reflective.gaussians) == (50_000, 100_000)
+    assert (paper.transport.iterations, paper.transport.pixels * paper.transport.samples) == (10_000, 1 << 18)
+    assert paper.transport.samples == sum(sample_counts("hq", False)) == 512
+    assert [sum(sample_counts("efficient", glossy)) for glossy in (False, True)] == [32, 16]
+
+
+def test_unknown_preset():
+    with pytest.raises(InputError, match="draft, balanced, paper"):
+        preset("fast")
+
+
+@given(st.integers(0, 2**31 - 1), st.tuples(*[st.floats(-1e6, 1e6)] * 3), st.booleans())
+def test_any_valid_override_survives_json(seed, centre, masks):
+    texts = [f"seed={seed}", f"data.centre={','.join(map(repr, centre))}", f"data.masks={masks}"]
+    settings = with_overrides(Settings(), texts)
+    assert (settings.seed, settings.data.centre, settings.data.masks) == (seed, centre, masks)
+    assert from_dict(json.loads(json.dumps(to_dict(settings)))) == settings
+
+
+def test_settings_of_another_version_are_refused():
+    with pytest.raises(InputError, match=r"run\.json"):
+        from_dict({"data": {"colour": "blue"}}, "run.json")
+
+
+def test_differences_name_the_setting():
+    assert differences(preset("draft"), with_overrides(preset("draft"), ["seed=3"])) == ["seed: 0 -> 3"]

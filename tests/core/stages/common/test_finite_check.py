@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A value that is not finite ends the job with status 1 and one line, and keeps the checkpoint before it."""
+
+import math
+import shutil
+
+import pytest
+import torch
+from irgspp.core.cli.main import main
+from irgspp.core.errors import Cancelled
+from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.run_folder import read_run
+from irgspp.core.stages.first import trainer as trainer_module
+from irgspp.core.stages.first.trainer import Trainer
+from irgspp.core.stages.second import radiance_refit as radiance_fit
+from irgspp.core.stages.second import solve as transport
+from irgspp.core.stages.second.light_material_solver import Separation
+from irgspp.core.stages.second.refinement import Refinement
+
+SETTINGS = ["reflective.iterations=8", "reflective.gaussians=600", "reflective.light_height=16", "surface.voxels=32", "surface.texture=64"]
+SETTINGS += ["transport.points=300", "transport.rows=4", "transport.iterations=4", "transport.pool=2000", "transport.radiance_iterations=4"]
+FAULT = 5  # the iteration that breaks
+COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
+
+
+def bad_gradient(trainer: Trainer, name: str) -> None:
+    """One gradient of this iteration becomes infinite."""
+    trainer.optimizer.leaves[name].register_hook(lambda g: g.reshape(-1).index_fill(0, torch.tensor([11]), math.inf).view_as(g))
+
+
+def bad_value(trainer: Trainer, name: str) -> None:
+    with torch.no_grad():
+        trainer.optimizer.leaves[name].view(-1)[11] = math.nan
+
+
+@pytest.fixture
+def breaking(monkeypatch):
+    """Breaks a parameter right before iteration FAULT; every iteration leaves a checkpoint."""
+    step = Trainer.step
+    monkeypatch.setattr(trainer_module, "CHECKPOINT_SECONDS", -1.0)
+
+    def install(fault, name: str) -> None:
+        def broken(self: Trainer) -> float:
+            if self.done == FAULT - 1:
+                fault(self, name)
+            return step(self)
+
+        monkeypatch.setattr(Trainer, "step", broken)
+
+    return install
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "told", "materials"),
+    [
+        (bad_gradient, "position", f"position is not finite after iteration {FAULT}", "low-gloss"),
+        (bad_gradient, "sh", f"sh_dc is not finite after iteration {FAULT}", "low-gloss"),
+        (bad_value, "opacity", f"opacity is not finite after iteration {FAULT}", "low-gloss"),
+        (bad_value, "material", f"albedo is not finite after iteration {FAULT - 1}", "glossy"),  # the picture already shows it
+    ],
+)
+def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, name, told, materials):
+    breaking(fault, name)
+    run = tmp_path / "run"
+    arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", materials, "--set", "reflective.trial_iterations=1"]
+    assert main(arguments) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
+    assert len(lines) == 1 and told in lines[0]
+    state = read_run(run)
+    assert state["status"] == "failed" and told in state["error"]
+    saved = torch.load(run / "checkpoint" / "reflective.pt", weights_only=True)
+    assert saved["done"] == FAULT - 1
+    assert all(torch.isfinite(v).all() for v in saved["optimizer"]["values"].values())
+    assert not (run / "gaussians.ply").exists()
+
+
+def bad_light(monkeypatch):
+    """The light becomes NaN in step 3 of the second stage."""
+    step = Separation._step
+
+    def broken(self, done):
+        step(self, done)
+        if done == 2:
+            self.light[11, 1] = math.nan
+
+    monkeypatch.setattr(Separation, "_step", broken)
+
+
+def bad_roughness(monkeypatch):
+    """Roughness comes out of the first search as infinity."""
+    search = Separation._search_materials
+
+    def broken(self):
+        search(self)
+        self.roughness[5] = math.inf
+
+    monkeypatch.setattr(Separation, "_search_materials", broken)
+
+
+def bad_tracing(monkeypatch):
+    trace = transport.trace_transfer
+
+    def broken(*args):
+        transfer = trace(*args)
+        transfer.indirect[7] = math.nan
+        return transfer
+
+    monkeypatch.setattr(transport, "trace_transfer", broken)
+
+
+def bad_painting(monkeypatch):
+    paint = transport.paint
+
+    def broken(*args):
+        materials = paint(*args)
+        materials[2, 9] = math.nan
+        return materials
+
+    monkeypatch.setattr(transport, "paint", broken)
+
+
+def bad_refinement(monkeypatch):
+    """One albedo becomes NaN before the second iteration."""
+    loss = Refinement._loss
+
+    def broken(self):
+        if self.optimizer.iteration == 1:
+            with torch.no_grad():
+                self.optimizer.leaves["material"][1, 5] = math.nan
+        return loss(self)
+
+    monkeypatch.setattr(Refinement, "_loss", broken)
+
+
+def bad_radiance(monkeypatch):
+    """The pictures' loss becomes infinite."""
+    monkeypatch.setattr(radiance_fit, "photometric_loss", lambda picture, photograph: picture.sum() * math.inf)
+
+
+@pytest.fixture(scope="module")
+def half_done(tmp_path_factory):
+    """A run that was stopped before its second stage."""
+    run = tmp_path_factory.mktemp("half") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Trainer, "test", lambda self: None)
+        patch.setattr("irgspp.core.pipeline.solve_transport", lambda *_: (_ for _ in ()).throw(Cancelled("here")))
+        arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", "low-gloss", "--set", "reflective.iterations=40"]
+        assert main(arguments) == 130
+    return run
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (bad_tracing, "what shines on the surface is not finite before the second stage (3 of"),
+        (bad_light, "light is not finite after step 3 of the second stage (1 of 96 values)"),
+        (bad_roughness, "roughness is not finite after step 9 of the second stage (1 of"),
+        (bad_painting, "a material is not finite at the end of the second stage (1 of"),
+        (bad_refinement, "albedo is not finite after iteration 1 (1 of"),
+        (bad_radiance, "the radiance's loss is not finite at iteration 1"),
+    ],
+)
+def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path, capsys, fault, told):
+    run = shutil.copytree(half_done, tmp_path / "run")
+    with monkeypatch.context() as patch:
+        fault(patch)
+        assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
+    assert len(lines) == 1 and told in lines[0]
+    state = read_run(run)
+    assert state["status"] == "failed" and told in state["error"]
+    assert (run / "checkpoint" / "first" / "gaussians.ply").exists() and not (run / "gaussians.ply").exists()
+    assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 0

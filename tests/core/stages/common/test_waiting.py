@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""On a GPU, a step of an optimisation leaves no tensor on the CPU and lets the host wait for no value."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PRETENDED = Path(__file__).resolve().parents[3] / "support" / "pretended_gpu.py"
+
+
+def test_steps_of_both_stages_never_wait():
+    """In a process of its own, as torch keeps the pretended GPU for good."""
+    pytest.importorskip("warp")
+    done = subprocess.run([sys.executable, str(PRETENDED)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    started = set(done.stdout.split())
+    assert {"project", "project_backward", "compare", "gradient_of", "blend", "blend_backward"} <= started
+    assert any(name.endswith("see") for name in started)  # rays

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Density control: who goes, who is doubled, and never more than the budget."""
+
+import math
+
+import pytest
+import torch
+from irgspp.core.errors import IrgsppError
+from irgspp.core.kernels.rasterize import ScreenStatistics
+from irgspp.core.stages.common.optimizer import GaussianOptimizer, Rate
+from irgspp.core.stages.first.densification import PRUNE_OPACITY, RESET_OPACITY, SPLIT_SHRINK, DensityControl, reset_opacity
+
+COUNT = 200
+RATES = {"position": Rate(1e-3), "opacity": Rate(1e-2)}
+
+
+@pytest.fixture
+def gaussians(some_gaussians):
+    g = some_gaussians(COUNT, 3)
+    g.log_scale = torch.full((2, COUNT), math.log(0.005))
+    g.opacity = torch.full((COUNT,), 2.0)
+    return g
+
+
+@pytest.fixture
+def generator():
+    return torch.Generator().manual_seed(0)
+
+
+def observed(control, gradient):
+    control.observe(ScreenStatistics(torch.ones(len(gradient)), gradient))
+
+
+def test_exactly_the_transparent_the_huge_and_the_unseen_go(gaussians, generator):
+    gaussians.opacity[:10] = math.log(PRUNE_OPACITY / (1 - PRUNE_OPACITY)) - 0.01
+    gaussians.log_scale[1, 10:15] = math.log(0.51)
+    gradient = torch.ones(COUNT)
+    gradient[15:40] = 0
+    control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
+    observed(control, gradient)
+    assert control.refine(optimizer, generator, grow=False) == (0, 40)
+    assert torch.equal(optimizer.gaussians.position, gaussians.position[:, 40:])
+    assert torch.equal(optimizer.gaussians.sh, gaussians.sh[..., 40:])
+
+
+def test_nothing_left_is_told(gaussians, generator):
+    control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
+    observed(control, torch.zeros(COUNT))
+    with pytest.raises(IrgsppError, match="no Gaussian is left"):
+        control.refine(optimizer, generator, grow=False)
+    assert optimizer.gaussians.count == COUNT
+
+
+def test_once_seen_is_seen(gaussians, generator):
+    control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
+    for half in (0, 1):
+        observed(control, (torch.arange(COUNT) % 2 == half).float())
+    assert control.refine(optimizer, generator, grow=False) == (0, 0)
+
+
+@pytest.mark.parametrize("room", [0, 7, 1000])
+def test_the_hardest_pulled_are_cloned_within_the_budget(gaussians, generator, room):
+    gradient = torch.linspace(0.1, 1, COUNT)
+    control, optimizer = DensityControl(COUNT + room, 1.0), GaussianOptimizer(gaussians, RATES)
+    observed(control, gradient)
+    added, pruned = control.refine(optimizer, generator, grow=True)
+    assert (added, pruned) == (min(room, math.ceil(control.grow * COUNT)), 0)
+    position = optimizer.gaussians.position
+    assert torch.equal(position[:, :COUNT], gaussians.position)
+    assert torch.equal(position[:, COUNT:], gaussians.position[:, COUNT - added :])
+
+
+def test_split_disks_stay_in_their_place_and_plane(gaussians, generator):
+    gaussians.log_scale = torch.tensor([[0.03], [0.05]]).log().repeat(1, COUNT)
+    control, optimizer = DensityControl(10 * COUNT, 1.0, grow=1.0), GaussianOptimizer(gaussians, RATES)
+    observed(control, torch.ones(COUNT))
+    assert control.refine(optimizer, generator, grow=True) == (COUNT, 0)
+    g = optimizer.gaussians
+    assert g.count == 2 * COUNT
+    offset = g.position.detach() - gaussians.position.repeat(1, 2)
+    height = (offset * gaussians.normals().repeat(1, 2)).sum(0)
+    assert height.abs().max() < 1e-5
+    assert 0.5 < offset.norm(dim=0).square().mean() / (0.03**2 + 0.05**2) < 1.5  # drawn from the disk itself
+    assert offset.mean(1).norm() < 0.01
+    assert torch.allclose(g.log_scale, gaussians.log_scale.repeat(1, 2) - math.log(SPLIT_SHRINK))
+
+
+def test_statistics_start_anew_with_another_set(gaussians, generator):
+    control, optimizer = DensityControl(COUNT + 5, 1.0), GaussianOptimizer(gaussians, RATES)
+    observed(control, torch.ones(COUNT))
+    control.refine(optimizer, generator, grow=True)
+    observed(control, torch.ones(COUNT + 5))
+    assert control.seen.tolist() == [1.0] * (COUNT + 5)
+
+
+def test_opacity_is_capped_and_its_moments_forgotten(gaussians):
+    gaussians.opacity[:5] = -6.0
+    optimizer = GaussianOptimizer(gaussians, RATES)
+    optimizer.leaves["opacity"].grad = torch.ones(COUNT)
+    optimizer.leaves["position"].grad = torch.ones(3, COUNT)
+    optimizer.step(0.0)
+    low = optimizer.leaves["opacity"].detach()[:5].clone()
+    reset_opacity(optimizer)
+    opacity = optimizer.gaussians.opacity.detach()
+    assert torch.allclose(opacity.sigmoid()[5:], torch.tensor(RESET_OPACITY), atol=1e-6)
+    assert torch.equal(opacity[:5], low)
+    moments = optimizer.state()["moments"]
+    assert not moments["opacity.exp_avg"].any() and moments["position.exp_avg"].all()

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The first stage as a whole, small: what it decides, that it improves, that it goes on where it stopped."""
+
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.errors import Cancelled, InputError, IrgsppError
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.dataset import Bound, Dataset, View
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import Settings, preset
+from irgspp.core.stages.first.initialization import initial_gaussians
+from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, MOVES, candidates
+from irgspp.core.stages.first.material_class_selection import choose_kind, thinned_out
+from irgspp.core.stages.first.train import train
+from irgspp.core.stages.first.trainer import MEANT_FOR, Trainer, border_radiance
+
+SMALL = ("reflective.iterations=12", "reflective.gaussians=400", "reflective.light_height=16")
+BOUND = Bound((0.0, 0.0, 0.0), 1.5)
+
+
+def settings(*overrides: str) -> Settings:
+    return with_overrides(preset("draft"), [*SMALL, *overrides])
+
+
+def mirror_photographs(cameras, masks) -> Dataset:
+    """A chrome sphere under a light of hard stripes: no smooth function of the viewing direction explains it, its reflection does."""
+    views = []
+    for camera, mask in zip(cameras, masks, strict=True):
+        rays = camera.rays().astype(np.float64)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        b = rays @ camera.centre
+        t = -b - np.sqrt(np.maximum(b * b - camera.centre @ camera.centre + 1, 0))
+        normal = camera.centre + t[..., None] * rays
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        mirrored = rays - 2 * (rays * normal).sum(-1, keepdims=True) * normal
+        bright = np.sin(5 * np.arctan2(mirrored[..., 1], mirrored[..., 0])) > 0
+        colour = np.where(bright[..., None], [0.9, 0.8, 0.6], [0.25, 0.2, 0.15]).astype(np.float32)
+        views.append(View(f"{len(views)}", camera, Path("a.png"), colour, mask))
+    return Dataset(Path("mirror"), "transforms", views, [], BOUND, np.eye(4))
+
+
+class StopAfter(Silent):
+    """Cancels after so many steps."""
+
+    def __init__(self, steps: int) -> None:
+        self.steps = steps
+
+    def step(self, done: int, **figures: float) -> None:
+        self.cancelled = done >= self.steps
+
+
+class Memory(dict):
+    """A checkpoint that is kept in memory."""
+
+    def save(self, name, state):
+        self[name] = state
+
+    def load(self, name):
+        return self.get(name)
+
+
+@pytest.mark.parametrize(("materials", "masked"), [("low-gloss", True), ("low-gloss", False)])
+def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, materials, masked):
+    dataset, chosen = sphere_dataset(camera_ring(9, 32), masked=masked), settings(f"materials={materials}")
+    whole, _ = train(dataset, chosen)
+    memory = Memory()
+    with pytest.raises(Cancelled):
+        train(dataset, chosen, StopAfter(5), memory)
+    assert memory["reflective"]["done"] == 5
+    resumed, _ = train(dataset, chosen, checkpoint=memory)
+    for name, value in whole.gaussians.tensors().items():
+        assert torch.equal(value, resumed.gaussians.tensors()[name]), name
+    assert torch.equal(whole.environment, resumed.environment)
+
+
+@pytest.mark.parametrize("kind", [COATED, METAL])
+def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, kind):
+    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings().reflective
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    first, second = (Trainer(dataset, chosen, start, kind, 0, 9) for _ in range(2))
+    for _ in range(12):
+        first.step()
+    for _ in range(4):
+        second.step()
+    third = Trainer(dataset, chosen, start, kind, 0, 9)
+    third.restore(second.state())
+    for _ in range(8):
+        third.step()
+    assert torch.equal(first.light, third.light)
+    for name, value in first.optimizer.gaussians.tensors().items():
+        assert torch.equal(value, third.optimizer.gaussians.tensors()[name]), name
+
+
+def test_fit_gets_better_on_views_it_does_not_learn_from(sphere_dataset, camera_ring):
+    dataset, chosen = sphere_dataset(camera_ring(12, 32)), settings("reflective.iterations=60").reflective
+    trainer = Trainer(dataset, chosen, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 4)
+    before = trainer.test()
+    for _ in range(60):
+        trainer.step()
+    after = trainer.test()
+    assert before is not None and after is not None and after > before + 3
+    assert int(trainer.held_back.sum()) == 3
+
+
+def test_a_mirror_is_told_from_paint(sphere_dataset, camera_ring):
+    cameras = camera_ring(24, 48)
+    painted = sphere_dataset(cameras)
+    mirror = mirror_photographs(cameras, [view.alpha for view in painted.train])
+    chosen = settings("reflective.trial_iterations=60", "reflective.trial_gaussians=1500", "reflective.gaussians=1500")
+    start = initial_gaussians(painted, 1500, np.random.default_rng(0))
+    assert choose_kind(painted, chosen, start, Silent()) is LOW_GLOSS
+    assert choose_kind(mirror, chosen, start, Silent()).glossy
+
+
+def test_what_is_given_is_not_tried(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32))
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    assert choose_kind(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
+    assert {k.glossy for k in candidates("glossy")} == {True}
+    unmasked = sphere_dataset(camera_ring(9, 32), masked=False)
+    kind = choose_kind(unmasked, settings(), start, Silent())
+    assert (kind.name, kind.position) == (LOW_GLOSS.name, COATED.position)
+
+
+def test_thinned_out_disks_cover_the_same_area(splat_sphere):
+    many = splat_sphere(1000)
+    few = thinned_out(many, 250, 0)
+    assert few.count == 250
+    assert few.log_scale.exp().square().sum().item() == pytest.approx(many.log_scale.exp().square().sum().item(), rel=1e-4)
+
+
+def test_background_starts_like_the_borders(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32), masked=False)
+    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 0)
+    found = border_radiance(trainer.targets)
+    assert found.tolist() == pytest.approx([((c + 0.055) / 1.055) ** 2.4 for c in (0.8, 0.5, 0.2)], rel=1e-4)
+    assert trainer.test() is None
+
+
+def test_a_loss_that_is_not_finite_stops_the_fit(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32))
+    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 9)
+    trainer.step()
+    for target in trainer.targets:
+        target.picture.fill_(math.nan)
+    with pytest.raises(IrgsppError, match="loss is not finite at iteration 2"):
+        trainer.step()
+
+
+def test_photographs_that_are_not_finite_are_told_by_what_they_would_start(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(9, 32))
+    view = replace(dataset.train[0], colour=np.full_like(dataset.train[0].colour, math.nan))
+    with pytest.raises(IrgsppError, match="sh_dc is not finite after iteration 0"):
+        train(replace(dataset, train=[view] * 9), settings("materials=low-gloss"))
+
+
+def test_a_cut_picture_teaches_the_same(sphere_dataset, camera_ring):
+    dataset = sphere_dataset([Camera(96, 96, 60.0, 60.0, 48.0, 48.0, c.to_world) for c in camera_ring(3, 32)])
+    start, gradients, losses = initial_gaussians(dataset, 4000, np.random.default_rng(0)), [], []
+    for cut in (False, True):
+        trainer = Trainer(dataset, settings("reflective.iterations=60").reflective, start, LOW_GLOSS, 0, 0, cut=cut)
+        trainer.optimizer.step = lambda progress: None
+        losses.append(trainer.step())
+        gradients.append(trainer.optimizer.leaves["opacity"].grad)
+    assert trainer.targets[0].share < 0.8
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
+    assert (gradients[1] - gradients[0]).norm() < 1e-2 * gradients[0].norm()
+
+
+def test_a_hopeless_kind_is_given_up_and_others_go_on(sphere_dataset, camera_ring, monkeypatch):
+    dataset = sphere_dataset(camera_ring(12, 32))
+    start, steps = initial_gaussians(dataset, 400, np.random.default_rng(0)), dict.fromkeys(("low-gloss", "glossy", "metal"), 0)
+
+    def counted(self):
+        steps[self.kind.name] += 1
+        return 0.0
+
+    monkeypatch.setattr(Trainer, "step", counted)
+    monkeypatch.setattr(Trainer, "test", lambda self: {"low-gloss": 30.0, "glossy": 29.0, "metal": 20.0}[self.kind.name])
+    chosen = settings("reflective.trial_iterations=10", "reflective.trial_gaussians=100")
+    assert choose_kind(dataset, chosen, start, Silent()) is LOW_GLOSS
+    assert steps == {"low-gloss": 10, "glossy": 10, "metal": 3}
+    steps |= dict.fromkeys(steps, 0)
+    assert choose_kind(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent()) is LOW_GLOSS
+    assert set(steps.values()) == {10}
+
+
+def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camera_ring, monkeypatch):
+    dataset, memory = sphere_dataset(camera_ring(9, 32)), Memory()
+    chosen = settings("materials=low-gloss", "reflective.iterations=20")
+    monkeypatch.setattr("irgspp.core.stages.first.train.first_pace", lambda *_: 2.0)
+    with pytest.raises(Cancelled):
+        train(dataset, chosen, StopAfter(30), memory, ends=time.monotonic() + 60)
+    assert train(dataset, chosen, checkpoint=memory, ends=time.monotonic() + 60)[1] == 2.0
+    assert memory["reflective"]["iterations"] == 40
+
+
+@pytest.mark.parametrize("own_steps", [400, 2000])
+def test_disks_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_dataset, camera_ring, own_steps):
+    dataset = sphere_dataset(camera_ring(3, 32))
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    trainer = Trainer(dataset, settings(f"reflective.iterations={own_steps}").reflective, start, LOW_GLOSS, 0, 0)
+    own, meant = dict(trainer.optimizer.rates), max(own_steps, MEANT_FOR)
+    for iterations, slower in ((4 * meant, 0.5), (9 * meant, 1 / 3), (meant // 2, 1.0), (meant, 1.0)):
+        trainer.paced(iterations)
+        rates = trainer.optimizer.rates
+        assert {name: rates[name].start / own[name].start for name in MOVES} == pytest.approx(dict.fromkeys(MOVES, slower))
+        assert {name: rate for name, rate in rates.items() if name not in MOVES} == {n: r for n, r in own.items() if n not in MOVES}
+
+
+def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(3, 32))
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    trainer = Trainer(dataset, settings().reflective, start, LOW_GLOSS, 0, 0)
+    trainer.optimizer.rebuild(start.select(torch.arange(170)), torch.arange(170))
+    trainer._check_hull()
+    trainer.optimizer.rebuild(start.select(torch.arange(150)), torch.arange(150))
+    with pytest.raises(IrgsppError, match="only 150 of 400 disks"):
+        trainer._check_hull()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: s.pop("done"),
+        lambda s: s.update(done=1.5),
+        lambda s: s.update(done=10**6),
+        lambda s: s.update(iterations=0),
+        lambda s: s.update(order=torch.tensor([9])),
+        lambda s: s.update(order=None),
+        lambda s: s.update(generator=torch.zeros(3, dtype=torch.uint8)),
+        lambda s: s.update(seen=torch.zeros(3)),
+        lambda s: s["optimizer"].pop("moments"),
+        lambda s: s["optimizer"]["others"].pop("light"),
+        lambda s: s["optimizer"]["moments"].update({"light.exp_avg": torch.zeros(2, 2, 3)}),
+        lambda s: s["optimizer"]["moments"].update({"sh_rest.exp_avg": torch.zeros(16, 3, 400)}),
+        lambda s: s["optimizer"]["moments"].update({"light.step": torch.tensor(math.nan)}),
+        lambda s: s["optimizer"]["values"].update(opacity=torch.zeros(399)),
+        lambda s: s["optimizer"]["values"].update(opacity=torch.zeros(400, dtype=torch.float64)),
+        lambda s: s["optimizer"]["values"].update(position=torch.zeros(400, 3).T),
+        lambda s: s["optimizer"].update(values={k: v[..., :0] for k, v in s["optimizer"]["values"].items()}),
+    ],
+)
+def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
+    """Compiled code trusts shapes, and a checkpoint may come from anywhere."""
+    dataset = sphere_dataset(camera_ring(9, 32))
+    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), COATED, 0, 9)
+    trainer.step()
+    state = trainer.state()
+    trainer.restore(state)
+    change(state)
+    with pytest.raises(InputError, match="holds no state of this job's first stage"):
+        trainer.restore(state)
+
+
+def test_state_of_a_kind_that_there_is_not_is_refused(sphere_dataset, camera_ring):
+    memory = Memory(reflective={"kind": "wood"})
+    with pytest.raises(InputError, match="holds no state"):
+        train(sphere_dataset(camera_ring(9, 32)), settings(), checkpoint=memory)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light and material told apart where both are known: a sphere on a floor, photographs by the model's own equations.
+
+Visibility is known in closed form here, so nothing is traced.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.stages.second import light_material_solver as module
+from irgspp.core.stages.second.light_material_solver import STEPS, Separation
+from irgspp.core.stages.second.radiance_transfer import Transfer
+from sphere_on_floor import HEIGHT, TEXELS, make, start
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Transfer, observations and the truth."""
+    return make()
+
+
+def solved(seen, transfer, seed=0):
+    separation = start(seen, transfer, seed)
+    separation.run()
+    return separation
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    transfer, seen, _ = scene
+    return solved(seen, transfer)
+
+
+def rescaled(separation, truth):
+    """Light and albedo with the one factor that photographs can't tell taken out."""
+    scale = (truth[1] / separation.albedo).median(0).values
+    return separation.light / scale, separation.albedo * scale, scale
+
+
+def psnr(light, truth):
+    """dB of light below the brightest that is there."""
+    return float(-10 * ((light - truth).square().mean() / truth.max() ** 2).log10())
+
+
+def test_albedo_is_found_up_to_one_factor(scene, found):
+    _, albedo, scale = rescaled(found, scene[2])
+    error = (albedo / scene[2][1] - 1).abs()
+    assert error.median() < 0.01 and error.quantile(0.95) < 0.05 and error.max() < 0.15
+    assert (scale - 1).abs().max() < 0.2  # even that one, as metals and dielectrics share the light
+
+
+def test_light_is_found(scene, found):
+    light, _, _ = rescaled(found, scene[2])
+    assert psnr(light, scene[2][0]) > 32
+    assert (light.log() - scene[2][0].log()).abs().median() < 0.05
+
+
+def test_gloss_is_found(scene, found):
+    _, _, roughness, metallic = scene[2]
+    assert torch.equal(found.metallic, metallic)
+    assert (found.roughness - roughness).abs().max() < 0.05
+
+
+def test_metal_is_found_only_where_it_is_looked_for(scene):
+    transfer, seen, _ = scene
+    separation = Separation(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, (0.0,))
+    separation.run(lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
+    assert (separation.metallic == 0).all() and separation.roughness.std() > 0.05
+
+
+def test_photographs_are_explained(scene, found):
+    assert found.error() < 0.003
+    transfer, seen, _ = scene
+    assert found.error() < 0.1 * start(seen, transfer).error()
+
+
+def test_without_knowing_what_is_in_the_way_albedo_is_wrong(scene, found):
+    """The same with all of the hemisphere free: what the test above finds, it finds by the shadows."""
+    transfer, seen, truth = scene
+    direction, angle, _, other = transfer.fixed
+    everything = (seen.normal.numpy() @ direction > 0).astype(np.float32)
+    irradiance = (np.maximum(seen.normal.numpy() @ direction, 0) * angle / math.pi).reshape(-1, 4, TEXELS).sum(1)
+    blind = Transfer(HEIGHT, (direction, angle, everything, 0 * other), torch.from_numpy(irradiance), 0 * transfer.indirect, False)
+    errors = [(rescaled(s, truth)[1] / truth[1] - 1).abs().mean() for s in (found, solved(seen, blind))]
+    assert errors[1] > 4 * errors[0]
+
+
+def test_same_seed_same_bits(scene, found):
+    transfer, seen, _ = scene
+    again = solved(seen, transfer)
+    for name in ("light", "albedo", "roughness", "metallic"):
+        assert torch.equal(getattr(found, name), getattr(again, name)), name
+
+
+def test_clipped_highlights_are_lower_bounds(scene):
+    """Told that values are clipped, they don't make the lamps dim."""
+    transfer, seen, truth = scene
+    clipped = replace(seen, colour=seen.colour.clamp_max(0.6), saturated=seen.colour > 0.6)
+    assert 0.05 < clipped.saturated.float().mean() < 0.3
+    told, untold = (rescaled(solved(s, transfer), truth)[0] for s in (clipped, replace(clipped, saturated=seen.saturated)))
+    assert psnr(told, truth[0]) > psnr(untold, truth[0]) + 3
+    brightest = truth[0] > 0.5 * truth[0].max()
+    assert told[brightest].mean() > 0.8 * truth[0][brightest].mean() and untold[brightest].mean() < 0.8 * truth[0][brightest].mean()
+
+
+def test_views_that_do_not_fit_lose_their_say(scene, found):
+    """One view in thirty shows something else."""
+    transfer, seen, truth = scene
+    wrong = torch.rand(len(seen.point), 1, generator=torch.Generator().manual_seed(0)) < 1 / 30
+    other = torch.rand(seen.colour.shape, generator=torch.Generator().manual_seed(1))
+    albedo = rescaled(solved(replace(seen, colour=torch.where(wrong, other, seen.colour)), transfer), truth)[1]
+    error = (albedo / truth[1] - 1).abs()
+    assert error.median() < 0.02 and error.quantile(0.9) < 0.1
+
+
+def test_steps_are_told_and_can_end_the_work(scene):
+    transfer, seen, _ = scene
+    told = []
+    separation = start(seen, transfer)
+    separation.run(lambda done: told.append(done) or done == 2)
+    assert told == [1, 2]
+
+    def stop(done):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        start(seen, transfer).run(stop)
+    assert max(module.MATERIAL_STEPS) + 1 < STEPS  # the light follows the materials

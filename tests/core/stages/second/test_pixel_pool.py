@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hit lists cut down and put together."""
+
+import numpy as np
+from irgspp.core.kernels.trace import HitLists
+from irgspp.core.stages.second.pixel_pool import chosen, joined, part
+
+
+def random_lists(rays: int, seed: int) -> HitLists:
+    rng = np.random.default_rng(seed)
+    start = np.concatenate([[0], np.cumsum(rng.integers(0, 5, rays))])
+    hits = start[-1]
+    weight, distance = rng.random((2, hits)).astype(np.float32)
+    return HitLists(start, rng.integers(0, 99, hits).astype(np.int32), weight, distance, rng.random(rays).astype(np.float32))
+
+
+def ray(lists: HitLists, number: int) -> tuple:
+    hits = slice(lists.start[number], lists.start[number + 1])
+    return lists.index[hits].tolist(), lists.weight[hits].tolist(), lists.distance[hits].tolist(), lists.left[number]
+
+
+def test_chosen_rays_keep_their_hits():
+    lists, picked = random_lists(30, 0), np.array([0, 3, 4, 17, 29])
+    few = chosen(lists, picked)
+    assert few.rays == len(picked)
+    assert [ray(few, i) for i in range(few.rays)] == [ray(lists, int(p)) for p in picked]
+
+
+def test_joined_lists_follow_one_another():
+    parts = [random_lists(7, 1), random_lists(0, 2), random_lists(12, 3)]
+    together = joined(parts)
+    assert [ray(together, i) for i in range(together.rays)] == [ray(part, i) for part in parts for i in range(part.rays)]
+
+
+def test_part_numbers_what_is_met_anew():
+    lists, picked = random_lists(30, 4), np.array([17, 3, 3, 29])
+    few, met = part(lists, picked)
+    assert few.rays == len(picked) and (np.diff(met) > 0).all()
+    for i, p in enumerate(picked):
+        index, *rest = ray(few, i)
+        assert (met[index].tolist(), *rest) == ray(lists, int(p))

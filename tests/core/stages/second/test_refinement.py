@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Gradient descent through the rendering equation, on a sphere in one colour under a white sky."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.scene.dataset import Bound
+from irgspp.core.scene.gaussians import METALLIC
+from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.settings.schema import TransportSettings
+from irgspp.core.stages.second.pixel_pool import pool_pixels
+from irgspp.core.stages.second.radiance_refit import refit_radiance
+from irgspp.core.stages.second.refinement import Refinement, split, variation
+
+SETTINGS = TransportSettings(iterations=40, pixels=64, samples=16, pool=4000, normal_rate=1e-4)
+
+
+@pytest.fixture(scope="module")
+def start(splat_sphere):
+    """The sphere under a white sky, albedo half-way, roughness 0.5, `metallic` as asked."""
+
+    def make(metallic=0.02):
+        material = torch.tensor([0.5, 0.5, 0.5, 0.5, metallic])[:, None].expand(5, 3000)
+        disks = replace(splat_sphere(3000, opacity=0.999), material=torch.logit(material).contiguous())
+        return Reconstruction(disks, torch.ones(8, 16, 3), Bound((0.0, 0.0, 0.0), 1.5), np.eye(4))
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def photographs(sphere_dataset, camera_ring):
+    return sphere_dataset(camera_ring(10)).train
+
+
+def refinement(reconstruction, views):
+    tracer = Tracer(reconstruction)
+    pool = pool_pixels(views, tracer, SETTINGS.pool, np.random.default_rng(0))
+    return Refinement(reconstruction, pool, tracer, SETTINGS, 0)
+
+
+def test_what_was_held_back_is_shown_better_and_the_same_each_time(start, photographs):
+    results = []
+    for _ in range(2):
+        trial = refinement(start(), photographs)
+        before = trial.test()
+        trial.run()
+        assert trial.test() > before + 0.3
+        results.append(trial.result())
+    assert torch.equal(results[0].gaussians.material, results[1].gaussians.material)
+    assert torch.equal(results[0].environment, results[1].environment)
+    red, _, blue = results[0].gaussians.materials()[:3].mean(1)
+    assert red > blue  # as the photographs are
+
+
+def test_only_what_is_no_metal_turns_and_may_become_one(start, photographs):
+    for metallic, free in ((0.02, True), (0.95, False)):
+        first = start(metallic).gaussians
+        trial = refinement(start(metallic), photographs)
+        trial.run(lambda done: done == 3)
+        refined = trial.result().gaussians
+        assert torch.equal(refined.quaternion, first.quaternion) != free
+        assert torch.equal(refined.material[METALLIC], first.material[METALLIC]) != free
+        assert not torch.equal(refined.material[:METALLIC], first.material[:METALLIC])
+
+
+def test_the_step_ends_the_run(start, photographs):
+    done = []
+    refinement(start(), photographs).run(lambda count: done.append(count) or count == 2)
+    assert done == [1, 2]
+
+
+def test_samples_are_split_without_loss():
+    assert split(128, (0.5, 0.25, 0.25)) == (64, 32, 32)
+    assert min(split(3, (0.125, 0.5, 0.375))) == 1
+
+
+def test_variation_wraps_around_the_seam():
+    light = torch.zeros(4, 8, 3)
+    light[:, 0] = 1
+    assert variation(light) == pytest.approx(2 / 8)  # up and down again, once across the seam
+    assert variation(torch.ones(4, 8, 3)) == 0
+
+
+def test_radiance_is_fitted_and_nothing_else_moves(start, photographs):
+    first = start()
+    losses = []
+    fitted = refit_radiance(first, photographs, 30, 0)
+    for reconstruction in (first, fitted):
+        colour = (0.5 + 0.28209479 * reconstruction.gaussians.sh[0]).mean(1)
+        losses.append(float((colour - torch.tensor([0.604, 0.214, 0.033])).abs().sum()))  # (0.8, 0.5, 0.2) in linear light
+    assert losses[1] < losses[0]
+    for name, value in first.gaussians.tensors().items():
+        assert torch.equal(value, fitted.gaussians.tensors()[name]) == (name != "sh"), name
+    assert torch.equal(first.environment, fitted.environment)
+
+
+def test_drawn_views_and_known_disks_agree(start, photographs):
+    first = start()
+    tracer = Tracer(first)
+    pool = pool_pixels(photographs, tracer, SETTINGS.pool, np.random.default_rng(0))
+    known = Refinement(first, pool, tracer, SETTINGS, 0)
+    drawn = Refinement(first, pool, tracer, SETTINGS, 0, cameras=[view.camera for view in photographs])
+    pixels = torch.arange(0, pool.count, 50)
+    ours, theirs = (trial.surface.sums(first.gaussians, pixels) for trial in (known, drawn))
+    assert (ours[:, 3:] - theirs[:, 3:]).abs().max() < 1e-3
+    assert torch.nn.functional.cosine_similarity(ours[:, :3], theirs[:, :3]).min() > 0.99
+    assert drawn.test() == pytest.approx(known.test(), abs=0.2)
+    chosen = drawn.surface.chosen(drawn.trained, 20, torch.Generator().manual_seed(0))
+    assert len(pool.number[chosen].unique()) == 1

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The second stage as a whole: what may be metal, and what it says where it can't work."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.errors import IrgsppError
+from irgspp.core.kernels.trace import transmittance
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.scene.dataset import Bound
+from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.surface import Surface
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import Settings
+from irgspp.core.stages.second import solve as transport
+from irgspp.core.stages.second.light_material_solver import METALLIC
+from scipy.spatial import ConvexHull
+
+SETTINGS = with_overrides(Settings(), ["transport.points=150", "transport.rows=4"])
+SPHERE = Bound((0.0, 0.0, 0.0), 1.5)
+
+
+@dataclass
+class Listener(Silent):
+    """Remembers what it was told."""
+
+    said: list[str] = field(default_factory=list)
+
+    def message(self, text):
+        self.said.append(text)
+
+
+@pytest.fixture(scope="module")
+def sphere(splat_sphere):
+    """A reconstruction of the unit sphere (glossy or not), and its surface."""
+    splats = splat_sphere(3000, opacity=0.999)
+    points = splats.position.T.double().numpy()
+    faces = ConvexHull(points).simplices
+
+    def make(glossy=False, background=None):
+        return Reconstruction(splats, torch.ones(8, 16, 3), SPHERE, np.eye(4), glossy, background)
+
+    return make, Surface(points, points, faces, 0.05)
+
+
+@pytest.fixture
+def tried(monkeypatch):
+    """The values of metallic of each attempt; each finds that all is metal where it may be."""
+    calls = []
+
+    class Found:
+        def __init__(self, metals):
+            self.metallic = torch.full((10,), metals[-1])
+
+    def separation(reconstruction, seen, transfer, metals, seed, progress):
+        calls.append(tuple(metals))
+        return Found(metals)
+
+    monkeypatch.setattr(transport, "_separation", separation)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("masked", "glossy", "expected"),
+    [
+        (True, True, [METALLIC]),
+        (True, False, [METALLIC, METALLIC[:1]]),  # the first stage would have seen so much metal reflect
+        (False, False, [METALLIC[:1]]),
+        (False, True, [METALLIC]),  # only where the user says so
+    ],
+)
+def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, glossy, expected):
+    make, surface = sphere
+    listener = Listener()
+    transport.separated(make(glossy), surface, sphere_dataset(camera_ring(12, size=48), masked), SETTINGS, listener)
+    assert tried == expected
+    assert sum("none of it metal" in text for text in listener.said) == len(expected) - 1
+
+
+def test_too_few_views_are_one_clear_line(sphere, sphere_dataset, camera_ring):
+    make, surface = sphere
+    with pytest.raises(IrgsppError, match=r"only \d+ points .* three photographs") as error:
+        transport.separated(make(), surface, sphere_dataset(camera_ring(2, size=48)), SETTINGS, Silent())
+    assert error.value.exit_status == 1 and "\n" not in str(error.value)
+
+
+def test_a_backdrop_is_part_of_the_light_but_hides_what_is_behind(sphere):
+    """Disks outside the bound: rays from the surface pass them, a camera behind them sees nothing of the surface."""
+    make, _ = sphere
+    wall = make().gaussians.select(slice(None))
+    wall.position = 3 * wall.position  # a shell around the sphere
+    wall.log_scale = wall.log_scale + np.log(3)
+    both = make().gaussians.joined(wall)
+    origin = torch.tensor([[0.0, 0.0, 1.1], [1.1, 0.0, 0.0]])
+    direction = torch.nn.functional.normalize(origin, dim=1)
+    for background, free in ((None, 0.0), (torch.ones(4, 8, 3), 1.0)):
+        tracer = Tracer(replace(make(), gaussians=both, background=background))
+        passed, radiance = tracer.look(origin, direction)
+        assert torch.allclose(passed, torch.full((2,), free), atol=0.02)
+        assert torch.allclose(radiance, torch.full((2, 3), 0.5 * (1 - free)), atol=0.02)
+        assert float(transmittance(tracer.tree, origin, direction).max()) < 0.02

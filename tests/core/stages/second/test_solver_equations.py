@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The equations that the separation solves, and its parts, against plain algebra."""
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.stages.second import light_material_solver as module
+from irgspp.core.stages.second.light_material_solver import gram, neighbourhood, view_terms
+from sphere_on_floor import TEXELS, make, start
+
+
+@pytest.fixture(scope="module")
+def halfway():
+    """A small problem after some steps, and what one could solve for: weight, anchor, pull."""
+    transfer, seen, _ = make(40, 15)
+    separation = start(seen, transfer)
+    separation.run(lambda step: step == 9)
+    separation.metallic[::3] = 0.5  # all terms at once
+    separation._trace_lobes()
+    random = torch.Generator().manual_seed(5)
+    weight = torch.rand(seen.colour.shape, generator=random)
+    pull = 0.1 + torch.rand(separation.albedo.shape, generator=random)
+    return separation, weight, separation.albedo.clone(), pull
+
+
+def model(separation, light, channel):
+    """c and d (K,) of one channel, float64, differentiable in the light."""
+    transfer, point = separation.transfer, separation.seen.point
+    rows = [a.double() for a in transfer.rows(separation.seen, separation.roughness)]
+    irradiance = (transfer.irradiance.double() @ light + transfer.indirect[:, channel].double())[point]
+    lobe = [row @ light + own[:, channel] for row, own in zip(rows[:2], rows[2:], strict=True)]
+    return view_terms(separation.metallic[point].double(), separation.share[:, 0].double(), irradiance, *lobe)
+
+
+def eliminated(separation, log_light, weight, anchor, pull, channel):
+    """Residuals of views and of albedo's prior, weighted, with the best albedo for a light, float64; that albedo, and c."""
+    point, y = separation.seen.point, separation.seen.colour[:, channel].double()
+    factor, rest = model(separation, log_light.exp(), channel)
+    weight, anchor, pull = (t[:, channel].double() for t in (weight, anchor, pull))
+    sums = lambda values: torch.zeros_like(pull).index_add(0, point, values)  # noqa: E731
+    albedo = (sums(weight * factor * (y - rest)) + pull * anchor) / (sums(weight * factor**2) + pull)
+    return torch.cat([weight.sqrt() * (albedo[point] * factor + rest - y), pull.sqrt() * (albedo - anchor)]), albedo, factor
+
+
+def equations(separation, weight, anchor, pull, channel):
+    """What the module solves, by the logarithm of the light, and what it should: half the squared residuals per view."""
+    log_light = separation.light[:, channel].double().log().requires_grad_()
+    residuals, albedo, factor = eliminated(separation, log_light, weight, anchor, pull, channel)
+    separation.albedo[:, channel] = albedo.detach().float()
+    total = separation.seen.sums(weight[:, channel] * factor.detach().float() ** 2) + pull[:, channel]
+    views = len(separation.seen.point)
+    error = (residuals[:views] / weight[:, channel].double().sqrt()).detach().float()
+    normal, slope = separation._equations(channel, weight[:, channel], factor.detach().float(), total, error)
+    light = separation.light[:, channel]
+    return light[:, None] * normal * light, light * slope, log_light, residuals
+
+
+@pytest.mark.parametrize("channel", [0, 2])
+def test_slope_is_the_derivative_of_the_error_with_albedo_eliminated(halfway, channel):
+    _, slope, log_light, residuals = equations(*halfway, channel)
+    (expected,) = torch.autograd.grad(residuals.square().sum() / 2 / len(halfway[0].seen.point), log_light)
+    assert expected.abs().max() > 1e-5
+    np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=1e-4 * float(expected.abs().max()))
+
+
+def test_curvature_is_that_of_gauss_and_newton_with_albedo_eliminated(halfway):
+    """By the Jacobian of light and albedo together and its Schur complement, dense."""
+    separation, weight, anchor, pull = halfway
+    normal, _, log_light, _ = equations(separation, weight, anchor, pull, 1)
+
+    def residuals(unknowns):
+        """Of light (its logarithm) and albedo as independent unknowns; the albedo's anchor makes no difference."""
+        albedo = unknowns[TEXELS:]
+        factor, rest = model(separation, unknowns[:TEXELS].exp(), 1)
+        views = weight[:, 1].double().sqrt() * (albedo[separation.seen.point] * factor + rest)
+        return torch.cat([views, pull[:, 1].double().sqrt() * albedo])
+
+    albedo = separation.albedo[:, 1].double()
+    jacobian = torch.autograd.functional.jacobian(residuals, torch.cat([log_light.detach(), albedo]), vectorize=True)
+    full = jacobian.T @ jacobian / len(separation.seen.point)
+    by_light, mixed, by_albedo = full[:TEXELS, :TEXELS], full[:TEXELS, TEXELS:], full[TEXELS:, TEXELS:]
+    expected = by_light - mixed @ torch.linalg.solve(by_albedo, mixed.T)
+    np.testing.assert_allclose(normal, expected, atol=1e-5 * float(expected.abs().max()))
+    assert torch.linalg.eigvalsh(normal.double()).min() > -1e-6 * float(expected.abs().max())
+
+
+def test_gram_is_the_product():
+    rows = torch.randn(50, 200, generator=torch.Generator().manual_seed(0))
+    np.testing.assert_allclose(gram(rows), rows.T @ rows, atol=1e-4)
+    assert torch.equal(gram(rows), gram(rows).T)
+
+
+def test_laplacian_sums_squared_differences_of_neighbours():
+    height, width = 4, 8
+    light = np.random.default_rng(0).random((height, width))
+    expected = 0.0
+    for i in range(height):
+        for j in range(width):
+            expected += (light[i, j] - light[i, (j + 1) % width]) ** 2  # around, across the seam
+            expected += (light[i, j] - light[i + 1, j]) ** 2 if i + 1 < height else 0.0
+    form, values = module._laplacian(height).double(), torch.from_numpy(light.reshape(-1))
+    assert float(values @ form @ values) == pytest.approx(expected, rel=1e-6)
+    assert torch.equal(form, form.T) and (form.sum(1) == 0).all()
+
+
+def test_vertex_of_a_parabola():
+    knots = torch.arange(6.0)
+    vertices = torch.tensor([0.0, 0.4, 1.0, 2.3, 3.5, 4.9, 5.0])
+    cost = 2 * (knots - vertices[:, None]) ** 2 + 1
+    np.testing.assert_allclose(module._vertex(knots, cost), vertices, atol=1e-5)
+
+
+def test_vertex_stays_within_the_knots():
+    knots = torch.tensor([0.1, 0.2, 0.4, 0.8])
+    falling, rising, flat = torch.tensor([4.0, 3.0, 2.0, 1.0]), torch.tensor([1.0, 2.0, 3.0, 4.0]), torch.ones(4)
+    hollow = torch.tensor([5.0, 1.0, 2.0, 5.0])  # knots are not evenly spread: towards 0.4 steps are longer
+    found = module._vertex(knots, torch.stack([falling, rising, flat, hollow]))
+    assert found[:2].tolist() == pytest.approx([0.8, 0.1])
+    assert 0.1 <= found[2] <= 0.4 and 0.2 < found[3] < 0.3
+
+
+def test_neighbours_are_near_and_count_by_likeness_of_colour():
+    random = np.random.default_rng(0)
+    position = torch.from_numpy(random.random((200, 3)).astype(np.float32))
+    colour = torch.where(position[:, :1] > 0.5, torch.tensor([0.8, 0.1, 0.1]), torch.tensor([0.1, 0.2, 0.7]))
+    index, share = neighbourhood(position, colour)
+    distance = torch.cdist(position, position)
+    assert torch.equal(index[:, 0], torch.arange(200))
+    np.testing.assert_allclose(distance.gather(1, index), distance.sort(1).values[:, : module.NEIGHBOURS], atol=1e-5)
+    np.testing.assert_allclose(share.sum(1), 1, rtol=1e-5)
+    other = (position[:, :1] > 0.5) != (position[index][..., 0] > 0.5)
+    assert other.any() and share[other].max() < 1e-3
+    np.testing.assert_allclose(share[~other.any(1)], 1 / module.NEIGHBOURS, rtol=1e-5)
+
+
+def test_few_points_are_all_neighbours():
+    index, share = neighbourhood(torch.rand(1, 3), torch.rand(1, 3))
+    assert index.shape == share.shape == (1, 1) and share.item() == 1

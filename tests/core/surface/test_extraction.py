@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From views to the bare surface, on solids known analytically."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from irgspp.core.errors import Cancelled, IrgsppError
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.settings.schema import SurfaceSettings
+from irgspp.core.surface.extraction import extract_geometry
+
+SETTINGS = SurfaceSettings(voxels=64, triangles=8000)
+
+
+@pytest.fixture(scope="module", params=["sphere", "torus"])
+def extracted(request, solids, camera_ring, bound):
+    solid = solids[request.param]
+    views = [solid.view(camera, 0.001, i) for i, camera in enumerate(camera_ring(40))]
+    return solid, extract_geometry(views, solid.samples(), bound, SETTINGS, Silent())
+
+
+def body_of(surface) -> trimesh.Trimesh:
+    return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+
+
+def test_the_mesh_lies_on_the_solid(extracted):
+    solid, surface = extracted
+    voxel = 2.0 / SETTINGS.voxels
+    error = np.abs(solid.distance(surface.vertices))
+    assert error.mean() < 0.15 * voxel and error.max() < voxel
+
+
+def test_the_mesh_is_closed_and_not_inside_out(extracted):
+    solid, surface = extracted
+    body = body_of(surface)
+    assert body.is_watertight and body.is_winding_consistent and body.volume > 0
+    assert body.euler_number == (0 if solid.distance(np.zeros(3)) > 0 else 2)
+    facing = (solid.gradient(body.triangles_center) * body.face_normals).sum(-1)
+    assert body.area_faces[facing < 0.5].sum() < 1e-3 * body.area
+
+
+def test_vertex_normals_are_those_of_the_solid(extracted):
+    solid, surface = extracted
+    cosine = (solid.gradient(surface.vertices) * surface.normals).sum(-1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 1
+    np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=-1), 1, atol=1e-5)
+
+
+def test_the_unseen_underside_is_closed_near_the_gaussians(solids, camera_ring, bound):
+    solid = solids["box"]
+    views = [solid.view(camera) for camera in camera_ring(24, lowest=-0.12)]
+    surface = extract_geometry(views, solid.samples(20_000), bound, SETTINGS, Silent())
+    assert body_of(surface).is_watertight
+    assert surface.vertices[:, 2].min() == pytest.approx(-0.5, abs=0.1)
+    assert (np.abs(solid.distance(surface.vertices))[surface.vertices[:, 2] > -0.4] < 0.04).all()
+
+
+def test_no_ghosts_where_no_view_looks(solids, camera_ring, bound):
+    """Views from one side only: the shadow behind the object is not made solid."""
+    solid = solids["sphere"]
+    front = [camera for camera in camera_ring(60) if camera.centre[0] > 2.5]
+    samples = solid.samples()
+    seen = samples.position[:, 0] > 0
+    samples = replace(samples, **{name: getattr(samples, name)[seen] for name in samples.__dataclass_fields__})
+    surface = extract_geometry([solid.view(camera) for camera in front], samples, bound, SETTINGS, Silent())
+    assert (np.abs(solid.distance(surface.vertices)) < 0.2).mean() > 0.97
+    assert surface.vertices[:, 0].min() > -0.5
+
+
+def test_cancelling_stops(solids, camera_ring, bound, recorder):
+    solid = solids["sphere"]
+    with pytest.raises(Cancelled):
+        extract_geometry([solid.view(c) for c in camera_ring(6, size=32)], solid.samples(), bound, SETTINGS, recorder(cancelled=True))
+
+
+def test_views_without_depth_are_one_clear_line(solids, camera_ring, bound):
+    views = [solids["sphere"].view(camera) for camera in camera_ring(3, size=32)]
+    views = [replace(view, depth=0 * view.depth) for view in views]
+    with pytest.raises(IrgsppError, match="no surface") as error:
+        extract_geometry(views, solids["sphere"].samples(), bound, SETTINGS, Silent())
+    assert "\n" not in str(error.value)
+
+
+def test_no_views_are_one_clear_line(solids, bound):
+    with pytest.raises(IrgsppError, match="no surface"):
+        extract_geometry([], solids["sphere"].samples(), bound, SETTINGS, Silent())
+
+
+def test_progress_tells_every_view(solids, camera_ring, bound, recorder):
+    solid, told = solids["sphere"], recorder()
+    views = [solid.view(camera, seed=i) for i, camera in enumerate(camera_ring(12, size=48))]
+    extract_geometry(views, solid.samples(), bound, replace(SETTINGS, voxels=24), told)
+    assert told.told == [("fuse", 12), *((i,) for i in range(1, 13))]

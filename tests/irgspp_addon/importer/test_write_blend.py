@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The .blend of a run: complete, portable, and written by a process of its own."""
+
+import bpy
+import pytest
+from irgspp.core.assets.export import export, write_blend
+from irgspp.core.errors import Cancelled, InputError, IrgsppError
+from irgspp.core.machine import blender_process as blending
+from irgspp.core.progress.protocol import Silent
+from irgspp.irgspp_addon.importer.materials import available_sources, source_of
+
+
+@pytest.fixture(scope="module")
+def blend(run_folder):
+    target = run_folder / "scene.blend"
+    write_blend(run_folder, target, "textures", Silent())
+    return target
+
+
+def test_blend_opens_with_light_cameras_and_packed_textures(blend):
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    assert scene.view_settings.view_transform == "Standard"
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (64, 48)
+    assert scene.camera.name == "train view0"
+    assert len([o for o in scene.objects if o.type == "CAMERA"]) == 3
+    (mesh,) = [o for o in scene.objects if o.type == "MESH"]
+    assert source_of(mesh.active_material) == "textures"
+    assert available_sources(mesh.active_material) == ["textures", "attributes"]  # the other choice is there to be picked
+    assert [n.bl_idname for n in scene.world.node_tree.nodes].count("ShaderNodeTexEnvironment") == 1
+    packed = {image.name: image.packed_file is not None for image in bpy.data.images}
+    assert packed == {"albedo.png": True, "roughness.png": True, "metallic.png": True, "normal.png": True, "environment.exr": True} | {
+        f"view{i}.png": False for i in range(3)
+    }
+
+
+def test_paths_are_relative_and_lead_to_the_files(blend):
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    for image in bpy.data.images:
+        assert image.filepath.startswith("//")
+        assert image.has_data or tuple(image.size) != (0, 0)
+    assert bpy.data.images["environment.exr"].filepath == "//environment.exr"
+
+
+def test_export_by_suffix(run_folder, tmp_path):
+    export(run_folder, tmp_path / "light.exr")
+    assert (tmp_path / "light.exr").read_bytes() == (run_folder / "environment.exr").read_bytes()
+    export(run_folder, tmp_path / "scene.blend", "attributes")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    assert [source_of(o.active_material) for o in bpy.data.objects if o.type == "MESH"] == ["attributes"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["light.exr", "scene.blend"]
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a", "missing/a.glb", "a.glb"])
+def test_bad_exports_name_their_reason(run_folder, tmp_path, name):
+    with pytest.raises(InputError):  # the fake run has no asset.glb
+        export(run_folder, tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_run_is_told_in_one_line(run_folder, tmp_path):
+    (tmp_path / "mesh.ply").write_bytes((run_folder / "mesh.ply").read_bytes())
+    with pytest.raises(InputError, match=r"cameras\.json.*can't be read") as caught:
+        write_blend(tmp_path, tmp_path / "scene.blend", "textures", Silent())
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "scene.blend").exists()
+
+
+def test_cancelling_stops_the_process(run_folder, tmp_path):
+    progress = Silent()
+    progress.cancelled = True
+    with pytest.raises(Cancelled):
+        write_blend(run_folder, tmp_path / "scene.blend", "textures", progress)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_blender(run_folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(blending.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(IrgsppError, match="bpy"):
+        write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())
+
+
+def test_failing_process_is_an_error(run_folder, tmp_path, monkeypatch):
+    (tmp_path / "launch.py").write_text("raise SystemExit('out of luck')")
+    monkeypatch.setattr(blending, "LAUNCHER", tmp_path / "launch.py")
+    with pytest.raises(IrgsppError, match=r"status 1: out of luck"):
+        write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())
