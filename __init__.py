@@ -13,12 +13,12 @@ from typing import Any
 
 # What scripts use, and where it is; loaded when it is asked for.
 _FACE = {
-    "Settings": ".core.config",
-    "preset": ".core.config",
+    "Settings": ".core.settings.schema",
+    "preset": ".core.settings.schema",
     "load_dataset": ".core.datasets.load",
     "reconstruct": ".core.pipeline",
     "evaluate": ".core.evaluation.report",
-    "export": ".core.export",
+    "export": ".core.assets.export",
 }
 
 

@@ -20,15 +20,15 @@ from .evaluation.metrics import on_black, psnr
 from .machine.blender_process import NoBlender
 from .machine.cpu_memory import MOST_RAYS, rays_that_fit
 from .machine.devices import Chosen, choose, computing_on
-from .machine.disk_space import check_room
+from .machine.disk_space import check_disk_space
 from .machine.gpu_memory import plan
 from .machine.peak_memory import peak_memory, reset_peak_memory
 from .progress.protocol import Progress, Silent
-from .progress.recorder import Journal
+from .progress.recorder import ProgressRecorder
 from .relight.backends import best_backend, open_relighter
 from .relight.relighter import RelightSettings
-from .rendering.gbuffer import render_view
-from .rendering.gbuffer_cache import RenderedViews
+from .rendering.gbuffer import render_gbuffer
+from .rendering.gbuffer_cache import GBufferCache
 from .run_folder import RunFolder, check_claim
 from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset, View
@@ -42,7 +42,7 @@ from .settings.schema import Settings
 from .stages.common.time_budget import FUSED
 from .stages.first.train import train
 from .stages.second.radiance_transfer import rays_at_a_time
-from .stages.second.solve import solve_transport
+from .stages.second.solve import solve_second_stage
 from .surface.extraction import extract_geometry
 from .surface.texturing import textured_mesh
 
@@ -52,8 +52,8 @@ GEOMETRY = "geometry"  # checkpoint of the bare surface
 SHEET_SAMPLES = "efficient"
 
 DEMO_DATA = Path(__file__).parent / "demo_data"
-# What 64x64 pictures can carry.
-DEMO_OVERRIDES = ("reflective.gaussians=10000", "surface.voxels=96", "surface.triangles=10000", "surface.texture=512")
+# What 64x64 images can carry.
+DEMO_OVERRIDES = ("first.gaussians=10000", "surface.voxels=96", "surface.triangles=10000", "surface.texture=512")
 
 
 def reconstruct(
@@ -74,9 +74,9 @@ def reconstruct(
     began = time.monotonic()
     reset_peak_memory()
     data = load_dataset(dataset, settings.data, watcher)
-    check_room(run, settings, data)
+    check_disk_space(run, settings, data.pixels(distorted=True))
     resident = keeps_photographs(data, settings, chosen)
-    rays = rays_that_fit(settings, data) if chosen.device.type == "cpu" else MOST_RAYS
+    rays = rays_that_fit(settings, data.pixels()) if chosen.device.type == "cpu" else MOST_RAYS
     if rays < MOST_RAYS:
         watcher.message(f"memory is short: {rays} rays are at work at a time instead of {MOST_RAYS}, which takes longer")
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
@@ -85,7 +85,7 @@ def reconstruct(
             folder.state["computed_on"] = {"device": str(chosen.device), "why": chosen.why}
             ends = None if settings.time is None else began + settings.time - folder.spent
             folder.record("read", time.monotonic() - began, peak_memory(), finished=True)
-            Job(data, folder, settings, Journal(folder, watcher), ends, chosen.device, resident).run()
+            Job(data, folder, settings, ProgressRecorder(folder, watcher), ends, chosen.device, resident).run()
     finally:
         folder.close()
     return run
@@ -106,7 +106,7 @@ class Job:
     data: Dataset
     folder: RunFolder
     settings: Settings
-    progress: Journal
+    progress: ProgressRecorder
     ends: float | None = None  # seconds of the monotonic clock
     device: torch.device = CPU
     resident: bool = True  # photographs stay on the device
@@ -115,9 +115,9 @@ class Job:
         """All phases that are not done yet, in order."""
         for warning in self.data.warnings:
             self.progress.message(f"warning: {warning}")
-        self._phase("reflective", self.fit)
+        self._phase("first stage", self.fit)
         self._phase("geometry", self.shape)
-        self._phase("transport", self.separate)
+        self._phase("second stage", self.separate)
         self._phase("surface", self.mesh)
         self._phase("scene", self.scene)
         self._phase("contact sheet", self.sheet)
@@ -140,7 +140,7 @@ class Job:
         """Second stage: materials and light, by all the light that reaches the surface."""
         after = FUSED * self.folder.seconds("geometry")
         ends = None if self.ends is None else self.ends - after
-        solved, pace = solve_transport(self.first, self.surface, self.data, self.settings, self.progress, ends)
+        solved, pace = solve_second_stage(self.first, self.surface, self.data, self.settings, self.progress, ends)
         self.folder.state.setdefault("pace", {})["second"] = round(pace, 3)
         solved.save(self.folder.path)
 
@@ -163,7 +163,7 @@ class Job:
             self.progress.message(f"no scene.blend: {error}")
 
     def sheet(self) -> None:
-        """One picture that shows what came out, and how well the test views are met."""
+        """One image that shows what came out, and how well the test views are met."""
         if self.data.test:
             self.folder.state["training"]["test_radiance_psnr"] = round(radiance_psnr(self.reconstruction, self.data.test), 3)
         backend, how = best_backend(self.folder.path), RelightSettings(samples=SHEET_SAMPLES)
@@ -190,8 +190,8 @@ class Job:
         """Of both stages."""
         return Reconstruction.load(self.folder.path).to(self.device)
 
-    def _views(self, reconstruction: Reconstruction) -> RenderedViews:
-        return RenderedViews(reconstruction, [view.camera for view in self.data.train])
+    def _views(self, reconstruction: Reconstruction) -> GBufferCache:
+        return GBufferCache(reconstruction, [view.camera for view in self.data.train])
 
     def _phase(self, name: str, work: Callable[[], None]) -> None:
         if self.folder.finished(name):
@@ -212,7 +212,7 @@ def radiance_psnr(reconstruction: Reconstruction, views: Sequence[View]) -> floa
     """Mean PSNR in dB of the Gaussians' own radiance against photographs, both encoded, on black by their own alpha."""
     values = []
     for view in views:
-        rgba = render_view(reconstruction, view.camera).picture
+        rgba = render_gbuffer(reconstruction, view.camera).image
         alpha = 1.0 if view.alpha is None else view.alpha[..., None]
         values.append(psnr(on_black(rgba), np.clip(view.colour, 0, 1) * alpha))
     return float(np.mean(values))

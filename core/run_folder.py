@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from .errors import Cancelled, InputError
-from .io.atomic import whole, write_atomic
+from .io.atomic import atomic_file, write_atomic
 from .io.file_lock import FileLock
-from .machine.out_of_resources import told
+from .machine.out_of_resources import translate_errors
 from .machine.peak_memory import peak_memory, reset_peak_memory
-from .progress.event_log import Notes
+from .progress.event_log import EventLog
 from .settings.overrides import differences, from_dict, to_dict
 from .settings.schema import Settings
 
@@ -30,6 +30,8 @@ RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_she
 FOLDERS = ("checkpoint", "textures", "evaluation", "photographs", "previews")
 NOTES = ("events.jsonl", "log.txt", "cancel", "finish")
 LOCK = ".lock"
+PHASES_BEFORE = {"reflective": "first stage", "transport": "second stage"}  # names of phases in version 0.1 -> now
+CHECKPOINT_BEFORE, CHECKPOINT = "reflective.pt", "first_stage.pt"  # of the first stage, in version 0.1 and now
 BEGUN = (LOCK, ".run.part.json")  # all there is of a run that was killed right at its beginning
 
 
@@ -40,7 +42,7 @@ def read_run(path: Path) -> dict[str, Any]:
         raise InputError(path, "is not a run folder (no run.json in it)")
     try:
         state = json.loads(file.read_text("utf-8"))
-        phases = {name: _phase(phase) for name, phase in state["phases"].items()}
+        phases = {PHASES_BEFORE.get(name, name): _phase(phase) for name, phase in state["phases"].items()}
         state |= {"phases": phases, "settings": dict(state["settings"])}
         json.dumps(state, allow_nan=False)  # what can't be written again is no state
         return state
@@ -67,7 +69,7 @@ def check_claim(path: Path, resume: bool, overwrite: bool) -> None:
         raise InputError(path, "holds another run", "go on with it by --resume, replace it by --overwrite, or name another folder")
 
 
-class RunFolder(Notes):
+class RunFolder(EventLog):
     """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
 
     `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, replaces (True while files of the run
@@ -174,7 +176,7 @@ class RunFolder(Notes):
     def job(self) -> Iterator[None]:
         """Run the block as this folder's job: its end becomes the status, an error is logged with its traceback."""
         try:
-            with told(self.path):
+            with translate_errors(self.path):
                 yield
         except BaseException as error:
             with suppress(OSError):  # a full disk, which the error itself tells; run.json is then as after a kill
@@ -199,7 +201,7 @@ class RunFolder(Notes):
         folder = self.path / "checkpoint"
         folder.mkdir(exist_ok=True)
         # Given a path, torch doesn't say why it could not be written.
-        with whole(folder / f"{name}.pt") as partial, partial.open("wb") as file:
+        with atomic_file(folder / f"{name}.pt") as partial, partial.open("wb") as file:
             torch.save(_as_tensors(state), file)
 
     def load(self, name: str, restored: Callable[[dict[str, Any]], Any] = dict) -> Any:
@@ -249,6 +251,9 @@ def _resumed(path: Path, settings: Settings, dataset: str) -> dict[str, Any]:
         other.append(f"dataset: {state.get('dataset')} -> {dataset}")
     if other:
         raise InputError(path, f"was started otherwise ({'; '.join(other)})", "give --resume the same options or none")
+    before = path / "checkpoint" / CHECKPOINT_BEFORE
+    if before.is_file():
+        before.replace(before.with_name(CHECKPOINT))
     return state
 
 

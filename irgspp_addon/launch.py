@@ -26,8 +26,8 @@ def mount(folder: Path) -> None:
 def end_with_parent() -> None:
     """Where it was asked for, end this process once the one that started it is gone."""
     end = importlib.import_module("irgspp.core.machine.parent_watch")
-    if os.environ.pop(end.TIED, ""):
-        end.when_stdin_ends(lambda: os._exit(1))
+    if os.environ.pop(end.PARENT_WATCH, ""):
+        end.on_parent_exit(lambda: os._exit(1))
 
 
 if __name__ == "__main__":

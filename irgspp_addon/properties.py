@@ -37,7 +37,7 @@ DEVICES = [
     ("cuda", "CUDA", "An NVIDIA graphics card", 2),
 ]
 SOURCES = [
-    ("textures", "Textures", "The material reads pictures through the UV map", 0),
+    ("textures", "Textures", "The material reads images through the UV map", 0),
     ("attributes", "Attributes", "The material reads values at the mesh's vertices", 1),
 ]
 BACKENDS = [
@@ -147,7 +147,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     )
     relight_samples: IntProperty(
         name="Samples",
-        description="Rays of light per pixel of the finished picture: more rays, less noise",
+        description="Rays of light per pixel of the finished image: more rays, less noise",
         default=32,
         min=1,
         max=65536,
@@ -155,7 +155,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     )
     relight_denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples without blurring edges", default=True)
     relight_backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, default="mesh")
-    relight_eye: EnumProperty(name="Seen From", description="Where the picture is taken from", items=EYES, default="view")
+    relight_eye: EnumProperty(name="Seen From", description="Where the image is taken from", items=EYES, default="view")
     preview_resolution: IntProperty(
         name="Resolution", description="Longest side of the preview in pixels", default=256, min=16, max=4096, soft_min=64, soft_max=1024
     )

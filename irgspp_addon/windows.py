@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's windows: their areas, and pictures as they show them."""
+"""Blender's windows: their areas, and images as they show them."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def redraw(*kinds: str) -> None:
         area.tag_redraw()
 
 
-def enlarged(picture: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Pixels of a picture (H, W, 4) with the top row first, one after the other as Blender wants them: from the bottom, in this size."""
-    rows = np.arange(height - 1, -1, -1) * len(picture) // height
-    columns = np.arange(width) * picture.shape[1] // width
-    return np.ascontiguousarray(picture[rows][:, columns], np.float32).reshape(-1)
+def enlarged(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Pixels of an image (H, W, 4) with the top row first, one after the other as Blender wants them: from the bottom, in this size."""
+    rows = np.arange(height - 1, -1, -1) * len(image) // height
+    columns = np.arange(width) * image.shape[1] // width
+    return np.ascontiguousarray(image[rows][:, columns], np.float32).reshape(-1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The view of a photograph's camera, with the picture's own size, so that scene and photograph meet."""
+"""The view of a photograph's camera, with the image's own size, so that scene and photograph meet."""
 
 # pyright: reportInvalidTypeForm=false
 

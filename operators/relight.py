@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object in another light: a picture that follows the scene, the World as a light map, views as files."""
+"""The object in another light: an image that follows the scene, the World as a light map, views as files."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -24,7 +24,7 @@ MAP_ROWS = 256
 
 
 class IRGSPP_OT_relight_preview(bpy.types.Operator):
-    """Show the object under this scene's World as the image "IRGS++ Relight", up to date while you work. Scripts get a finished picture"""
+    """Show the object under this scene's World as the image "IRGS++ Relight", up to date while you work. Scripts get a finished image"""
 
     bl_idname = "irgspp.relight_preview"
     bl_label = "Relight Preview"
@@ -34,7 +34,7 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
     samples: IntProperty(name="Samples", description="Rays of light per pixel", min=1, max=65536, default=32, options=SKIP)
     denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples", default=True, options=SKIP)
     backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
-    eye: EnumProperty(name="Seen From", description="Where the picture is taken from", items=EYES, options=SKIP)
+    eye: EnumProperty(name="Seen From", description="Where the image is taken from", items=EYES, options=SKIP)
     use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
     resolution: IntProperty(name="Resolution", description="Longest side in pixels", min=16, max=16384, default=256, options=SKIP)
 
@@ -75,7 +75,7 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
 
 
 class IRGSPP_OT_relight_stop(bpy.types.Operator):
-    """Stop keeping the picture up to date; what it shows stays"""
+    """Stop keeping the image up to date; what it shows stays"""
 
     bl_idname = "irgspp.relight_stop"
     bl_label = "Stop Preview"
@@ -129,7 +129,7 @@ class IRGSPP_OT_world_to_map(bpy.types.Operator):
 
 
 class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
-    """Render views of a run as picture files, under this scene's World or the recovered light"""
+    """Render views of a run as image files, under this scene's World or the recovered light"""
 
     bl_idname = "irgspp.render_views"
     bl_label = "Render Views"
@@ -172,7 +172,7 @@ class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
         return words
 
     def _map(self, context: bpy.types.Context, run: Path, output: Path) -> Path:
-        """The World as the run's frame sees it, kept beside the pictures."""
+        """The World as the run's frame sees it, kept beside the images."""
         frame = frame_of(run_object(context.scene, run))
         light = world_light(context.scene.world, context.scene.frame_current).turned(frame.rotation)
         try:

@@ -10,8 +10,8 @@ import bpy
 
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from .images import image
 from .phases import phase_in_words
-from .pictures import picture
 from .run_state import run_state
 from .sidebar import button, say, seconds_in_words
 
@@ -58,7 +58,7 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: 
     if text := figures_text(job):
         layout.label(text=text)
     if job.preview is not None:
-        picture(layout, job.preview)
+        image(layout, job.preview)
     if job.message:
         say(layout, context, job.message, icon="INFO")
 

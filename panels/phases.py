@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 STEPS = (  # of a reconstruction, in order: what it does, and the phases of the engine that belong to it
-    ("Reading photographs", ("read pictures",)),
+    ("Reading photographs", ("read images",)),
     ("Finding out the kind of material", ("materials",)),
-    ("Fitting shape and radiance", ("reflective",)),
+    ("Fitting shape and radiance", ("first stage",)),
     ("Fusing the surface", ("fuse",)),
-    ("Telling light from materials", ("trace", "transport", "paint", "refine", "radiance")),
+    ("Telling light from materials", ("trace", "second stage", "paint", "refine", "radiance")),
     ("Making mesh and textures", ("unwrap", "bake")),
     ("Writing the Blender file", ("scene",)),
     ("Drawing the overview", ("contact sheet",)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object under the scene's World: a picture that follows what is changed, renders, and files."""
+"""The object under the scene's World: an image that follows what is changed, renders, and files."""
 
 from __future__ import annotations
 

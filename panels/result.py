@@ -127,8 +127,8 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
 def texture_text(thing: bpy.types.Object) -> str:
     """ "textures 1024" of the object's material."""
     tree = thing.active_material.node_tree if thing.active_material else None
-    pictures = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
-    return f"textures {pictures[0].size[0]}" if pictures else "no textures"
+    images = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
+    return f"textures {images[0].size[0]}" if images else "no textures"
 
 
 def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: RunState) -> None:

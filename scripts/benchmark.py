@@ -4,7 +4,7 @@
 python scripts/benchmark.py [SCENES...] [-o DIR] [--quick]
 
 SCENES are folders with photographs and ground truth as scripts/render_dataset.py writes them, or folders of such; without any, two small
-ones are rendered by Cycles. DIR gets results.json, a CSV for each section, report.html, the reconstructions and their pictures. Run it
+ones are rendered by Cycles. DIR gets results.json, a CSV for each section, report.html, the reconstructions and their images. Run it
 again to go on after an interruption, or to measure what failed once more. Nothing else should run meanwhile.
 """
 

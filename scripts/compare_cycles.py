@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from irgspp.core.io.srgb import encode_srgb
-from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.kernels.trace import COLOUR, EXTRA, NORMAL, trace, transmittance
 from irgspp.core.scene.gaussians import SH_DC, Gaussians
 from irgspp.core.shading.environment_lookup import lookup
@@ -86,7 +86,7 @@ class TracedScene:
         """shine: (N,), see Points. offset: rays start so far above a surface. conserving: of the diffuse lobe, see `reflect_light`."""
         g = self.gaussians = gaussians
         self.offset, self.conserving = offset, conserving
-        self.tree = DiskTree.build(g.position, g.quaternion, g.log_scale, g.opacity)
+        self.tree = SurfelTree.build(g.position, g.quaternion, g.log_scale, g.opacity)
         self.extra = torch.cat([g.materials(), shine[None]])
         self.light = torch.as_tensor(light, dtype=torch.float32)
         self.distribution = LightDistribution(self.light)
@@ -145,16 +145,16 @@ class TracedScene:
         return torch.cat([self._reflect(some, samples, 0)[1] for some in points.batches(samples)])
 
 
-def traced_picture(scene: TracedScene, view, wanted: np.ndarray, samples: int, bounces: int) -> np.ndarray:
+def traced_image(scene: TracedScene, view, wanted: np.ndarray, samples: int, bounces: int) -> np.ndarray:
     """(H, W, 3) linear radiance at the pixels `wanted` (H, W), 0 elsewhere."""
     rays = torch.nn.functional.normalize(torch.from_numpy(view.rays()[wanted]), dim=-1)
     origin = torch.tensor(view.centre, dtype=torch.float32).expand_as(rays).contiguous()
     points, _, opacity = scene.look(origin, rays)
     if float(opacity.min()) < 0.99:
         raise RuntimeError("the splats leave holes")
-    picture = np.zeros((*wanted.shape, 3), np.float32)
-    picture[wanted] = scene.shade(points, samples, bounces).numpy()
-    return picture
+    image = np.zeros((*wanted.shape, 3), np.float32)
+    image[wanted] = scene.shade(points, samples, bounces).numpy()
+    return image
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def compare(name: str, cycles: CyclesScene, light: np.ndarray, args: argparse.Na
     scene.prepare(max(32, args.samples // INNER))
     for bounces in (0, 1):
         truth = cycles.render(view, case.sphere, case.square, bounces, args.cycles_samples)[..., :3] * inner[..., None]
-        ours = traced_picture(scene, view, inner, args.samples, bounces)
+        ours = traced_image(scene, view, inner, args.samples, bounces)
         a, b = ours[inner].astype(np.float64), truth[inner].astype(np.float64)
         relative = float((np.abs(a - b).mean(-1) / b.mean(-1)).mean())
         strip = np.concatenate([encode_srgb(np.clip(p, 0, 1)) for p in (ours, truth, 10 * np.abs(ours - truth))], 1)
@@ -193,7 +193,7 @@ def compare(name: str, cycles: CyclesScene, light: np.ndarray, args: argparse.Na
 def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cases", nargs="*", help="some of: " + ", ".join(CASES) + "; default: all")
-    parser.add_argument("-o", "--output", type=Path, help="folder for pictures: ours, Cycles, 10 x the difference")
+    parser.add_argument("-o", "--output", type=Path, help="folder for images: ours, Cycles, 10 x the difference")
     parser.add_argument("--size", type=int, default=48, help="pixels across")
     parser.add_argument("--samples", type=int, default=512, help="ours, per pixel")
     parser.add_argument("--cycles-samples", type=int, default=2048)

@@ -26,9 +26,9 @@ from irgspp.core.machine.cuda import probe
 from irgspp.core.machine.devices import WARP_ON_CPU, choose, computing_on
 from irgspp.core.pipeline import DEMO_DATA
 
-TINY = ("data.resolution=64", "reflective.gaussians=2000", "reflective.iterations=60", "reflective.trial_iterations=10",
-        "reflective.trial_gaussians=500", "transport.points=300", "transport.rows=8", "transport.views=4", "transport.iterations=5",
-        "transport.pixels=32", "transport.samples=16", "transport.pool=2000", "transport.radiance_iterations=5", "surface.voxels=48",
+TINY = ("data.resolution=64", "first.gaussians=2000", "first.iterations=60", "first.trial_iterations=10",
+        "first.trial_gaussians=500", "second.points=300", "second.rows=8", "second.views=4", "second.iterations=5",
+        "second.pixels=32", "second.samples=16", "second.pool=2000", "second.radiance_iterations=5", "surface.voxels=48",
         "surface.triangles=2000", "surface.texture=128", "materials=low-gloss")  # fmt: skip
 
 Part = tuple[str, Callable[[], Figure | list[Figure]]]
@@ -45,7 +45,7 @@ def main() -> int:
     size, device = QUICK if args.quick else Size(), chosen.device
     table = [Figure("device", _name(device)), Figure("driver, torch, warp", _versions())]
     with tempfile.TemporaryDirectory() as scratch, computing_on(chosen):
-        parts = _parts(args, make_work(size.gaussians, size.picture, size.triangles, device), size, device, Path(scratch))
+        parts = _parts(args, make_work(size.gaussians, size.image, size.triangles, device), size, device, Path(scratch))
         failed = _measure(parts, args.only, table)
     _print(table)
     if args.json is not None:

@@ -103,7 +103,7 @@ def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path) ->
         tell(f"training view {i + 1} of {len(cameras)}")
         cycles_ground_truth.place_camera(scene, camera)
         scene.cycles.seed = i
-        save_png(folder / f"r_{i:03d}.png", cycles_ground_truth.render_picture(scene)["rgba"])
+        save_png(folder / f"r_{i:03d}.png", cycles_ground_truth.render_image(scene)["rgba"])
 
 
 def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path) -> None:
@@ -116,7 +116,7 @@ def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str,
             view.mkdir(parents=True, exist_ok=True)
             cycles_ground_truth.place_camera(scene, camera)
             scene.cycles.seed = 1000 * (n + 1) + i
-            layers = cycles_ground_truth.render_picture(scene)
+            layers = cycles_ground_truth.render_image(scene)
             save_png(view / ("rgba.png" if n == 0 else f"rgba_{name}.png"), layers["rgba"])
             if n == 0:
                 layers |= cycles_ground_truth.render_geometry(scene, camera)
@@ -157,7 +157,7 @@ def tell(text: str) -> None:
 
 
 def render_dataset(args: argparse.Namespace) -> None:
-    """The whole job: scene, lights, cameras, pictures, points."""
+    """The whole job: scene, lights, cameras, images, points."""
     if args.output.exists() and any(args.output.iterdir()):
         raise InputError(args.output, "is not empty", "name a new folder")
     scene = load_scene(args.scene)

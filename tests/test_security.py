@@ -107,7 +107,7 @@ def test_declared_permissions_are_those_that_are_used():
     ["../../x.png", "C:\\evil.png", "a/./..", "CON", "a:b.png", "x" * 400, "", "\ud800", "..", "A.png", "a.png", "é.png", "e\u0301.png"]
 )
 def test_names_of_views_stay_in_their_folder(listed):
-    """They become names of files in run folders and of folders of pictures."""
+    """They become names of files in run folders and of folders of images."""
     names = view_names(listed)
     assert len({name.casefold() for name in names}) == len(names) == len(listed)
     for name in names:

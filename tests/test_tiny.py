@@ -22,13 +22,13 @@ from irgspp.core.settings.schema import preset
 
 TINY = (
     "materials=low-gloss",  # the decision takes longer than the rest; the demonstration below makes it
-    "reflective.iterations=160",
-    "reflective.gaussians=3000",
-    "transport.points=500",
-    "transport.rows=8",
-    "transport.iterations=30",
-    "transport.pool=10000",
-    "transport.radiance_iterations=40",
+    "first.iterations=160",
+    "first.gaussians=3000",
+    "second.points=500",
+    "second.rows=8",
+    "second.iterations=30",
+    "second.pool=10000",
+    "second.radiance_iterations=40",
     "surface.voxels=48",
     "surface.triangles=3000",
     "surface.texture=128",
@@ -138,7 +138,7 @@ def test_inspection_from_the_command_line(capsys):
 
 def test_demo_from_the_command_line(tmp_path, capsys):
     """The kind of materials is decided here."""
-    words = [*TINY, "materials=auto", "reflective.iterations=8", "reflective.trial_iterations=4", "reflective.trial_gaussians=500"]
+    words = [*TINY, "materials=auto", "first.iterations=8", "first.trial_iterations=4", "first.trial_gaussians=500"]
     assert main(["demo", "-o", str(tmp_path / "demo"), *(part for word in words for part in ("--set", word))]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "demo" / "contact_sheet.png")
     state = read_run(tmp_path / "demo")
@@ -148,13 +148,13 @@ def test_demo_from_the_command_line(tmp_path, capsys):
 
 def test_cancelled_job_goes_on_to_the_same_result(run, settings, tmp_path):
     stopped = tmp_path / "run"
-    places = (("reflective", STOP), ("fuse", 5), ("trace", 1), ("transport", 11), ("paint", 1), ("refine", 7), ("radiance", 9))
+    places = (("first stage", STOP), ("fuse", 5), ("trace", 1), ("second stage", 11), ("paint", 1), ("refine", 7), ("radiance", 9))
     places += (("bake", 3), ("contact sheet", 2))
     for resume, place in enumerate(places):
         with pytest.raises(Cancelled):
             reconstruct(DEMO_DATA, stopped, settings, resume=bool(resume), progress=StopAt(*place))
         assert read_run(stopped)["status"] == "cancelled"
-        assert (stopped / "checkpoint" / "reflective.pt").exists()
+        assert (stopped / "checkpoint" / "first_stage.pt").exists()
         assert (stopped / "gaussians.ply").exists() == (place[0] in ("bake", "contact sheet"))
     reconstruct(DEMO_DATA, stopped, settings, resume=True)
     assert_same(stopped, run)
@@ -169,7 +169,7 @@ def test_second_stage_that_is_finished_early_goes_on_to_the_end(run, settings, t
             self.now, self.last = name, 0
 
         def step(self, done, **figures):
-            if self.now == "transport":
+            if self.now == "second stage":
                 self.last, self.finish_early = done, done >= 5
                 assert done <= 5
 
@@ -203,7 +203,7 @@ def test_killed_job_goes_on_to_the_same_result(run, tmp_path):
     ended = subprocess.run([sys.executable, "-P", "-c", KILLED, *command], stderr=subprocess.DEVNULL)
     assert ended.returncode == -signal.SIGKILL
     assert read_run(killed)["status"] == "running"
-    assert (killed / "checkpoint" / "reflective.pt").exists()
+    assert (killed / "checkpoint" / "first_stage.pt").exists()
     assert main(["reconstruct", str(DEMO_DATA), "-o", str(killed), "--resume"]) == 0
     steps = [e["step"] for line in (killed / "events.jsonl").read_text().splitlines() if "loss" in (e := json.loads(line))]
     assert steps[0] == KEEP + 1
@@ -217,7 +217,7 @@ def test_first_run_on_a_machine_is_like_the_later_ones(tmp_path):
     environment.pop("NUMBA_CACHE_DIR", None)  # this process has set it
     for name in ("first", "second"):
         command = [sys.executable, "-P", "-m", "irgspp", "reconstruct", str(DEMO_DATA), "-o", str(tmp_path / name), "--preset", "draft"]
-        command += [word for text in (*TINY, "reflective.iterations=4") for word in ("--set", text)]
+        command += [word for text in (*TINY, "first.iterations=4") for word in ("--set", text)]
         subprocess.run(command, env=environment, stderr=subprocess.DEVNULL, check=True)
     assert list((tmp_path / "cache").rglob("*.nbc"))
     assert_same(tmp_path / "second", tmp_path / "first")

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from ..errors import InputError, IrgsppError
-from ..io.atomic import whole
+from ..io.atomic import atomic_file
 from ..machine.blender_process import run_in_blender
 from ..progress.protocol import Progress, Silent
 
@@ -41,7 +41,7 @@ def write_blend(run: Path, target: Path, material: str, progress: Progress) -> N
     if not (run / "mesh.ply").is_file():
         raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
     arguments = [str(run.resolve()), str(target.resolve()), "--material", material]
-    status, said = run_in_blender("irgspp_addon.importer.write_blend", arguments, progress)
+    status, said = run_in_blender("irgspp_addon.importer.write_blend", arguments, lambda: progress.cancelled)
     if status == InputError.exit_status:
         raise InputError(target, f"not written: {said}")
     if status or not target.is_file():
@@ -51,5 +51,5 @@ def write_blend(run: Path, target: Path, material: str, progress: Progress) -> N
 def _copy(source: Path, target: Path) -> None:
     if not source.is_file():
         raise InputError(source, "is missing", "finish the reconstruction first")
-    with whole(target) as partial:
+    with atomic_file(target) as partial:
         shutil.copyfile(source, partial)

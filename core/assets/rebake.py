@@ -14,7 +14,7 @@ from ..errors import InputError, IrgsppError
 from ..io.file_lock import FileLock
 from ..machine.devices import best
 from ..progress.protocol import Progress
-from ..rendering.gbuffer_cache import RenderedViews
+from ..rendering.gbuffer_cache import GBufferCache
 from ..run_folder import RunFolder, read_run
 from ..scene.camera_files import load_cameras
 from ..scene.edited_mesh import EditedMesh, load_edited_mesh
@@ -82,7 +82,7 @@ def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: P
     if given is not None and edited is not None:
         _check_place(given, reconstruction, edited)
     cameras = [placed.camera for placed in load_cameras(run / "cameras.json") if placed.split == "train"]
-    views, samples = RenderedViews(reconstruction, cameras), reconstruction.surface_samples()
+    views, samples = GBufferCache(reconstruction, cameras), reconstruction.surface_samples()
     if triangles is not None:
         # The masks themselves may be gone; the Gaussians were fitted to them.
         masks = [view.alpha for view in views] if reconstruction.background is None else None

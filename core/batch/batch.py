@@ -13,7 +13,7 @@ from ..io.file_lock import FileLock
 from .job_runner import CANCEL
 from .job_state import JobFolder, Progress, State, is_there
 from .jobs import Job
-from .table import Board
+from .table import BatchTable
 from .workers import Ticket, pool_for
 
 LOOK_SECONDS = 0.2
@@ -80,7 +80,7 @@ def _noted_waiting(folder: JobFolder, state: State) -> None:
 
 def _watch(tickets: dict[str, Ticket], states: dict[str, State], notes: Path, cancelled: Callable[[], bool]) -> None:
     """Until all have ended; a wish to stop is passed on through a file, which the machines of a cluster see too."""
-    asked, left, board = False, dict(tickets), Board()
+    asked, left, board = False, dict(tickets), BatchTable()
     while left:
         if cancelled() and not asked:
             asked = True

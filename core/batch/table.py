@@ -17,7 +17,7 @@ LIVE_SECONDS, PLAIN_SECONDS = 0.5, 60.0  # between two looks; between two lines 
 ORDER = ("running", "failed", "cancelled", "waiting", "done")  # what is shown where there is no room for all
 
 
-class Board:
+class BatchTable:
     """Shows rows of a name, a state and, of those that run, how far they are."""
 
     def __init__(self, stream: TextIO | None = None) -> None:

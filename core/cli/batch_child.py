@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from ..io.file_lock import FileLock
-from ..machine.parent_watch import when_stdin_ends
+from ..machine.parent_watch import on_parent_exit
 
 GRACE_SECONDS = 60.0  # between asking the command to stop and ending it
 LOOK_SECONDS = 0.2
@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
     """Run the command; its exit status."""
     lock, *words = arguments
     asked = threading.Event()
-    when_stdin_ends(lambda: _stop(asked))
+    on_parent_exit(lambda: _stop(asked))
     held = _patiently(Path(lock), asked)
     if held is None:
         return 130

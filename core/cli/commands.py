@@ -7,7 +7,7 @@ import argparse
 import dataclasses
 import json
 
-from ..progress.recorder import JobJournal
+from ..progress.recorder import JobRecorder
 from ..progress.terminal import Terminal
 from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
@@ -47,7 +47,7 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
 def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
     """Photographs to a run folder."""
     settings = settings_of(args)
-    from ..pipeline import reconstruct  # takes seconds: what is wrong in the settings is told before
+    from ..pipeline import reconstruct  # takes seconds: what is wrong in the settings is translate_errors before
 
     run = reconstruct(args.dataset, args.run, settings, resume=args.resume, overwrite=args.overwrite, progress=terminal)
     terminal.end_line()
@@ -79,9 +79,8 @@ def batch(args: argparse.Namespace, terminal: Terminal) -> int:
     """Many jobs from a list; a line for each on stdout."""
     from ..batch.batch import notes_of, run_batch
     from ..batch.jobs import read_jobs
-    from .parser import check_words
 
-    jobs = read_jobs(args.jobs, check_words)
+    jobs = read_jobs(args.jobs, args.check)
     states = run_batch(jobs, notes_of(args.jobs), lambda: terminal.cancelled, args.at_once, args.dask)
     for job in jobs:
         state = states[job.name]
@@ -100,7 +99,7 @@ def export(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def bake(args: argparse.Namespace, terminal: Terminal | JobJournal) -> int:
+def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
     """Mesh and textures of a finished run once more."""
     from ..assets.rebake import bake
 

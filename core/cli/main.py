@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import Cancelled, IrgsppError
-from ..machine.out_of_resources import shortage
-from ..progress.recorder import JobJournal, JobNotes
+from ..machine.out_of_resources import as_out_of_resources
+from ..progress.recorder import JobLog, JobRecorder
 from ..progress.terminal import Terminal
 from .parser import parser
 
@@ -33,13 +33,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(args, words, watched(terminal))
 
 
-def watched(terminal: Terminal) -> Terminal | JobJournal:
+def watched(terminal: Terminal) -> Terminal | JobRecorder:
     """Progress as the program that started this process wants it: in the folder $IRGSPP_JOB as well, where it names one."""
     folder = os.environ.pop(JOB_FOLDER, "")
-    return JobJournal(JobNotes(Path(folder)), terminal) if folder else terminal
+    return JobRecorder(JobLog(Path(folder)), terminal) if folder else terminal
 
 
-def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobJournal) -> int:
+def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobRecorder) -> int:
     try:
         return args.command(args, terminal)
     except Cancelled as error:
@@ -51,13 +51,13 @@ def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobJou
         _complain(terminal, str(error))
         return error.exit_status
     except Exception as error:  # a fault of ours or of the machine: one line here, the rest where it can be read later
-        short, log = shortage(error, getattr(args, "run", Path()), args.resumable), _keep_traceback(args)
+        short, log = as_out_of_resources(error, getattr(args, "run", Path()), args.resumable), _keep_traceback(args)
         line = str(short) if short else f"failed: {type(error).__name__}: {' '.join(str(error).split())}"
         _complain(terminal, line + (f" (more in {log})" if log else ""))
         return 1
 
 
-def _complain(terminal: Terminal | JobJournal, line: str) -> None:
+def _complain(terminal: Terminal | JobRecorder, line: str) -> None:
     terminal.end_line()
     print(f"irgspp: {line}", file=sys.stderr, flush=True)
 

@@ -46,11 +46,11 @@ def parser() -> argparse.ArgumentParser:
     _resume_options(one)
     one.add_argument("--overwrite", action="store_true", help="replace the run in the folder")
 
-    one = _command(several, "render", render_command.render, "views of a run as pictures and layers")
+    one = _command(several, "render", render_command.render, "views of a run as images and layers")
     _run_argument(one)
     render_command.add_options(one)
 
-    one = _command(several, "serve", serve_command.serve, "keep a run warm and answer requests for pictures through files")
+    one = _command(several, "serve", serve_command.serve, "keep a run warm and answer requests for images through files")
     _run_argument(one)
     serve_command.add_options(one)
 
@@ -78,6 +78,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--mesh", metavar="FILE", type=Path, help="a PLY in the run's frame that takes the mesh's place; its UVs are kept")
 
     one = _command(several, "batch", commands.batch, "many jobs from a list, several at a time or on many machines")
+    one.set_defaults(check=check_words)  # given along: commands.py must not import this module
     one.add_argument("jobs", metavar="JOBS.toml", type=Path, help="[defaults] and [[job]] tables, see docs/batch.md")
     one.add_argument("-j", dest="at_once", type=_positive, default=1, metavar="N", help="jobs at a time on this machine (default: 1)")
     one.add_argument("--dask", metavar="ADDRESS", help="on the workers of this scheduler (tcp://HOST:PORT), which see the same folders")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command `irgspp render`: views of a run as pictures under any light, and their layers."""
+"""The command `irgspp render`: views of a run as images under any light, and their layers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Views of a run as picture files."""
+    """Views of a run as image files."""
     from ..machine.devices import best
     from ..relight.backends import best_backend, open_relighter
     from ..relight.relighter import RelightSettings
@@ -58,10 +58,10 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _skip_only(overrides: Sequence[str]) -> Sequence[str]:
-    """Raises InputError for settings that a picture of a finished run doesn't depend on."""
+    """Raises InputError for settings that an image of a finished run doesn't depend on."""
     for text in overrides:
         if not text.startswith("skip."):
-            raise InputError(f"--set {text}", "concerns the reconstruction, not its pictures", "use skip.open or skip.kept")
+            raise InputError(f"--set {text}", "concerns the reconstruction, not its images", "use skip.reuse_visibility or skip.cache_rays")
     return overrides
 
 
@@ -107,7 +107,7 @@ def add_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--orbit", type=int, metavar="N", help="N views on a circle around the object instead")
     some = "only these of the views, counted from 0: 0-9,20; several machines can share a turntable so"
     one.add_argument("--frames", type=_frames, metavar="A-B,C", help=some)
-    one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the pictures")
+    one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the images")
     one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")
     _light_options(one)
     _relight_options(one)
@@ -124,15 +124,15 @@ def _light_options(one: argparse.ArgumentParser) -> None:
 
 def _relight_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
-    error = "every part of the picture gets the samples it takes to err by so much: root mean square of the sRGB object, 0.01 is 1 %%"
+    error = "every part of the image gets the samples it takes to err by so much: root mean square of the sRGB object, 0.01 is 1 %%"
     error += "; an estimate, and a rough one with the denoiser"
     one.add_argument("--error", type=_error, metavar="E", help=error)
-    rules = "skip.open=off traces every ray, skip.kept=off keeps nothing from light to light; on, off or auto"
+    rules = "skip.reuse_visibility=off traces every ray, skip.cache_rays=off keeps nothing from light to light; on, off or auto"
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=rules)
     backend = "what shadows and reflections are traced on (default: mesh where the run has one)"
     one.add_argument("--backend", choices=("mesh", "gaussian"), help=backend)
     one.add_argument("--sampling", choices=("mis", "stratified"), default="mis", help="default: mis, which needs far fewer samples")
-    one.add_argument("--denoiser", choices=("demodulated", "paper"), default="demodulated", help="filter light (default) or the picture")
+    one.add_argument("--denoiser", choices=("demodulated", "paper"), default="demodulated", help="filter light (default) or the image")
     one.add_argument("--no-denoise", action="store_true", help="leave the noise in")
     one.add_argument("--no-indirect", action="store_true", help="shadows, but no light from one part of the object to another")
     diffuse = "lambert does not take from the diffuse light what a dielectric reflects, unlike Blender's Principled (default: conserving)"

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command `irgspp serve`: a run kept warm, which answers requests for pictures through the files of a session folder.
+"""The command `irgspp serve`: a run kept warm, which answers requests for images through the files of a session folder.
 
     ready.json            written when the run is loaded: {"irgspp": version, "pid": ..., "gaussians": ...}
     request-CHANNEL.json  replaced by the client (core/relight/server/request.py); its "number" grows, the newest wins,
                           {"cancel": true} stops
     answer-CHANNEL.json   {"number", "pass", "passes", "share" (0..1 done), "picture" (a file or null), "done", "error" (a line or null)}
-    CHANNEL-N-P.npy       the picture of request N, pass P: (H, W, 4) float32 linear premultiplied, top row first
+    CHANNEL-N-P.npy       the image of request N, pass P: (H, W, 4) float32 linear premultiplied, top row first
     stop                  ends the worker; so does the end of its stdin, of its parent, or of the folder
 
-All files appear whole. A channel is one asker: several may work side by side, first pictures go before refined ones.
+All files appear whole. A channel is one asker: several may work side by side, first images go before refined ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import InputError
-from ..machine.parent_watch import when_stdin_ends
+from ..machine.parent_watch import on_parent_exit
 from ..machine.version import VERSION
 from ..progress.terminal import Terminal
 
@@ -32,11 +32,11 @@ def serve(args: argparse.Namespace, terminal: Terminal) -> int:
     if not session.is_dir():
         raise InputError(session, "is not a folder", "make it before")
     ended = _when_to_end(session, terminal)
-    from ..relight.server.loaded_run import WarmRun
-    from ..relight.server.request_server import Desk, write_json  # torch takes seconds, which other commands need not wait for
+    from ..relight.server.loaded_run import LoadedRun
+    from ..relight.server.request_server import RequestServer, write_json  # torch takes seconds, which other commands need not wait for
 
-    desk = Desk(session, ended)
-    run = WarmRun(args.run, desk.tick)
+    desk = RequestServer(session, ended)
+    run = LoadedRun(args.run, desk.tick)
     run.warm_up()
     write_json(session / "ready.json", {"irgspp": VERSION, "pid": os.getpid(), "gaussians": run.reconstruction.gaussians.count})
     desk.work(run)
@@ -45,14 +45,14 @@ def serve(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def add_options(one: argparse.ArgumentParser) -> None:
     """What the command understands beside the run folder."""
-    one.add_argument("--session", type=Path, required=True, metavar="DIR", help="folder for requests and pictures (core/cli/serve.py)")
+    one.add_argument("--session", type=Path, required=True, metavar="DIR", help="folder for requests and images (core/cli/serve.py)")
 
 
 def _when_to_end(session: Path, terminal: Terminal) -> Callable[[], bool]:
     """True when the folder says so or is gone, stdin is closed, the parent died or Ctrl-C was pressed."""
     closed, parent = threading.Event(), os.getppid()
 
-    when_stdin_ends(closed.set)
+    on_parent_exit(closed.set)
 
     def ended() -> bool:
         orphan = sys.platform != "win32" and os.getppid() != parent

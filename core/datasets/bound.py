@@ -13,10 +13,10 @@ from ..errors import InputError
 from ..scene.camera import Camera
 from ..scene.dataset import Bound, PointCloud, View
 from ..settings.schema import DataSettings
-from .parsed_dataset import MINIMUM_VIEWS, Capture
+from .parsed_dataset import MINIMUM_VIEWS, ParsedDataset
 
 MARGIN = 1.08
-FRAME_MARGIN = 1.5  # an object reaches no further than this beyond the sphere that fills the pictures
+FRAME_MARGIN = 1.5  # an object reaches no further than this beyond the sphere that fills the images
 HULL_CELLS = 40  # along a side of the carving grid
 HULL_ROUNDS = 3  # each fits the grid to what the last one left
 HULL_VIEWS = 32
@@ -33,7 +33,7 @@ class Focus:
     reliable: bool
 
 
-def object_bound(capture: Capture, views: list[View], settings: DataSettings, warnings: list[str]) -> Bound:
+def object_bound(capture: ParsedDataset, views: list[View], settings: DataSettings, warnings: list[str]) -> Bound:
     """The given bound, or what masks, points and cameras tell, whichever says most. Raises InputError where the given one is none."""
     bound = capture.bound or _estimated_bound(views, capture.points, warnings)
     centre, radius = bound.centre, bound.radius
@@ -84,7 +84,7 @@ def focus_of(cameras: Sequence[Camera]) -> Focus:
 
 
 def bound_of_cameras(cameras: Sequence[Camera]) -> Bound:
-    """The sphere about the focus that fills the pictures."""
+    """The sphere about the focus that fills the images."""
     focus = focus_of(cameras)
     half_angles = [np.arctan(min(c.width / c.fx, c.height / c.fy) / 2) for c in cameras]
     return _sphere(focus.point, focus.distance * float(np.sin(np.median(half_angles))), cameras)
@@ -95,7 +95,7 @@ def bound_of_points(cameras: Sequence[Camera], points: np.ndarray) -> Bound | No
     focus = focus_of(cameras)
     seen = np.zeros(len(points))
     for camera in cameras:
-        seen += _in_picture(camera, *camera.project(points))
+        seen += _in_image(camera, *camera.project(points))
     framed = min(FRAME_MARGIN * bound_of_cameras(cameras).radius, 0.8 * focus.distance)
     near = points[(seen >= 0.5 * len(cameras)) & (np.linalg.norm(points - focus.point, axis=-1) < framed)]
     if not focus.reliable or len(near) < 20:
@@ -140,9 +140,9 @@ def _carve(points: np.ndarray, cell: float, views: list[tuple[Camera, np.ndarray
     seen, outside = np.zeros(len(points)), np.zeros(len(points))
     for camera, mask in views:
         pixel, depth = camera.project(points)
-        visible = _in_picture(camera, pixel, depth)
+        visible = _in_image(camera, pixel, depth)
         scale = mask.shape[1] / camera.width
-        # A cell counts as inside where any part of its picture does, so that thin parts survive a coarse grid.
+        # A cell counts as inside where any part of its image does, so that thin parts survive a coarse grid.
         reach = 0.87 * cell * camera.fx * scale / max(float(np.median(depth)), 1e-9)
         size = 2 * min(int(np.ceil(reach)), MASK_PIXELS) + 1
         wide = cv2.dilate(mask, np.ones((size, size), np.uint8))
@@ -163,8 +163,8 @@ def _coarse(mask: np.ndarray) -> np.ndarray:
     return (cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 0.25).astype(np.uint8)
 
 
-def _in_picture(camera: Camera, pixel: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """(N,) whether the projected points lie in front of the camera and inside its picture."""
+def _in_image(camera: Camera, pixel: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """(N,) whether the projected points lie in front of the camera and inside its image."""
     return (depth > 0) & (pixel >= 0).all(-1) & (pixel[:, 0] < camera.width) & (pixel[:, 1] < camera.height)
 
 

@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..settings.schema import DataSettings
 from .formats import colmap, glossy_real, glossy_synthetic, metashape, realitycapture, stanford_orb, tensoir, transforms
 from .formats.colmap_model import model_files
-from .parsed_dataset import Capture
+from .parsed_dataset import ParsedDataset
 
 LOOKED_FOR = (
     "looked for transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt, train_000/metadata.json, 0-camera.pkl, "
@@ -23,7 +23,7 @@ class NoDataset(InputError):
 
 
 Recognise = Callable[[Path], object]
-Read = Callable[[Path, DataSettings], Capture]
+Read = Callable[[Path, DataSettings], ParsedDataset]
 
 # Those whose files nothing else has come first, those that only one file gives away come last.
 BEFORE: tuple[tuple[Recognise, Read], ...] = (
@@ -35,13 +35,13 @@ AFTER: tuple[tuple[Recognise, Read], ...] = (
     (metashape.find_cameras, metashape.read_metashape),
     (realitycapture.find_cameras, realitycapture.read_realitycapture),
 )
-FINISH: dict[str, Callable[[Capture], Capture]] = {
+FINISH: dict[str, Callable[[ParsedDataset], ParsedDataset]] = {
     "stanford-orb": stanford_orb.with_novel,
     "glossy-synthetic": glossy_synthetic.upright,
 }
 
 
-def read_capture(path: Path, settings: DataSettings) -> Capture:
+def parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
     """Read the description of the dataset that is at `path`: a folder, a file of cameras, or the folder of a COLMAP model.
 
     Of a folder that has several descriptions the one with its own test split is read (transforms_train.json), then a COLMAP model with
@@ -76,13 +76,13 @@ def transforms_of(folder: Path) -> Path | None:
     return single if single.is_file() and not complete else None
 
 
-def _read_transforms(file: Path, settings: DataSettings) -> Capture:
+def _read_transforms(file: Path, settings: DataSettings) -> ParsedDataset:
     """A transforms file, and what the collection it belongs to has besides."""
     capture = transforms.read_transforms(file, settings)
     return FINISH.get(capture.format, lambda same: same)(capture)
 
 
-def _read_file(file: Path, settings: DataSettings) -> Capture:
+def _read_file(file: Path, settings: DataSettings) -> ParsedDataset:
     readers: dict[str, Read] = {
         ".json": _read_transforms,
         ".xml": metashape.read_metashape,

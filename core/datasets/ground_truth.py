@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What files beside a picture say is true of it, format by format, in the dataset's own frame and units."""
+"""What files beside an image say is true of it, format by format, in the dataset's own frame and units."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.exr import MAX_PIXELS
-from ..io.image import read_picture, unit
+from ..io.image import read_image, unit
 from ..io.safe_paths import inside
 from ..io.srgb import decode_srgb
 from ..scene.dataset import View
@@ -50,20 +50,20 @@ class Layers:
     lights: dict[str, MapFile] = field(default_factory=dict)
 
 
-def layers_of(format: str, view: View) -> Layers:
-    """What lies beside the picture of a view of a dataset of that format. Raises InputError where a file is damaged."""
+def ground_truth_layers(format: str, view: View) -> Layers:
+    """What lies beside the image of a view of a dataset of that format. Raises InputError where a file is damaged."""
     return READERS.get(format, lambda _: Layers())(view)
 
 
-def relit_names(format: str, picture: Path) -> list[str]:
-    """The lights under which there are pictures of the same view."""
+def relit_names(format: str, image: Path) -> list[str]:
+    """The lights under which there are images of the same view."""
     if format == "tensoir":
-        return list(_tensoir_relit(picture))
-    return list(_synthetic4relight_relit(picture)) if format == "synthetic4relight" else []
+        return list(_tensoir_relit(image))
+    return list(_synthetic4relight_relit(image)) if format == "synthetic4relight" else []
 
 
 def light_files(format: str, folder: Path, relit: list[str]) -> tuple[str | None, dict[str, MapFile]]:
-    """(name of the training light where it is known, light name -> map) of a dataset's folder; `relit` are the lights of its pictures."""
+    """(name of the training light where it is known, light name -> map) of a dataset's folder; `relit` are the lights of its images."""
     if format == "tensoir":
         return _found("sunset", [*relit, "sunset"], TENSOIR_MAPS, folder)
     if format == "synthetic4relight":
@@ -90,8 +90,8 @@ def _tensoir(view: View) -> Layers:
     return Layers(albedo, _png_normal(folder / "normal.png"), cover=cover, relit=_tensoir_relit(view.path))
 
 
-def _tensoir_relit(picture: Path) -> dict[str, Path]:
-    return {f.stem.removeprefix("rgba_"): inside(f, picture.parent) for f in sorted(picture.parent.glob("rgba_*.png"))}
+def _tensoir_relit(image: Path) -> dict[str, Path]:
+    return {f.stem.removeprefix("rgba_"): inside(f, image.parent) for f in sorted(image.parent.glob("rgba_*.png"))}
 
 
 def _synthetic4relight(view: View) -> Layers:
@@ -106,10 +106,10 @@ def _synthetic4relight(view: View) -> Layers:
     )
 
 
-def _synthetic4relight_relit(picture: Path) -> dict[str, Path]:
-    name = picture.name.removesuffix("_rgba.png")
-    files = sorted((picture.parent.parent / "test_rli").glob(f"envmap*_{name}.png"))
-    return {f.stem.removesuffix("_" + name): inside(f, picture.parent.parent) for f in files}
+def _synthetic4relight_relit(image: Path) -> dict[str, Path]:
+    name = image.name.removesuffix("_rgba.png")
+    files = sorted((image.parent.parent / "test_rli").glob(f"envmap*_{name}.png"))
+    return {f.stem.removesuffix("_" + name): inside(f, image.parent.parent) for f in files}
 
 
 def _glossy_synthetic(view: View) -> Layers:
@@ -138,7 +138,7 @@ def _stanford_orb(view: View) -> Layers:
 
 
 def _nerf_synthetic(view: View) -> Layers:
-    """Shiny Blender's scenes have normals; the depth and normal pictures of NeRF's own are of no known scale."""
+    """Shiny Blender's scenes have normals; the depth and normal images of NeRF's own are of no known scale."""
     return Layers(normal=_png_normal(view.path.with_name(view.path.stem + "_normal.png")))
 
 
@@ -155,12 +155,12 @@ def _png(path: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
     """(H, W, 3) float32 as stored, 0..1, and alpha (H, W); None where there is no such file, or no alpha in it."""
     if not path.is_file():
         return None, None
-    picture = read_picture(inside(path, path.parent))
-    return unit(picture.colour), None if picture.alpha is None else unit(picture.alpha)
+    image = read_image(inside(path, path.parent))
+    return unit(image.colour), None if image.alpha is None else unit(image.alpha)
 
 
 def _png_normal(path: Path) -> np.ndarray | None:
-    """(H, W, 3) vectors stored as colours, 0 where the picture is transparent or black, or None where there is no such file."""
+    """(H, W, 3) vectors stored as colours, 0 where the image is transparent or black, or None where there is no such file."""
     colour, alpha = _png(path)
     if colour is None:
         return None

@@ -69,14 +69,14 @@ def number_of(where: object, values: dict[str, Any], key: str) -> float:
 
 
 def side_of(where: object, values: dict[str, Any], key: str, axis: int = 0, size: Size | None = None) -> int:
-    """A picture's side in pixels under the key, or from `size` where there is none. Raises InputError where neither makes sense."""
+    """An image's side in pixels under the key, or from `size` where there is none. Raises InputError where neither makes sense."""
     if not is_given(values, key):
         if size is None:
-            raise InputError(where, f'has no "{key}" and no picture to take the size from')
+            raise InputError(where, f'has no "{key}" and no image to take the size from')
         return size[axis]
     side = number_of(where, values, key)
     if not 1 <= side <= LARGEST_SIDE or side != int(side):
-        raise InputError(where, f'"{key}" = {side:g} is not a picture size')
+        raise InputError(where, f'"{key}" = {side:g} is not an image size')
     return int(side)
 
 

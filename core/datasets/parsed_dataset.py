@@ -26,7 +26,7 @@ class Lens:
 
     Attributes:
         model: the name the file gives, for people ("SIMPLE_RADIAL", "OPENCV", ...).
-        width, height: picture size in pixels that the numbers belong to.
+        width, height: image size in pixels that the numbers belong to.
         fx, fy, cx, cy: in pixels; the centre of the first pixel is at (0.5, 0.5).
         distortion: OpenCV's order, (k1, k2, p1, p2, k3) or, where fisheye, (k1, k2, k3, k4); all 0 for a pinhole.
         fisheye: angles instead of tangents (OpenCV's equidistant model).
@@ -53,7 +53,7 @@ class Lens:
         return self.fisheye or any(self.distortion)
 
     def resized(self, width: int, height: int) -> Lens:
-        """The same lens for a picture of another size; distortion is relative and stays."""
+        """The same lens for an image of another size; distortion is relative and stays."""
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
@@ -83,16 +83,16 @@ class Frame:
 
     Attributes:
         listed: the name in the file that lists it, with folders.
-        picture: its file, or None where there is none on disk.
+        image: its file, or None where there is none on disk.
         mask: its mask file, or None.
         lens: intrinsics.
         to_world: (4, 4) float64 rigid camera to world, looking along -Z, +Y up.
         far: where the mask file is a depth map, the share of its range at and beyond which there is background; else None.
-        light: the light the picture was taken under, where that is not the dataset's.
+        light: the light the image was taken under, where that is not the dataset's.
     """
 
     listed: str
-    picture: Path | None
+    image: Path | None
     mask: Path | None
     lens: Lens
     to_world: np.ndarray
@@ -101,19 +101,19 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
-    """A dataset as its files describe it, pictures that are listed but missing included.
+class ParsedDataset:
+    """A dataset as its files describe it, images that are listed but missing included.
 
     Attributes:
         source: the file or model folder that was read.
-        root: the folder that every picture and mask lies in.
+        root: the folder that every image and mask lies in.
         format: its short name, see docs/datasets.md.
         train, test: frames in the listed order; test is None where the files name no split.
         to_world: (4, 4) similarity from the dataset's frame to ours; the frames and points are already in ours.
         points: sparse points, or None.
         bound: the object's bound in our world where the files say it, or None.
         published: names (`listed`) of the test views of the dataset's own paper, where that is a split apart from `test`; or empty.
-        novel: frames of the same object under other lights, each with its `light`: to compare relit pictures with.
+        novel: frames of the same object under other lights, each with its `light`: to compare relit images with.
         warnings: lines worth telling the user.
     """
 
@@ -130,7 +130,7 @@ class Capture:
     warnings: list[str] = field(default_factory=list)
 
     def split(self, settings: DataSettings) -> tuple[list[Frame], list[Frame]]:
-        """(train, test) as the settings say: the declared split, that of the dataset's paper, or every `holdout`-th view with a picture
+        """(train, test) as the settings say: the declared split, that of the dataset's paper, or every `holdout`-th view with an image
         held out, where enough are left to learn from. Raises InputError where the paper's split is asked for and not known."""
         every = self.train if self.test is None else sorted([*self.train, *self.test], key=lambda f: _natural(f.listed))
         if settings.split == "published":
@@ -140,7 +140,7 @@ class Capture:
         if self.test is not None and settings.split == "auto":
             return self.train, self.test
         holdout = settings.holdout
-        frames = [f for f in every if f.picture is not None] or every
+        frames = [f for f in every if f.image is not None] or every
         if holdout < 2 or len(frames) - len(frames[::holdout]) < MINIMUM_VIEWS:
             return frames, []
         return [f for i, f in enumerate(frames) if i % holdout], frames[::holdout]
@@ -175,7 +175,7 @@ def _key(name: str) -> str:
 
 def _name_parts(listed: str) -> list[str]:
     path = PurePosixPath(listed.replace("\\", "/"))
-    stem = path.stem if path.suffix.lower() in PICTURE_SUFFIXES else path.name
+    stem = path.stem if path.suffix.lower() in IMAGE_SUFFIXES else path.name
     parts = [p for p in (*path.parent.parts, stem) if p.strip("/") not in ("", ".", "..")]
     return (parts[:-1] if len(parts) > 1 and parts[-1] == "rgba" else parts) or ["view"]
 
@@ -193,32 +193,32 @@ def _numbered(names: list[str]) -> list[str]:
     return unique
 
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 
-def find_picture(base: Path) -> Path | None:
-    """The picture file meant by `base`: as given, with another known extension, or with one added (lower or upper case)."""
+def find_image(base: Path) -> Path | None:
+    """The image file meant by `base`: as given, with another known extension, or with one added (lower or upper case)."""
     stem = base
-    if base.suffix.lower() in PICTURE_SUFFIXES:
+    if base.suffix.lower() in IMAGE_SUFFIXES:
         if is_file(base):
             return base
         stem = base.with_suffix("")
-    endings = (ending for suffix in PICTURE_SUFFIXES for ending in (suffix, suffix.upper()))
+    endings = (ending for suffix in IMAGE_SUFFIXES for ending in (suffix, suffix.upper()))
     return next((file for ending in endings if is_file(file := stem.with_name(stem.name + ending))), None)
 
 
-def find_mask(picture: Path, root: Path) -> Path | None:
-    """The mask file of a picture, or None: NAME.png or NAME.ext.png in a folder of masks, with the picture's sub-folders, or NAME_mask.png.
+def find_mask(image: Path, root: Path) -> Path | None:
+    """The mask file of an image, or None: NAME.png or NAME.ext.png in a folder of masks, with the image's sub-folders, or NAME_mask.png.
 
-    For pictures below `images_4` the folders are `masks_4`, `masks` beside it, `masks` inside it; for `train` also `train_mask`.
+    For images below `images_4` the folders are `masks_4`, `masks` beside it, `masks` inside it; for `train` also `train_mask`.
     """
     scaled = "masks" + root.name.removeprefix("images") if root.name.startswith("images") else "masks"
     folders = (root.parent / scaled, root.parent / "masks", root / "masks", root.parent / (root.name + "_mask"))
-    candidates = [picture.with_name(picture.stem + "_mask.png")]
+    candidates = [image.with_name(image.stem + "_mask.png")]
     for masks in dict.fromkeys(folders):
         try:
-            inside = masks / picture.relative_to(root)
+            inside = masks / image.relative_to(root)
         except ValueError:
-            inside = masks / picture.name
+            inside = masks / image.name
         candidates += [inside.with_suffix(".png"), inside.with_name(inside.name + ".png")]
-    return next((c for c in candidates if c != picture and is_file(c)), None)
+    return next((c for c in candidates if c != image and is_file(c)), None)

@@ -21,7 +21,7 @@ def describe(dataset: Dataset) -> str:
 def facts(dataset: Dataset) -> dict[str, Any]:
     """The same as plain values for JSON.
 
-    path, format; train, test: numbers of views; novel: of those under other lights, by light; sizes: [[width, height, pictures]], the most
+    path, format; train, test: numbers of views; novel: of those under other lights, by light; sizes: [[width, height, images]], the most
     common first; kinds: of files; lenses: the real cameras, one line each; distorted: photographs that show lens distortion; masked:
     training views with a mask; object_share: of their pixels, or None; points: their number, or None; centre, radius: the object's bound
     in our world; to_world: (4, 4) from the dataset's own frame to it; warnings; rows: [[name, text]] as `describe` puts them.

@@ -10,19 +10,19 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
-from ..io.image import Picture
+from ..io.image import DecodedImage
 from .parsed_dataset import Lens
 
 GRID = 33  # samples along a side when looking for blank borders
-LARGEST_ZOOM = 3.0  # beyond, next to nothing of the picture would be left
+LARGEST_ZOOM = 3.0  # beyond, next to nothing of the image would be left
 
 
 @lru_cache(maxsize=256)
 def pinhole(lens: Lens) -> Lens:
-    """The pinhole lens of the undistorted picture: same size and principal point, focal lengths raised as little as it takes
+    """The pinhole lens of the undistorted image: same size and principal point, focal lengths raised as little as it takes
     for every pixel to have a source, so that no blank corner is ever taken for background.
 
-    Raises InputError where the coefficients make no sense for pictures of this size.
+    Raises InputError where the coefficients make no sense for images of this size.
     """
     plain = replace(lens, distortion=(), fisheye=False)
     if not lens.distorted:
@@ -40,19 +40,19 @@ def pinhole(lens: Lens) -> Lens:
     return replace(plain, fx=lens.fx * high, fy=lens.fy * high)
 
 
-def undistort(picture: Picture, lens: Lens) -> Picture:
-    """The picture as `pinhole(lens)` sees it; lens and picture have the same size. Bicubic, colour weighted by alpha."""
+def undistort(image: DecodedImage, lens: Lens) -> DecodedImage:
+    """The image as `pinhole(lens)` sees it; lens and image have the same size. Bicubic, colour weighted by alpha."""
     if not lens.distorted:
-        return picture
+        return image
     maps = _maps(lens)
-    brightest = max(1.0, float(picture.colour.max()))  # bicubic overshoots
-    if picture.alpha is None:
-        return Picture(np.clip(_resample(picture.colour, maps), 0, brightest), None)
-    pixels = _resample(np.dstack([picture.colour * picture.alpha[..., None], picture.alpha]), maps)
+    brightest = max(1.0, float(image.colour.max()))  # bicubic overshoots
+    if image.alpha is None:
+        return DecodedImage(np.clip(_resample(image.colour, maps), 0, brightest), None)
+    pixels = _resample(np.dstack([image.colour * image.alpha[..., None], image.alpha]), maps)
     alpha = pixels[..., 3]
     # Both overshoot alike, so the quotient stays the colour.
     straight = np.where(alpha[..., None] > 1e-3, pixels[..., :3] / np.maximum(alpha, 1e-3)[..., None], 0)
-    return Picture(np.clip(straight, 0, brightest), np.clip(alpha, 0, 1))
+    return DecodedImage(np.clip(straight, 0, brightest), np.clip(alpha, 0, 1))
 
 
 def undistort_mask(mask: np.ndarray, lens: Lens) -> np.ndarray:
@@ -70,9 +70,9 @@ def _maps(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _covered(lens: Lens, zoom: float) -> bool:
-    """True where every output pixel at this zoom has a source inside the picture, and the mapping does not fold over."""
+    """True where every output pixel at this zoom has a source inside the image, and the mapping does not fold over."""
     plain = replace(lens, fx=lens.fx * zoom, fy=lens.fy * zoom, distortion=(), fisheye=False)
-    # A coarse picture whose outermost pixel centres are those of the real one.
+    # A coarse image whose outermost pixel centres are those of the real one.
     x = _stretch(lens.width, plain.fx, plain.cx)
     y = _stretch(lens.height, plain.fy, plain.cy)
     coarse = replace(plain, width=GRID, height=GRID, fx=x[0], cx=x[1], fy=y[0], cy=y[1])
@@ -87,7 +87,7 @@ def _stretch(pixels: int, focal: float, centre: float) -> tuple[float, float]:
 
 
 def _source_positions(lens: Lens, output: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of `output` (a pinhole) lies in the picture of `lens`, in OpenCV's coordinates (pixel centres at integers)."""
+    """Where each pixel of `output` (a pinhole) lies in the image of `lens`, in OpenCV's coordinates (pixel centres at integers)."""
     build = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
     coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
     return build(_matrix(lens), coefficients, np.eye(3), _matrix(output), output.size, cv2.CV_32FC1)

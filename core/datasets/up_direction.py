@@ -11,7 +11,7 @@ from ..scene.camera import Camera
 
 
 def up_of(cameras: Sequence[Camera]) -> np.ndarray:
-    """(3,) unit vector: the direction that the cameras' horizontal axes are square to, on the side of the pictures' tops.
+    """(3,) unit vector: the direction that the cameras' horizontal axes are square to, on the side of the images' tops.
 
     Level cameras leave the horizontal axis square to the vertical however steeply they look up or down, while the mean of their tops
     leans towards wherever most of them stand. Where the horizontal axes fix no direction, that mean has to do.
@@ -22,7 +22,7 @@ def up_of(cameras: Sequence[Camera]) -> np.ndarray:
     mean = mean / length if length > 1e-3 else np.array([0.0, 0.0, 1.0])
     weights = np.ones(len(cameras))
     up, decided = mean, False
-    for _ in range(10):  # reweighting: pictures taken on edge have their horizontal axis along the vertical
+    for _ in range(10):  # reweighting: images taken on edge have their horizontal axis along the vertical
         values, vectors = np.linalg.eigh((weights[:, None, None] * rights[:, :, None] * rights[:, None, :]).sum(0) / weights.sum())
         decided = bool(values[0] < 0.3 * values[1])
         up = vectors[:, 0] * (1 if vectors[:, 0] @ mean >= 0 else -1)

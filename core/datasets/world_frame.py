@@ -11,13 +11,13 @@ import numpy as np
 from ..scene.camera import Camera
 from ..scene.dataset import PointCloud
 from .bound import bound_of_cameras, bound_of_points
-from .parsed_dataset import Capture, Frame
+from .parsed_dataset import Frame, ParsedDataset
 from .up_direction import rotation_to_z, up_of
 
 
 def settle(
     source: Path, root: Path, format: str, frames: list[Frame], points: PointCloud | None, warnings: list[str], upright: bool = False
-) -> Capture:
+) -> ParsedDataset:
     """Frames and points of a solver's own frame as a capture in our world; its scale is kept.
 
     The cameras' up becomes +Z, unless the solver's world is `upright` already; the object is moved to the origin. Both depend on cameras
@@ -30,10 +30,12 @@ def settle(
     if not upright:
         to_world[:3, :3] = rotation_to_z(up_of(cameras))
     to_world[:3, 3] = -to_world[:3, :3] @ np.array(bound.centre)
-    return moved(Capture(source, root, format, frames, None, np.eye(4), points if len(position) else None, warnings=warnings), to_world)
+    return moved(
+        ParsedDataset(source, root, format, frames, None, np.eye(4), points if len(position) else None, warnings=warnings), to_world
+    )
 
 
-def moved(capture: Capture, to_world: np.ndarray) -> Capture:
+def moved(capture: ParsedDataset, to_world: np.ndarray) -> ParsedDataset:
     """The capture, so far in the dataset's own frame and without a bound, after a similarity (4, 4) to our world."""
 
     def placed(frames: list[Frame]) -> list[Frame]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One picture that shows a whole reconstruction: what went in, what came out, and the object under other lights."""
+"""One image that shows a whole reconstruction: what went in, what came out, and the object under other lights."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import Cancelled
-from ..io.atomic import whole
+from ..io.atomic import atomic_file
 from ..progress.protocol import Progress
 from ..relight.prepared_light import PreparedLight, prepare
 from ..relight.relighter import Relighter
-from ..rendering.gbuffer import render_view
+from ..rendering.gbuffer import render_gbuffer
 from ..scene.dataset import Dataset, View
 from ..shading.procedural_lights import studio_light, sunset_light
-from . import visualisation as pictures
+from . import visualisation
 from .cases import spread_views
 
 COLUMNS = ("photograph", "radiance", "recovered light", "albedo", "roughness", "metallic", "normal", "studio light", "sunset light")
@@ -44,32 +44,32 @@ def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: 
         tiles.append(view_row(view, relighter, prepared))
         progress.step(len(tiles))
     sheet = compose(tiles, COLUMNS)
-    with whole(path) as partial:
+    with atomic_file(path) as partial:
         sheet.save(partial, "PNG", optimize=True)
 
 
 def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) -> list[np.ndarray]:
-    """The pictures of one row, each (H, W, 4) as in `pictures`; the first light is the recovered one."""
+    """The images of one row, each (H, W, 4) as in `images`; the first light is the recovered one."""
     camera, (width, height) = view.camera, fitted(view.camera.width, view.camera.height, TILE)
     if width < camera.width:  # a tile shows no more pixels; but never more than were learnt from
         camera = camera.resized(width, height)
-    buffers, surface = render_view(relighter.reconstruction, camera), relighter.surface(camera)
-    own, *others = (pictures.shaded(relighter.relit(surface, light).numpy()) for light in lights)
-    photograph = pictures.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
+    buffers, surface = render_gbuffer(relighter.reconstruction, camera), relighter.surface(camera)
+    own, *others = (visualisation.shaded(relighter.relit(surface, light).numpy()) for light in lights)
+    photograph = visualisation.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
     return [
         photograph,
-        pictures.shaded(buffers.picture),
+        visualisation.shaded(buffers.image),
         own,
-        pictures.colour(buffers.albedo, buffers.alpha),
-        pictures.grey(buffers.roughness, buffers.alpha),
-        pictures.grey(buffers.metallic, buffers.alpha),
-        pictures.normal(buffers.normal, buffers.alpha),
+        visualisation.colour(buffers.albedo, buffers.alpha),
+        visualisation.grey(buffers.roughness, buffers.alpha),
+        visualisation.grey(buffers.metallic, buffers.alpha),
+        visualisation.normal(buffers.normal, buffers.alpha),
         *others,
     ]
 
 
 def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Image.Image:
-    """Rows of pictures as one image, each in a tile on a faint checkerboard, the columns named above."""
+    """Rows of images as one image, each in a tile on a faint checkerboard, the columns named above."""
     heights = [max(fitted(p.shape[1], p.shape[0], TILE)[1] for p in row) for row in rows]
     width = GAP + len(columns) * (TILE + GAP)
     sheet = Image.new("RGB", (width, HEADER + sum(height + GAP for height in heights)), PAPER)
@@ -78,8 +78,8 @@ def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Ima
         draw.text((GAP + i * (TILE + GAP) + TILE / 2, HEADER / 2), name, INK, font, anchor="mm")
     top = HEADER
     for row, height in zip(rows, heights, strict=True):
-        for i, picture in enumerate(row):
-            sheet.paste(_tile(picture, height), (GAP + i * (TILE + GAP), top))
+        for i, image in enumerate(row):
+            sheet.paste(_tile(image, height), (GAP + i * (TILE + GAP), top))
         top += height + GAP
     return sheet
 
@@ -90,10 +90,10 @@ def fitted(width: int, height: int, side: int) -> tuple[int, int]:
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def _tile(picture: np.ndarray, height: int) -> Image.Image:
-    """(TILE, height) pixels with the picture in the middle."""
-    size = fitted(picture.shape[1], picture.shape[0], TILE)
-    premultiplied = np.concatenate([picture[..., :3] * picture[..., 3:], picture[..., 3:]], -1)
+def _tile(image: np.ndarray, height: int) -> Image.Image:
+    """(TILE, height) pixels with the image in the middle."""
+    size = fitted(image.shape[1], image.shape[0], TILE)
+    premultiplied = np.concatenate([image[..., :3] * image[..., 3:], image[..., 3:]], -1)
     channels = [Image.fromarray(np.ascontiguousarray(premultiplied[..., i], np.float32)) for i in range(4)]
     # Unlike bicubic, this filter has no negative lobes: no bright rim where the object ends.
     scaled = np.clip(np.stack([np.asarray(c.resize(size, Image.Resampling.HAMMING)) for c in channels], -1), 0, 1)

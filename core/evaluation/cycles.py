@@ -25,14 +25,14 @@ SAMPLES = 256  # of Cycles in a comparison, denoised
 
 @dataclass(frozen=True)
 class CyclesPass:
-    """How often a picture's pixels are sampled, and whether OpenImageDenoise goes over it."""
+    """How often an image's pixels are sampled, and whether OpenImageDenoise goes over it."""
 
     samples: int
     denoise: bool
 
 
 @dataclass(frozen=True, eq=False)
-class CyclesPicture:
+class CyclesImage:
     """(H, W, 4) linear premultiplied RGBA, and the seconds it took to render with the scene loaded; CPU seconds are of all threads."""
 
     rgba: np.ndarray
@@ -42,7 +42,7 @@ class CyclesPicture:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The same view under the same light, encoded on black (H, W, 3): our picture of the Gaussians, and Cycles' of the exported mesh."""
+    """The same view under the same light, encoded on black (H, W, 3): our image of the Gaussians, and Cycles' of the exported mesh."""
 
     view: str
     light: str
@@ -51,7 +51,7 @@ class Comparison:
 
     @property
     def figures(self) -> dict[str, float]:
-        """Mean absolute difference of encoded values where either shows something, and PSNR over the picture."""
+        """Mean absolute difference of encoded values where either shows something, and PSNR over the image."""
         seen = (self.ours.max(-1) > 0) | (self.theirs.max(-1) > 0)
         difference = np.abs(self.ours - self.theirs)[seen]
         return {"cycles_difference": float(difference.mean()) if seen.any() else 0.0, "cycles_psnr": psnr(self.ours, self.theirs)}
@@ -62,7 +62,7 @@ def compare(
 ) -> list[Comparison]:
     """Every view under every light by us and by Cycles, with all the light's bounces, as an artist will see it. See `cycles_pictures`."""
     progress.phase("cycles", len(cameras) * len(lights))
-    rendered = cycles_pictures(run, cameras, lights, [CyclesPass(SAMPLES, True)], progress)
+    rendered = cycles_images(run, cameras, lights, [CyclesPass(SAMPLES, True)], progress)
     prepared, comparisons = {name: prepare(light) for name, light in lights.items()}, []
     for view, camera in cameras.items():
         surface = relighter.surface(camera)
@@ -73,14 +73,14 @@ def compare(
     return comparisons
 
 
-def cycles_pictures(
+def cycles_images(
     run: Path,
     cameras: Mapping[str, Camera],
     lights: Mapping[str, np.ndarray],
     passes: Sequence[CyclesPass],
     progress: Progress,
     source: str = "textures",
-) -> dict[tuple[str, str], list[CyclesPicture]]:
+) -> dict[tuple[str, str], list[CyclesImage]]:
     """Render views of a finished run by Cycles, all bounces, in a Blender of its own.
 
     Args:
@@ -88,12 +88,12 @@ def cycles_pictures(
         source: what the material reads, "textures" or "attributes".
 
     Returns:
-        By view and light, a picture for each pass. Raises NoBlender, Cancelled, or IrgsppError where Blender fails.
+        By view and light, an image for each pass. Raises NoBlender, Cancelled, or IrgsppError where Blender fails.
     """
     with tempfile.TemporaryDirectory(prefix="irgspp-cycles-") as name:
         folder = Path(name)
-        for light, picture in lights.items():
-            write_exr(folder / f"{light}.exr", rgb_channels(picture))
+        for light, image in lights.items():
+            write_exr(folder / f"{light}.exr", rgb_channels(image))
         request = {
             "run": str(run.resolve()),
             "source": source,
@@ -104,14 +104,14 @@ def cycles_pictures(
         }
         (folder / "request.json").write_text(json.dumps(request), encoding="utf-8")
         paths = [str(folder / name) for name in ("request.json", "answer.json")]
-        status, said = run_in_blender("irgspp_addon.relight.cycles_views", paths, progress)
+        status, said = run_in_blender("irgspp_addon.relight.cycles_views", paths, lambda: progress.cancelled)
         if status:
             raise IrgsppError(f"{run}: Cycles did not render it: Blender ended with status {status}: {said}")
         seconds = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
 
-        def picture_of(view: str, light: str, number: int) -> CyclesPicture:
+        def image_of(view: str, light: str, number: int) -> CyclesImage:
             stem = f"{view}_{light}_{number}"
             channels = read_exr(folder / f"{stem}.exr")
-            return CyclesPicture(np.stack([channels[c] for c in "RGBA"], -1), *seconds[stem])
+            return CyclesImage(np.stack([channels[c] for c in "RGBA"], -1), *seconds[stem])
 
-        return {(view, light): [picture_of(view, light, i) for i in range(len(passes))] for view in cameras for light in lights}
+        return {(view, light): [image_of(view, light, i) for i in range(len(passes))] for view in cameras for light in lights}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ground truth that lies beside the pictures of a rendered dataset, brought into the world of a run."""
+"""Ground truth that lies beside the images of a rendered dataset, brought into the world of a run."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..datasets.format_detection import read_capture
-from ..datasets.ground_truth import MapFile, layers_of, light_files, relit_names
+from ..datasets.format_detection import parse_dataset
+from ..datasets.ground_truth import MapFile, ground_truth_layers, light_files, relit_names
 from ..errors import InputError
 from ..io.exr import read_exr, read_exr_rgb
 from ..io.safe_paths import inside
 from ..scene.dataset import View
-from ..scene.environment_files import read_light
+from ..scene.environment_files import read_environment
 from ..settings.schema import DataSettings
 from ..shading.environment_lookup import lookup, texel_directions
-from .reduction import fitted_layer, fitted_picture
+from .reduction import fitted_image, fitted_layer
 from .surface_truth import rendered_points, surface_points
 
 
@@ -28,16 +28,16 @@ class Truth:
     """What is known of one view; None or missing where nothing is.
 
     Attributes:
-        picture: (H, W, 3) encoded, times alpha, above 1 where the file is HDR; `alpha` (H, W), ones where the dataset has none.
+        image: (H, W, 3) encoded, times alpha, above 1 where the file is HDR; `alpha` (H, W), ones where the dataset has none.
         albedo: (H, W, 3) linear; normal: (H, W, 3) unit, in the world of the run; depth: (H, W) planar, 0 = nothing there.
         roughness, metallic: (H, W).
-        relit: light name -> (H, W, 3) encoded, times that picture's alpha, above 1 where the file is HDR. Of a view that was taken under
-            another light than the dataset's (`View.light`), the picture itself.
+        relit: light name -> (H, W, 3) encoded, times that image's alpha, above 1 where the file is HDR. Of a view that was taken under
+            another light than the dataset's (`View.light`), the image itself.
         lights: light name -> (H', W', 3) linear lat-long map in the world of the run, where the light is known view by view; it goes
             before the scene's of the same name. Lights that are in neither can't be relit under.
     """
 
-    picture: np.ndarray
+    image: np.ndarray
     alpha: np.ndarray
     albedo: np.ndarray | None = None
     normal: np.ndarray | None = None
@@ -71,16 +71,16 @@ class SceneTruth:
 def load_scene_truth(dataset: Path, to_world: np.ndarray) -> SceneTruth:
     """What the files of a dataset say of its scene, as far as they are there; `to_world` leads to the run's world.
 
-    Lights are those of pictures that are there too. Raises InputError where a file is damaged.
+    Lights are those of images that are there too. Raises InputError where a file is damaged.
     """
     folder = dataset if dataset.is_dir() else dataset.parent
     if (folder / "meta.json").is_file():
         return _rendered_scene(folder, to_world)
     try:
-        capture = read_capture(dataset, DataSettings())
+        capture = parse_dataset(dataset, DataSettings())
     except InputError:
         return SceneTruth()  # whoever reads its views is told why
-    relit = sorted({name for frame in (capture.test or [])[:1] if frame.picture for name in relit_names(capture.format, frame.picture)})
+    relit = sorted({name for frame in (capture.test or [])[:1] if frame.image for name in relit_names(capture.format, frame.image)})
     train, files = light_files(capture.format, folder, relit)
     lights = {name: _light(file, to_world) for name, file in files.items()}
     return SceneTruth(train, lights, None, _moved_points(surface_points(capture.format, folder), to_world), capture.format)
@@ -103,11 +103,11 @@ def _rendered_scene(folder: Path, to_world: np.ndarray) -> SceneTruth:
 
 
 def load_truth(view: View, scene: SceneTruth, to_world: np.ndarray) -> Truth:
-    """The picture of a view, and what stands beside its file, reduced to its size. Raises InputError where that is no reduction."""
+    """The image of a view, and what stands beside its file, reduced to its size. Raises InputError where that is no reduction."""
     alpha = np.ones(view.colour.shape[:2], np.float32) if view.alpha is None else view.alpha
-    picture = np.maximum(view.colour, 0) * alpha[..., None]
+    image = np.maximum(view.colour, 0) * alpha[..., None]
     rotation, size = _rotation_and_size(to_world)
-    stated = layers_of(scene.format, view)
+    stated = ground_truth_layers(scene.format, view)
     layers = {"albedo": stated.albedo, "normal": stated.normal, "depth": stated.depth, "roughness": stated.roughness}
     relit_files = stated.relit
     if scene.format == "transforms":
@@ -118,15 +118,15 @@ def load_truth(view: View, scene: SceneTruth, to_world: np.ndarray) -> Truth:
         fitted["normal"] = fitted["normal"] @ rotation.T.astype(np.float32)
     if "depth" in fitted:
         fitted["depth"] = fitted["depth"] * np.float32(size)
-    relit = {name: fitted_picture(path, shape, alpha) for name, path in relit_files.items()}
+    relit = {name: fitted_image(path, shape, alpha) for name, path in relit_files.items()}
     if view.light is not None:
-        relit[view.light] = picture
+        relit[view.light] = image
     lights = {name: _light(file, to_world) for name, file in stated.lights.items()}
-    return Truth(picture, alpha, **fitted, relit=relit, lights=lights)
+    return Truth(image, alpha, **fitted, relit=relit, lights=lights)
 
 
 def _rendered_layers(view: View, scene: SceneTruth) -> tuple[dict[str, np.ndarray | None], dict[str, Path]]:
-    """Layers and relit pictures beside a test picture that scripts/render_dataset.py wrote."""
+    """Layers and relit images beside a test image that scripts/render_dataset.py wrote."""
     folder = view.path.parent
     if view.path.stem != "rgba" or not (folder / "depth.exr").is_file():
         return {}, {}
@@ -149,7 +149,7 @@ def _rendered_layers(view: View, scene: SceneTruth) -> tuple[dict[str, np.ndarra
 
 def _light(file: MapFile, to_world: np.ndarray) -> np.ndarray:
     """A light map in the world of the run."""
-    light, _ = read_light(file.path)
+    light, _ = read_environment(file.path)
     whole = np.eye(4)
     whole[:3, :3] = to_world[:3, :3] @ file.turn
     return turned(light, whole)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How close two pictures of one view are, as a protocol has it."""
+"""How close two images of one view are, as a protocol has it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Metrics = Mapping[str, Lpips]  # suffix of the figure's name ("", "_alex") -> th
 HDR_PEAK = 4.0
 
 
-def picture_figures(kind: str, rgba: np.ndarray, true: np.ndarray, truth: Truth, how: Protocol, lpips: Metrics) -> dict[str, float]:
-    """Figures of a picture (H, W, 4), linear premultiplied, against the true one (H, W, 3), encoded and times its alpha, of that view.
+def image_figures(kind: str, rgba: np.ndarray, true: np.ndarray, truth: Truth, how: Protocol, lpips: Metrics) -> dict[str, float]:
+    """Figures of an image (H, W, 4), linear premultiplied, against the true one (H, W, 3), encoded and times its alpha, of that view.
 
     `kind`: "nvs", "radiance" or "relight", see `Protocol.cut`.
     """
@@ -35,7 +35,7 @@ def picture_figures(kind: str, rgba: np.ndarray, true: np.ndarray, truth: Truth,
 
 
 def shown(kind: str, rgba: np.ndarray, truth: Truth, how: Protocol) -> np.ndarray:
-    """(H, W, 3) encoded: our linear premultiplied picture of some kind on the protocol's background."""
+    """(H, W, 3) encoded: our linear premultiplied image of some kind on the protocol's background."""
     if how.radiance:
         return metrics.on_black(rgba)
     alpha = np.clip(np.nan_to_num(rgba[..., 3:].astype(np.float64)), 0, 1)
@@ -50,14 +50,14 @@ def shown(kind: str, rgba: np.ndarray, truth: Truth, how: Protocol) -> np.ndarra
 
 
 def shown_truth(true: np.ndarray, truth: Truth, how: Protocol) -> np.ndarray:
-    """(H, W, 3) encoded: the true picture, on black, on the protocol's background."""
+    """(H, W, 3) encoded: the true image, on black, on the protocol's background."""
     background = 0.0 if how.radiance else how.background
     true = np.clip(true.astype(np.float64), 0, 1) + background * (1 - truth.alpha[..., None])
     return _rounded(true) if how.eight_bit else true
 
 
-def _rounded(picture: np.ndarray) -> np.ndarray:
-    return np.round(picture * 255) / 255
+def _rounded(image: np.ndarray) -> np.ndarray:
+    return np.round(image * 255) / 255
 
 
 def _alike(ours: np.ndarray, true: np.ndarray, lpips: Metrics) -> dict[str, float]:
@@ -75,8 +75,8 @@ def _radiance_figures(rgba: np.ndarray, true: np.ndarray, truth: Truth, lpips: M
     ours = np.clip(np.nan_to_num(rgba[..., :3].astype(np.float64)), 0, None) * inside[..., None]
     ours = ours * metrics.fitted_scale(ours, linear)
     brightness = _brightness(linear)
-    bright, true_bright = (np.clip(brightness * picture, 0, HDR_PEAK) for picture in (ours, linear))
-    low, true_low = (encode_srgb(np.clip(picture, 0, 1)) for picture in (ours, linear))
+    bright, true_bright = (np.clip(brightness * image, 0, HDR_PEAK) for image in (ours, linear))
+    low, true_low = (encode_srgb(np.clip(image, 0, 1)) for image in (ours, linear))
     figures = {
         "psnr_hdr": floored_psnr(bright, true_bright, inside),
         "psnr_ldr": floored_psnr(low, true_low, inside),
@@ -86,12 +86,12 @@ def _radiance_figures(rgba: np.ndarray, true: np.ndarray, truth: Truth, lpips: M
 
 
 def _brightness(linear: np.ndarray) -> float:
-    """How much brighter the sRGB curve makes a picture on average."""
+    """How much brighter the sRGB curve makes an image on average."""
     mean = np.clip(linear, 0, 1).mean()
     return float(encode_srgb(np.clip(linear, 0, 1)).mean() / mean) if mean > 1e-8 else 1.0
 
 
 def floored_psnr(ours: np.ndarray, true: np.ndarray, inside: np.ndarray) -> float:
-    """PSNR over the whole picture, not below that of a middle grey on the object."""
+    """PSNR over the whole image, not below that of a middle grey on the object."""
     grey = np.repeat(0.5 * inside[..., None], 3, -1)
     return max(metrics.psnr(ours, true), metrics.psnr(grey, true))

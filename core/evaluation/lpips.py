@@ -23,7 +23,7 @@ NO_LPIPS = (
 
 
 class Lpips:
-    """Distance of two pictures.
+    """Distance of two images.
 
     Args:
         name: what it is made of. distance: of two (1, 3, H, W) in -1..1, as one number in a tensor.
@@ -33,7 +33,7 @@ class Lpips:
         self.name, self._distance = name, distance
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Of (H, W, 3) pictures in 0..1; 0 where they are equal."""
+        """Of (H, W, 3) images in 0..1; 0 where they are equal."""
         with torch.no_grad():
             return float(self._distance(*(torch.from_numpy(p.astype(np.float32)).permute(2, 0, 1)[None] * 2 - 1 for p in (a, b))))
 

@@ -15,7 +15,7 @@ from skimage.transform import resize
 from ..io.srgb import encode_srgb
 from ..scene.mesh import Mesh
 
-SSIM_WINDOW = 11  # pixels that a picture must have along each side
+SSIM_WINDOW = 11  # pixels that an image must have along each side
 
 
 def shown(figure: float) -> str:
@@ -40,10 +40,10 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def ssim(a: np.ndarray, b: np.ndarray, window: int = SSIM_WINDOW) -> float:
-    """Structural similarity of (H, W, 3) pictures in 0..1, Gaussian window of sigma 1.5 px cut off to `window` (odd) pixels.
+    """Structural similarity of (H, W, 3) images in 0..1, Gaussian window of sigma 1.5 px cut off to `window` (odd) pixels.
 
     With the usual window of 11 the mean is over pixels whose window lies inside, as in Wang et al. 2004; with another one over all,
-    pictures mirrored at their edges, as kornia has it.
+    images mirrored at their edges, as kornia has it.
     """
     radius = window // 2
     a, b = a.astype(np.float64), b.astype(np.float64)
@@ -79,7 +79,7 @@ def albedo_scale(
     masks: Sequence[np.ndarray],
     fit: Literal["median", "least squares"] = "median",
 ) -> np.ndarray:
-    """(3,) factor per channel over the masked pixels of all views (linear (H, W, 3) pictures): median of truth / albedo, or least squares.
+    """(3,) factor per channel over the masked pixels of all views (linear (H, W, 3) images): median of truth / albedo, or least squares.
 
     1 where no pixel is masked.
     """
@@ -94,7 +94,7 @@ def albedo_scale(
 
 
 def eroded(mask: np.ndarray) -> np.ndarray:
-    """(H, W) bool: what lies at least 2 pixels (of a square) inside the mask; outside the picture everything counts as inside."""
+    """(H, W) bool: what lies at least 2 pixels (of a square) inside the mask; outside the image everything counts as inside."""
     return cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 
 
@@ -114,7 +114,7 @@ def environment_figures(light: np.ndarray, truth: np.ndarray, grid: tuple[int, i
     light, truth = _on_grid(light, height, width), _on_grid(truth, height, width)
     weight = np.sin((np.arange(height) + 0.5) * np.pi / height)[:, None, None]
     fitted = light * fitted_scale(light, truth, weight)
-    scaled, plain, true = (encode_srgb(np.clip(picture, 0, 1)) for picture in (fitted, light, truth))
+    scaled, plain, true = (encode_srgb(np.clip(image, 0, 1)) for image in (fitted, light, truth))
     figures = {"environment_psnr": psnr(scaled, true), "environment_psnr_unscaled": psnr(plain, true)}
     return figures | ({"environment_ssim": ssim(scaled, true)} if min(height, width) >= SSIM_WINDOW else {})
 

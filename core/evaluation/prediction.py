@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..scene.gbuffer import NOTHING, ViewBuffers
+from ..scene.gbuffer import NOTHING, GBuffer
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """One view of a reconstruction: its layers, and pictures (H, W, 4) linear premultiplied under its own and under other lights.
+    """One view of a reconstruction: its layers, and images (H, W, 4) linear premultiplied under its own and under other lights.
 
     `shaded` is None where the photograph was taken under another light than the reconstruction's.
     """
 
-    buffers: ViewBuffers
+    buffers: GBuffer
     shaded: np.ndarray | None
     relit: dict[str, np.ndarray] = field(default_factory=dict)
 

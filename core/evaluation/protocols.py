@@ -31,18 +31,18 @@ class Protocol:
 
     Attributes:
         follows: whose tables these are.
-        samples: light samples of a pixel of a shaded or relit picture.
-        radiance: pictures are compared by Stanford-ORB's measures of linear radiance (psnr_hdr, psnr_ldr), scaled; otherwise sRGB-encoded.
-        background: grey value behind encoded pictures, 0 or 1. silhouette: a key of SILHOUETTES, of our pictures of the kinds in `cut`
+        samples: light samples of a pixel of a shaded or relit image.
+        radiance: images are compared by Stanford-ORB's measures of linear radiance (psnr_hdr, psnr_ldr), scaled; otherwise sRGB-encoded.
+        background: grey value behind encoded images, 0 or 1. silhouette: a key of SILHOUETTES, of our images of the kinds in `cut`
             ("nvs": under the recovered light, "radiance": by the Gaussians' own radiance, "relight"), those of the other kinds "own".
-        eight_bit: encoded pictures are rounded to 8 bits first. fitted: they are compared after a scale of each one's channels as well.
+        eight_bit: encoded images are rounded to 8 bits first. fitted: they are compared after a scale of each one's channels as well.
         relit_views: at most so many of the first views are relit; None: all.
         relit_scaled: relit with the albedo times the scale; otherwise as estimated.
         scale: how the albedo's scale per channel is found; on which pixels (a key of SCALE_PIXELS), of how many views (None: all).
-        scale_each_view: every view has its own albedo scale, and no picture is relit with it.
+        scale_each_view: every view has its own albedo scale, and no image is relit with it.
         albedo_white: albedo is set on white outside the true mask, clipped, and its PSNR taken at 1/2.2 power, pooled over all views;
             otherwise on black, linear, the mean of the views'.
-        blended_normals: over the full picture, normals fade to +Z with alpha; otherwise no pixel without a true normal counts as an error.
+        blended_normals: over the full image, normals fade to +Z with alpha; otherwise no pixel without a true normal counts as an error.
         scale_free: depth up to one factor of all views (depth_si_mse), cosine distance of normals, squared Chamfer distance.
         light_grid: rows and columns on which light maps are compared; None: those of the true map.
         lpips: networks of the perceptual distance, the first without a suffix in the figures' names.
@@ -131,7 +131,7 @@ def described(how: Protocol) -> list[str]:
     """Every choice as a line of text: published figures differ in these and can't be compared otherwise."""
     return [
         f"Protocol {how.name}: {how.follows}.",
-        _pictures(how),
+        _images(how),
         _relit(how),
         _albedo(how),
         _geometry(how),
@@ -139,27 +139,27 @@ def described(how: Protocol) -> list[str]:
     ]
 
 
-def _pictures(how: Protocol) -> str:
+def _images(how: Protocol) -> str:
     cut = SILHOUETTES[how.silhouette]
     if how.radiance:
         return (
-            f"Pictures: {cut}, after a least-squares scale per channel and picture. psnr_hdr: linear, both first made brighter by what the "
+            f"Pictures: {cut}, after a least-squares scale per channel and image. psnr_hdr: linear, both first made brighter by what the "
             "sRGB curve does to the true one's mean, clipped to 0..4; psnr_ldr: sRGB-encoded, clipped to 0..1; errors are means over the "
-            "whole picture, and no figure is below that of a middle grey. SSIM with a window of 3 pixels; LPIPS of pictures encoded twice, "
+            "whole image, and no figure is below that of a middle grey. SSIM with a window of 3 pixels; LPIPS of images encoded twice, "
             "as that code has it. Means over the views, then over the lights."
         )
     if how.silhouette != "own" and len(how.cut) < 3:
         cut = f"{SILHOUETTES['own']}, except {', '.join(f'{kind}_*' for kind in how.cut)}: {cut}"
     bits = ", rounded to 8 bits" if how.eight_bit else ""
     ground = "white" if how.background else "black"
-    fitted = "; *_scaled after a least-squares scale per channel and picture over all pixels, not clipped" if how.fitted else ""
+    fitted = "; *_scaled after a least-squares scale per channel and image over all pixels, not clipped" if how.fitted else ""
     return f"Pictures: sRGB-encoded, clipped to 0..1{bits}, on {ground}, {cut}{fitted}; means over the views, then over the lights."
 
 
 def _relit(how: Protocol) -> str:
     albedo = "times that scale" if how.relit_scaled else "as estimated"
     views = f"the first {how.relit_views} views under each light" if how.relit_views else "all views"
-    return f"Relit pictures: albedo {albedo}, {views}. Pictures under the recovered light: albedo as estimated."
+    return f"Relit images: albedo {albedo}, {views}. Images under the recovered light: albedo as estimated."
 
 
 def _albedo(how: Protocol) -> str:
@@ -174,14 +174,14 @@ def _albedo(how: Protocol) -> str:
 
 def _geometry(how: Protocol) -> str:
     if how.blended_normals:
-        full = "normal_mae_full over the whole picture, where both fade to +Z with their own alpha"
+        full = "normal_mae_full over the whole image, where both fade to +Z with their own alpha"
     else:
-        full = "normal_mae_full over the whole picture, the background counted as no error"
+        full = "normal_mae_full over the whole image, the background counted as no error"
     said = f"Normals: normal_mae over the object (true alpha above 0.99), {full}"
     if how.scale_free:
         said += (
             "; normal_cosine is 1 - cosine over the true mask made smaller by 2 pixels. Depth: depth_si_mse, after one least-squares "
-            "factor for all views, over the whole picture. Shape: shape_chamfer, half the sum of the mean squared distances from mesh to "
+            "factor for all views, over the whole image. Shape: shape_chamfer, half the sum of the mean squared distances from mesh to "
             "truth and back, times 2000, 30 000 points on each (that code takes the scan's vertices). Both in the dataset's units"
         )
     return said + "."

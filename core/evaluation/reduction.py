@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is true of full-size pictures at the size that these are used at."""
+"""What is true of full-size images at the size that these are used at."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
-from ..io.image import read_picture, reduce_picture, unit
+from ..io.image import read_image, reduce_image, unit
 
 Shape = tuple[int, int]
 
@@ -17,7 +17,7 @@ Shape = tuple[int, int]
 def fitted_layer(where: Path, name: str, layer: np.ndarray, shape: Shape, cover: np.ndarray | None = None) -> np.ndarray:
     """A layer (H', W'[, C]) at `shape` (H, W) by area averaging over what is there: `cover` (H', W') in 0..1, or what is not 0.
 
-    Normals are made unit again. Raises InputError where its picture can't be a reduction of that size.
+    Normals are made unit again. Raises InputError where its image can't be a reduction of that size.
     """
     full = layer.shape[0], layer.shape[1]
     check_reduction(where, f"its true {name}", full, shape)
@@ -34,20 +34,20 @@ def fitted_layer(where: Path, name: str, layer: np.ndarray, shape: Shape, cover:
     return np.where(known, mean, 0).astype(np.float32).reshape(shape + layer.shape[2:])
 
 
-def fitted_picture(path: Path, shape: Shape, alpha: np.ndarray) -> np.ndarray:
-    """(H, W, 3) encoded picture of a file at `shape`, times its alpha, or times `alpha` where it has none."""
-    stored = read_picture(path)
+def fitted_image(path: Path, shape: Shape, alpha: np.ndarray) -> np.ndarray:
+    """(H, W, 3) encoded image of a file at `shape`, times its alpha, or times `alpha` where it has none."""
+    stored = read_image(path)
     check_reduction(path, "it", (stored.size[1], stored.size[0]), shape)
-    picture = reduce_picture(stored, shape[1], shape[0])
-    own = alpha if picture.alpha is None else unit(picture.alpha)
-    return np.maximum(unit(picture.colour), 0) * own[..., None]
+    image = reduce_image(stored, shape[1], shape[0])
+    own = alpha if image.alpha is None else unit(image.alpha)
+    return np.maximum(unit(image.colour), 0) * own[..., None]
 
 
 def check_reduction(where: Path, what: str, full: Shape, shape: Shape) -> None:
     """Raises InputError where `full` is neither `shape` nor that enlarged by one number."""
     (h, w), (height, width) = full, shape
     if (h, w) != shape and not (h > height and w > width and abs(w * height - h * width) <= max(h, w)):
-        raise InputError(where, f"{what} is {w}x{h}, the view {width}x{height}", "evaluate at the pictures' own size (data.resolution)")
+        raise InputError(where, f"{what} is {w}x{h}, the view {width}x{height}", "evaluate at the images' own size (data.resolution)")
 
 
 def _area(layer: np.ndarray, shape: Shape) -> np.ndarray:

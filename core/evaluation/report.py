@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The evaluation of a run: every figure that the dataset's truth allows, as a table, JSON and a page with pictures."""
+"""The evaluation of a run: every figure that the dataset's truth allows, as a table, JSON and a page with images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..progress.protocol import Progress, Silent
 from ..relight.backends import best_backend, open_relighter
 from ..relight.prepared_light import PreparedLight, prepare
 from ..relight.relighter import Relighter, RelightSettings
-from ..rendering.gbuffer import render_view
+from ..rendering.gbuffer import render_gbuffer
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import DataSettings
@@ -35,7 +35,7 @@ from .view_metrics import Fits, averages, fitted_figures, relit_figures, view_fi
 
 CHAMFER_UNIT = 2000  # what Stanford-ORB's tables multiply by
 CYCLES_PROTOCOL = (
-    "cycles_difference, cycles_psnr: our pictures of the Gaussians against the exported mesh and textures in Cycles, all bounces, encoded; "
+    "cycles_difference, cycles_psnr: our images of the Gaussians against the exported mesh and textures in Cycles, all bounces, encoded; "
     "the difference is the mean where either shows something, albedo as estimated."
 )
 
@@ -108,7 +108,7 @@ class Evaluation:
     def __init__(self, cases: Cases, relighter: Relighter, how: Protocol, lpips: dict[str, Lpips], progress: Progress) -> None:
         self.cases, self.relighter, self.how, self.lpips, self.progress = cases, relighter, how, lpips, progress
         self.fits, self.rows = Fits(how), [dict[str, float]() for _ in cases.views]
-        self.shown: dict[str, tuple[Prediction, Truth]] = {}  # some views with all their pictures
+        self.shown: dict[str, tuple[Prediction, Truth]] = {}  # some views with all their images
         self.lit_by: dict[str, None] = {}  # names of lights, in order
         self._prepared: dict[str, PreparedLight] = {}
 
@@ -118,7 +118,7 @@ class Evaluation:
         first = {case.number: self._as_it_is(case, case.number in shown) for case in self._told("evaluate")}
         relighter = self.relighter.scaled(self.fits.albedo if self.how.relit_scaled else None)
         for case in self._told("relight"):
-            kept = first.pop(case.number) or Prediction(render_view(relighter.reconstruction, case.camera), None)
+            kept = first.pop(case.number) or Prediction(render_gbuffer(relighter.reconstruction, case.camera), None)
             prediction = replace(kept, relit=self._relit(relighter, case))
             row = self.rows[case.number]
             row |= relit_figures(prediction, case.truth, self.how, self.lpips)
@@ -148,10 +148,10 @@ class Evaluation:
                 raise Cancelled(f"stopped after {case.number + 1} of {count} views")
 
     def _as_it_is(self, case: Case, keep: bool) -> Prediction | None:
-        """Figures of layers and of the picture under the recovered light."""
+        """Figures of layers and of the image under the recovered light."""
         own = case.view.light is None
         shaded = self.relighter.relit(self.relighter.surface(case.camera), self._own_light).numpy() if own else None
-        prediction = Prediction(render_view(self.relighter.reconstruction, case.camera), shaded)
+        prediction = Prediction(render_gbuffer(self.relighter.reconstruction, case.camera), shaded)
         self.fits.gather(prediction, case.truth)
         self.rows[case.number] |= view_figures(prediction, case.truth, self.how, self.lpips)
         return prediction if keep else None
@@ -180,17 +180,17 @@ class Evaluation:
 
 
 def _made(evaluation: Evaluation, scale: Sequence[float] | None, backend: str) -> list[str]:
-    """How the pictures of this very report were made."""
+    """How the images of this very report were made."""
     cases, how, lpips = evaluation.cases, evaluation.how, evaluation.lpips
     unscaled = "its view's own" if how.scale_each_view else "as estimated (no true albedo is known)"
     factors = unscaled if scale is None else "times " + " ".join(f"{s:.4f}" for s in scale)
     lines = [
-        f"Shaded and relit pictures: {how.samples} samples per pixel, {backend} backend, denoised.",
+        f"Shaded and relit images: {how.samples} samples per pixel, {backend} backend, denoised.",
         f"Scale of the albedo: albedo {factors}.",
         f"LPIPS: {', '.join(one.name for one in lpips.values())}." if lpips else NO_LPIPS,
     ]
     if novel := len(cases.views) - cases.own:
-        lines.append(f"{novel} of {cases.novel} views are photographs under other lights, which only relit pictures are compared with.")
+        lines.append(f"{novel} of {cases.novel} views are photographs under other lights, which only relit images are compared with.")
     if cases.own < cases.of:
         lines.append(f"Only {cases.own} of the {cases.of} {cases.split} views, evenly spread: published tables are of all.")
     return lines

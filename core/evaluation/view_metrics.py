@@ -11,7 +11,7 @@ import numpy as np
 from . import metrics
 from .albedo import Sample, albedo_row, scale_of, scale_sample
 from .ground_truth import Truth
-from .image_metrics import Metrics, picture_figures
+from .image_metrics import Metrics, image_figures
 from .prediction import Prediction
 from .protocols import PLAIN, Protocol
 
@@ -47,18 +47,18 @@ class Fits:
 
 def view_figures(prediction: Prediction, truth: Truth, how: Protocol = PLAIN, lpips: Metrics | None = None) -> dict[str, float]:
     """Every figure of one view that needs no other view; names as in the report."""
-    figures, own = {}, {} if prediction.shaded is None else {"nvs": prediction.shaded, "radiance": prediction.buffers.picture}
+    figures, own = {}, {} if prediction.shaded is None else {"nvs": prediction.shaded, "radiance": prediction.buffers.image}
     for label, rgba in own.items():
-        figures |= _labelled(label, picture_figures(label, rgba, truth.picture, truth, how, lpips or {}))
+        figures |= _labelled(label, image_figures(label, rgba, truth.image, truth, how, lpips or {}))
     return figures | relit_figures(prediction, truth, how, lpips) | _labelled("", _layer_figures(prediction, truth, how))
 
 
 def relit_figures(prediction: Prediction, truth: Truth, how: Protocol = PLAIN, lpips: Metrics | None = None) -> dict[str, float]:
-    """Those of the pictures under other lights."""
+    """Those of the images under other lights."""
     figures = {}
     for name in prediction.relit.keys() & truth.relit.keys():
         figures |= _labelled(
-            f"relight_{name}", picture_figures("relight", prediction.relit[name], truth.relit[name], truth, how, lpips or {})
+            f"relight_{name}", image_figures("relight", prediction.relit[name], truth.relit[name], truth, how, lpips or {})
         )
     return figures
 

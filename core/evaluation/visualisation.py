@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Layers as pictures for people: (H, W, 4) float in 0..1, sRGB-encoded with straight alpha."""
+"""Layers as images for people: (H, W, 4) float in 0..1, sRGB-encoded with straight alpha."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HEAT = np.array([[0.0, 0.0, 0.02], [0.25, 0.06, 0.42], [0.65, 0.16, 0.35], [0.93
 
 
 def shaded(rgba: np.ndarray) -> np.ndarray:
-    """Linear premultiplied (H, W, 4) as a picture."""
+    """Linear premultiplied (H, W, 4) as an image."""
     alpha = np.clip(rgba[..., 3:], 0, 1)
     return with_alpha(encode_srgb(np.clip(rgba[..., :3] / np.maximum(alpha, 1e-6), 0, 1)), alpha[..., 0])
 
@@ -40,11 +40,11 @@ def heat(error: np.ndarray, limit: float, alpha: np.ndarray | None = None) -> np
 
 
 def with_alpha(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Encoded (H, W, 3) and alpha (H, W) in one picture, what is not finite shown as 0."""
+    """Encoded (H, W, 3) and alpha (H, W) in one image, what is not finite shown as 0."""
     return np.nan_to_num(np.clip(np.concatenate([rgb, alpha[..., None]], -1), 0, 1)).astype(np.float32)
 
 
-def over(picture: np.ndarray, backdrop: np.ndarray | float) -> np.ndarray:
-    """(H, W, 3) uint8: the picture on a backdrop, a grey value or (H, W, 3), blended as viewers do (on encoded values)."""
-    rgb = picture[..., :3] * picture[..., 3:] + backdrop * (1 - picture[..., 3:])
+def over(image: np.ndarray, backdrop: np.ndarray | float) -> np.ndarray:
+    """(H, W, 3) uint8: the image on a backdrop, a grey value or (H, W, 3), blended as viewers do (on encoded values)."""
+    rgb = image[..., :3] * image[..., 3:] + backdrop * (1 - image[..., 3:])
     return np.round(255 * np.clip(rgb, 0, 1)).astype(np.uint8)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """A temporary name beside `path`, with its suffix, for the block to write to.
 
     After the block the file is flushed to the disk and takes the place of `path`; where anything fails it is removed, which gives its
@@ -31,7 +31,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 def write_atomic(path: Path, data: bytes) -> None:
     """Write a file at once, as `whole` does."""
-    with whole(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_bytes(data)
 
 

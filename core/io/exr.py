@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""OpenEXR pictures as named float channels."""
+"""OpenEXR images as named float channels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import OpenEXR
 
 from ..errors import InputError
-from .atomic import whole
+from .atomic import atomic_file
 
 MAX_PIXELS = 178_000_000  # beyond any camera (Pillow's own limit): a header that claims more is damaged or hostile
 RATIO = 4000  # pixels that a byte of an EXR can stand for at most
@@ -22,20 +22,20 @@ def exr_size(path: Path) -> tuple[int, int]:
         low, high = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
         width, height = int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
     except Exception as error:  # the library raises plain RuntimeError and TypeError for broken files
-        raise InputError(path, f"not a readable EXR picture ({error})") from error
+        raise InputError(path, f"not a readable EXR image ({error})") from error
     check_pixels(path, width, height)
     check_filled(path, width * height, RATIO * path.stat().st_size)
     return width, height
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
-    """Raises InputError where a picture claims more than MAX_PIXELS."""
+    """Raises InputError where an image claims more than MAX_PIXELS."""
     if width * height > MAX_PIXELS:
         raise InputError(path, f"claims {width}x{height} pixels, more than the {MAX_PIXELS // 10**6} million allowed")
 
 
 def check_filled(path: Path, claimed: int, possible: int) -> None:
-    """Raises InputError where a picture claims more than a file of its size can hold: decoders take memory for all of it first."""
+    """Raises InputError where an image claims more than a file of its size can hold: decoders take memory for all of it first."""
     if claimed > possible + SLACK:
         raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or made to do harm")
 
@@ -47,7 +47,7 @@ def read_exr(path: Path) -> dict[str, np.ndarray]:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {name: np.asarray(c.pixels, np.float32) for name, c in file.channels().items()}
     except Exception as error:  # the library raises plain RuntimeError and TypeError for broken files
-        raise InputError(path, f"not a readable EXR picture ({error})") from error
+        raise InputError(path, f"not a readable EXR image ({error})") from error
 
 
 def read_exr_rgb(path: Path) -> np.ndarray:
@@ -64,10 +64,10 @@ def write_exr(path: Path, channels: dict[str, np.ndarray], half: bool = False) -
     """Write (H, W) arrays as float channels, 32 or 16 bits, ZIP-compressed, through a temporary file so that none is left half-written."""
     pixels = {name: np.ascontiguousarray(c, np.float16 if half else np.float32) for name, c in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with whole(path) as partial, OpenEXR.File(header, pixels) as file:
+    with atomic_file(path) as partial, OpenEXR.File(header, pixels) as file:
         file.write(str(partial))
 
 
-def rgb_channels(picture: np.ndarray) -> dict[str, np.ndarray]:
+def rgb_channels(image: np.ndarray) -> dict[str, np.ndarray]:
     """(H, W, 3) or (H, W, 4) as channels R, G, B (, A)."""
-    return {name: picture[..., i] for i, name in enumerate("RGBA"[: picture.shape[-1]])}
+    return {name: image[..., i] for i, name in enumerate("RGBA"[: image.shape[-1]])}

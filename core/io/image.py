@@ -22,7 +22,7 @@ EXR_SIGNATURE = b"\x76\x2f\x31\x01"
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class DecodedImage:
     """Decoded pixels, sRGB-encoded and straight.
 
     Attributes:
@@ -39,7 +39,7 @@ class Picture:
         return self.colour.shape[1], self.colour.shape[0]
 
 
-def picture_size(path: Path) -> tuple[int, int]:
+def image_size(path: Path) -> tuple[int, int]:
     """(width, height) from the header alone. Raises InputError where it is no PNG, JPEG or EXR, or claims to be enormous."""
     try:
         with path.open("rb") as file:
@@ -66,45 +66,45 @@ def _raster_size(path: Path) -> tuple[int, int]:
         with Image.open(path, formats=("PNG", "JPEG")) as image:
             return image.size
     except Exception as error:  # Pillow raises OSError, SyntaxError, ValueError, struct.error, ... for broken files
-        raise InputError(path, f"not a readable PNG, JPEG or EXR picture ({_reason(error)})") from error
+        raise InputError(path, f"not a readable PNG, JPEG or EXR image ({_reason(error)})") from error
 
 
-def read_picture(path: Path) -> Picture:
+def read_image(path: Path) -> DecodedImage:
     """Decode a PNG (8 or 16 bit), JPEG or EXR (linear, premultiplied), integers as they are stored.
 
     The EXIF orientation is never applied: cameras are solved for the pixels as stored.
     Raises InputError where the file is unreadable, truncated or has pixels that are not finite.
     """
-    picture_size(path)
+    image_size(path)
     data = path.read_bytes()
     if data[:4] == EXR_SIGNATURE:
         return _read_exr(path)
     pixels = _decode(path, data)
     colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, -1)
-    return Picture(colour, pixels[..., -1] if pixels.shape[2] in (2, 4) else None)
+    return DecodedImage(colour, pixels[..., -1] if pixels.shape[2] in (2, 4) else None)
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """(H, W) float32 in 0..1, 1 on the object: a grey or colour picture's brightness, or the alpha of one that has any."""
-    picture = read_picture(path)
-    alpha = None if picture.alpha is None else unit(picture.alpha)
-    return alpha if alpha is not None and alpha.min() < 1 else np.clip(unit(picture.colour.max(-1)), 0, 1)
+    """(H, W) float32 in 0..1, 1 on the object: a grey or colour image's brightness, or the alpha of one that has any."""
+    image = read_image(path)
+    alpha = None if image.alpha is None else unit(image.alpha)
+    return alpha if alpha is not None and alpha.min() < 1 else np.clip(unit(image.colour.max(-1)), 0, 1)
 
 
 def read_depth_mask(path: Path, far: float) -> np.ndarray:
     """(H, W) float32, 1 where a depth map, whose integers span 0..1, is nearer than `far`."""
-    return (unit(read_picture(path).colour[..., 0]) < far).astype(np.float32)
+    return (unit(read_image(path).colour[..., 0]) < far).astype(np.float32)
 
 
 def _decode(path: Path, data: bytes) -> np.ndarray:
-    """(H, W, 1..4) uint8 or uint16. Pillow judges every file, since OpenCV hands out half a picture where a file is truncated."""
+    """(H, W, 1..4) uint8 or uint16. Pillow judges every file, since OpenCV hands out half an image where a file is truncated."""
     try:
         with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
             image.load()
             deep = data[:8] == PNG_SIGNATURE and data[24] == 16
             pixels = _decode_deep(data) if deep else np.asarray(_eight_bit(image))
     except Exception as error:  # see _raster_size
-        raise InputError(path, f"unreadable or truncated picture ({_reason(error)})") from error
+        raise InputError(path, f"unreadable or truncated image ({_reason(error)})") from error
     return pixels.reshape(*pixels.shape[:2], -1)
 
 
@@ -123,7 +123,7 @@ def _decode_deep(data: bytes) -> np.ndarray:
     return cv2.cvtColor(pixels, order[pixels.shape[2]]) if pixels.ndim == 3 else pixels
 
 
-def _read_exr(path: Path) -> Picture:
+def _read_exr(path: Path) -> DecodedImage:
     channels = read_exr(path)
     grey = channels.get("Y", next(iter(channels.values()))) if len(channels) == 1 or "Y" in channels else None
     missing = [c for c in "RGB" if c not in channels]
@@ -136,7 +136,7 @@ def _read_exr(path: Path) -> Picture:
     if alpha is not None:
         alpha = np.clip(alpha, 0, 1)
         linear = _straight(linear, alpha)
-    return Picture(encode_srgb(linear), alpha)
+    return DecodedImage(encode_srgb(linear), alpha)
 
 
 def unit(pixels: np.ndarray) -> np.ndarray:
@@ -144,24 +144,24 @@ def unit(pixels: np.ndarray) -> np.ndarray:
     return pixels.astype(np.float32) / np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else pixels
 
 
-def reduce_picture(picture: Picture, width: int, height: int) -> Picture:
+def reduce_image(image: DecodedImage, width: int, height: int) -> DecodedImage:
     """Float pixels at another size by area averaging in linear light, colour weighted by alpha; unchanged where it has that size."""
-    if picture.size == (width, height):
-        return Picture(unit(picture.colour), None if picture.alpha is None else unit(picture.alpha))
-    # Area averaging is separable: rows are narrowed band by band, then the narrow picture is made lower.
-    starts = range(0, picture.size[1], BAND)
-    narrow = np.concatenate([_narrow_band(picture, slice(i, i + BAND), width) for i in starts])
+    if image.size == (width, height):
+        return DecodedImage(unit(image.colour), None if image.alpha is None else unit(image.alpha))
+    # Area averaging is separable: rows are narrowed band by band, then the narrow image is made lower.
+    starts = range(0, image.size[1], BAND)
+    narrow = np.concatenate([_narrow_band(image, slice(i, i + BAND), width) for i in starts])
     small = _area(narrow, width, height)
-    if picture.alpha is None:
-        return Picture(encode_srgb(small), None)
-    return Picture(encode_srgb(_straight(small[..., :3], small[..., 3])), np.ascontiguousarray(small[..., 3]))
+    if image.alpha is None:
+        return DecodedImage(encode_srgb(small), None)
+    return DecodedImage(encode_srgb(_straight(small[..., :3], small[..., 3])), np.ascontiguousarray(small[..., 3]))
 
 
-def _narrow_band(picture: Picture, rows: slice, width: int) -> np.ndarray:
+def _narrow_band(image: DecodedImage, rows: slice, width: int) -> np.ndarray:
     """(rows, width, 3 or 4) linear, premultiplied where there is alpha."""
-    linear = decode_srgb(unit(picture.colour[rows]))
-    if picture.alpha is not None:
-        alpha = unit(picture.alpha[rows])[..., None]
+    linear = decode_srgb(unit(image.colour[rows]))
+    if image.alpha is not None:
+        alpha = unit(image.alpha[rows])[..., None]
         linear = np.concatenate([linear * alpha, alpha], -1)
     return _area(linear, width, len(linear))
 
@@ -171,11 +171,11 @@ def reduce_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
     return mask if mask.shape == (height, width) else _area(mask, width, height)
 
 
-def on_black(picture: Picture) -> Picture:
-    """The float picture without its alpha, composited over black in linear light."""
-    if picture.alpha is None:
-        return picture
-    return Picture(encode_srgb(decode_srgb(picture.colour) * picture.alpha[..., None]), None)
+def on_black(image: DecodedImage) -> DecodedImage:
+    """The float image without its alpha, composited over black in linear light."""
+    if image.alpha is None:
+        return image
+    return DecodedImage(encode_srgb(decode_srgb(image.colour) * image.alpha[..., None]), None)
 
 
 def _area(pixels: np.ndarray, width: int, height: int) -> np.ndarray:

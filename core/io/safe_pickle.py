@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 
-LARGEST = 64 << 20  # bytes; cameras of thousands of pictures take less
+LARGEST = 64 << 20  # bytes; cameras of thousands of images take less
 VALUES = 200_000  # that a pickle may hold, each counted as often as it is named
 OPERATIONS = 10 * VALUES
 NUMBERS = re.compile(r"[biufU]\d+")

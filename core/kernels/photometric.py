@@ -17,29 +17,29 @@ from .cpu.photometric import gradient_range, similarity_range
 
 class _Photometric(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, picture, truth, ssim_share):
-        x, y = picture.detach().contiguous().numpy(), truth.contiguous().numpy()
+    def forward(ctx, image, truth, ssim_weight):
+        x, y = image.detach().contiguous().numpy(), truth.contiguous().numpy()
         _, height, _ = x.shape
         slopes = np.empty((3, *x.shape), np.float32)
         sums = np.empty(x.shape[:2], np.float32)
         gradient = torch.empty(x.shape)
         ranges = even_ranges(height, thread_count())
         run_ranges(similarity_range, ranges, x, y, SSIM_TAPS, slopes, sums)
-        weights = np.float32((1 - ssim_share) / x.size), np.float32(ssim_share / x.size)
+        weights = np.float32((1 - ssim_weight) / x.size), np.float32(ssim_weight / x.size)
         run_ranges(gradient_range, ranges, x, y, SSIM_TAPS, slopes, *weights, gradient.numpy())
         ctx.save_for_backward(gradient)
         ssim = sums.sum(dtype=np.float64) / x.size
-        return torch.tensor((1 - ssim_share) * np.abs(x - y).mean(dtype=np.float64) + ssim_share * (1 - ssim), dtype=picture.dtype)
+        return torch.tensor((1 - ssim_weight) * np.abs(x - y).mean(dtype=np.float64) + ssim_weight * (1 - ssim), dtype=image.dtype)
 
     @staticmethod
     def backward(ctx, upstream):
         return upstream * ctx.saved_tensors[0], None, None
 
 
-def photometric_loss(picture: torch.Tensor, truth: torch.Tensor, ssim_share: float = 0.2) -> torch.Tensor:
-    """(1 - s) mean |x - y| + s (1 - mean SSIM) of (C, H, W) float32 pictures in 0..1; differentiable in the first."""
-    if not by_warp(picture):
-        return _Photometric.apply(picture, truth, ssim_share)
+def photometric_loss(image: torch.Tensor, truth: torch.Tensor, ssim_weight: float = 0.2) -> torch.Tensor:
+    """(1 - s) mean |x - y| + s (1 - mean SSIM) of (C, H, W) float32 images in 0..1; differentiable in the first."""
+    if not by_warp(image):
+        return _Photometric.apply(image, truth, ssim_weight)
     from .warp.photometric import Photometric  # an option, not installed everywhere
 
-    return Photometric.apply(picture, truth, ssim_share)
+    return Photometric.apply(image, truth, ssim_weight)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one face of the rasteriser: Gaussians' parameters to pictures, differentiable, whatever backend does the work."""
+"""The one face of the rasteriser: Gaussians' parameters to images, differentiable, whatever backend does the work."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NOTHING = -100.0  # as an opacity's logit
 
 @dataclass
 class ScreenStatistics:
-    """What density control wants to know of one picture.
+    """What density control wants to know of one image.
 
     Attributes:
         gradient: (N,) |d loss / d projected centre| per pixel of shift, filled by the backward pass.
@@ -61,17 +61,17 @@ class _Rasterize(torch.autograd.Function):
         width, height = int(cam[16]), int(cam[17])
         columns, rows = -(-width // TILE), -(-height // TILE)
         start, entries = bin_tiles(depth_order(depth, box), box, columns, rows)
-        picture = torch.empty(9 + extras, rows * TILE, columns * TILE)
+        image = torch.empty(9 + extras, rows * TILE, columns * TILE)
         stride, plane = columns * TILE, rows * TILE * columns * TILE
         tiles = balanced_ranges(np.diff(start) + 1, thread_count())
-        flat = picture.view(-1).numpy()
+        flat = image.view(-1).numpy()
         run_ranges(rasterize_range, tiles, start, entries, record, feature, box, columns, flat, stride, plane)
         ctx.arrays, ctx.cam, ctx.coefficients, ctx.statistics = arrays, cam, coefficients, statistics
         ctx.lists = (start, entries, record, feature, box, columns, flat)
         ctx.layout = (stride, plane, tiles, blocks)
         ctx.shapes = [t.shape for t in (position, quaternion, log_scale, opacity, sh, extra)]
         statistics.radius = torch.from_numpy((box[:, 2:] - box[:, :2]).max(1) + 1).clamp_min(0)
-        return picture[:-1, :height, :width]
+        return image[:-1, :height, :width]
 
     @staticmethod
     def backward(ctx, gradient):
@@ -81,8 +81,8 @@ class _Rasterize(torch.autograd.Function):
         padded = torch.zeros(channels, plane // stride, stride)
         padded[:, : gradient.shape[1], : gradient.shape[2]] = gradient
         slots = np.zeros((len(tiles), n, SPLAT_GRADIENTS + feature.shape[1]), np.float32)
-        picture = (flat, padded.view(-1).numpy(), stride, plane, slots)
-        run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *picture, numbered=True)
+        image = (flat, padded.view(-1).numpy(), stride, plane, slots)
+        run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *image, numbered=True)
         gradients = [torch.empty(shape) for shape in ctx.shapes]
         gradients[4][ctx.coefficients :] = 0.0  # SH coefficients that the degree leaves out: the kernel does not write them
         screen = torch.empty(n)
@@ -109,7 +109,7 @@ def rasterize(
         position: (3, N) world; quaternion: (4, N) w x y z, any length; log_scale: (2, N); opacity: (N,) logits.
         sh: (K, 3, N) radiance, colour = max(0.5 + sum, 0), K >= (degree + 1)^2 (those beyond get no gradient).
         extra: (E, N) further channels, E >= 0.
-        camera: the picture's camera. scene_radius: sets the near plane. degree: SH degree in use, 0..3.
+        camera: the image's camera. scene_radius: sets the near plane. degree: SH degree in use, 0..3.
 
     Returns:
         (8 + E, H, W) sums over splats of weight x (colour 3, world normal turned to the camera 3, extra E, planar depth 1),
@@ -121,9 +121,9 @@ def rasterize(
         parameters = tuple(_filled(p) for p in parameters)
     statistics = ScreenStatistics(torch.zeros(n, device=position.device))
     cam = camera_numbers(camera, NEAR * scene_radius)
-    picture = _function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
+    image = _function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
     statistics.radius = statistics.radius[:n]
-    return picture, statistics
+    return image, statistics
 
 
 def _function(tensor: torch.Tensor) -> type[torch.autograd.Function]:

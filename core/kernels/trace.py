@@ -12,8 +12,8 @@ import torch
 from ..machine import backend
 from ..machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
 from .constants import SURFEL_GRADIENTS
-from .cpu.adjoint import disk_backward_range, trace_backward_range
-from .cpu.bvh import DiskTree, flat
+from .cpu.adjoint import surfel_backward_range, trace_backward_range
+from .cpu.bvh import SurfelTree, flat
 from .cpu.compositing import (
     SH_ROW,
     SUMS,
@@ -29,7 +29,7 @@ from .cpu.trace import gather_range, transmittance_range
 if TYPE_CHECKING:
     from .warp.trace import DeviceLists, DeviceTree
 
-Tree: TypeAlias = "DiskTree | DeviceTree"
+Tree: TypeAlias = "SurfelTree | DeviceTree"
 Lists: TypeAlias = "HitLists | DeviceLists"
 
 COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # columns of what `trace` returns; distance and opacity follow the extras
@@ -68,7 +68,7 @@ def _device() -> Any:
 
 def build_tree(position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> Tree:
     """A tree over raw parameters: (3, N) world, (4, N) w x y z of any length, (2, N) logs, (N,) logits; no gradients."""
-    kind = _device().DeviceTree if backend.by_warp(opacity) else DiskTree
+    kind = _device().DeviceTree if backend.by_warp(opacity) else SurfelTree
     return kind.build(position, quaternion, log_scale, opacity)
 
 
@@ -80,10 +80,10 @@ def _check(origin: torch.Tensor, direction: torch.Tensor) -> None:
 def hit_lists(tree: Tree, origin: torch.Tensor, direction: torch.Tensor) -> Lists:
     """Hits of rays (R, 3) with unit directions, in exact order, until the transmittance falls below TRANSMITTANCE_MIN."""
     _check(origin, direction)
-    return _numba_lists(tree, origin, direction) if isinstance(tree, DiskTree) else _device().hit_lists(tree, origin, direction)
+    return _numba_lists(tree, origin, direction) if isinstance(tree, SurfelTree) else _device().hit_lists(tree, origin, direction)
 
 
-def _numba_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists:
+def _numba_lists(tree: SurfelTree, origin: torch.Tensor, direction: torch.Tensor) -> HitLists:
     o, d = flat(origin), flat(direction)
     rays = len(origin)
     count, left = np.zeros(rays, np.int64), np.ones(rays, np.float32)
@@ -99,7 +99,7 @@ def _numba_lists(tree: DiskTree, origin: torch.Tensor, direction: torch.Tensor) 
 def transmittance(tree: Tree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
     """(R,) share of light that passes along rays (R, 3), 0 below TRANSMITTANCE_MIN; no gradients."""
     _check(origin, direction)
-    if not isinstance(tree, DiskTree):
+    if not isinstance(tree, SurfelTree):
         return _device().transmittance(tree, origin, direction)
     o, d, through = flat(origin), flat(direction), torch.ones(len(origin))
     if tree.depth and len(origin):
@@ -122,7 +122,7 @@ def _pack(sh: torch.Tensor | None, extra: torch.Tensor, coefficients: int) -> np
 
 
 def _composite(
-    tree: DiskTree, lists: HitLists, direction: torch.Tensor, rows: np.ndarray, coefficients: int, extras: int
+    tree: SurfelTree, lists: HitLists, direction: torch.Tensor, rows: np.ndarray, coefficients: int, extras: int
 ) -> tuple[torch.Tensor, np.ndarray, list[tuple[int, int]]]:
     """Sums (R, 8 + E) over the hits, which channels of colour each hit lit, and the ranges of rays that were worked on at a time."""
     out = torch.empty(lists.rays, SUMS + extras)
@@ -166,13 +166,13 @@ class _Trace(torch.autograd.Function):
 
 
 def _geometry_backward(ctx, gradient, slots, gradients, outputs):
-    """Gradients of disks and rays; those of rows are left in the slots."""
+    """Gradients of surfels and rays; those of rows are left in the slots."""
     lists, (n, width) = ctx.lists, ctx.rows.shape
     hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
     scene = (ctx.record, ctx.rows, ctx.coefficients, ctx.shapes[5][0], ctx.saved_tensors[0].detach().numpy())
     rays = [g.numpy() for g in gradients[6:8]]
     run_ranges(trace_backward_range, ctx.ranges, *ctx.rays, *hits, *scene, gradient, slots, *rays, numbered=True)
-    run_ranges(disk_backward_range, even_ranges(n, thread_count()), slots, width, ctx.record, ctx.quaternion, n, *outputs[:4])
+    run_ranges(surfel_backward_range, even_ranges(n, thread_count()), slots, width, ctx.record, ctx.quaternion, n, *outputs[:4])
 
 
 def trace(
@@ -207,7 +207,7 @@ def trace(
     if not tree.matches(position, quaternion, log_scale, opacity):
         raise ValueError("the tree stands for other Gaussians; refit or rebuild it after they change")
     coefficients = 0 if sh is None else (degree + 1) ** 2
-    function = _Trace if isinstance(tree, DiskTree) else _device().Trace
+    function = _Trace if isinstance(tree, SurfelTree) else _device().Trace
     return function.apply(position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients)
 
 
@@ -218,8 +218,8 @@ class Seen:
     """
 
     def __init__(self, tree: Tree, sh: torch.Tensor, extra: torch.Tensor) -> None:
-        self._device = None if isinstance(tree, DiskTree) else _device().Seen(tree, sh, extra)
-        if not isinstance(tree, DiskTree):
+        self._device = None if isinstance(tree, SurfelTree) else _device().Seen(tree, sh, extra)
+        if not isinstance(tree, SurfelTree):
             return
         self._tree, self._extras = tree, len(extra)
         self._coefficients = len(sh)

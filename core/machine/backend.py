@@ -23,7 +23,7 @@ def wait_for(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
-def incomplete_pictures() -> int:
+def incomplete_images() -> int:
     """Pictures of optimisations that lacked some splats so far, as more came into view at once than there was room for on the device."""
     module = sys.modules.get(__package__.rpartition(".")[0] + ".kernels.warp.rasterize")  # not loaded: nothing was drawn by it
     return sum(room.overflowed for room in module.ROOMS.values()) if module else 0

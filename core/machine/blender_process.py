@@ -9,12 +9,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..errors import Cancelled, IrgsppError
-from ..progress.protocol import Progress
-from .parent_watch import TIED
+from .parent_watch import PARENT_WATCH
 
 LAUNCHER = Path(__file__).resolve().parents[2] / "irgspp_addon" / "launch.py"
 BLENDER = "IRGSPP_BLENDER"  # the environment variable that names a Blender executable; the extension sets it to the one it runs in
@@ -40,7 +39,7 @@ def blender_command() -> list[str]:
     return [sys.executable, str(LAUNCHER)]
 
 
-def run_in_blender(module: str, arguments: Sequence[str], progress: Progress) -> tuple[int, str]:
+def run_in_blender(module: str, arguments: Sequence[str], cancelled: Callable[[], bool]) -> tuple[int, str]:
     """Run a module of this package in a Blender to its end; its exit status and the last line of what it said on stderr.
 
     Raises Cancelled (the Blender is ended), or NoBlender.
@@ -48,9 +47,11 @@ def run_in_blender(module: str, arguments: Sequence[str], progress: Progress) ->
     command = [*blender_command(), module, *arguments]
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
         # Its stdin ends when this process does, however it does: then it must not go on writing beside the next one.
-        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors, env={**os.environ, TIED: "1"})
+        child = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors, env={**os.environ, PARENT_WATCH: "1"}
+        )
         try:
-            status = _wait(child, progress)
+            status = _wait(child, cancelled)
         finally:
             assert child.stdin is not None
             child.stdin.close()
@@ -59,12 +60,12 @@ def run_in_blender(module: str, arguments: Sequence[str], progress: Progress) ->
     return status, said[-1] if said else "no message"
 
 
-def _wait(child: subprocess.Popen, progress: Progress) -> int:
+def _wait(child: subprocess.Popen, cancelled: Callable[[], bool]) -> int:
     while True:
         try:
             return child.wait(timeout=0.2)
         except subprocess.TimeoutExpired:
-            if progress.cancelled:
+            if cancelled():
                 child.terminate()
                 child.wait()
                 raise Cancelled("stopped while Blender was at work") from None

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
-from ..scene.dataset import Dataset
 from ..settings.schema import Settings
 
 MIB = 1 << 20
@@ -33,26 +32,31 @@ class Free:
     limit: str
 
 
-def bytes_needed(settings: Settings, data: Dataset, rays: int = MOST_RAYS) -> int:
-    """About how many bytes of memory a job on the CPU has in use at most, libraries included; `rays` are at work at a time."""
-    transport = settings.transport
-    texels = 2 * transport.rows**2
-    views = transport.points * transport.views * texels * 4 * 5  # rows of light of each view, and the equations' of the same size
-    points = transport.points * 4 * texels * 4 * 6  # what shines on each point from all around
-    pixels = sum(view.camera.width * view.camera.height for view in (*data.train, *data.test))
-    kept = pixels * PHOTOGRAPH + settings.reflective.gaussians * GAUSSIAN
+def bytes_needed(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> int:
+    """Estimate the bytes of memory that a job on the CPU has in use at most, libraries included.
+
+    Args:
+        settings: of the job.
+        pixels: of all photographs together.
+        rays: at work at a time.
+    """
+    second = settings.second
+    texels = 2 * second.rows**2
+    views = second.points * second.views * texels * 4 * 5  # rows of light of each view, and the equations' of the same size
+    points = second.points * 4 * texels * 4 * 6  # what shines on each point from all around
+    kept = pixels * PHOTOGRAPH + settings.first.gaussians * GAUSSIAN
     work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texture**2 * TEXEL)
     return LIBRARIES + kept + work
 
 
-def rays_that_fit(settings: Settings, data: Dataset, free: Free | None = None) -> int:
+def rays_that_fit(settings: Settings, pixels: int, free: Free | None = None) -> int:
     """How many rays may be at work at a time so that the job fits into memory. Raises InputError where it does not even with few."""
     room, taken, rays = free or free_memory(), resident(), MOST_RAYS
-    while bytes_needed(settings, data, rays) - taken > SHARE * room.size:
+    while bytes_needed(settings, pixels, rays) - taken > SHARE * room.size:
         if rays <= FEWEST_RAYS:
-            needed = f"{bytes_needed(settings, data, rays) / 2**30:.1f} GiB"
+            needed = f"{bytes_needed(settings, pixels, rays) / 2**30:.1f} GiB"
             there = f"{(room.size + taken) / 2**30:.1f} GiB can be had ({room.limit})"
-            fix = "close other programs, or give --set data.resolution=..., reflective.gaussians=... or transport.points=... less"
+            fix = "close other programs, or give --set data.resolution=..., first.gaussians=... or second.points=... less"
             raise InputError("memory", f"the job needs about {needed}, {there}", fix)
         rays //= 2
     return rays

@@ -102,6 +102,6 @@ def faults(resumable: bool = False) -> Iterator[None]:
         if not isinstance(error, ours) and not any(sign in str(error) for sign in SIGNS):
             raise
         if isinstance(error, torch.OutOfMemoryError) or any(sign in str(error) for sign in OUT_OF_MEMORY):
-            raise IrgsppError(f"the GPU's memory ran out{kept}, with fewer Gaussians or smaller pictures (docs/gpu.md says how)") from error
+            raise IrgsppError(f"the GPU's memory ran out{kept}, with fewer Gaussians or smaller images (docs/gpu.md says how)") from error
         said = str(error).strip().splitlines()[0]
         raise DeviceLost(f"the GPU failed ({said}){kept}") from error

@@ -7,7 +7,6 @@ import shutil
 from pathlib import Path
 
 from ..errors import InputError
-from ..scene.dataset import Dataset
 from ..settings.schema import Settings
 
 MEGABYTE = 1_000_000
@@ -20,23 +19,27 @@ PHOTOGRAPH = 0.6  # bytes of a pixel of an undistorted copy
 REST = 8 * MEGABYTE  # contact sheet, previews, light, events
 
 
-def bytes_needed(settings: Settings, data: Dataset) -> int:
-    """About how many bytes a run folder takes while its job works: more than is left in the end."""
-    gaussians = settings.reflective.gaussians
+def bytes_needed(settings: Settings, undistorted: int) -> int:
+    """Estimate the bytes that a run folder takes while its job works: more than is left in the end.
+
+    Args:
+        settings: of the job.
+        undistorted: pixels of all photographs that the run folder holds a copy of, without lens distortion.
+    """
+    gaussians = settings.first.gaussians
     checkpoints = 2 * 3 * gaussians * PARAMETERS * 4  # the present one and the next, until that has taken its place
     results = 2 * gaussians * COLUMNS * 4  # of both stages
     surface = settings.surface
     bare = 8 * surface.voxels**2 * (VERTEX + 2 * TRIANGLE) // 4  # the fused surface before it is decimated, about
     asset = COPIES * (surface.triangles * (VERTEX // 2 + TRIANGLE) + surface.texture**2 * TEXEL)
-    pixels = sum(view.camera.width * view.camera.height for view in (*data.train, *data.test) if view.distorted)
-    return int(checkpoints + results + bare + asset + pixels * PHOTOGRAPH + REST)
+    return int(checkpoints + results + bare + asset + undistorted * PHOTOGRAPH + REST)
 
 
-def check_room(run: Path, settings: Settings, data: Dataset) -> None:
+def check_disk_space(run: Path, settings: Settings, undistorted: int) -> None:
     """Raise InputError where the disk that the run folder is on, or would be, has less free than the job needs."""
     place = next(p for p in (run, *run.absolute().parents) if p.exists())
     there = sum(file.stat().st_size for file in run.rglob("*") if file.is_file()) if run.is_dir() else 0
-    needed, free = bytes_needed(settings, data) - there, shutil.disk_usage(place).free
+    needed, free = bytes_needed(settings, undistorted) - there, shutil.disk_usage(place).free
     if needed > free:
         what = f"the job needs about {_shown(needed)} of the disk, of which {_shown(free)} are free"
         raise InputError(run, what, "free some room, or name a folder on another disk")

@@ -17,8 +17,8 @@ SHARE = 0.9  # of what is free that is counted on: memory is never without gaps
 GAUSSIAN = 4 * 63 * 4  # bytes: 63 parameters, their gradients and Adam's two moments
 ENTRIES = 16.0  # of a Gaussian in the lists of tiles, with their spare room
 ENTRY = 8 + 8 + 4 + 2 * 4 * (10 + 11)  # bytes: key, sorted place, owner, gradients of two warps
-PIXEL = 4 * (3 * 20 + 60)  # bytes of a picture that is drawn and goes back: sums, gradients, what autograd keeps
-PHOTOGRAPH = 4 * (3 + 1 + 3 + 3) + 3  # bytes of a pixel of a target: picture, alpha, rays twice, saturation
+PIXEL = 4 * (3 * 20 + 60)  # bytes of an image that is drawn and goes back: sums, gradients, what autograd keeps
+PHOTOGRAPH = 4 * (3 + 1 + 3 + 3) + 3  # bytes of a pixel of a target: image, alpha, rays twice, saturation
 RAY = 400  # bytes of a ray of the second stage or of relighting, with its direction, density and sums
 RAYS = 1 << 22  # of relighting that are at work at a time, at most
 FEWEST = 1 << 14
@@ -39,10 +39,10 @@ class Plan:
 def bytes_needed(settings: Settings, views: int, width: int, height: int, targets: bool) -> int:
     """About how many bytes the largest step of a job takes."""
     pixels = width * height
-    first = settings.reflective.gaussians * int(GAUSSIAN + ENTRIES * ENTRY) + pixels * PIXEL
-    transport, texels = settings.transport, 2 * settings.transport.rows**2
+    first = settings.first.gaussians * int(GAUSSIAN + ENTRIES * ENTRY) + pixels * PIXEL
+    transport, texels = settings.second, 2 * settings.second.rows**2
     points = transport.points * texels * 4 * (4 * 4 + 1) + transport.points * transport.views * texels * 4 * 6
-    second = max(points, transport.pixels * transport.samples * RAY) + settings.reflective.gaussians * GAUSSIAN
+    second = max(points, transport.pixels * transport.samples * RAY) + settings.first.gaussians * GAUSSIAN
     kept = views * pixels * PHOTOGRAPH if targets else 0
     return CONTEXT + kept + max(first, second, FEWEST * RAY)
 
@@ -57,7 +57,7 @@ def plan(settings: Settings, views: int, width: int, height: int, free: int) -> 
     raise InputError(
         "--device cuda",
         f"the job takes about {needed / 2**30:.1f} GiB of the GPU's memory, of which {free / 2**30:.1f} GiB are free",
-        "give --set data.resolution=... or reflective.gaussians=... less, or use --device cpu",
+        "give --set data.resolution=... or first.gaussians=... less, or use --device cpu",
     )
 
 

@@ -24,25 +24,25 @@ MEMORY = ("can't allocate memory", "not enough memory", "cannot allocate memory"
 GO_ON = "what was finished is kept: go on with --resume"
 
 
-class Shortage(IrgsppError):
+class OutOfResources(IrgsppError):
     """The machine lacks something that can be made free; what is done so far is kept."""
 
 
 @contextmanager
-def told(folder: Path) -> Iterator[None]:
+def translate_errors(folder: Path) -> Iterator[None]:
     """Within the block, turn errors that a full disk or memory is behind into a Shortage. folder: where the block writes."""
     try:
         yield
     except Exception as error:
-        found = shortage(error, folder)
+        found = as_out_of_resources(error, folder)
         if found is None or found is error:
             raise
         raise found from error
 
 
-def shortage(error: BaseException, folder: Path, resumable: bool = True) -> Shortage | None:
+def as_out_of_resources(error: BaseException, folder: Path, resumable: bool = True) -> OutOfResources | None:
     """What was lacking where an error came from that; None where it came from something else. resumable: --resume goes on."""
-    if isinstance(error, Shortage):
+    if isinstance(error, OutOfResources):
         return error
     if isinstance(error, (InputError, Cancelled)):
         return None
@@ -51,9 +51,9 @@ def shortage(error: BaseException, folder: Path, resumable: bool = True) -> Shor
         chain.append(before)
     if any(_of_memory(e) for e in chain):
         less = f" or give --set data.resolution=... less; {GO_ON}" if resumable else ""
-        return Shortage(f"{folder}: memory ran out; close other programs{less}")
+        return OutOfResources(f"{folder}: memory ran out; close other programs{less}")
     what = next((DISK[code] for e in chain if (code := _code(e)) in DISK), None) or (_is_full(folder) and DISK[errno.ENOSPC])
-    return Shortage(f"{_place(chain) or folder}: {what}; free some room{f', and {GO_ON}' if resumable else ''}") if what else None
+    return OutOfResources(f"{_place(chain) or folder}: {what}; free some room{f', and {GO_ON}' if resumable else ''}") if what else None
 
 
 def _of_memory(error: BaseException) -> bool:

@@ -7,10 +7,10 @@ import os
 import threading
 from collections.abc import Callable
 
-TIED = "IRGSPP_TIED"  # variable of the environment: launch.py is to end its process then
+PARENT_WATCH = "IRGSPP_TIED"  # variable of the environment: launch.py is to end its process then
 
 
-def when_stdin_ends(then: Callable[[], object]) -> None:
+def on_parent_exit(then: Callable[[], object]) -> None:
     """Call `then` in a thread of its own once stdin has ended; never where there is none."""
 
     def watch() -> None:

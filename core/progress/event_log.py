@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 
-class Notes:
+class EventLog:
     """A folder with a job's events and log."""
 
     def __init__(self, path: Path) -> None:

@@ -9,15 +9,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-Draw = Callable[[], np.ndarray]  # makes a picture, (H, W, 3) or (H, W, 4) uint8
+Draw = Callable[[], np.ndarray]  # makes an image, (H, W, 3) or (H, W, 4) uint8
 
 
 class Progress(Protocol):
     """Receives the progress of a job.
 
     `phase` opens a phase of a known number of steps; `step` reports the number of steps done, with figures such as `loss` and
-    `psnr`; `message` is one line for a person; `decided` says whether a rule that leaves work out is in force, and why; `picture`
-    offers a picture of what is there, drawn only where one is wanted.
+    `psnr`; `message` is one line for a person; `decided` says whether a rule that leaves work out is in force, and why; `image`
+    offers an image of what is there, drawn only where one is wanted.
     `cancelled` turns True when the user wants the work to stop: the worker saves what it has and raises `errors.Cancelled`.
     `finish_early` turns True when the user is content with what is there: an iterative phase stops and the work goes on with
     the next one.
@@ -37,7 +37,7 @@ class Progress(Protocol):
 
     def decided(self, rule: str, on: bool, evidence: str) -> None: ...
 
-    def picture(self, draw: Draw) -> None: ...
+    def image(self, draw: Draw) -> None: ...
 
 
 class Silent:
@@ -58,7 +58,7 @@ class Silent:
     def decided(self, rule: str, on: bool, evidence: str) -> None:
         """Ignored."""
 
-    def picture(self, draw: Draw) -> None:
+    def image(self, draw: Draw) -> None:
         """Not drawn."""
 
 

@@ -7,7 +7,7 @@ import io
 import time
 
 from ..io.atomic import write_atomic
-from .event_log import Notes
+from .event_log import EventLog
 from .protocol import Draw, Progress, TimeLeft
 from .terminal import Terminal
 
@@ -17,15 +17,15 @@ PREVIEW_SECONDS = 10.0  # between two previews, and more where drawing one takes
 PREVIEW_SHARE = 0.01
 
 
-class Journal:
+class ProgressRecorder:
     """Passes progress on to a watcher and appends it to events.jsonl and log.txt of a folder.
 
     A file `cancel` or `finish` in the folder asks for what it is named after: so another process can stop the job.
     """
 
-    def __init__(self, notes: Notes, watcher: Progress) -> None:
+    def __init__(self, notes: EventLog, watcher: Progress) -> None:
         self._notes, self._watcher = notes, watcher
-        self._name, self._left, self._written, self._next_picture = "", TimeLeft(0), 0.0, 0.0
+        self._name, self._left, self._written, self._next_image = "", TimeLeft(0), 0.0, 0.0
         self.figures: dict[str, float] = {}  # the last ones that were reported
 
     @property
@@ -67,10 +67,10 @@ class Journal:
         self._notes.rule(rule, on, evidence)
         self._watcher.decided(rule, on, evidence)
 
-    def picture(self, draw: Draw) -> None:
-        """Keep a picture of what is there now and then, so rarely that it costs next to nothing."""
+    def image(self, draw: Draw) -> None:
+        """Keep an image of what is there now and then, so rarely that it costs next to nothing."""
         began = time.monotonic()
-        if began < self._next_picture:
+        if began < self._next_image:
             return
         from PIL import Image
 
@@ -80,19 +80,19 @@ class Journal:
         write_atomic(self._notes.path / PREVIEW, data.getvalue())
         self._notes.event(phase=self._name, preview=PREVIEW)
         now = time.monotonic()
-        self._next_picture = now + max(PREVIEW_SECONDS, (now - began) / PREVIEW_SHARE)
+        self._next_image = now + max(PREVIEW_SECONDS, (now - began) / PREVIEW_SHARE)
 
 
-class JobNotes(Notes):
+class JobLog(EventLog):
     """The notes of a command that another program started: its log is the terminal's own output, which that program keeps."""
 
     def log(self, text: str) -> None:
         """Said on the terminal already."""
 
 
-class JobJournal(Journal):
+class JobRecorder(ProgressRecorder):
     """A terminal's progress that another program watches as well."""
 
-    def __init__(self, notes: Notes, terminal: Terminal) -> None:
+    def __init__(self, notes: EventLog, terminal: Terminal) -> None:
         super().__init__(notes, terminal)
         self.end_line = terminal.end_line

@@ -56,7 +56,7 @@ class Terminal:
         """One line on a rule that leaves work out."""
         self.message(f"skip.{rule} {'on' if on else 'off'}: {evidence}")
 
-    def picture(self, draw: Draw) -> None:
+    def image(self, draw: Draw) -> None:
         """Terminals show none."""
 
     def end_line(self) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many samples each tile of a picture needs, so that the picture errs by no more than asked: found from what few samples tell.
+"""How many samples each tile of an image needs, so that the image errs by no more than asked: found from what few samples tell.
 
-The error is that of the sRGB picture in 0..1, root mean square over the object's pixels and channels, against the converged one. Its
+The error is that of the sRGB image in 0..1, root mean square over the object's pixels and channels, against the converged one. Its
 variance follows from the halves of the samples; what of it the denoiser takes away is V - D, with V the variance and D the mean square
 of what the filter changed (both means over a tile: for the filter's weight k = B / (B + V), see `corrected`, D is V^2 / (B + V)).
 """
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import torch
 
-from .primary_hits import Primary
+from .primary_hits import PrimaryHits
 
 TILE = 8  # pixels
 PILOT = 16  # samples that every tile gets
@@ -43,11 +43,11 @@ class Noise:
         return variance * torch.where(self.bias2.isinf(), 1.0, kept + (1 - kept) * MIXED)
 
     def error(self) -> float:
-        """Of the picture."""
+        """Of the image."""
         return float(((self.error2(self.samples) * self.pixels).sum() / self.pixels.sum()).sqrt())
 
     def needed(self, error: float) -> torch.Tensor:
-        """(T,) samples, of STEPS and no fewer than there are, fewest in all so that the picture errs by no more than `error`."""
+        """(T,) samples, of STEPS and no fewer than there are, fewest in all so that the image errs by no more than `error`."""
         steps = self.samples.new_tensor(STEPS)[:, None].maximum(self.samples)
         errors, room = self.error2(steps), error**2 * self.pixels.sum()
         low, high = -30.0, 5.0  # of the logarithm of what a sample is worth
@@ -59,7 +59,9 @@ class Noise:
         return steps.gather(0, (errors + 10.0**low * steps).argmin(0)[None])[0].round().long()
 
 
-def noise(raw: torch.Tensor, split: torch.Tensor, colour: torch.Tensor, samples: torch.Tensor, surface: Primary, filtered: bool) -> Noise:
+def noise(
+    raw: torch.Tensor, split: torch.Tensor, colour: torch.Tensor, samples: torch.Tensor, surface: PrimaryHits, filtered: bool
+) -> Noise:
     """From P points' light as estimated and how its halves differ (`Estimate`), as it is shown, all (P, 3), and samples (P,)."""
     slope = encoding_slope(colour) * surface.alpha[:, None]
     variance = (CAUTION if filtered else HALVES) * (split * slope).square().mean(1)
@@ -71,7 +73,7 @@ def noise(raw: torch.Tensor, split: torch.Tensor, colour: torch.Tensor, samples:
     return Noise(variance, bias2, samples, pixels, tile)
 
 
-def tiles(surface: Primary) -> tuple[torch.Tensor, torch.Tensor]:
+def tiles(surface: PrimaryHits) -> tuple[torch.Tensor, torch.Tensor]:
     """(P,) which tile each point lies in, of those that hold any, and (T,) how many they hold."""
     width = surface.camera.width
     place = surface.index // width // TILE * width + surface.index % width // TILE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What takes the last noise out of a picture of few samples: the cross-bilateral filter, guided by depth and normals.
+"""What takes the last noise out of an image of few samples: the cross-bilateral filter, guided by depth and normals.
 
 Mode `paper` filters the final colour. Mode `demodulated` filters diffuse and specular light apart, each divided by what the surface
 reflects of it, so that no texture is blurred, and only as far as there is noise: the estimate's two halves of samples tell how much.
@@ -19,7 +19,7 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
 from ..shading.split_sum import specular_albedo
 from .estimate import Estimate
-from .primary_hits import Primary
+from .primary_hits import PrimaryHits
 
 REACH = 6  # pixels of margin, as far as any filter reaches
 BLOCKS = 4  # rows are handed out in this many ranges per thread: the object rarely covers them evenly
@@ -40,14 +40,14 @@ class Filter:
         return np.outer(bell, bell).astype(np.float32)
 
 
-PICTURE = DIFFUSE = Filter(2, 7)
+IMAGE = DIFFUSE = Filter(2, 7)
 SPECULAR = Filter(1.5, 7)
 CHANCE = 2.0  # relative error of diffuse light from few samples that agree by chance, times their number
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Where pixels lie in planes with a margin around the picture and rows of whole vectors."""
+    """Where pixels lie in planes with a margin around the image and rows of whole vectors."""
 
     width: int
     height: int
@@ -74,7 +74,7 @@ class Guides:
         surface: whose pixels. radius: of the scene. kept: whether weights are kept from filter to filter, 1.2 kB a pixel.
     """
 
-    def __init__(self, surface: Primary, radius: float, kept: bool = False) -> None:
+    def __init__(self, surface: PrimaryHits, radius: float, kept: bool = False) -> None:
         self._grid, self._radius, self._kept = Grid(surface.camera.width, surface.camera.height), radius, kept
         self._weights: dict[Filter, np.ndarray] = {}
         self._index = surface.index if by_warp(surface.index) else None  # on a device
@@ -92,7 +92,7 @@ class Guides:
         return sum(weights.nbytes for weights in self._weights.values())
 
     @staticmethod
-    def kept_size(surface: Primary) -> int:
+    def kept_size(surface: PrimaryHits) -> int:
         """Bytes that they come to, about."""
         return len(surface.index) * 4 * sum(len(how.spatial()) ** 2 for how in (DIFFUSE, SPECULAR))
 
@@ -117,8 +117,8 @@ class Guides:
         from ..kernels.warp.bilateral import filtered  # an option, not installed everywhere
 
         spatial = torch.from_numpy(how.spatial()).to(values.device)
-        picture = (index, self._grid.width, self._grid.height)
-        return filtered(*picture, self._values, spatial, how.epsilon * self._radius, how.doublings, values.contiguous())
+        image = (index, self._grid.width, self._grid.height)
+        return filtered(*image, self._values, spatial, how.epsilon * self._radius, how.doublings, values.contiguous())
 
     def _scattered(self, rows: torch.Tensor) -> np.ndarray:
         """(C, P) values as C flattened planes, 0 elsewhere."""
@@ -127,12 +127,12 @@ class Guides:
         return planes.reshape(-1)
 
 
-def denoised(estimate: Estimate, surface: Primary, guides: Guides, mode: str = "demodulated") -> torch.Tensor:
+def denoised(estimate: Estimate, surface: PrimaryHits, guides: Guides, mode: str = "demodulated") -> torch.Tensor:
     """(P, 3) reflected light of the surface's points, filtered as `mode` says: "paper", "demodulated" or "off"."""
     if mode == "off":
         return estimate.diffuse + estimate.specular
     if mode == "paper":
-        return guides.filtered(estimate.diffuse + estimate.specular, PICTURE)
+        return guides.filtered(estimate.diffuse + estimate.specular, IMAGE)
     body = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
     n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
     gloss = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
@@ -147,7 +147,7 @@ def corrected(values: torch.Tensor, split: torch.Tensor, chance: float | torch.T
 
     split: (P, 3), see `Estimate`. chance: squared relative error that is assumed even where both halves agree: they may have missed the
     same lamp. With x the value and f the filtered one, f + k (x - f) errs least with k = 1 - var(x) / E[(x - f)^2] (James and Stein
-    1961), both means over the filter's neighbourhood. So edges stay, and with many samples the picture converges.
+    1961), both means over the filter's neighbourhood. So edges stay, and with many samples the image converges.
     """
     smooth = guides.filtered(torch.cat([values, split.square().mean(1, keepdim=True)], 1), how)
     smooth, variance = smooth[:, :3], smooth[:, 3:]
@@ -157,7 +157,7 @@ def corrected(values: torch.Tensor, split: torch.Tensor, chance: float | torch.T
     return smooth + keep * (values - smooth)
 
 
-def _guides(surface: Primary) -> torch.Tensor:
+def _guides(surface: PrimaryHits) -> torch.Tensor:
     """(7, P) normal, depth, its slopes to the right and down, coverage."""
     camera = surface.camera
     # The tangent plane n.(x - p) = 0 gives the slopes without the noise of differences.

@@ -14,11 +14,17 @@ from .indirect_light import Points
 from .prepared_light import PreparedLight
 from .sample_counts import Counts
 from .secondary_query import SurfaceQuery
-from .visibility_cache import BINS, Openness
+from .visibility_cache import BINS, VisibilityCache
 
 
 def add_light_samples(
-    sums: torch.Tensor, points: Points, shift: torch.Tensor, counts: Counts, light: PreparedLight, openness: Openness, query: SurfaceQuery
+    sums: torch.Tensor,
+    points: Points,
+    shift: torch.Tensor,
+    counts: Counts,
+    light: PreparedLight,
+    visibility_cache: VisibilityCache,
+    query: SurfaceQuery,
 ) -> tuple[int, int]:
     """Add to `sums` (P, 2, SUMS) what the last of `counts` samples bring of the light itself, see `gather`; shift: (P, 2).
 
@@ -30,7 +36,7 @@ def add_light_samples(
         return _on_device(sums, points, shift, counts, light, query)
     arrays = [t.contiguous().numpy() for t in (points.view, points.normal, points.alpha, shift, point_set(n_e))]
     table = light.table.numpy()
-    clear = [openness.tile.numpy(), openness.clear.numpy(), BINS]
+    clear = [visibility_cache.tile.numpy(), visibility_cache.clear.numpy(), BINS]
     sample, direction, weights = np.empty((len(shift) * n_e, 3), np.int32), *np.empty((2, len(shift) * n_e, 3), np.float32)
     ranges = even_ranges(len(shift), 4 * thread_count())
     made = np.zeros((len(ranges), 2), np.int64)

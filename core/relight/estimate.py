@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import torch
 
 from ..shading.brdf import base_reflectance, facing
-from ..shading.specular_albedo import diffuse_share
+from ..shading.specular_albedo import diffuse_fraction
 from .prepared_light import PreparedLight
-from .primary_hits import Primary
+from .primary_hits import PrimaryHits
 
 RATIO = 2.0  # by so much at most a sum of few samples is corrected
 
@@ -33,7 +33,7 @@ class Estimate:
     samples: int | torch.Tensor
 
 
-def estimated(sums: torch.Tensor, samples: int | torch.Tensor, surface: Primary, light: PreparedLight, conserving: bool) -> Estimate:
+def estimated(sums: torch.Tensor, samples: int | torch.Tensor, surface: PrimaryHits, light: PreparedLight, conserving: bool) -> Estimate:
     """Reflected light from (P, 2, 12) sums of `gather` over so many samples.
 
     Without anything in its way the diffuse light is known exactly, from the prefiltered map; so sampling has to tell the share of it
@@ -49,10 +49,10 @@ def estimated(sums: torch.Tensor, samples: int | torch.Tensor, surface: Primary,
     return Estimate(body * irradiance, f0 * scaled + added, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
 
 
-def diffuse_albedo(surface: Primary, conserving: bool) -> torch.Tensor:
+def diffuse_albedo(surface: PrimaryHits, conserving: bool) -> torch.Tensor:
     """(P, 3) share of the irradiance that the diffuse lobe sends back; `conserving`: see `reflect_light`."""
     body = (1 - surface.metallic[:, None]) * surface.albedo
     if not conserving:
         return body
     n_v = (facing(surface.view, surface.normal) * surface.normal).sum(-1)
-    return body * diffuse_share(n_v, surface.roughness)[:, None]
+    return body * diffuse_fraction(n_v, surface.roughness)[:, None]

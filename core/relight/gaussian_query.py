@@ -7,10 +7,10 @@ import torch
 
 from ..kernels.trace import build_tree, trace
 from ..scene.reconstruction import Reconstruction
-from .primary_hits import Primary
+from .primary_hits import PrimaryHits
 from .secondary_query import Hits
 
-OFFSET = 0.02  # of the scene radius: the mean depth lies inside the cloud of disks that make a surface, whose thickness this clears
+OFFSET = 0.02  # of the scene radius: the mean depth lies inside the cloud of surfels that make a surface, whose thickness this clears
 FAINTEST = 1 / 255  # opacity below which a ray counts as free
 
 
@@ -18,20 +18,20 @@ class GaussianQuery:
     """The Gaussians of a reconstruction as `SurfaceQuery`; those outside its bound, a backdrop, don't count.
 
     Args:
-        reconstruction: whose disks. offset: of the scene radius, by which rays start above the surface.
+        reconstruction: whose surfels. offset: of the scene radius, by which rays start above the surface.
     """
 
     def __init__(self, reconstruction: Reconstruction, offset: float = OFFSET) -> None:
         g, bound = reconstruction.gaussians, reconstruction.bound
         with torch.no_grad():
             inside = (g.position - g.position.new_tensor(bound.centre)[:, None]).norm(dim=0) <= bound.radius
-            self._disks = g.select(inside)
-            self._materials = self._disks.materials()
-        self._geometry = (self._disks.position, self._disks.quaternion, self._disks.log_scale, self._disks.opacity)
+            self._surfels = g.select(inside)
+            self._materials = self._surfels.materials()
+        self._geometry = (self._surfels.position, self._surfels.quaternion, self._surfels.log_scale, self._surfels.opacity)
         self._tree = build_tree(*self._geometry)
         self._offset = offset * bound.radius
 
-    def origins(self, surface: Primary) -> torch.Tensor:
+    def origins(self, surface: PrimaryHits) -> torch.Tensor:
         """See `SurfaceQuery`."""
         return surface.point + self._offset * surface.normal
 
@@ -53,5 +53,5 @@ class GaussianQuery:
         return torch.where(opacity > FAINTEST, opacity, 0.0)
 
     def _traced(self, channels: torch.Tensor, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """See `trace`; channels: (E, N) of the disks."""
+        """See `trace`; channels: (E, N) of the surfels."""
         return trace(*self._geometry, None, channels, origin.contiguous(), direction.contiguous(), self._tree)

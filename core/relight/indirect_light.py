@@ -15,7 +15,7 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance, facing, ggx_alpha
 from ..shading.environment_lookup import direction_to_uv, lookup
 from ..shading.sampling import Samples
-from ..shading.specular_albedo import diffuse_share, specular_albedo
+from ..shading.specular_albedo import diffuse_fraction, specular_albedo
 from ..shading.split_sum import reflect, stack_level
 from .prepared_light import PreparedLight
 from .secondary_query import Hits, SurfaceQuery
@@ -88,7 +88,7 @@ class Surroundings:
         albedo, metallic = hits.albedo * self.scale, hits.metallic[:, None]
         body = (1 - metallic) * albedo
         if self.conserving:
-            body = body * diffuse_share(n_v, hits.roughness)[:, None]
+            body = body * diffuse_fraction(n_v, hits.roughness)[:, None]
         gloss = specular_albedo(n_v, hits.roughness, base_reflectance(albedo, metallic))
         places = (*direction_to_uv(hits.normal), *direction_to_uv(reflect(view, hits.normal)), stack_level(hits.roughness))
         return Met(hits.opacity, body, gloss, torch.stack(places, 1))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..scene.mesh import Mesh
-from .primary_hits import Primary
+from .primary_hits import PrimaryHits
 from .secondary_query import Hits
 from .triangles import triangles_of
 
@@ -32,14 +32,14 @@ class MeshQuery:
         self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32)).to(device)
         self._triangles = triangles_of(mesh, device)
 
-    def origins(self, surface: Primary) -> torch.Tensor:
+    def origins(self, surface: PrimaryHits) -> torch.Tensor:
         """See `SurfaceQuery`. Rays start on the mesh: the Gaussians' surface lies inside it here and outside there."""
         ray, _, distance = self._seen(surface)
         origin = surface.point + OFFSET * self._radius * surface.normal
         on_mesh = _centre(surface) - distance[:, None] * surface.view[ray]
         return origin.index_copy(0, ray, on_mesh + CLEARANCE * self._radius * surface.normal[ray])
 
-    def refined(self, surface: Primary, weight: float) -> Primary:
+    def refined(self, surface: PrimaryHits, weight: float) -> PrimaryHits:
         """The surface with normals that are `weight` the mesh's and 1 - `weight` the Gaussians': their errors have little in common."""
         ray, hits, _ = self._seen(surface)
         normal = (1 - weight) * surface.normal[ray] + weight * hits.normal
@@ -54,7 +54,7 @@ class MeshQuery:
         """See `SurfaceQuery`."""
         return self._triangles.meet(origin, direction).float()
 
-    def _seen(self, surface: Primary) -> tuple[torch.Tensor, Hits, torch.Tensor]:
+    def _seen(self, surface: PrimaryHits) -> tuple[torch.Tensor, Hits, torch.Tensor]:
         """Which of a view's pixels see the mesh where the Gaussians are or before, (K,), what they see there, and its distance (K,).
 
         Before: along a silhouette that has something behind it a pixel's mean depth lies between both, often inside what is in front.
@@ -85,5 +85,5 @@ class MeshQuery:
         return Hits(ray, torch.ones_like(at[:, 0]), *materials, torch.where(away, -normal, normal))
 
 
-def _centre(surface: Primary) -> torch.Tensor:
+def _centre(surface: PrimaryHits) -> torch.Tensor:
     return torch.from_numpy(surface.camera.centre).to(surface.depth)

@@ -18,7 +18,7 @@ ELEVATION = 20.0  # degrees above the horizon
 def orbit(count: int, cameras: Sequence[Camera], bound: Bound, elevation: float = ELEVATION) -> list[tuple[str, Camera]]:
     """`count` named cameras on a full circle about +Z around the bound's centre, the first at azimuth 0 (+X), counter-clockwise from above.
 
-    Picture size and lens are those of the first of `cameras`, the distance is their median one. Raises InputError for fewer than 1.
+    Image size and lens are those of the first of `cameras`, the distance is their median one. Raises InputError for fewer than 1.
     """
     if count < 1:
         raise InputError("--orbit", f"{count} is no number of views", "use 1 or more")

@@ -16,7 +16,7 @@ from ..scene.reconstruction import Reconstruction
 
 
 @dataclass(frozen=True, eq=False)
-class Primary:
+class PrimaryHits:
     """The covered pixels of a view; P of them, without gradients.
 
     Attributes:
@@ -42,26 +42,26 @@ class Primary:
     coverage: torch.Tensor
     origin: torch.Tensor
 
-    def only(self, which: torch.Tensor) -> Primary:
+    def only(self, which: torch.Tensor) -> PrimaryHits:
         """Some of its points, by their number (K,) ascending."""
         rows = {f.name: getattr(self, f.name)[which] for f in dataclasses.fields(self) if f.name not in ("camera", "coverage")}
         return dataclasses.replace(self, **rows)
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
-        """(P, 3) straight colours of the points as an (H, W, 4) linear premultiplied picture."""
+        """(P, 3) straight colours of the points as an (H, W, 4) linear premultiplied image."""
         rgba = colour.new_zeros(self.coverage.numel(), 4)
         rgba[self.index, :3] = colour * self.alpha[:, None]
         rgba[:, 3] = self.coverage.flatten()
         return rgba.view(*self.coverage.shape, 4)
 
 
-def primary_surface(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> Primary:
+def primary_hits(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> PrimaryHits:
     """Rasterise the Gaussians and divide by opacity; albedo_scale: (3,) factors of the albedo."""
-    picture, rays = rasterize_view(reconstruction, camera)
+    image, rays = rasterize_view(reconstruction, camera)
     with torch.no_grad():
-        p = surface_pixels(picture, rays, NOTHING)
+        p = surface_pixels(image, rays, NOTHING)
         ray = rays.flatten(1)[:, p.index].T.contiguous()
-        depth = picture[-2].flatten()[p.index] / p.alpha
+        depth = image[-2].flatten()[p.index] / p.alpha
         point = torch.from_numpy(camera.centre).to(depth) + depth[:, None] * ray
         materials = (p.albedo * albedo_scale, p.roughness, p.metallic, p.alpha)
-        return Primary(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, picture[-1].contiguous(), point)
+        return PrimaryHits(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, image[-1].contiguous(), point)

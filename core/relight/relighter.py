@@ -30,10 +30,10 @@ from .estimate import estimated
 from .indirect_light import Points, SecondaryRays, Surroundings, gather, trace_samples
 from .mesh_query import MeshQuery
 from .prepared_light import PreparedLight
-from .primary_hits import Primary, primary_surface
+from .primary_hits import PrimaryHits, primary_hits
 from .sample_counts import Counts, pixel_shifts, sample_counts
 from .secondary_query import SurfaceQuery
-from .visibility_cache import Openness, survey
+from .visibility_cache import VisibilityCache, survey
 
 RAYS = 1 << 17  # at a time: few enough for the cache, enough for every thread
 KEPT_BYTES = 1 << 28  # of secondary rays that are kept from light to light
@@ -41,7 +41,7 @@ KEPT_BYTES = 1 << 28  # of secondary rays that are kept from light to light
 
 @dataclass(frozen=True)
 class RelightSettings:
-    """How pictures under a light are made.
+    """How images under a light are made.
 
     Attributes:
         samples: "hq", "efficient" or the number per pixel.
@@ -52,7 +52,7 @@ class RelightSettings:
         mesh_normals: how much of the shading normals is the mesh's, 0..1, where a mesh is known.
         albedo_scale: per channel, for all albedo; under an unknown light its brightness can't be known.
         skip: `open` ("off": every ray is traced) and `kept` ("off": nothing stays from light to light), see `SkipSettings`.
-        error: of the sRGB picture, see adaptive.py; every tile gets the samples that it takes, instead of `samples`. None: of no concern.
+        error: of the sRGB image, see adaptive.py; every tile gets the samples that it takes, instead of `samples`. None: of no concern.
     """
 
     samples: str | int = "hq"
@@ -67,7 +67,7 @@ class RelightSettings:
 
 
 class Tally(Counter[str]):
-    """Rays of all pictures: "traced", "kept" from another light, "open" where others met nothing; "samples" of "pixels" by `error`."""
+    """Rays of all images: "traced", "kept" from another light, "open" where others met nothing; "samples" of "pixels" by `error`."""
 
     def add(self, kind: str, count: int) -> None:
         """Count more of them."""
@@ -93,16 +93,16 @@ class Lasting:
     points: Points
     shift: torch.Tensor
     rays: SecondaryRays
-    openness: Openness
+    visibility_cache: VisibilityCache
 
     @property
     def size(self) -> int:
         """Bytes in memory."""
-        return self.rays.size + self.openness.size + 48 * len(self.shift)
+        return self.rays.size + self.visibility_cache.size + 48 * len(self.shift)
 
 
 class Relighter:
-    """Renders views of a reconstruction; the same view under the same light is always the same picture, bit by bit.
+    """Renders views of a reconstruction; the same view under the same light is always the same image, bit by bit.
 
     Args:
         reconstruction: what cameras see. query: what secondary rays meet. mesh: whose normals better those of the Gaussians, if any.
@@ -117,10 +117,10 @@ class Relighter:
         self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
         self.device = reconstruction.environment.device
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
-        self._kept: WeakKeyDictionary[Primary, dict[int, Lasting]] = WeakKeyDictionary()
-        self._guides: WeakKeyDictionary[Primary, Guides] = WeakKeyDictionary()
+        self._kept: WeakKeyDictionary[PrimaryHits, dict[int, Lasting]] = WeakKeyDictionary()
+        self._guides: WeakKeyDictionary[PrimaryHits, Guides] = WeakKeyDictionary()
         self.tally = Tally()
-        self.reached = 0.0  # error of the last picture, where one was asked for
+        self.reached = 0.0  # error of the last image, where one was asked for
 
     def scaled(self, albedo_scale: Sequence[float] | np.ndarray | None) -> Relighter:
         """The same with another factor (3,) of the albedo; None: as it is."""
@@ -130,18 +130,18 @@ class Relighter:
         settings = dataclasses.replace(self.settings, albedo_scale=(r, g, b))
         return Relighter(self.reconstruction, self.query, settings, self.mesh)
 
-    def surface(self, camera: Camera) -> Primary:
+    def surface(self, camera: Camera) -> PrimaryHits:
         """What `camera` sees, to be lit by `relit`, once or under several lights."""
-        surface = primary_surface(self.reconstruction, camera, self._scale)
+        surface = primary_hits(self.reconstruction, camera, self._scale)
         if self.mesh is not None and self.settings.mesh_normals > 0:
             surface = self.mesh.refined(surface, self.settings.mesh_normals)
         return dataclasses.replace(surface, origin=self.query.origins(surface))
 
-    def relit(self, surface: Primary, light: PreparedLight) -> torch.Tensor:
+    def relit(self, surface: PrimaryHits, light: PreparedLight) -> torch.Tensor:
         """(H, W, 4) linear premultiplied RGBA of a surface under a light, on the CPU. Another light on it is cheaper than the first."""
         return self._relit(surface, light.to(self.device)).cpu()
 
-    def _relit(self, surface: Primary, light: PreparedLight) -> torch.Tensor:
+    def _relit(self, surface: PrimaryHits, light: PreparedLight) -> torch.Tensor:
         if light.distribution is None:
             return surface.composite(torch.zeros_like(surface.albedo))
         with torch.no_grad():
@@ -151,7 +151,7 @@ class Relighter:
             estimate = estimated(sums, sum(self.counts), surface, light, self.settings.conserving)
             return surface.composite(denoised(estimate, surface, self._guides_of(surface), self.settings.denoise))
 
-    def _to_error(self, surface: Primary, light: PreparedLight, error: float) -> torch.Tensor:
+    def _to_error(self, surface: PrimaryHits, light: PreparedLight, error: float) -> torch.Tensor:
         """(P, 3) colours, with as many samples in each tile as it takes."""
         sums, samples = self._sums(surface, self._counts(PILOT), light), torch.full_like(surface.index, PILOT)
         for left in reversed(range(ROUNDS)):
@@ -174,31 +174,31 @@ class Relighter:
     def _counts(self, samples: int) -> Counts:
         return sample_counts(samples, is_glossy(self.reconstruction))
 
-    def _guides_of(self, surface: Primary) -> Guides:
+    def _guides_of(self, surface: PrimaryHits) -> Guides:
         if surface not in self._guides:
-            kept = self.settings.skip.kept != "off" and self._room() >= Guides.kept_size(surface)
+            kept = self.settings.skip.cache_rays != "off" and self._room() >= Guides.kept_size(surface)
             self._guides[surface] = Guides(surface, self.reconstruction.bound.radius, kept)
         return self._guides[surface]
 
-    def _sums(self, surface: Primary, counts: Counts, light: PreparedLight) -> torch.Tensor:
+    def _sums(self, surface: PrimaryHits, counts: Counts, light: PreparedLight) -> torch.Tensor:
         """(P, 2, 12) sums over samples, see `gather`."""
         rays = rays_that_fit(self.device) if by_warp(surface.index) else RAYS
         count, step = len(surface.index), max(1, rays // sum(counts))
         parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
         return torch.cat([self._gathered(surface, part, counts, light) for part in parts])
 
-    def _gathered(self, surface: Primary, part: slice, counts: Counts, light: PreparedLight) -> torch.Tensor:
+    def _gathered(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight) -> torch.Tensor:
         """The same of some of the points."""
         by_light = counts[2] if self.settings.sampling == "mis" else 0
         lasting = self._lasting(surface, part, counts, light)
         sums = gather(lasting.rays, light, by_light)
         if by_light:
-            above, traced = add_light_samples(sums, lasting.points, lasting.shift, counts, light, lasting.openness, self.query)
+            above, traced = add_light_samples(sums, lasting.points, lasting.shift, counts, light, lasting.visibility_cache, self.query)
             self.tally.add("traced", traced)
             self.tally.add("open", above - traced)
         return sums
 
-    def _lasting(self, surface: Primary, part: slice, counts: Counts, light: PreparedLight) -> Lasting:
+    def _lasting(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight) -> Lasting:
         """What no light has a say in; kept for the next light where memory allows."""
         kept = self._kept.setdefault(surface, {})
         if part.start in kept:
@@ -206,7 +206,7 @@ class Relighter:
             return kept[part.start]
         lasting = self._traced(surface, part, counts, light)
         self.tally.add("traced", lasting.rays.traced)
-        if self.settings.skip.kept != "off" and lasting.size <= self._room():
+        if self.settings.skip.cache_rays != "off" and lasting.size <= self._room():
             kept[part.start] = lasting
         return lasting
 
@@ -215,7 +215,7 @@ class Relighter:
         rays = sum(one.size for parts in self._kept.values() for one in parts.values())
         return KEPT_BYTES - rays - sum(guides.size for guides in self._guides.values())
 
-    def _traced(self, surface: Primary, part: slice, counts: Counts, light: PreparedLight) -> Lasting:
+    def _traced(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight) -> Lasting:
         assert light.distribution is not None
         shift = pixel_shifts(surface.index[part], surface.camera.width)
         arguments = (surface.view[part], surface.normal[part], surface.roughness[part])
@@ -224,8 +224,8 @@ class Relighter:
         points = Points.of(surface.origin[part], *arguments)
         around = Surroundings(self.query, self._scale if self.settings.indirect else None, self.settings.conserving)
         rays = trace_samples(around, points, Samples(drawn.direction, drawn.density * sum(counts)))
-        if self.settings.skip.open == "off" or self.settings.sampling != "mis":
-            return Lasting(points, shift, rays, Openness.unknown(len(shift)))
+        if self.settings.skip.reuse_visibility == "off" or self.settings.sampling != "mis":
+            return Lasting(points, shift, rays, VisibilityCache.unknown(len(shift)))
         return Lasting(points, shift, rays, survey(drawn.direction, rays, surface.index[part], surface.camera.width))
 
 

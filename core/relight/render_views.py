@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Views of a run as picture files: the recovered light or a new one, and the layers."""
+"""Views of a run as image files: the recovered light or a new one, and the layers."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ..errors import Cancelled, InputError
 from ..io.exr import rgb_channels, write_exr
 from ..io.srgb import encode_srgb
 from ..progress.protocol import Progress, Silent
-from ..rendering.gbuffer import render_view
+from ..rendering.gbuffer import render_gbuffer
 from ..run_folder import write_atomic
 from ..scene.camera import Camera
-from ..scene.environment_files import read_light
-from ..scene.gbuffer import NOTHING, ViewBuffers
+from ..scene.environment_files import read_environment
+from ..scene.gbuffer import NOTHING, GBuffer
 from ..settings.schema import DataSettings
 from ..shading.environment_lookup import rotate
 from .prepared_light import prepare
@@ -34,7 +34,7 @@ class Light:
     """A light to show the object under: its name in file names ("" is the recovered one) and an (H, W, 3) float32 linear lat-long map."""
 
     name: str
-    picture: np.ndarray
+    image: np.ndarray
 
 
 def load_light(
@@ -46,10 +46,10 @@ def load_light(
     """
     if not (strength >= 0 and np.isfinite(strength) and np.isfinite(rotation)):
         raise InputError("--strength, --rotation", f"{strength}, {rotation}: not a finite strength >= 0 and a finite angle")
-    picture, remarks = read_light(path)
+    image, remarks = read_environment(path)
     for remark in remarks:
         (progress or Silent()).message(f"warning: {remark}")
-    return Light(name or path.stem, (rotate(picture, rotation) * strength).astype(np.float32))
+    return Light(name or path.stem, (rotate(image, rotation) * strength).astype(np.float32))
 
 
 def render_views(
@@ -66,14 +66,14 @@ def render_views(
     Files: rgba.exr under the recovered light (no `lights`), else rgba_<light>.exr, linear premultiplied RGBA, and the same as 8-bit
     straight-alpha .png; radiance.exr like it, the Gaussians' own radiance; albedo.exr linear RGB; normal.exr unit world XYZ as RGB;
     depth.exr Z, planar; material.exr R roughness, G metallic. Raises InputError for an unknown layer, for lights of one name or where
-    a folder can't be made, Cancelled between two pictures.
+    a folder can't be made, Cancelled between two images.
     """
     if unknown := set(layers) - set(LAYERS):
         raise InputError(f"layer {', '.join(sorted(unknown))}", "there is none of that name", f"use {', '.join(LAYERS)}")
     shown = lights or [Light("", relighter.reconstruction.environment_map())]
     if len({light.name for light in shown}) < len(shown):
         raise InputError("--environment", "two lights have the same name", "tell them apart by --name")
-    prepared = [(light.name, prepare(light.picture, relighter.device)) for light in shown] if "rgba" in layers else []
+    prepared = [(light.name, prepare(light.image, relighter.device)) for light in shown] if "rgba" in layers else []
     progress.phase("render", len(cameras))
     for i, (name, camera) in enumerate(cameras):
         folder = out / name
@@ -87,7 +87,7 @@ def render_views(
                 _stop_if_asked(progress, i, len(cameras))
                 write_rgba(folder / (f"rgba_{light_name}" if light_name else "rgba"), relighter.relit(surface, light).numpy())
         if set(layers) - {"rgba"}:
-            write_layers(folder, render_view(relighter.reconstruction, camera), layers)
+            write_layers(folder, render_gbuffer(relighter.reconstruction, camera), layers)
         progress.step(i + 1)
         _stop_if_asked(progress, i + 1, len(cameras))
 
@@ -108,7 +108,7 @@ def write_rgba(stem: Path, rgba: np.ndarray) -> None:
     write_atomic(stem.with_name(stem.name + ".png"), data.getvalue())
 
 
-def write_layers(folder: Path, buffers: ViewBuffers, layers: Sequence[str]) -> None:
+def write_layers(folder: Path, buffers: GBuffer, layers: Sequence[str]) -> None:
     """Write those of albedo, normal, depth, material and radiance that are named in `layers`."""
     there = buffers.alpha > NOTHING
     colour = np.where(there[..., None], buffers.albedo, 0)
@@ -117,7 +117,7 @@ def write_layers(folder: Path, buffers: ViewBuffers, layers: Sequence[str]) -> N
         "normal": rgb_channels(np.where(there[..., None], buffers.normal, 0)),
         "depth": {"Z": np.where(there, buffers.depth, 0)},
         "material": {"R": np.where(there, buffers.roughness, 0), "G": np.where(there, buffers.metallic, 0)},
-        "radiance": rgb_channels(buffers.picture),
+        "radiance": rgb_channels(buffers.image),
     }
     for name, data in channels.items():
         if name in layers:

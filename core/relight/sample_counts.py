@@ -31,7 +31,7 @@ def sample_counts(samples: str | int, glossy: bool) -> Counts:
 
 def pixel_shifts(index: torch.Tensor, width: int) -> torch.Tensor:
     """(P, 2) in [0, 1) for flat pixel indices (P,): always the same for a pixel, so that nothing flickers; neighbours differ the most,
-    so that the noise is fine-grained and a filter removes it (a golden-ratio lattice over the picture, Roberts 2018).
+    so that the noise is fine-grained and a filter removes it (a golden-ratio lattice over the image, Roberts 2018).
     """
     row, column = (index // width).double(), (index % width).double()
     u = column * 0.7548776662466927 + row * 0.5698402909980532

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import torch
 
-from .primary_hits import Primary
+from .primary_hits import PrimaryHits
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Hits:
 class SurfaceQuery(Protocol):
     """A scene that rays can be asked about."""
 
-    def origins(self, surface: Primary) -> torch.Tensor:
+    def origins(self, surface: PrimaryHits) -> torch.Tensor:
         """(P, 3) where rays from a view's surface points have to start so that they don't meet that very surface."""
         ...
 

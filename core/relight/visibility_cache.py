@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Directions in which nothing stands before a patch of the picture, as the rays tell that were traced from it and around it.
+"""Directions in which nothing stands before a patch of the image, as the rays tell that were traced from it and around it.
 
 Measured, not proven: a patch of pixels may go without shadow rays in a direction only where several rays of its neighbourhood went
 there and around, and none of them met anything.
@@ -22,14 +22,14 @@ ENOUGH = 24  # rays of a neighbourhood of 3 x 3 tiles and 3 x 3 squares
 
 
 @dataclass(frozen=True, eq=False)
-class Openness:
+class VisibilityCache:
     """Attributes: tile: (P,) int32 tile of each point. clear: (tiles, bins^2) uint8, 1 where nothing hides the light."""
 
     tile: torch.Tensor
     clear: torch.Tensor
 
     @classmethod
-    def unknown(cls, count: int) -> Openness:
+    def unknown(cls, count: int) -> VisibilityCache:
         """Of `count` points nothing is known, every ray has to be traced."""
         return cls(torch.zeros(count, dtype=torch.int32), torch.zeros(1, BINS * BINS, dtype=torch.uint8))
 
@@ -39,10 +39,10 @@ class Openness:
         return self.tile.numel() * 4 + self.clear.numel()
 
 
-def survey(direction: torch.Tensor, rays: SecondaryRays, index: torch.Tensor, width: int) -> Openness:
-    """From P points' rays in directions (P, M, 3), at flat pixel indices (P,) of a picture of a width."""
+def survey(direction: torch.Tensor, rays: SecondaryRays, index: torch.Tensor, width: int) -> VisibilityCache:
+    """From P points' rays in directions (P, M, 3), at flat pixel indices (P,) of an image of a width."""
     if not len(index) or by_warp(index):  # a device traces its few rays sooner than it finds out which it could do without
-        return Openness.unknown(len(index))
+        return VisibilityCache.unknown(len(index))
     down, across = index // width // TILE, index % width // TILE
     down, across = down - down.min(), across - across.min()
     rows, columns = int(down.max()) + 1, int(across.max()) + 1
@@ -51,7 +51,7 @@ def survey(direction: torch.Tensor, rays: SecondaryRays, index: torch.Tensor, wi
     survey_range(0, len(index), direction.numpy(), rays.terms.numpy(), rays.row.numpy(), tile.numpy(), BINS, seen, met)
     shape = (rows, columns, BINS, BINS)
     clear = (_around(seen.reshape(shape)) >= ENOUGH) & (_around(met.reshape(shape)) == 0)
-    return Openness(tile, torch.from_numpy(clear.reshape(-1, BINS * BINS).astype(np.uint8)))
+    return VisibilityCache(tile, torch.from_numpy(clear.reshape(-1, BINS * BINS).astype(np.uint8)))
 
 
 def _around(counts: np.ndarray) -> np.ndarray:

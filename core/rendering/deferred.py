@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From rasterised sums to the picture a camera takes: normalise, reflect the light, composite."""
+"""From rasterised sums to the image a camera takes: normalise, reflect the light, composite."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REFLECTING = 0.05  # opacity from which a pixel reflects; fainter ones show thei
 
 @dataclass
 class SurfacePixels:
-    """The covered pixels of a picture as surface points; P of them.
+    """The covered pixels of an image as surface points; P of them.
 
     Attributes:
         index: (P,) flat pixel index.
@@ -37,13 +37,13 @@ class SurfacePixels:
     alpha: torch.Tensor
 
 
-def surface_pixels(picture: torch.Tensor, rays: torch.Tensor, threshold: float = REFLECTING, every: bool = False) -> SurfacePixels:
+def surface_pixels(image: torch.Tensor, rays: torch.Tensor, threshold: float = REFLECTING, every: bool = False) -> SurfacePixels:
     """Divide the sums of `rasterize` (13, H, W; extras: albedo, roughness, metallic) by opacity where it exceeds `threshold`.
 
     rays: (3, H, W) world directions of any length. every: all pixels, fainter ones divided by the threshold: nobody has to wait for
     their number.
     """
-    flat = picture.flatten(1)
+    flat = image.flatten(1)
     index = torch.arange(flat.shape[1], device=flat.device) if every else torch.nonzero(flat[-1].detach() > threshold)[:, 0]
     at = flat if every else flat[:, index]
     mean = at[:-1] / (at[-1].clamp_min(threshold) if every else at[-1])
@@ -53,26 +53,26 @@ def surface_pixels(picture: torch.Tensor, rays: torch.Tensor, threshold: float =
     return SurfacePixels(index, view, normal, colour, albedo, mean[EXTRA + 3], mean[EXTRA + 4], at[-1])
 
 
-def splat_radiance(picture: torch.Tensor) -> torch.Tensor:
+def splat_radiance(image: torch.Tensor) -> torch.Tensor:
     """(3, H, W) straight linear radiance of the SH colours."""
-    return picture[COLOUR] / picture[-1:].clamp_min(ALPHA_FLOOR)
+    return image[COLOUR] / image[-1:].clamp_min(ALPHA_FLOOR)
 
 
-def reflective_radiance(picture: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:
+def reflective_radiance(image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:
     """(3, H, W) straight linear radiance (1 - m) C_sh + split-sum reflection of the light (Ref-Gaussian, in linear light)."""
-    every = by_warp(picture)
-    p = surface_pixels(picture, rays, every=every)
+    every = by_warp(image)
+    p = surface_pixels(image, rays, every=every)
     light = specular_radiance(p.view, p.normal, p.albedo, p.roughness, p.metallic, stack)
     shaded = (1 - p.metallic[:, None]) * p.colour + light
-    base = splat_radiance(picture)
+    base = splat_radiance(image)
     if every:
-        return torch.where(picture[-1] > REFLECTING, shaded.T.view_as(base), base)
+        return torch.where(image[-1] > REFLECTING, shaded.T.view_as(base), base)
     return base.flatten(1).index_copy(1, p.index, shaded.T).view_as(base)
 
 
-def radiance(picture: torch.Tensor, rays: torch.Tensor, light: torch.Tensor | None) -> torch.Tensor:
+def radiance(image: torch.Tensor, rays: torch.Tensor, light: torch.Tensor | None) -> torch.Tensor:
     """(3, H, W) straight linear radiance; `light` (H, W, 3) switches the reflections on."""
-    return splat_radiance(picture) if light is None else reflective_radiance(picture, rays, specular_light(light))
+    return splat_radiance(image) if light is None else reflective_radiance(image, rays, specular_light(light))
 
 
 def background_radiance(background: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
@@ -82,7 +82,7 @@ def background_radiance(background: torch.Tensor, rays: torch.Tensor) -> torch.T
 
 
 def composite(straight: torch.Tensor, alpha: torch.Tensor, rays: torch.Tensor, background: torch.Tensor | None) -> torch.Tensor:
-    """(3, H, W) encoded picture, on black where masks tell object from background, else on the learned background (in linear light)."""
+    """(3, H, W) encoded image, on black where masks tell object from background, else on the learned background (in linear light)."""
     if background is None:
         return encode_srgb(straight) * alpha
     return encode_srgb(straight * alpha + background_radiance(background, rays) * (1 - alpha))

@@ -8,7 +8,7 @@ import torch
 
 from ..kernels.rasterize import EXTRA, rasterize
 from ..scene.camera import Camera
-from ..scene.gbuffer import ViewBuffers
+from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
 from .deferred import ALPHA_FLOOR, background_radiance, radiance
 
@@ -21,26 +21,26 @@ def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.T
     with torch.no_grad():
         extra = g.materials() if more is None else torch.cat([g.materials(), more])
         inputs = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
-        picture, _ = rasterize(*inputs, camera, reconstruction.bound.radius)
-    return picture, torch.from_numpy(camera.rays()).to(picture.device).permute(2, 0, 1)
+        image, _ = rasterize(*inputs, camera, reconstruction.bound.radius)
+    return image, torch.from_numpy(camera.rays()).to(image.device).permute(2, 0, 1)
 
 
-def render_view(reconstruction: Reconstruction, camera: Camera) -> ViewBuffers:
+def render_gbuffer(reconstruction: Reconstruction, camera: Camera) -> GBuffer:
     """All layers of one camera."""
     mirrored, kept = reconstruction.mirrored(), reconstruction.reflections
-    picture, rays = rasterize_view(reconstruction, camera, None if kept is None else kept.material)
+    image, rays = rasterize_view(reconstruction, camera, None if kept is None else kept.material)
     with torch.no_grad():
-        own = picture if kept is None else torch.cat([picture[:EXTRA], picture[EXTRA + len(kept.material) :]])
+        own = image if kept is None else torch.cat([image[:EXTRA], image[EXTRA + len(kept.material) :]])
         shown = radiance(own, rays, None if mirrored is None else mirrored.environment)
-        alpha = picture[-1]
-        mean = torch.where(alpha > ALPHA_FLOOR, picture[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
+        alpha = image[-1]
+        mean = torch.where(alpha > ALPHA_FLOOR, image[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
         normal = torch.nn.functional.normalize(mean[3:6], dim=0)
-        pictures = (alpha, mean[-1], normal, shown * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
+        images = (alpha, mean[-1], normal, shown * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
         behind = None
         if reconstruction.background is not None:
             behind = background_radiance(reconstruction.background, rays).permute(1, 2, 0).contiguous().cpu().numpy()
-        moved = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().cpu().numpy() for p in pictures]
-    return ViewBuffers(camera, *moved, background=behind)
+        moved = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().cpu().numpy() for p in images]
+    return GBuffer(camera, *moved, background=behind)
 
 
 def reduced(environment: np.ndarray, height: int = LIGHT_HEIGHT) -> torch.Tensor:

@@ -11,18 +11,18 @@ from ..scene.reconstruction import Reconstruction
 from ..shading.split_sum import specular_light, specular_radiance
 
 FAINTEST = 1 / 255  # opacity below which nothing is met
-OFFSET = 0.02  # of the scene radius, along the normal: clears the disks that make the surface itself
+OFFSET = 0.02  # of the scene radius, along the normal: clears the surfels that make the surface itself
 
 
-class Tracer:
+class SecondaryTracer:
     """The frozen Gaussians as what casts shadows and reflects light.
 
     Args:
         reconstruction: of the first stage. Where it is glossy, its SH hold diffuse radiance only, and the reflections are added.
 
     Attributes:
-        repack: lay the disks' channels out anew for each call, for comparison; they don't change.
-        tree: all disks, as what hides a point from a camera. Where the photographs had a background, disks outside the bound are a
+        repack: lay the surfels' channels out anew for each call, for comparison; they don't change.
+        tree: all surfels, as what hides a point from a camera. Where the photographs had a background, surfels outside the bound are a
             backdrop: part of the light, as for the relighter, which rays from the surface don't meet.
     """
 
@@ -71,7 +71,7 @@ class Tracer:
 
 
 def inside(reconstruction: Reconstruction) -> torch.Tensor:
-    """(N,) bool, which disks are of the object: all where the photographs were masked, else those inside the bound."""
+    """(N,) bool, which surfels are of the object: all where the photographs were masked, else those inside the bound."""
     g, bound = reconstruction.gaussians, reconstruction.bound
     if reconstruction.background is None:
         return torch.ones(g.count, dtype=torch.bool, device=g.position.device)

@@ -31,7 +31,7 @@ class Camera:
     """An undistorted camera.
 
     Attributes:
-        width, height: picture size in pixels.
+        width, height: image size in pixels.
         fx, fy: focal lengths in pixels.
         cx, cy: principal point in pixels; the centre of pixel (row i, column j) is at (j + 0.5, i + 0.5).
         to_world: (4, 4) float64, rigid, camera to world; the camera looks along its -Z, +Y up, +X right.
@@ -76,12 +76,12 @@ class Camera:
         return np.stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy], -1), depth
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for a picture of another size."""
+        """The same camera for an image of another size."""
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
     def moved(self, similarity: np.ndarray) -> Camera:
-        """The same camera after a similarity (4, 4) of the world: it sees the same picture, depths grow with the world."""
+        """The same camera after a similarity (4, 4) of the world: it sees the same image, depths grow with the world."""
         to_world = similarity @ self.to_world
         to_world[:3, :3] /= np.cbrt(np.linalg.det(to_world[:3, :3]))
         return replace(self, to_world=to_world)

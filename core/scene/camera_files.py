@@ -24,11 +24,11 @@ class PlacedCamera:
     name: str
     split: str
     camera: Camera
-    picture: Path
+    image: Path
 
 
 def save_cameras(path: Path, dataset: Dataset) -> None:
-    """Write the cameras of both splits; pictures inside the run folder are named relative to it, others absolutely.
+    """Write the cameras of both splits; images inside the run folder are named relative to it, others absolutely.
 
     Photographs with lens distortion don't fit their cameras: undistorted copies are written to `photographs/` beside `path`.
     """
@@ -53,11 +53,11 @@ def load_cameras(path: Path) -> list[PlacedCamera]:
 
 
 def _record(split: str, view: View, folder: Path) -> dict[str, object]:
-    camera, picture = view.camera, view.path.resolve()
+    camera, image = view.camera, view.path.resolve()
     if view.distorted:
-        picture = folder / "photographs" / split / f"{view.name}.jpg"
-        _save_undistorted(view, picture)
-    inside = picture.is_relative_to(folder)
+        image = folder / "photographs" / split / f"{view.name}.jpg"
+        _save_undistorted(view, image)
+    inside = image.is_relative_to(folder)
     return {
         "name": view.name,
         "split": split,
@@ -68,7 +68,7 @@ def _record(split: str, view: View, folder: Path) -> dict[str, object]:
         "cx": camera.cx,
         "cy": camera.cy,
         "to_world": camera.to_world.tolist(),
-        "picture": (picture.relative_to(folder) if inside else picture).as_posix(),
+        "picture": (image.relative_to(folder) if inside else image).as_posix(),
     }
 
 

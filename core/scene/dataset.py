@@ -17,12 +17,12 @@ class View:
 
     Attributes:
         name: the frame's file name without folders, extension or a final `rgba` part; unique in its dataset split.
-        camera: pinhole camera of this picture (already undistorted and resized).
-        path: the picture's file.
+        camera: pinhole camera of this image (already undistorted and resized).
+        path: the image's file.
         colour: (H, W, 3) float32, sRGB-encoded straight colour, 0..1 (above 1 only where the file is HDR).
         alpha: (H, W) float32 in 0..1, or None where nothing tells object from background.
         distorted: the file shows a lens distortion that colour and camera are free of.
-        light: name of the light the picture was taken under, where that is not the dataset's; else None.
+        light: name of the light the image was taken under, where that is not the dataset's; else None.
     """
 
     name: str
@@ -81,3 +81,8 @@ class Dataset:
     def has_alpha(self) -> bool:
         """True where every training view tells object from background."""
         return bool(self.train) and all(v.alpha is not None for v in self.train)
+
+    def pixels(self, distorted: bool = False) -> int:
+        """Count the pixels of all photographs, or only of those that a lens distorted and that were resampled."""
+        views = (view for view in (*self.train, *self.test) if view.distorted or not distorted)
+        return sum(view.camera.width * view.camera.height for view in views)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A distant light as Blender and the engine both see it: a lat-long picture, looked up after a rotation.
+"""A distant light as Blender and the engine both see it: a lat-long image, looked up after a rotation.
 
 Row 0 is +Z; u = 0.5 - atan2(y, x) / 2 pi, v = acos(z) / pi, texel centres at +0.5. numpy alone: it runs in Blender's
 process as well.
@@ -13,7 +13,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class LightMap:
+class EnvironmentMap:
     """Radiance from every direction of a world.
 
     Attributes:
@@ -33,11 +33,11 @@ class LightMap:
         seen = _bilinear(self.texels, directions.reshape(-1, 3) @ self.turn.T)
         return (seen * np.float32(self.strength)).reshape(directions.shape)
 
-    def turned(self, rotation: np.ndarray) -> LightMap:
+    def turned(self, rotation: np.ndarray) -> EnvironmentMap:
         """What a frame sees whose directions become the world's by `rotation` (3, 3)."""
         return replace(self, turn=self.turn @ rotation)
 
-    def picture(self, height: int) -> np.ndarray:
+    def image(self, height: int) -> np.ndarray:
         """(height, 2 height, 3) float32 in our convention, no rotation left; means over texels, so that no light is lost."""
         if self.texels.shape[:2] == (1, 1):
             return np.broadcast_to(self.texels[0, 0] * np.float32(self.strength), (height, 2 * height, 3)).copy()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""2D Gaussians: oriented disks with radiance and materials, what the stages optimise."""
+"""2D Gaussians: oriented surfels with radiance and materials, what the stages optimise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from plyfile import PlyData, PlyElement
 
 from ..errors import InputError
-from ..io.atomic import whole
+from ..io.atomic import atomic_file
 from .gbuffer import SurfaceSamples
 
 SH_COEFFICIENTS = 16  # degree 3
@@ -29,7 +29,7 @@ def _ply_columns() -> list[str]:
 
 @dataclass
 class Gaussians:
-    """N disks as structure-of-arrays, float32, in raw (unconstrained) form.
+    """N surfels as structure-of-arrays, float32, in raw (unconstrained) form.
 
     Attributes:
         position: (3, N) world.
@@ -57,11 +57,11 @@ class Gaussians:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def to(self, device: torch.device | str) -> Gaussians:
-        """The same disks on a device."""
+        """The same surfels on a device."""
         return Gaussians(**{k: v.to(device) for k, v in self.tensors().items()})
 
     def select(self, index: torch.Tensor) -> Gaussians:
-        """The disks at `index` (indices or a mask), detached copies."""
+        """The surfels at `index` (indices or a mask), detached copies."""
         return Gaussians(**{k: v.detach()[..., index].clone() for k, v in self.tensors().items()})
 
     def joined(self, other: Gaussians) -> Gaussians:
@@ -85,7 +85,7 @@ class Gaussians:
         return self.material.sigmoid()
 
     def samples(self) -> SurfaceSamples:
-        """The disks as surface points with materials, numpy."""
+        """The surfels as surface points with materials, numpy."""
         with torch.no_grad():
             m = self.materials()
             parts = self.position.T, self.normals().T, self.opacity.sigmoid(), m[ALBEDO].T, m[ROUGHNESS], m[METALLIC]
@@ -113,7 +113,7 @@ def save_gaussians(gaussians: Gaussians, path: Path) -> None:
     for name, row in zip(columns, rows.detach().cpu().numpy(), strict=True):
         table[name] = row
     comments = ["IRGS++ 2D Gaussians; SH is linear radiance; world +Z up"]
-    with whole(path) as partial:
+    with atomic_file(path) as partial:
         PlyData([PlyElement.describe(table, "vertex")], comments=comments).write(str(partial))
 
 

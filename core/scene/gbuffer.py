@@ -13,11 +13,11 @@ NOTHING = 0.5 / 255  # below this alpha a pixel shows nothing, and its layers ar
 
 
 @dataclass(frozen=True, eq=False)
-class ViewBuffers:
+class GBuffer:
     """What a camera sees of the reconstruction; float32, divided by accumulated alpha, 0 where alpha is 0.
 
     Attributes:
-        camera: the camera, pictures are (H, W).
+        camera: the camera, images are (H, W).
         alpha: (H, W) opacity in 0..1.
         depth: (H, W) planar depth, world units.
         normal: (H, W, 3) unit world normal, turned to the camera.
@@ -38,7 +38,7 @@ class ViewBuffers:
     background: np.ndarray | None = None
 
     @property
-    def picture(self) -> np.ndarray:
+    def image(self) -> np.ndarray:
         """(H, W, 4) what the photograph would show by the own radiance, linear premultiplied; opaque where a background is known."""
         alpha = self.alpha[..., None]
         if self.background is None:

@@ -15,11 +15,11 @@ class Mesh:
     Attributes:
         vertices: (V, 3) float32.
         normals: (V, 3) float32 unit, equal on both sides of a seam.
-        uvs: (V, 2) float32 in 0..1, v = 0 at the bottom of the picture (Blender, glTF flips it).
+        uvs: (V, 2) float32 in 0..1, v = 0 at the bottom of the image (Blender, glTF flips it).
         faces: (F, 3) int32, counter-clockwise seen from outside.
         albedo: (V, 3) float32 linear 0..1; roughness, metallic: (V,) float32 in 0..1.
         textures: "albedo" (T, T, 3) uint8 sRGB, "roughness" and "metallic" (T, T) uint8, "normal" (T, T, 3) uint8
-            tangent-space (OpenGL, +Y up); row 0 is the top of the picture. Empty where nothing was baked.
+            tangent-space (OpenGL, +Y up); row 0 is the top of the image. Empty where nothing was baked.
     """
 
     vertices: np.ndarray

@@ -9,7 +9,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from ..errors import InputError
-from ..io.atomic import whole
+from ..io.atomic import atomic_file
 from ..io.srgb import encode_srgb
 from .mesh import Mesh
 
@@ -25,7 +25,7 @@ COLOUR = ("red", "green", "blue")  # the albedo once more, 8-bit sRGB, for viewe
 
 
 def save_mesh_ply(mesh: Mesh, path: Path) -> None:
-    """Write geometry, UVs and vertex materials (not the textures) as a binary PLY, whole or not at all."""
+    """Write geometry, UVs and vertex materials (not the textures) as a binary PLY, atomic_file or not at all."""
     floats = [(name, "f4") for names in COLUMNS.values() for name in names]
     vertex = np.empty(len(mesh.vertices), [*floats, *((name, "u1") for name in COLOUR)])
     for field, names in COLUMNS.items():
@@ -37,7 +37,7 @@ def save_mesh_ply(mesh: Mesh, path: Path) -> None:
         vertex[name] = colour[:, i]
     face = np.empty(len(mesh.faces), [("vertex_indices", "i4", (3,))])
     face["vertex_indices"] = mesh.faces
-    with whole(path) as partial:
+    with atomic_file(path) as partial:
         PlyData([PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")], byte_order="<").write(str(partial))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ..errors import InputError
-from ..io.atomic import whole, write_atomic
+from ..io.atomic import atomic_file, write_atomic
 from ..io.exr import read_exr_rgb, rgb_channels, write_exr
 from ..io.npz import read_arrays
 from .dataset import Bound
@@ -33,18 +33,18 @@ class Reflections:
 
     def save(self, path: Path) -> None:
         """Write an .npz in one step."""
-        with whole(path) as partial:
+        with atomic_file(path) as partial:
             np.savez(partial, material=self.material.detach().cpu().numpy(), environment=self.environment.detach().cpu().numpy())
 
     @classmethod
     def load(cls, path: Path, count: int) -> Reflections:
-        """Read them for so many disks. Raises InputError where the file is missing, broken or of other disks."""
+        """Read them for so many surfels. Raises InputError where the file is missing, broken or of other surfels."""
         material, environment = read_arrays(path, "material", "environment")
         if material.dtype.kind != "f" or environment.dtype.kind != "f":
             raise InputError(path, f"holds {material.dtype} and {environment.dtype} instead of numbers")
         material, environment = material.astype(np.float32), environment.astype(np.float32)
         if material.shape != (5, count) or environment.ndim != 3 or environment.shape[-1] != 3 or not environment.size:
-            raise InputError(path, f"holds no materials of {count} disks and a light, but {material.shape} and {environment.shape}")
+            raise InputError(path, f"holds no materials of {count} surfels and a light, but {material.shape} and {environment.shape}")
         if not ((material >= 0) & (material <= 1)).all() or not (np.isfinite(environment) & (environment >= 0)).all():
             raise InputError(path, "holds materials outside 0..1, or a light that is negative or not finite")
         return cls(torch.from_numpy(material), torch.from_numpy(environment))
@@ -55,13 +55,13 @@ class Reconstruction:
     """An object as 2D Gaussians under a distant light.
 
     Attributes:
-        gaussians: the disks.
+        gaussians: the surfels.
         environment: (H, W, 3) float32 linear radiance, lat-long.
         bound: sphere around the object.
         to_world: (4, 4) similarity from the dataset's own frame to ours.
         glossy: True where the SH hold the diffuse radiance and the deferred split-sum adds the reflections; False where they hold it all.
-        background: (H, W, 3) linear lat-long picture behind everything, or None where the photographs were masked.
-        reflections: what the radiance reflects where that is not the disks' materials and the light themselves.
+        background: (H, W, 3) linear lat-long image behind everything, or None where the photographs were masked.
+        reflections: what the radiance reflects where that is not the surfels' materials and the light themselves.
     """
 
     gaussians: Gaussians
@@ -85,7 +85,7 @@ class Reconstruction:
         return replace(self, gaussians=on_device[0], environment=on_device[1], background=background, reflections=reflections)
 
     def surface_samples(self) -> SurfaceSamples:
-        """The disks as surface points with materials."""
+        """The surfels as surface points with materials."""
         return self.gaussians.samples()
 
     def mirrored(self) -> Reflections | None:

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError
-from ..io.atomic import whole
+from ..io.atomic import atomic_file
 
 CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3}
 
@@ -18,7 +18,7 @@ def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:
     """Write each texture of `Mesh.textures` as folder/<name>.png, each whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, texture in textures.items():
-        with whole(folder / f"{name}.png") as partial:
+        with atomic_file(folder / f"{name}.png") as partial:
             Image.fromarray(texture).save(partial)
 
 
@@ -29,10 +29,10 @@ def load_textures(folder: Path) -> dict[str, np.ndarray]:
 
 def _load(path: Path, channels: int) -> np.ndarray:
     try:
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB" if channels == 3 else "L"))
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB" if channels == 3 else "L"))
     except (OSError, ValueError, SyntaxError) as error:
-        raise InputError(path, f"not a readable picture ({error})") from error
+        raise InputError(path, f"not a readable image ({error})") from error
 
 
 def occlusion_roughness_metallic(textures: dict[str, np.ndarray]) -> np.ndarray:

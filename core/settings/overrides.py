@@ -8,26 +8,40 @@ import difflib
 import math
 import sys
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from ..errors import InputError
+from .renames import current_key, current_names
 from .schema import Range, Settings
 
 TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
 
-def with_overrides(settings: Settings, overrides: Iterable[str]) -> Settings:
-    """Settings changed by texts such as `reflective.iterations=600` or `data.centre=0,0,1`; `none` empties an optional one.
+def with_overrides(settings: Settings, overrides: Iterable[str], notify: Callable[[str], None] | None = None) -> Settings:
+    """Return settings changed by texts such as `first.iterations=600` or `data.centre=0,0,1`; `none` empties an optional one.
 
-    Raises InputError for an unknown key (naming similar ones), a value of the wrong type, or one out of range.
+    Args:
+        settings: what to start from.
+        overrides: `key=value` texts. A key's name of an earlier version is accepted.
+        notify: called with one line for each key that has a new name; None prints the line to stderr.
+
+    Raises:
+        InputError: an unknown key (the error names similar ones), a value of the wrong type, or one out of range.
     """
     for text in overrides:
         key, equals, value = text.partition("=")
         if not equals:
             raise InputError(f"--set {text}", "is not of the form key=value")
-        settings = _replaced(settings, key.strip(), value.strip())
+        old, key = key.strip(), current_key(key.strip())
+        if key != old:
+            (notify or _warn)(f"--set {old} is now --set {key}")
+        settings = _replaced(settings, key, value.strip())
     return check(settings)
+
+
+def _warn(line: str) -> None:
+    print(f"irgspp: {line}", file=sys.stderr)
 
 
 def check(settings: Settings) -> Settings:
@@ -45,7 +59,7 @@ def to_dict(settings: Settings) -> dict[str, Any]:
 def from_dict(data: dict[str, Any], where: object = "settings") -> Settings:
     """The inverse of `to_dict`; missing keys keep their defaults. Raises InputError for unknown keys and wrong values, naming `where`."""
     try:
-        return check(_build(Settings, data))
+        return check(_build(Settings, current_names(data)))
     except TypeError as error:
         raise InputError(where, f"settings of another version of this tool ({error})") from error
 

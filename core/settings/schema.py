@@ -21,7 +21,7 @@ class Range(NamedTuple):
 class DataSettings:
     """How photographs are read."""
 
-    resolution: Annotated[int, Range(16, 16384)] = 640  # longest side in pixels; larger pictures are reduced
+    resolution: Annotated[int, Range(16, 16384)] = 640  # longest side in pixels; larger images are reduced
     masks: bool = True  # use alpha channels and mask files
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
     split: Literal["auto", "holdout", "published"] = "auto"  # test views: the files', every n-th, the paper's
@@ -30,7 +30,7 @@ class DataSettings:
 
 
 @dataclass(frozen=True)
-class ReflectiveSettings:
+class FirstStageSettings:
     """First stage."""
 
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500
@@ -47,7 +47,7 @@ class ReflectiveSettings:
 
 
 @dataclass(frozen=True)
-class TransportSettings:
+class SecondStageSettings:
     """Second stage: light and materials told apart, with shadows and what the object reflects onto itself."""
 
     points: Annotated[int, Range(100, 1_000_000)] = 2500  # of the surface, which the light is found from
@@ -97,11 +97,11 @@ Choice = Literal["auto", "on", "off"]
 class SkipSettings:
     """What a scene may not need, rule by rule: "auto" decides by what is found on the scene; run.json has it for a reconstruction's."""
 
-    outside: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
+    background: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
     trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind
-    constants: Choice = "auto"  # what frozen geometry leaves the same in each step of the refinement: the disks of a pixel, their layout
-    open: Choice = "auto"  # in relighting: rays towards the light where others of the same patch met nothing
-    kept: Choice = "auto"  # in relighting: what rays met and how pixels are filtered, for the next light on an unmoved camera
+    cache_hits: Choice = "auto"  # what frozen geometry leaves the same in each step of the refinement: the disks of a pixel, their layout
+    reuse_visibility: Choice = "auto"  # in relighting: rays towards the light where others of the same patch met nothing
+    cache_rays: Choice = "auto"  # in relighting: what rays met and how pixels are filtered, for the next light on an unmoved camera
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ class Settings:
     materials: Literal["auto", "low-gloss", "glossy"] = "auto"
     time: Annotated[float | None, Range(1)] = None  # seconds the job may take; schedules are as short as that asks, or as long as helps
     data: DataSettings = field(default_factory=DataSettings)
-    reflective: ReflectiveSettings = field(default_factory=ReflectiveSettings)
-    transport: TransportSettings = field(default_factory=TransportSettings)
+    first: FirstStageSettings = field(default_factory=FirstStageSettings)
+    second: SecondStageSettings = field(default_factory=SecondStageSettings)
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     export: ExportSettings = field(default_factory=ExportSettings)
     skip: SkipSettings = field(default_factory=SkipSettings)
@@ -125,18 +125,26 @@ PRESETS: dict[str, Settings] = {
     "draft": Settings(  # a look
         preset="draft",
         data=replace(DataSettings(), resolution=320),
-        reflective=replace(ReflectiveSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
-        transport=replace(TransportSettings(), points=1500),
+        first=replace(FirstStageSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
+        second=replace(SecondStageSettings(), points=1500),
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
     ),
     "balanced": Settings(),
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
         data=replace(DataSettings(), resolution=800),
-        reflective=replace(ReflectiveSettings(), iterations=50_000, gaussians=100_000),
+        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000),
         # 2^18 rays an iteration, as many from each pixel as in relighting of high quality
-        transport=replace(
-            TransportSettings(), points=6000, views=12, rows=24, light_height=128, iterations=10_000, pixels=512, samples=512, pool=400_000
+        second=replace(
+            SecondStageSettings(),
+            points=6000,
+            views=12,
+            rows=24,
+            light_height=128,
+            iterations=10_000,
+            pixels=512,
+            samples=512,
+            pool=400_000,
         ),
         surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
     ),

@@ -71,9 +71,9 @@ def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | No
     return values.view(planes.shape[0], -1).T
 
 
-def rotate(picture: np.ndarray, degrees: float) -> np.ndarray:
+def rotate(image: np.ndarray, degrees: float) -> np.ndarray:
     """A lat-long map (H, W, C) turned counter-clockwise about +Z; between columns it is interpolated, so that no light is lost."""
-    shift = degrees / 360 * picture.shape[1]  # u falls with the azimuth: what was at column j + shift comes to j
+    shift = degrees / 360 * image.shape[1]  # u falls with the azimuth: what was at column j + shift comes to j
     whole = int(np.floor(shift))
     share = shift - whole
-    return (1 - share) * np.roll(picture, -whole, 1) + share * np.roll(picture, -whole - 1, 1)
+    return (1 - share) * np.roll(image, -whole, 1) + share * np.roll(image, -whole - 1, 1)

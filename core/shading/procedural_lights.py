@@ -76,7 +76,7 @@ def _panel(d: np.ndarray, azimuth: float, elevation: float, width: float, height
 
 
 def _exposed(light: np.ndarray) -> np.ndarray:
-    """Scaled so that a white diffuse surface turned to the brightest side has luminance 1.2: pictures neither clip nor drown."""
+    """Scaled so that a white diffuse surface turned to the brightest side has luminance 1.2: images neither clip nor drown."""
     height, width = light.shape[:2]
     d = map_directions(height, width).reshape(-1, 3)
     power = luminance(light * solid_angles(height, width, torch.float64).numpy()[:, None, None]).reshape(-1)

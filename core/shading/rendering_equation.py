@@ -11,7 +11,7 @@ from ..kernels.reflection import weighted_sums
 from ..machine.backend import by_warp
 from .brdf import base_reflectance, facing, ggx_alpha, specular_lobe
 from .sampling import Samples
-from .specular_albedo import diffuse_share
+from .specular_albedo import diffuse_fraction
 
 
 def reflect_light(
@@ -40,7 +40,7 @@ def reflect_light(
     irradiance, scaled, added = sums.unbind(1)  # colour comes last
     diffuse = (1 - metallic[:, None]) * albedo * irradiance / math.pi
     if conserving:
-        diffuse = diffuse * diffuse_share((view * normal).sum(-1), roughness)[:, None]
+        diffuse = diffuse * diffuse_fraction((view * normal).sum(-1), roughness)[:, None]
     return diffuse, base_reflectance(albedo, metallic[:, None]) * scaled + added
 
 

@@ -34,7 +34,7 @@ def brdf_table() -> torch.Tensor:
 
 @cache
 def _planes(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    """(1, 2, TABLE, TABLE) the table as a picture."""
+    """(1, 2, TABLE, TABLE) the table as an image."""
     return brdf_table().to(device, dtype).permute(2, 0, 1)[None]
 
 
@@ -51,7 +51,7 @@ def specular_albedo(n_v: torch.Tensor, roughness: torch.Tensor, f0: torch.Tensor
     return f0 * scale[:, None] + bias[:, None]
 
 
-def diffuse_share(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+def diffuse_fraction(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
     """1 - E_s: what a dielectric coat lets through to the body, as Blender's Principled has it; n_v, roughness (P,) -> (P,)."""
     scale, bias = _scale_and_bias(n_v, roughness)
     return 1 - (DIELECTRIC_F0 * scale + bias)

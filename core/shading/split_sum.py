@@ -13,7 +13,7 @@ import torch
 
 from .brdf import base_reflectance, ggx_alpha, ggx_distribution
 from .environment_lookup import lookup, solid_angles, texel_directions
-from .specular_albedo import diffuse_share, specular_albedo
+from .specular_albedo import diffuse_fraction, specular_albedo
 
 LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness of the specular stack; 0 is the map itself
 
@@ -103,5 +103,5 @@ def shade(
     """
     body = (1 - metallic[:, None]) * albedo * lookup(diffuse, normal)
     if conserving:
-        body = body * diffuse_share((view * normal).sum(-1).clamp(1e-3, 1), roughness)[:, None]
+        body = body * diffuse_fraction((view * normal).sum(-1).clamp(1e-3, 1), roughness)[:, None]
     return body + specular_radiance(view, normal, albedo, roughness, metallic, stack)

@@ -30,18 +30,18 @@ class Texels:
         """Vertex values (V, C) at the texels: (P, C)."""
         return (values[faces[self.face]] * self.barycentric[..., None]).sum(1)
 
-    def picture(self, values: np.ndarray) -> np.ndarray:
-        """Texel values (P, ...) as a picture (size, size, ...); texels outside every triangle take the nearest value."""
+    def image(self, values: np.ndarray) -> np.ndarray:
+        """Texel values (P, ...) as an image (size, size, ...); texels outside every triangle take the nearest value."""
         known = np.zeros((self.size, self.size), bool)
         known[self.row, self.column] = True
-        picture = np.zeros((self.size, self.size, *values.shape[1:]), values.dtype)
-        picture[self.row, self.column] = values
+        image = np.zeros((self.size, self.size, *values.shape[1:]), values.dtype)
+        image[self.row, self.column] = values
         nearest = np.asarray(ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True))
-        return picture[nearest[0], nearest[1]]
+        return image[nearest[0], nearest[1]]
 
 
 def rasterise(uvs: np.ndarray, faces: np.ndarray, size: int) -> Texels:
-    """The texels whose centre lies in a triangle; v = 0 is the picture's bottom row."""
+    """The texels whose centre lies in a triangle; v = 0 is the image's bottom row."""
     corners = uvs.astype(np.float64) * size
     corners[:, 1] = size - corners[:, 1]
     owner = np.full((size, size), -1, np.int32)

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import Cancelled, IrgsppError
 from ..progress.protocol import Progress
 from ..scene.dataset import Bound
-from ..scene.gbuffer import SurfaceSamples, ViewBuffers
+from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
 from . import meshing
@@ -20,7 +20,7 @@ from .voxel_grid import Grid, make_grid
 
 
 def extract_geometry(
-    views: Sequence[ViewBuffers],
+    views: Sequence[GBuffer],
     samples: SurfaceSamples,
     bound: Bound,
     settings: SurfaceSettings,

@@ -11,7 +11,7 @@ from scipy import ndimage
 from ..kernels.cpu.jit import kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..progress.protocol import Progress
-from ..scene.gbuffer import ViewBuffers
+from ..scene.gbuffer import GBuffer
 from .voxel_grid import BLOCK, Grid
 
 TRUNCATION = 4.0  # voxels
@@ -21,7 +21,7 @@ SMOOTHNESS = 0.5  # weight of the neighbours' mean against the depths
 RELAXATIONS = 10  # passes; what has no depth is bridged over about as many voxels
 
 
-def fuse(views: Sequence[ViewBuffers], grid: Grid, progress: Progress) -> np.ndarray:
+def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray:
     """Fuse the views' depth into (B, BLOCK^3) float32 distances of the active blocks, in units of the truncation, -1 inside .. 1 outside.
 
     Space that no depth tells about joins smoothly what is around it, rather outside where a view looks through it: small holes close.
@@ -46,14 +46,14 @@ def fuse(views: Sequence[ViewBuffers], grid: Grid, progress: Progress) -> np.nda
     return distance
 
 
-def projection(view: ViewBuffers) -> np.ndarray:
+def projection(view: GBuffer) -> np.ndarray:
     """(3, 4) float64 matrix: world point to (u z, v z, z), pixel centres at .5, z planar depth."""
     camera = view.camera
     intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
     return np.ascontiguousarray(intrinsics @ camera.world_to_cv[:3])
 
 
-def plane_layers(view: ViewBuffers, voxel: float) -> tuple[np.ndarray | float, ...]:
+def plane_layers(view: GBuffer, voxel: float) -> tuple[np.ndarray | float, ...]:
     """What a voxel asks a view.
 
     Returns:

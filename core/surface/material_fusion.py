@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from ..kernels.cpu.jit import kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
-from ..scene.gbuffer import SurfaceSamples, ViewBuffers
+from ..scene.gbuffer import GBuffer, SurfaceSamples
 from .fusion import projection
 
 FACING = 0.2  # cosine between normal and view direction below which a view has no say
@@ -33,7 +33,7 @@ class Attributes:
 def fuse_attributes(
     points: np.ndarray,
     normals: np.ndarray,
-    views: Sequence[ViewBuffers],
+    views: Sequence[GBuffer],
     samples: SurfaceSamples,
     voxel: float,
     step: Callable[[int], None] = lambda done: None,
@@ -58,7 +58,7 @@ def fuse_attributes(
     return Attributes(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight))
 
 
-def _layers(view: ViewBuffers) -> np.ndarray:
+def _layers(view: GBuffer) -> np.ndarray:
     parts = [view.normal, view.albedo, view.roughness[..., None], view.metallic[..., None]]
     return np.ascontiguousarray(np.concatenate(parts, -1), np.float32)
 

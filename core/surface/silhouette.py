@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How far a mesh lies inside the silhouettes of the photographs.
 
-Splatted disks overhang the surface they stand for, so a fit to silhouettes puts them, and the mesh fused from their depth, a
+Splatted surfels overhang the surface they stand for, so a fit to silhouettes puts them, and the mesh fused from their depth, a
 fraction of a pixel inside the object. The masks tell how much: the area between both outlines over the outline's length.
 """
 

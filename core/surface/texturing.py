@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import Cancelled
 from ..progress.protocol import Progress
-from ..scene.gbuffer import SurfaceSamples, ViewBuffers
+from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.mesh import Mesh
 from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
@@ -21,7 +21,7 @@ from .unwrap import unwrap
 
 
 def textured_mesh(
-    surface: Surface, views: Sequence[ViewBuffers], samples: SurfaceSamples, settings: SurfaceSettings, progress: Progress
+    surface: Surface, views: Sequence[GBuffer], samples: SurfaceSamples, settings: SurfaceSettings, progress: Progress
 ) -> Mesh:
     """The surface as a mesh with materials at the vertices and in textures.
 
@@ -68,7 +68,7 @@ def painted_mesh(
     normals: np.ndarray,
     uvs: np.ndarray,
     faces: np.ndarray,
-    views: Sequence[ViewBuffers],
+    views: Sequence[GBuffer],
     samples: SurfaceSamples,
     voxel: float,
     settings: SurfaceSettings,
@@ -96,7 +96,7 @@ def painted_mesh(
 
 def baked_textures(
     mesh: Mesh,
-    views: Sequence[ViewBuffers],
+    views: Sequence[GBuffer],
     samples: SurfaceSamples,
     voxel: float,
     settings: SurfaceSettings,
@@ -115,8 +115,8 @@ def baked_textures(
     detail = np.where(seen[:, None], detailed(normal, fused.normal, seen, settings.detail), normal)
     local = tangent_space(detail, normal, tangent, side)
     return {
-        "albedo": texels.picture(colour_byte(fused.albedo)),
-        "roughness": texels.picture(to_byte(fused.roughness)),
-        "metallic": texels.picture(to_byte(fused.metallic)),
-        "normal": texels.picture(to_byte(0.5 + 0.5 * local)),
+        "albedo": texels.image(colour_byte(fused.albedo)),
+        "roughness": texels.image(to_byte(fused.roughness)),
+        "metallic": texels.image(to_byte(fused.metallic)),
+        "normal": texels.image(to_byte(0.5 + 0.5 * local)),
     }

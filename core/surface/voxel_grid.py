@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from ..errors import IrgsppError
 from ..scene.dataset import Bound
-from ..scene.gbuffer import SurfaceSamples, ViewBuffers
+from ..scene.gbuffer import GBuffer, SurfaceSamples
 
 BLOCK = 4  # voxels along a block's side
 MARGIN = 6  # voxels between the object and the border of the grid
@@ -54,14 +54,14 @@ class Grid:
         return volume.reshape(self.shape)
 
 
-def depth_points(view: ViewBuffers, bound: Bound) -> np.ndarray:
+def depth_points(view: GBuffer, bound: Bound) -> np.ndarray:
     """(P, 3) world points of the pixels with alpha > 0.5 whose depth falls inside the bound."""
     seen = (view.alpha > 0.5) & np.isfinite(view.depth) & (view.depth > 0)
     points = view.camera.centre + view.depth[seen][:, None].astype(np.float64) * view.camera.rays()[seen]
     return points[_inside(points, bound)]
 
 
-def make_grid(views: Sequence[ViewBuffers], samples: SurfaceSamples, bound: Bound, voxels: int) -> Grid:
+def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, voxels: int) -> Grid:
     """A grid of `voxels` along the object's longest side. Raises IrgsppError where no view and no Gaussian shows a surface."""
     solid = samples.position[(samples.opacity > 0.5) & _inside(samples.position, bound)].astype(np.float64)
     seen = [depth_points(view, bound) for view in views]

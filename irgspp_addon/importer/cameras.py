@@ -30,7 +30,7 @@ def place_cameras(
         thing = owner.object(f"camera {name}", name, lens, rig)
         set_camera(thing, record.camera)
         lens.display_size, lens.clip_start, lens.clip_end = 0.025 * distance, 0.01 * distance, 100 * distance
-        _replace_background(lens, record.picture if photographs and record.picture.is_file() else None)  # it may have moved since
+        _replace_background(lens, record.image if photographs and record.image.is_file() else None)  # it may have moved since
         put(thing, folder)
         placed.append(thing)
     return placed
@@ -61,13 +61,13 @@ def set_lens(lens: bpy.types.Camera, camera: Camera) -> None:
     """Focal length and principal point; unequal focal lengths need the scene's pixel aspect as well (`look_through`)."""
     lens.type, lens.sensor_fit, lens.sensor_width = "PERSP", "HORIZONTAL", 36.0
     lens.lens = camera.fx / camera.width * lens.sensor_width
-    # Blender measures both shifts in picture widths, after the pixel aspect.
+    # Blender measures both shifts in image widths, after the pixel aspect.
     lens.shift_x = (camera.width / 2 - camera.cx) / camera.width
     lens.shift_y = (camera.cy - camera.height / 2) / camera.width * camera.fx / camera.fy
 
 
 def look_through(scene: bpy.types.Scene, placed: bpy.types.Object) -> None:
-    """Make an imported camera the active one and give the scene its picture size."""
+    """Make an imported camera the active one and give the scene its image size."""
     scene.camera = placed
     render, lens = scene.render, placed.data
     render.resolution_x, render.resolution_y, render.resolution_percentage = lens["width"], lens["height"], 100
@@ -75,22 +75,22 @@ def look_through(scene: bpy.types.Scene, placed: bpy.types.Object) -> None:
     render.pixel_aspect_y = max(1.0, lens["pixel_aspect"])
 
 
-def _replace_background(lens: bpy.types.Camera, picture: Path | None) -> None:
+def _replace_background(lens: bpy.types.Camera, photograph: Path | None) -> None:
     before = [background.image for background in lens.background_images if background.image]
     for background in lens.background_images:
         background.image = None  # Blender goes on counting it as a user otherwise
     lens.background_images.clear()
     lens.show_background_images = False
-    if picture is not None:
-        set_background(lens, picture)
+    if photograph is not None:
+        set_background(lens, photograph)
     for image in before:
         if not image.users:
             bpy.data.images.remove(image)
 
 
-def set_background(lens: bpy.types.Camera, picture: Path) -> None:
+def set_background(lens: bpy.types.Camera, image: Path) -> None:
     """Show a photograph behind the view through the camera; it stays a link to the file."""
     background = lens.background_images.new()
-    background.image = bpy.data.images.load(str(picture.resolve()), check_existing=True)
+    background.image = bpy.data.images.load(str(image.resolve()), check_existing=True)
     background.alpha, background.display_depth, background.frame_method = 0.5, "BACK", "STRETCH"
     lens.show_background_images = True

@@ -15,7 +15,7 @@ from ..world.light_to_world import node_tree
 TEXTURES = ("albedo", "roughness", "metallic", "normal")
 SOURCES = ("textures", "attributes")
 # Which node and output feeds each input of the Principled BSDF. Linking the one or the other is the whole switch: nothing has to be
-# computed for what is not read, and exporters find the pictures where they look for them.
+# computed for what is not read, and exporters find the images where they look for them.
 LINKS = {
     "textures": {
         "Base Color": ("albedo texture", "Color"),
@@ -30,7 +30,7 @@ LINKS = {
     },
 }
 FRAMES = {
-    "textures": "Textures: pictures through the UV map (to switch: IRGS++ tab > Result, or link these to the Principled BSDF)",
+    "textures": "Textures: images through the UV map (to switch: IRGS++ tab > Result, or link these to the Principled BSDF)",
     "attributes": "Attributes: values at the vertices (to switch: IRGS++ tab > Result, or link these to the Principled BSDF)",
 }
 

@@ -17,7 +17,7 @@ class Owner:
     """The datablocks of one folder.
 
     Objects, collections, cameras and materials are kept and filled anew, so that what a person did to them (moved, renamed, put a
-    modifier on, chose as the scene's camera) stays; pictures, meshes and Worlds are exchanged wherever they are used.
+    modifier on, chose as the scene's camera) stays; images, meshes and Worlds are exchanged wherever they are used.
     Made for one import and not kept: it remembers datablocks, which Blender may free afterwards.
     """
 

@@ -94,7 +94,7 @@ def albedo_scale(thing: bpy.types.Object | None) -> tuple[float, float, float]:
 def scene_camera(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, width: int, height: int, frame: Frame, square: bool = False
 ) -> Camera:
-    """The scene's camera for a picture of so many pixels, in Blender's world; square: whatever pixels the scene's render has.
+    """The scene's camera for an image of so many pixels, in Blender's world; square: whatever pixels the scene's render has.
 
     Raises InputError without a usable camera.
     """
@@ -111,7 +111,7 @@ def scene_camera(
 
 
 def view_camera(view: bpy.types.RegionView3D, width: int, height: int, frame: Frame, region: Sequence[int]) -> Camera:
-    """What a 3D View of `region` (width, height) shows, for a picture of the same proportions."""
+    """What a 3D View of `region` (width, height) shows, for an image of the same proportions."""
     camera = camera_of(view.view_matrix.inverted(), view.window_matrix, region[0], region[1], frame)
     return camera.resized(width, height)
 

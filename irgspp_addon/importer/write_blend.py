@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 from ...core.errors import IrgsppError
-from ...core.io.atomic import whole
+from ...core.io.atomic import atomic_file
 from .scene_builder import SOURCES, import_run, show_as_photographed
 
 
@@ -22,7 +22,7 @@ def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = 
     show_as_photographed(bpy.context.scene, imported)
     for image in bpy.data.images:
         image.filepath = _relative(image.filepath, target.resolve().parent)
-    with whole(target.resolve()) as partial:
+    with atomic_file(target.resolve()) as partial:
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), compress=True, relative_remap=False)
 
 

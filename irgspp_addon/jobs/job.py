@@ -36,7 +36,7 @@ class Job:
         state: "queued", "running", "done", "failed", "cancelled" or "lost" (it ended while nobody looked, without saying how).
         owner: name of the session file of the Blender that looks after it.
         phase, step, of, eta, figures, message: the last that the engine told; eta in seconds.
-        preview: picture of what is there so far, or None.
+        preview: image of what is there so far, or None.
         error: one line that says why it failed.
         stopping: True once somebody asked it to stop.
     """
@@ -171,10 +171,10 @@ class Job:
         self.message = str(event.get("message", self.message))
 
     def _look_for_preview(self) -> None:
-        picture = self.folder / "previews" / "latest.png"
+        image = self.folder / "previews" / "latest.png"
         try:
-            if self.kind in ("reconstruct", "demo") and picture.stat().st_mtime >= (self.began or 0.0):
-                self.preview = picture
+            if self.kind in ("reconstruct", "demo") and image.stat().st_mtime >= (self.began or 0.0):
+                self.preview = image
         except OSError:
             self.preview = None
 

@@ -2,9 +2,9 @@
 """Views of a run rendered by Cycles, to be set beside our own: `launch.py irgspp_addon.relight.cycles_views REQUEST.json ANSWER.json`.
 
 The request: {"run": folder, "source": "textures" | "attributes", "views": {name: camera}, "lights": {name: .exr}, "passes": [{"samples": n,
-"denoise": bool}], "out": folder}; a camera is {"width", "height", "fx", "fy", "cx", "cy", "to_world"} in the frame of the run. Pictures
-are out/<view>_<light>_<number of the pass>.exr, linear premultiplied RGBA; the answer is {name of the picture: [seconds, CPU seconds]}. The
-scene stays loaded between pictures, and each is rendered after one like it, so that the seconds are of rendering alone.
+"denoise": bool}], "out": folder}; a camera is {"width", "height", "fx", "fy", "cx", "cy", "to_world"} in the frame of the run. Images
+are out/<view>_<light>_<number of the pass>.exr, linear premultiplied RGBA; the answer is {name of the image: [seconds, CPU seconds]}. The
+scene stays loaded between images, and each is rendered after one like it, so that the seconds are of rendering alone.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from ..importer.cameras import look_through, set_camera
 from ..importer.scene_builder import import_run
 from ..world.light_to_world import world_from_map
 
-WARM = 1  # samples of the picture before the first
+WARM = 1  # samples of the image before the first
 
 
 def render(request: dict[str, Any]) -> dict[str, tuple[float, float]]:
-    """Render what is asked for; the seconds and the CPU seconds of each picture by its name."""
+    """Render what is asked for; the seconds and the CPU seconds of each image by its name."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene, seconds = bpy.context.scene, {}
     imported = import_run(Path(request["run"]), request["source"], pack=False)

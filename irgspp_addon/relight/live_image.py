@@ -18,7 +18,7 @@ from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 
 from ...core.errors import InputError, IrgsppError
 from ...core.scene.camera import Camera
-from ...core.scene.environment_map import LightMap
+from ...core.scene.environment_map import EnvironmentMap
 from ..importer.run_frame import Frame, albedo_scale, chosen_run, frame_of, run_object
 from ..windows import redraw
 from ..world.plain_world import plain_light
@@ -35,12 +35,12 @@ class WorldFollower:
     """The light of a scene's World as it is now, as soon as it is known."""
 
     def __init__(self) -> None:
-        self._light: LightMap | None = None
+        self._light: EnvironmentMap | None = None
         self._bake: WorldBake | None = None
         self._seen = -1  # changes, when looked last
         self.error: IrgsppError | None = None
 
-    def light(self, scene: bpy.types.Scene) -> LightMap | None:
+    def light(self, scene: bpy.types.Scene) -> EnvironmentMap | None:
         """The light, the former one while a new one is rendered; None before the first. Raises IrgsppError where it can't be had."""
         if self._seen != _changes.count:
             self._look(scene)
@@ -75,7 +75,7 @@ class WorldFollower:
         except IrgsppError as error:
             self._seen, self.error = seen, error
             return
-        if isinstance(asked, LightMap):
+        if isinstance(asked, EnvironmentMap):
             self._light = asked
         else:
             self._bake = asked
@@ -110,12 +110,12 @@ _changes = _Changes()
 
 
 class Follower:
-    """One picture that is kept up to date.
+    """One image that is kept up to date.
 
     Args:
         channel: its name for the worker. scene: whose World and object. run: the folder; None: the one chosen now.
-        eye: where it is seen from, for a picture of so many pixels. size: (width, height) now.
-        how: samples, denoise, backend, use_world, backdrop now. show: gets pictures. wanted: False when nobody looks any more.
+        eye: where it is seen from, for an image of so many pixels. size: (width, height) now.
+        how: samples, denoise, backend, use_world, backdrop now. show: gets images. wanted: False when nobody looks any more.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class Follower:
             redraw("VIEW_3D", "PROPERTIES")
 
     def finish(self) -> None:
-        """Wait for the finished picture, as scripts do. Raises IrgsppError where it can't be had."""
+        """Wait for the finished image, as scripts do. Raises IrgsppError where it can't be had."""
         while not self.done:
             self.tick()
             if self.failed or self.ended:
@@ -211,8 +211,8 @@ class Follower:
             return
         self.share, self.done = answer.share, answer.done
         self.message = "Done" if answer.done else f"Refining, {answer.share:.0%}"
-        if answer.picture is not None:
-            self._show(answer.picture, self._wanted, answer.done)
+        if answer.image is not None:
+            self._show(answer.image, self._wanted, answer.done)
 
 
 _followers: dict[str, Follower] = {}

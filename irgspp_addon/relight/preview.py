@@ -37,7 +37,7 @@ def start_preview(scene: bpy.types.Scene, run: Path, how: dict[str, Any], resolu
     def eye(scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
         if spot is not None:
             return view_camera(spot.view(), width, height, frame, spot.size())
-        # Sizes are those of the picture as it is shown, so pixels are square.
+        # Sizes are those of the image as it is shown, so pixels are square.
         return scene_camera(scene, bpy.context.evaluated_depsgraph_get(), width, height, frame, square=True)
 
     follower = Follower(CHANNEL, scene, run, eye, size, lambda scene: {**settings_of(scene), **how}, _show)
@@ -93,20 +93,20 @@ class _View:
         raise InputError("preview", "the 3D View it looks through was closed", "start it anew from another")
 
 
-def _show(picture: np.ndarray, size: tuple[int, int], done: bool) -> None:
-    """Put a picture into the image; coarse ones are enlarged to `size`."""
+def _show(pixels: np.ndarray, size: tuple[int, int], done: bool) -> None:
+    """Put an image into the image; coarse ones are enlarged to `size`."""
     image = preview_image(*size)
-    image.pixels.foreach_set(enlarged(picture, *size))
+    image.pixels.foreach_set(enlarged(pixels, *size))
     image.update()
     _fit(image, size)
     redraw("IMAGE_EDITOR", "VIEW_3D")
 
 
-_fitted: dict[int, tuple[int, int]] = {}  # Image Editor -> size of the picture that fills it; zooming is a person's then
+_fitted: dict[int, tuple[int, int]] = {}  # Image Editor -> size of the image that fills it; zooming is a person's then
 
 
 def _fit(image: bpy.types.Image, size: tuple[int, int]) -> None:
-    """Let the picture fill the editors that show it, once for each of its sizes."""
+    """Let the image fill the editors that show it, once for each of its sizes."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "IMAGE_EDITOR" and area.spaces.active.image == image and _fitted.get(area.as_pointer()) != size:

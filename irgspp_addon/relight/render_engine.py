@@ -19,7 +19,7 @@ from .preview import settings_of
 from .session import Answer, Wish, session_of
 
 ENGINE = "IRGSPP"
-WHOLE = 1 << 14  # more pixels than any picture has along a side
+WHOLE = 1 << 14  # more pixels than any image has along a side
 SCALE = 0.5  # of a large 3D View's pixels that are computed
 LARGE = 700  # pixels along its longer side
 # Panels for what the engine leaves out: stereo, freestyle, Grease Pencil, motion blur, simplification of scenes
@@ -35,7 +35,7 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
     bl_use_eevee_viewport = True  # Material Preview
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """F12: the picture of one view layer."""
+        """F12: the image of one view layer."""
         try:
             self._render(depsgraph)
         except Cancelled:
@@ -52,8 +52,8 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
             wish, run = final_wish(depsgraph, size)
             session = session_of(run)
             self.update_stats("", "Relighting" if session.ready else "Starting the engine")
-            picture = session.wait("final", wish, lambda answer: self._show(result, size, answer), self.test_break)
-            _fill(result, size, picture)
+            image = session.wait("final", wish, lambda answer: self._show(result, size, answer), self.test_break)
+            _fill(result, size, image)
             finished = True
         finally:
             self.end_result(result, cancel=not finished)
@@ -61,8 +61,8 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
     def _show(self, result: bpy.types.RenderResult, size: tuple[int, int], answer: Answer) -> None:
         self.update_progress(answer.share)
         self.update_stats("", f"Relighting {answer.share:.0%}")
-        if answer.picture is not None and not answer.done:
-            _fill(result, size, answer.picture)
+        if answer.image is not None and not answer.done:
+            _fill(result, size, answer.image)
             self.update_result(result)
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
@@ -70,7 +70,7 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
         viewport_of(context)
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Draw the latest picture there is, and say what is wrong where there is none."""
+        """Draw the latest image there is, and say what is wrong where there is none."""
         view = viewport_of(context)
         follower = follower_of(view.channel)
         if follower is not None and not follower.failed:
@@ -100,16 +100,16 @@ def _full_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
 
 
 def _cropped(camera: Camera, render: bpy.types.RenderSettings, size: tuple[int, int]) -> Camera:
-    """The part of a camera's picture inside the border, which counts from the bottom left."""
+    """The part of a camera's image inside the border, which counts from the bottom left."""
     if size == (camera.width, camera.height):
         return camera
     left, top = int(render.border_min_x * camera.width), camera.height - int(render.border_min_y * camera.height) - size[1]
     return replace(camera, width=size[0], height=size[1], cx=camera.cx - left, cy=camera.cy - top)
 
 
-def _fill(result: bpy.types.RenderResult, size: tuple[int, int], picture: np.ndarray) -> None:
-    """Put a picture into the result; coarse ones are enlarged."""
-    result.layers[0].passes["Combined"].rect.foreach_set(enlarged(picture, *size))
+def _fill(result: bpy.types.RenderResult, size: tuple[int, int], image: np.ndarray) -> None:
+    """Put an image into the result; coarse ones are enlarged."""
+    result.layers[0].passes["Combined"].rect.foreach_set(enlarged(image, *size))
 
 
 # --- Rendered shading
@@ -123,7 +123,7 @@ class Viewport:
     channel: str
     matrices: tuple[Any, Any] = (None, None)  # camera to world, projection
     size: tuple[int, int] = (1, 1)
-    picture: np.ndarray | None = None
+    image: np.ndarray | None = None
     texture: Any = None
 
     def see(self, context: bpy.types.Context) -> None:
@@ -133,7 +133,7 @@ class Viewport:
         self.size = max(1, region.width), max(1, region.height)
 
     def eye(self, scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
-        """Its camera, for a picture of so many pixels."""
+        """Its camera, for an image of so many pixels."""
         return camera_of(*self.matrices, *self.size, frame).resized(width, height)
 
     def pixels(self, scene: bpy.types.Scene) -> tuple[int, int]:
@@ -141,9 +141,9 @@ class Viewport:
         scale = SCALE if max(self.size) > LARGE else 1.0
         return max(1, round(self.size[0] * scale)), max(1, round(self.size[1] * scale))
 
-    def show(self, picture: np.ndarray, size: tuple[int, int], done: bool) -> None:
-        """Take a new picture; it is drawn at the next occasion."""
-        self.picture, self.texture = np.ascontiguousarray(np.clip(picture[::-1], 0, 6e4), np.float32), None
+    def show(self, image: np.ndarray, size: tuple[int, int], done: bool) -> None:
+        """Take a new image; it is drawn at the next occasion."""
+        self.image, self.texture = np.ascontiguousarray(np.clip(image[::-1], 0, 6e4), np.float32), None
         redraw("VIEW_3D")
 
     def wanted(self) -> bool:
@@ -161,14 +161,14 @@ class Viewport:
 
     def draw(self, engine: bpy.types.RenderEngine, scene: bpy.types.Scene) -> None:
         """Over the whole region, in linear colour, which Blender takes through the view transform."""
-        if self.picture is None:
+        if self.image is None:
             return
         import gpu  # pyright: ignore[reportMissingImports]
         from gpu_extras.presets import draw_texture_2d  # pyright: ignore[reportMissingImports]
 
         if self.texture is None:
-            height, width = self.picture.shape[:2]
-            data = gpu.types.Buffer("FLOAT", width * height * 4, self.picture.reshape(-1))
+            height, width = self.image.shape[:2]
+            data = gpu.types.Buffer("FLOAT", width * height * 4, self.image.reshape(-1))
             self.texture = gpu.types.GPUTexture((width, height), format="RGBA16F", data=data)
         gpu.state.blend_set("ALPHA_PREMULT")
         engine.bind_display_space_shader(scene)

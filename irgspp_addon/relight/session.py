@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warm workers (`irgspp serve`), one per run: wishes go there and pictures come back as files, and Blender never waits."""
+"""Warm workers (`irgspp serve`), one per run: wishes go there and images come back as files, and Blender never waits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import numpy as np
 from ...core.errors import Cancelled, IrgsppError
 from ...core.io.atomic import replace
 from ...core.scene.camera import Camera
-from ...core.scene.environment_map import LightMap
+from ...core.scene.environment_map import EnvironmentMap
 from ..engine.child import detached
 from ..engine.process import engine_command, engine_environment, require_engine
 
@@ -31,10 +31,10 @@ PATIENCE = 180.0  # seconds that a worker may take to get ready
 
 @dataclass(frozen=True, eq=False)
 class Wish:
-    """A picture that is wanted; camera and light are in the run's frame. light: None is the recovered one."""
+    """An image that is wanted; camera and light are in the run's frame. light: None is the recovered one."""
 
     camera: Camera
-    light: LightMap | None
+    light: EnvironmentMap | None
     samples: int | str = 32
     denoise: bool = True
     backend: str = "mesh"
@@ -43,7 +43,7 @@ class Wish:
     progressive: bool = True
 
     def key(self) -> tuple:
-        """Equal for wishes of the same picture."""
+        """Equal for wishes of the same image."""
         c, light = self.camera, self.light
         lens = (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.to_world.tobytes())
         shine = None if light is None else (id(light.texels), light.turn.tobytes(), light.strength)
@@ -52,10 +52,10 @@ class Wish:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What the worker says of a wish: the latest picture (H, W, 4) linear premultiplied, top row first, or None; the share of work done."""
+    """What the worker says of a wish: the latest image (H, W, 4) linear premultiplied, top row first, or None; the share of work done."""
 
     number: int
-    picture: np.ndarray | None
+    image: np.ndarray | None
     share: float
     done: bool
 
@@ -93,7 +93,7 @@ class Session:
         return self._worker.poll() is None
 
     def ask(self, channel: str, wish: Wish) -> int:
-        """Wish for a picture in the place of the channel's earlier wish; its number."""
+        """Wish for an image in the place of the channel's earlier wish; its number."""
         light = None
         if wish.light is not None:
             turn = wish.light.turn.reshape(-1).tolist()
@@ -116,29 +116,29 @@ class Session:
             return None
         if about["error"]:
             raise IrgsppError(about["error"])
-        picture = None
+        image = None
         if about["picture"]:
             try:
-                picture = np.load(self._folder / about["picture"], allow_pickle=False)
+                image = np.load(self._folder / about["picture"], allow_pickle=False)
             except (OSError, ValueError):
                 return None  # a newer one has just replaced it
-        return Answer(about["number"], picture, about["share"], about["done"])
+        return Answer(about["number"], image, about["share"], about["done"])
 
     def wait(
         self, channel: str, wish: Wish, show: Callable[[Answer], None] = lambda answer: None, stop: Callable[[], bool] = lambda: False
     ) -> np.ndarray:
-        """The finished picture, `show`ing what comes before. Raises Cancelled when `stop`, IrgsppError where it can't be had."""
+        """The finished image, `show`ing what comes before. Raises Cancelled when `stop`, IrgsppError where it can't be had."""
         self.ask(channel, wish)
         began = time.monotonic()
         while True:
             answer = self.look(channel)
             if answer is not None:
                 show(answer)
-                if answer.done and answer.picture is not None:
-                    return answer.picture
+                if answer.done and answer.image is not None:
+                    return answer.image
             if stop():
                 self.cancel(channel)
-                raise Cancelled("the picture was cancelled")
+                raise Cancelled("the image was cancelled")
             if not self.ready and time.monotonic() - began > PATIENCE:
                 raise IrgsppError(f"the engine was not ready within {PATIENCE:.0f} seconds: {self.last_words()}")
             time.sleep(0.01)

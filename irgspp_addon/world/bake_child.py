@@ -32,9 +32,9 @@ def bake(blend: str, target: str, rows: int, frame: int) -> None:
         world.cycles_visibility.camera = True  # a light that the camera does not see is a light all the same
     bpy.context.scene.frame_set(frame)
     with tempfile.TemporaryDirectory() as folder:
-        picture = Path(folder) / "world.exr"
-        _world_module().bake_world(bpy.context.scene, picture, rows)
-        image = bpy.data.images.load(str(picture))
+        file = Path(folder) / "world.exr"
+        _world_module().bake_world(bpy.context.scene, file, rows)
+        image = bpy.data.images.load(str(file))
         pixels = np.empty(rows * 2 * rows * image.channels, np.float32)
         image.pixels.foreach_get(pixels)
     texels = pixels.reshape(rows, 2 * rows, -1)[::-1, :, :3]

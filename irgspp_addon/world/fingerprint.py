@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a World looks like, as a word that changes when its light does: so that it is rendered once and not for every picture."""
+"""What a World looks like, as a word that changes when its light does: so that it is rendered once and not for every image."""
 
 from __future__ import annotations
 

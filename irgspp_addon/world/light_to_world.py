@@ -39,7 +39,7 @@ def node_tree(owner: bpy.types.World | bpy.types.Material) -> tuple[bpy.types.No
 
 
 def load_image(path: Path, colour_space: str, pack: bool) -> bpy.types.Image:
-    """A new image datablock of a file (one that is there already may hold an older picture), packed into the .blend or linked."""
+    """A new image datablock of a file (one that is there already may hold an older image), packed into the .blend or linked."""
     image = bpy.data.images.load(str(path.resolve()))
     image.colorspace_settings.name = colour_space
     if pack:
@@ -63,7 +63,7 @@ def bake_world(scene: bpy.types.Scene, target: Path, height: int = 128) -> None:
         empty.world, empty.camera = scene.world, camera
         empty.frame_set(scene.frame_current)
         data.type, data.panorama_type = "PANO", "EQUIRECTANGULAR"
-        camera.rotation_euler = (1.5707963267948966, 0.0, -1.5707963267948966)  # +X in the middle of the picture
+        camera.rotation_euler = (1.5707963267948966, 0.0, -1.5707963267948966)  # +X in the middle of the image
         _set_render(empty, target, height)
         bpy.ops.render.render(write_still=True, scene=empty.name)
     finally:

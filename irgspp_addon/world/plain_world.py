@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Worlds that are one picture or one colour, read without rendering: what most artists use, and at once."""
+"""Worlds that are one image or one colour, read without rendering: what most artists use, and at once."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 from mathutils import Euler
 
 from ...core.errors import InputError
-from ...core.scene.environment_map import LightMap, reduced
+from ...core.scene.environment_map import EnvironmentMap, reduced
 
 LINEAR = ("Linear Rec.709", "Non-Color", "Linear", "Raw", "scene_linear")
-MOST_ROWS = 2048  # larger pictures are reduced once; a light needs no more
+MOST_ROWS = 2048  # larger images are reduced once; a light needs no more
 
-_read: dict[tuple, np.ndarray | None] = {}  # the picture read last
+_read: dict[tuple, np.ndarray | None] = {}  # the image read last
 
 
-def plain_light(world: bpy.types.World | None) -> LightMap | None:
+def plain_light(world: bpy.types.World | None) -> EnvironmentMap | None:
     """The light of a World of the plain form; None where it has to be rendered.
 
     Plain is a colour, or Environment Texture [with a Mapping of rotation alone] -> Background -> World Output.
-    Raises InputError where there is no World, or its picture is missing.
+    Raises InputError where there is no World, or its image is missing.
     """
     if world is None:
         raise InputError("the scene", "has no World to light the object by", "add one in the World properties")
@@ -36,7 +36,7 @@ def plain_light(world: bpy.types.World | None) -> LightMap | None:
     return _background(world, surface)
 
 
-def _background(world: bpy.types.World, node: bpy.types.Node) -> LightMap | None:
+def _background(world: bpy.types.World, node: bpy.types.Node) -> EnvironmentMap | None:
     colour, strength = node.inputs["Color"], node.inputs["Strength"]
     if strength.is_linked:
         return None
@@ -48,8 +48,8 @@ def _background(world: bpy.types.World, node: bpy.types.Node) -> LightMap | None
     turn = _turn(texture.inputs["Vector"])
     if turn is None or texture.projection != "EQUIRECTANGULAR" or texture.interpolation != "Linear":
         return None
-    texels = _picture(world, texture.image)
-    return None if texels is None else LightMap(texels, turn, max(0.0, strength.default_value))
+    texels = _image(world, texture.image)
+    return None if texels is None else EnvironmentMap(texels, turn, max(0.0, strength.default_value))
 
 
 def _feeding(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
@@ -60,7 +60,7 @@ def _feeding(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
 
 
 def _turn(vector: bpy.types.NodeSocket) -> np.ndarray | None:
-    """(3, 3) what directions go through before the picture is looked up; None where that is more than a rotation."""
+    """(3, 3) what directions go through before the image is looked up; None where that is more than a rotation."""
     if not vector.is_linked:
         return np.eye(3)
     node = _feeding(vector)
@@ -80,7 +80,7 @@ def _turn(vector: bpy.types.NodeSocket) -> np.ndarray | None:
     return None if before is None else (rotation if node.vector_type == "POINT" else rotation.T) @ before
 
 
-def _picture(world: bpy.types.World, image: bpy.types.Image | None) -> np.ndarray | None:
+def _image(world: bpy.types.World, image: bpy.types.Image | None) -> np.ndarray | None:
     """(H, W, 3) linear, top row first; None where Cycles does more with the image than we know."""
     if image is None:
         raise InputError(f"World {world.name}", "its Environment Texture has no image", "open one, or remove the node")
@@ -112,13 +112,13 @@ def _texels(image: bpy.types.Image, encoded: bool) -> np.ndarray | None:
     return _sane(reduced(colour, -(-height // MOST_ROWS)))
 
 
-def forget_pictures() -> None:
-    """Read pictures anew: they may have changed without a word, as when another file was opened."""
+def forget_images() -> None:
+    """Read images anew: they may have changed without a word, as when another file was opened."""
     _read.clear()
 
 
-def _colour(colour) -> LightMap:
-    return LightMap(_sane(np.array(colour, np.float32)[None, None, :3]))
+def _colour(colour) -> EnvironmentMap:
+    return EnvironmentMap(_sane(np.array(colour, np.float32)[None, None, :3]))
 
 
 def _sane(texels: np.ndarray) -> np.ndarray:

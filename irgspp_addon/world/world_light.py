@@ -14,22 +14,22 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError, IrgsppError
-from ...core.scene.environment_map import LightMap
+from ...core.scene.environment_map import EnvironmentMap
 from ..engine.child import detached
 from .fingerprint import fingerprint
-from .plain_world import forget_pictures, plain_light
+from .plain_world import forget_images, plain_light
 
 ROWS = 1024  # of a rendered World: the sun of a Sky Texture is half a degree wide
 PATIENCE = 120.0  # seconds
 CHILD = Path(__file__).with_name("bake_child.py")
 
-_rendered: dict[str, LightMap] = {}  # by fingerprint, the latest few
+_rendered: dict[str, EnvironmentMap] = {}  # by fingerprint, the latest few
 
 
-def world_light(world: bpy.types.World | None, frame: int = 1, timeout: float = PATIENCE) -> LightMap:
+def world_light(world: bpy.types.World | None, frame: int = 1, timeout: float = PATIENCE) -> EnvironmentMap:
     """The light of a World at a frame, waited for; also right while a render runs. Raises InputError where there is none."""
     asked = ask_world(world, frame)
-    if isinstance(asked, LightMap):
+    if isinstance(asked, EnvironmentMap):
         return asked
     try:
         return asked.wait(timeout)
@@ -37,7 +37,7 @@ def world_light(world: bpy.types.World | None, frame: int = 1, timeout: float = 
         asked.close()
 
 
-def ask_world(world: bpy.types.World | None, frame: int = 1) -> LightMap | WorldBake:
+def ask_world(world: bpy.types.World | None, frame: int = 1) -> EnvironmentMap | WorldBake:
     """The light where it is known or easily read, otherwise the started work to find it. Raises InputError where there is none."""
     light = plain_light(world)
     if light is not None:
@@ -76,7 +76,7 @@ class WorldBake:
         """True where this is the World's present look."""
         return world is not None and self._key == _key(world, frame)
 
-    def poll(self) -> LightMap | None:
+    def poll(self) -> EnvironmentMap | None:
         """The light when it is there. Raises IrgsppError where it can't be had."""
         status = self._child.poll()
         if status is None:
@@ -84,13 +84,13 @@ class WorldBake:
         if status or not self._map.is_file():
             lines = self._log.read_text(errors="replace").strip().splitlines()
             raise IrgsppError(f"World {self._name}: could not be rendered ({lines[-1] if lines else f'status {status}'})")
-        light = LightMap(np.load(self._map, allow_pickle=False))
+        light = EnvironmentMap(np.load(self._map, allow_pickle=False))
         while len(_rendered) >= 4:
             del _rendered[next(iter(_rendered))]
         _rendered[self._key] = light
         return light
 
-    def wait(self, timeout: float) -> LightMap:
+    def wait(self, timeout: float) -> EnvironmentMap:
         """The light, within so many seconds. Raises IrgsppError where it can't be had."""
         until = time.monotonic() + timeout
         while time.monotonic() < until:
@@ -108,9 +108,9 @@ class WorldBake:
 
 
 def forget() -> None:
-    """Drop what was rendered: another file may hold other pictures under the same names."""
+    """Drop what was rendered: another file may hold other images under the same names."""
     _rendered.clear()
-    forget_pictures()
+    forget_images()
 
 
 def blender_command(script: Path) -> list[str]:
@@ -120,14 +120,14 @@ def blender_command(script: Path) -> list[str]:
     return [sys.executable, str(script)]  # Blender as a module
 
 
-def save_light(light: LightMap, path: Path, rows: int) -> None:
+def save_light(light: EnvironmentMap, path: Path, rows: int) -> None:
     """Write a light map in our convention as 32-bit .exr or as .npy; whole or not at all. Raises InputError where that is not possible."""
     save = {".npy": np.save, ".exr": _save_exr}.get(path.suffix.lower())
     if save is None:
         raise InputError(path, "is no light map", "let the name end with .exr or .npy")
     partial = path.with_name(f".{path.stem}.part{path.suffix.lower()}")
     try:
-        save(partial, light.picture(rows))
+        save(partial, light.image(rows))
         partial.replace(path)
     except (OSError, RuntimeError) as error:  # the latter is Blender's
         partial.unlink(missing_ok=True)

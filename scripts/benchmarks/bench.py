@@ -74,7 +74,7 @@ class Bench:
     """Options, scenes and reconstructions.
 
     Attributes:
-        folder: of results, runs and pictures. repeats: of timings, whose median counts. budgets: minutes, of section reconstruction.
+        folder: of results, runs and images. repeats: of timings, whose median counts. budgets: minutes, of section reconstruction.
         lpips: a TorchScript file of the metric, if any. ticked: called now and then while something takes long.
     """
 
@@ -149,14 +149,14 @@ class Bench:
 
 # Schedules of seconds, for 64x64 pixels: whether everything works, and the directions of most things.
 QUICK = (
-    "reflective.iterations=150",
-    "reflective.gaussians=6000",
-    "reflective.trial_iterations=30",
-    "reflective.trial_gaussians=2000",
-    "transport.points=500",
-    "transport.iterations=40",
-    "transport.samples=32",
-    "transport.radiance_iterations=20",
+    "first.iterations=150",
+    "first.gaussians=6000",
+    "first.trial_iterations=30",
+    "first.trial_gaussians=2000",
+    "second.points=500",
+    "second.iterations=40",
+    "second.samples=32",
+    "second.radiance_iterations=20",
     "surface.voxels=64",
     "surface.triangles=5000",
     "surface.texture=256",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Curves as pictures, in the colours of the report."""
+"""Curves as images, in the colours of the report."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def svg(chart: Chart) -> str:
 
 
 def png(chart: Chart, path: Path) -> None:
-    """The same as a small picture file."""
+    """The same as a small image file."""
     with matplotlib.rc_context(STYLE):
         figure = _draw(chart)
         figure.savefig(path, dpi=100)

@@ -8,19 +8,18 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from irgspp.core.evaluation import metrics
-from irgspp.core.evaluation import visualisation as pictures
+from irgspp.core.evaluation import metrics, visualisation
 from irgspp.core.evaluation.ground_truth import Truth
 from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips, find_lpips
 from irgspp.core.evaluation.prediction import Prediction
 from irgspp.core.relight.backends import best_backend, open_relighter
 from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import Relighter, RelightSettings
-from irgspp.core.rendering.gbuffer import render_view
+from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.scene.reconstruction import Reconstruction
 
 from .bench import PRESETS, Bench, Scene
-from .section import Block, Measurement, Note, Pictures, Table, Task
+from .section import Block, Images, Measurement, Note, Table, Task
 from .store import Results
 
 NAME = "decomposition"
@@ -80,12 +79,12 @@ def _lpips(scene: Scene, run: Path, scale: list[float] | None, lpips: Lpips) -> 
     for view in scene.views:
         truth = scene.view_truth(view)
         shaded = plain.relit(plain.surface(view.camera), own).numpy()
-        values["nvs_lpips"].append(lpips(metrics.on_black(shaded), truth.picture))
+        values["nvs_lpips"].append(lpips(metrics.on_black(shaded), truth.image))
         surface = relighter.surface(view.camera)
         for name in lights.keys() & truth.relit.keys():
             values["relight_lpips"].append(lpips(metrics.on_black(relighter.relit(surface, lights[name]).numpy()), truth.relit[name]))
         if truth.albedo is not None:
-            albedo = Prediction(render_view(plain.reconstruction, view.camera), shaded).layer("albedo") * np.array(scale or (1, 1, 1))
+            albedo = Prediction(render_gbuffer(plain.reconstruction, view.camera), shaded).layer("albedo") * np.array(scale or (1, 1, 1))
             alpha = truth.alpha[..., None]
             values["albedo_lpips"].append(lpips(np.clip(albedo * alpha, 0, 1), np.clip(truth.albedo * alpha, 0, 1)))
     return {name: float(np.mean(found)) for name, found in values.items() if found}
@@ -102,9 +101,9 @@ def _shown(bench: Bench, scene: Scene) -> Measurement:
     plain, view = _relighter(run.path), scene.views[0]
     relighter, truth = plain.scaled(scale), scene.view_truth(view)
     shaded = plain.relit(plain.surface(view.camera), prepare(plain.reconstruction.environment_map())).numpy()
-    prediction = Prediction(render_view(plain.reconstruction, view.camera), shaded)
-    shown = {"photograph": truth.picture, "photograph, ours": metrics.on_black(shaded)}
-    shown["photograph, error to 0.2"] = _error(truth.picture, shown["photograph, ours"])
+    prediction = Prediction(render_gbuffer(plain.reconstruction, view.camera), shaded)
+    shown = {"photograph": truth.image, "photograph, ours": metrics.on_black(shaded)}
+    shown["photograph, error to 0.2"] = _error(truth.image, shown["photograph, ours"])
     for name in scene.relights[:2]:
         ours = metrics.on_black(relighter.relit(relighter.surface(view.camera), prepare(scene.truth.lights[name])).numpy())
         shown |= {name: truth.relit[name], f"{name}, ours": ours, f"{name}, error to 0.2": _error(truth.relit[name], ours)}
@@ -120,16 +119,16 @@ def _layers(prediction: Prediction, truth: Truth, scale: np.ndarray) -> dict[str
         if true is None:
             continue
         if name == "albedo":
-            pair = [pictures.colour(true, alpha), pictures.colour(ours * scale, alpha)]
+            pair = [visualisation.colour(true, alpha), visualisation.colour(ours * scale, alpha)]
         else:
-            pair = [pictures.grey(true, alpha), pictures.grey(ours, alpha)]
-        true, ours = (picture[..., :3] * picture[..., 3:] for picture in pair)
+            pair = [visualisation.grey(true, alpha), visualisation.grey(ours, alpha)]
+        true, ours = (image[..., :3] * image[..., 3:] for image in pair)
         found |= {name: true, f"{name}, ours": ours, f"{name}, error to 0.2": _error(true, ours)}
     return found
 
 
 def _error(true: np.ndarray, ours: np.ndarray) -> np.ndarray:
-    return pictures.heat(np.abs(true - ours).max(-1), 0.2)[..., :3]
+    return visualisation.heat(np.abs(true - ours).max(-1), 0.2)[..., :3]
 
 
 # --- what is shown
@@ -144,7 +143,7 @@ def blocks(results: Results) -> Iterator[Block]:
             yield Table(title, ["", *(columns[name] for name in known)], rows)
     if not any(r.figures.get("lpips_by") for r in results.records()):
         yield Note(NO_LPIPS)
-    yield Note("The paper's protocol for relit pictures is the same; its scenes are others, so that figures can't be compared across.")
+    yield Note("The paper's protocol for relit images is the same; its scenes are others, so that figures can't be compared across.")
     for record in results.records(prefix="pictures"):
-        files = list(record.pictures.items())
-        yield Pictures(record.scene, [files[i : i + 6] for i in range(0, len(files), 6)])
+        files = list(record.images.items())
+        yield Images(record.scene, [files[i : i + 6] for i in range(0, len(files), 6)])

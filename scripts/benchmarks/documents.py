@@ -11,7 +11,7 @@ from irgspp.core.run_folder import write_atomic
 
 from . import charts, summary
 from .page import about, engines
-from .section import Block, Chart, Note, Pictures, Table, shown
+from .section import Block, Chart, Images, Note, Table, shown
 from .store import Results, Store
 
 BEGIN, END = "<!-- written by scripts/benchmark.py --write-docs -->", "<!-- end of what is written -->"
@@ -21,7 +21,7 @@ What IRGS++ costs and how far it is from the truth, on rendered scenes whose tru
 
     .venv/bin/python scripts/benchmark.py SCENES -o DIR --write-docs
 
-whose report.html has more plots, and pictures side by side. Without SCENES it renders small ones of its own; `--quick` shows in a few
+whose report.html has more plots, and images side by side. Without SCENES it renders small ones of its own; `--quick` shows in a few
 minutes that all of it works.
 """
 SKIPPING = "# What a scene does not need\n"
@@ -34,7 +34,7 @@ def write(store: Store, sections: Sequence[ModuleType], folder: Path) -> None:
         results = Results(store, section.NAME)
         if not results.scenes:
             continue
-        blocks = [block for block in section.blocks(results) if not isinstance(block, Pictures)]
+        blocks = [block for block in section.blocks(results) if not isinstance(block, Images)]
         if section.NAME == "skipping":
             _between(folder / "skipping.md", "\n\n".join(text for block in blocks if (text := _block(block, folder))))
         chapter = [f"## {section.TITLE}", section.ABOUT, engines(store, section), *(_block(block, folder) for block in blocks)]
@@ -54,9 +54,9 @@ def _block(block: Block, folder: Path) -> str:
         return block.text
     if isinstance(block, Table):
         return "" if block.detail else f"**{block.title}**\n\n{_table(block)}"
-    if isinstance(block, Chart) and block.picture:
-        charts.png(block, folder / "pictures" / f"{block.picture}.png")
-        return f"![{block.title}](pictures/{block.picture}.png)"
+    if isinstance(block, Chart) and block.image:
+        charts.png(block, folder / "pictures" / f"{block.image}.png")
+        return f"![{block.title}](pictures/{block.image}.png)"
     return ""
 
 

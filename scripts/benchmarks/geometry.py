@@ -8,8 +8,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from irgspp.core.evaluation import metrics
-from irgspp.core.evaluation import visualisation as pictures
+from irgspp.core.evaluation import metrics, visualisation
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.mesh_query import MeshQuery
 from irgspp.core.relight.relighter import RelightSettings
@@ -17,7 +16,7 @@ from irgspp.core.scene.mesh_ply import load_mesh_ply
 from irgspp.core.scene.reconstruction import Reconstruction
 
 from .bench import Bench, Scene
-from .section import Block, Measurement, Note, Pictures, Table, Task
+from .section import Block, Images, Measurement, Note, Table, Task
 from .store import Results
 
 NAME = "geometry"
@@ -28,7 +27,7 @@ ABOUT = (
 )
 ONCE = False
 PAPER = {"Gaussians": 3.980, "mesh": 4.260}  # IRGS++ on TensoIR's scenes
-LIMIT = 20.0  # degrees, of the pictures of errors
+LIMIT = 20.0  # degrees, of the images of errors
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
@@ -54,7 +53,7 @@ def _normals(bench: Bench, scene: Scene) -> Measurement:
         bare.append(angle[truth.object].mean())
         shaded.append(metrics.normal_angles(lit.reshape(truth.normal.shape), truth.normal)[truth.object].mean())
         if number == 0:
-            shown = _pictures(truth.normal, of_mesh, angle * truth.object, truth.object)
+            shown = _images(truth.normal, of_mesh, angle * truth.object, truth.object)
     figures = bench.evaluation(scene, run.path)["figures"]
     wanted = ("mesh_chamfer", "mesh_accuracy", "mesh_completeness", "mesh_stray", "mesh_triangles")
     angles = {"gaussian_degrees": figures["normal_mae"], "mesh_degrees": float(np.mean(bare)), "shaded_degrees": float(np.mean(shaded))}
@@ -70,10 +69,14 @@ def mesh_normals(query: MeshQuery, camera) -> np.ndarray:
     return normal.reshape(camera.height, camera.width, 3)
 
 
-def _pictures(true: np.ndarray, ours: np.ndarray, angle: np.ndarray, inside: np.ndarray) -> dict[str, np.ndarray]:
+def _images(true: np.ndarray, ours: np.ndarray, angle: np.ndarray, inside: np.ndarray) -> dict[str, np.ndarray]:
     alpha = inside.astype(np.float32)
-    shown = {"true": pictures.normal(true, alpha), "mesh": pictures.normal(ours, alpha), "error": pictures.heat(angle, LIMIT)}
-    return {name: pictures.over(picture, 0.16) for name, picture in shown.items()}
+    shown = {
+        "true": visualisation.normal(true, alpha),
+        "mesh": visualisation.normal(ours, alpha),
+        "error": visualisation.heat(angle, LIMIT),
+    }
+    return {name: visualisation.over(image, 0.16) for name, image in shown.items()}
 
 
 def blocks(results: Results) -> Iterator[Block]:
@@ -83,6 +86,6 @@ def blocks(results: Results) -> Iterator[Block]:
     if rows:
         yield Table("Normal error and distances", columns, rows)
         yield Note(f"The paper reports {PAPER['Gaussians']}° (Gaussians) and {PAPER['mesh']}° (mesh) on its own, other scenes.")
-    shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records()]
+    shown = [[(f"{r.scene}: {name}", file) for name, file in r.images.items()] for r in results.records()]
     if shown:
-        yield Pictures(f"Normals of the mesh; error from 0 (dark) to {LIMIT:.0f}°", shown)
+        yield Images(f"Normals of the mesh; error from 0 (dark) to {LIMIT:.0f}°", shown)

@@ -31,7 +31,7 @@ ONCE = True
 DISKS, PIXELS, RAYS, CHANNELS = 20_000, 256, 65_536, 4
 GAUSSIANS = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000)
 SIDES, RAY_COUNTS, EXTRAS = (64, 128, 256, 512, 1024), (4_096, 16_384, 65_536, 262_144), (0, 4, 8, 16, 32)
-SMALL = (1_000, 48)  # disks and pixels that torch can do
+SMALL = (1_000, 48)  # surfels and pixels that torch can do
 CPP, WARP, TORCH = "C++ -O3", "warp, CPU device", "torch"
 
 
@@ -110,16 +110,16 @@ def _forward(bench: Bench, made: Callable[[], other_rasters.Forward]) -> Measure
     work, began = project(DISKS, PIXELS), time.perf_counter()
     other = made()
     other(work)
-    start, theirs = time.perf_counter() - began, work.picture.copy()
+    start, theirs = time.perf_counter() - began, work.image.copy()
     works = {"ours": lambda: work.forward(RASTER[OURS][0]), "plain": lambda: work.forward(RASTER[PLAIN][0]), "their": lambda: other(work)}
     found = medians(works, 2 * bench.repeats, clock=time.process_time)
     work.forward(RASTER[OURS][0])
-    apart = np.abs(other_rasters.cropped(work, PIXELS) - _as_picture(theirs, work)[:-1, :PIXELS, :PIXELS])
+    apart = np.abs(other_rasters.cropped(work, PIXELS) - _as_image(theirs, work)[:-1, :PIXELS, :PIXELS])
     figures = {f"{name}_ms": 1e3 * seconds for name, seconds in found.items()}
     return Measurement({**figures, "difference": float(np.median(apart)), "first_start_seconds": start}, {"gaussians": DISKS})
 
 
-def _as_picture(flat: np.ndarray, work: Splats) -> np.ndarray:
+def _as_image(flat: np.ndarray, work: Splats) -> np.ndarray:
     return flat.reshape(-1, work.plane // work.stride, work.stride)
 
 
@@ -153,7 +153,7 @@ def blocks(results: Results) -> Iterator[Block]:
         panels[title] = [_curve(found, unit, name, label) for name, label in (("", OURS), ("plain_", PLAIN))]
     panels = {title: series for title, series in panels.items() if series[0].x}
     if panels:
-        yield Chart("How cost grows: forward and backward together", "number", "CPU milliseconds ↓", panels, picture="benchmark_kernels")
+        yield Chart("How cost grows: forward and backward together", "number", "CPU milliseconds ↓", panels, image="benchmark_kernels")
     yield from _scaling(results)
 
 
@@ -164,11 +164,11 @@ def _technologies(results: Results) -> Iterator[Block]:
         if record is not None:
             f, number = record.figures, record.counted["gaussians"]
             rows.append(
-                [f"{label}, {number:,} disks", f["their_ms"], f["plain_ms"], f["ours_ms"], f["their_ms"] / f["ours_ms"], f["difference"]]
+                [f"{label}, {number:,} surfels", f["their_ms"], f["plain_ms"], f["ours_ms"], f["their_ms"] / f["ours_ms"], f["difference"]]
             )
     if rows:
         columns = ("rasteriser, forward", "CPU ms ↓", "numba, plain loops ↓", "ours ↓", "ours is faster by ↑", "median difference")
-        yield Table("The same picture by other technologies", columns, rows)
+        yield Table("The same image by other technologies", columns, rows)
         yield Note(
             "C++ as one writes it at first, compiled for this CPU; torch compares every pixel with every disk, so that it gets few of both."
         )

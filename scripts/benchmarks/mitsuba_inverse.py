@@ -79,18 +79,18 @@ class Descent:
         chosen = self.random.integers(len(self.colour), size=self.request["pixels"], dtype=np.uint32)
         self.sensor.look(chosen)
         seed = int(self.random.integers(1 << 30))
-        picture = mi.render(self.scene, self.parameters, sensor=self.sensor, spp=self.request["samples"], seed=seed)
-        loss = self._photometric(picture, chosen) + self.request["light_smoothness"] * _variation(self.adam["light"])
+        image = mi.render(self.scene, self.parameters, sensor=self.sensor, spp=self.request["samples"], seed=seed)
+        loss = self._photometric(image, chosen) + self.request["light_smoothness"] * _variation(self.adam["light"])
         dr.backward(loss)
         self.adam.step()
         self._show()
         return float(loss.array[0])
 
-    def _photometric(self, picture: mi.TensorXf, chosen: np.ndarray) -> mi.TensorXf:
+    def _photometric(self, image: mi.TensorXf, chosen: np.ndarray) -> mi.TensorXf:
         """As in our second stage: encoded differences, and what exceeds a saturated pixel is none."""
         target = mi.Float(np.ascontiguousarray(self.colour[chosen].ravel()))
         saturated = mi.Bool(np.ascontiguousarray(self.saturated[chosen].ravel()))
-        difference = _encoded(picture.array) - target
+        difference = _encoded(image.array) - target
         difference = dr.select(saturated & (difference > 0), 0, difference)
         return mi.TensorXf(dr.mean(dr.sqrt(dr.square(difference) + CORNER**2)))
 

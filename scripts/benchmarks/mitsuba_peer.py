@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mitsuba 3 asked for pictures from outside: it runs in a process of its own, as its compiler and ours share no process well."""
+"""Mitsuba 3 asked for images from outside: it runs in a process of its own, as its compiler and ours share no process well."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from irgspp.core.machine.thread_pool import thread_count
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.mesh_ply import load_mesh_ply
 from irgspp.core.scene.textures import load_textures
-from irgspp.core.shading.specular_albedo import TABLE, diffuse_share
+from irgspp.core.shading.specular_albedo import TABLE, diffuse_fraction
 
 VARIANTS = ("llvm_ad_rgb", "scalar_rgb")  # the first that works; the second knows neither our BRDF nor gradients
 BOUNCES = 12  # as Cycles
@@ -35,7 +35,7 @@ class Crashed(IrgsppError):
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture, (H, W, 4) linear premultiplied, of so many samples, and the seconds it took with the scene loaded; CPU: of all threads."""
+    """An image, (H, W, 4) linear premultiplied, of so many samples, and the seconds it took with the scene loaded; CPU: of all threads."""
 
     samples: int
     seconds: float
@@ -46,7 +46,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Shots:
-    """Of one view under one light: a frame for each number of samples, the converged picture (H, W, 4) or None, and layers by name."""
+    """Of one view under one light: a frame for each number of samples, the converged image (H, W, 4) or None, and layers by name."""
 
     frames: list[Frame]
     converged: np.ndarray | None
@@ -96,7 +96,7 @@ def welded(run: Path) -> dict[str, np.ndarray]:
     return {"vertices": mesh.vertices[first], "normals": mesh.normals[first], "faces": same.reshape(-1)[mesh.faces]}
 
 
-def pictures(
+def images(
     thing: Mapping[str, np.ndarray],
     views: Mapping[str, Camera],
     lights: Mapping[str, np.ndarray],
@@ -110,7 +110,7 @@ def pictures(
 
     Args:
         thing: `textured`, or `welded` with vertex_albedo (V, 3), vertex_roughness, vertex_metallic (V,). lights: (H, W, 3) linear lat-long.
-        counts: samples of the frames. converged: of the converged picture, 0 for none. layers: samples of the layers, 0 for none.
+        counts: samples of the frames. converged: of the converged image, 0 for none. layers: samples of the layers, 0 for none.
         brdf: "ours", or "principled". bounces: of indirect light.
     """
     request = {
@@ -160,4 +160,4 @@ def _body() -> np.ndarray:
     """What the specular lobe leaves to the diffuse one, by roughness (rows) and n.v."""
     grid = torch.linspace(0, 1, TABLE)
     rows, columns = torch.meshgrid(grid, grid, indexing="ij")
-    return diffuse_share(columns.flatten(), rows.flatten()).view(TABLE, TABLE).numpy()
+    return diffuse_fraction(columns.flatten(), rows.flatten()).view(TABLE, TABLE).numpy()

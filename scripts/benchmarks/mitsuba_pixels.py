@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Mitsuba sensor whose picture is made of single pixels of many photographs; imported once a variant is set."""
+"""A Mitsuba sensor whose image is made of single pixels of many photographs; imported once a variant is set."""
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
 # (Mitsuba is optional, and its types depend on the variant)

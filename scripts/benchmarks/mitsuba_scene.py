@@ -33,10 +33,10 @@ def material(arrays: dict[str, np.ndarray], brdf: str) -> dict[str, Any]:
     return textured_material(textures, brdf) if textures else vertex_material()
 
 
-def lit(shape: mi.Mesh, picture: np.ndarray, bounces: int) -> mi.Scene:
+def lit(shape: mi.Mesh, image: np.ndarray, bounces: int) -> mi.Scene:
     """The object under a light map (H, W, 3), which itself is not seen."""
     integrator = {"type": "path", "max_depth": bounces + 2, "hide_emitters": True}
-    return mi.load_dict({"type": "scene", "integrator": integrator, "object": shape, "light": light(picture)})
+    return mi.load_dict({"type": "scene", "integrator": integrator, "object": shape, "light": light(image)})
 
 
 def textured_material(textures: dict[str, np.ndarray], brdf: str) -> dict[str, Any]:
@@ -53,8 +53,8 @@ def textured_material(textures: dict[str, np.ndarray], brdf: str) -> dict[str, A
 
 
 def _bitmap(texture: np.ndarray, raw: bool) -> dict[str, Any]:
-    picture = texture if texture.ndim == 3 else texture[..., None]
-    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(picture)), "raw": raw, "filter_type": "bilinear"}
+    image = texture if texture.ndim == 3 else texture[..., None]
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image)), "raw": raw, "filter_type": "bilinear"}
 
 
 def vertex_material() -> dict[str, Any]:
@@ -83,17 +83,17 @@ def mesh_shape(arrays: dict[str, np.ndarray], material: dict[str, Any]) -> mi.Me
     return mesh
 
 
-def light(picture: np.ndarray) -> dict[str, Any]:
+def light(image: np.ndarray) -> dict[str, Any]:
     """The light map (H, W, 3), row 0 = +Z, middle column +X. See `at_nodes`."""
-    bitmap = mi.Bitmap(at_nodes(np.asarray(picture, np.float32)))
+    bitmap = mi.Bitmap(at_nodes(np.asarray(image, np.float32)))
     return {"type": "envmap", "bitmap": bitmap, "to_world": mi.ScalarTransform4f(MAP_TO_WORLD)}
 
 
-def at_nodes(picture: np.ndarray) -> np.ndarray:
+def at_nodes(image: np.ndarray) -> np.ndarray:
     """(2 H + 1, W, 3) that Mitsuba, whose first and last rows are at the poles, sees as we see the map, whose rows are half a texel off."""
-    rows = np.empty((2 * len(picture) + 1, *picture.shape[1:]), np.float32)
-    rows[1::2], rows[0], rows[-1] = picture, picture[0], picture[-1]
-    rows[2:-1:2] = 0.5 * (picture[1:] + picture[:-1])
+    rows = np.empty((2 * len(image) + 1, *image.shape[1:]), np.float32)
+    rows[1::2], rows[0], rows[-1] = image, image[0], image[-1]
+    rows[2:-1:2] = 0.5 * (image[1:] + image[:-1])
     return rows
 
 
@@ -122,7 +122,7 @@ def sensor(camera: dict[str, Any]) -> mi.Sensor:
 
 
 class Layers(mi.SamplingIntegrator):
-    """The vertices' materials as a picture: albedo, then roughness and metallic."""
+    """The vertices' materials as an image: albedo, then roughness and metallic."""
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
         si = scene.ray_intersect(ray, active)
@@ -138,7 +138,7 @@ class Layers(mi.SamplingIntegrator):
 
 def layers(scene: mi.Scene, sensor: mi.Sensor, samples: int) -> dict[str, np.ndarray]:
     """Pictures by LAYERS: albedo (H, W, 3), roughness, metallic (H, W), each divided by alpha (H, W)."""
-    picture = np.array(mi.render(scene, sensor=sensor, integrator=Layers(mi.Properties()), spp=samples))
-    alpha = picture[..., 3]
-    straight = picture / np.maximum(alpha, 1e-6)[..., None]
+    image = np.array(mi.render(scene, sensor=sensor, integrator=Layers(mi.Properties()), spp=samples))
+    alpha = image[..., 3]
+    straight = image / np.maximum(alpha, 1e-6)[..., None]
     return {"albedo": straight[..., :3], "roughness": straight[..., 4], "metallic": straight[..., 5], "alpha": alpha}

@@ -2,7 +2,7 @@
 """Views of an object rendered by Mitsuba, in a process of its own: `python -m benchmarks.mitsuba_views FOLDER`; see mitsuba_peer.py.
 
 FOLDER/request.json says what to render, FOLDER/arrays.npz has the mesh, its materials, the lights as light_<name>, and the table `body`.
-Pictures are <view>_<light>_<samples>.npy, (H, W, 4) linear premultiplied, and <view>_<light>_converged.npy; FOLDER/answer.json says how
+Images are <view>_<light>_<samples>.npy, (H, W, 4) linear premultiplied, and <view>_<light>_converged.npy; FOLDER/answer.json says how
 many seconds and CPU seconds each took. The scene is loaded and its kernels are compiled before the clock starts.
 """
 
@@ -46,22 +46,22 @@ def main(folder: Path) -> None:
 
 
 def _timed(scene: mi.Scene, sensor: mi.Sensor, counts: list[int], stem: Path) -> dict[str, tuple[float, float]]:
-    """A picture for each number of samples; seconds and CPU seconds by the pictures' names."""
+    """An image for each number of samples; seconds and CPU seconds by the images' names."""
     seconds = {}
     for samples in counts:
         _render(scene, sensor, min(samples, AT_ONCE), WARM)
         began, cpu = time.perf_counter(), time.process_time()
-        picture = _render(scene, sensor, samples, TIMED)
+        image = _render(scene, sensor, samples, TIMED)
         seconds[f"{stem.name}_{samples}"] = (time.perf_counter() - began, time.process_time() - cpu)
-        np.save(stem.with_name(f"{stem.name}_{samples}.npy"), picture)
+        np.save(stem.with_name(f"{stem.name}_{samples}.npy"), image)
     return seconds
 
 
 def _render(scene: mi.Scene, sensor: mi.Sensor, samples: int, seed: int) -> np.ndarray:
     """(H, W, 4)."""
     parts = [min(AT_ONCE, samples - done) for done in range(0, samples, AT_ONCE)]
-    pictures = [np.array(mi.render(scene, sensor=sensor, spp=part, seed=seed + i)) * (part / samples) for i, part in enumerate(parts)]
-    return np.sum(pictures, 0, dtype=np.float32)
+    images = [np.array(mi.render(scene, sensor=sensor, spp=part, seed=seed + i)) * (part / samples) for i, part in enumerate(parts)]
+    return np.sum(images, 0, dtype=np.float32)
 
 
 def _save_layers(scene: mi.Scene, sensor: mi.Sensor, samples: int, stem: Path) -> None:

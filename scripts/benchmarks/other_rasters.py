@@ -22,7 +22,7 @@ from .workloads import Splats, torus, viewer
 
 SOURCE = Path(__file__).with_name("raster.cpp")
 CONSTANTS = (LOW_PASS, ALPHA_MAX, TRANSMITTANCE_MIN, _W_MIN)
-Forward = Callable[[Splats], None]  # fills `picture`
+Forward = Callable[[Splats], None]  # fills `image`
 
 
 def compiler() -> str | None:
@@ -45,7 +45,7 @@ def by_cpp(folder: Path) -> Forward:
     function = ctypes.CDLL(str(library.resolve())).raster_range
 
     def kernel(begin: int, end: int, s: Splats) -> None:
-        arrays = (s.start, s.entries, s.record, s.record.shape[1], s.feature, s.feature.shape[1], s.box, s.columns, s.picture)
+        arrays = (s.start, s.entries, s.record, s.record.shape[1], s.feature, s.feature.shape[1], s.box, s.columns, s.image)
         words = [a.ctypes.data_as(ctypes.c_void_p) if isinstance(a, np.ndarray) else ctypes.c_int64(a) for a in arrays]
         numbers = (ctypes.c_int64(s.stride), ctypes.c_int64(s.plane), *map(ctypes.c_float, CONSTANTS))
         function(ctypes.c_int64(begin), ctypes.c_int64(end), *words, *numbers)
@@ -67,9 +67,9 @@ def by_warp(features: int) -> Forward:
 
     def forward(s: Splats) -> None:
         rows = s.plane // s.stride
-        start, entries, record, feature, box, picture = map(torch.from_numpy, (s.start, s.entries, s.record, s.feature, s.box, s.picture))
+        start, entries, record, feature, box, image = map(torch.from_numpy, (s.start, s.entries, s.record, s.feature, s.box, s.image))
         lists = (start.int(), torch.arange(len(entries)), entries, record, feature, box, s.columns, s.stride, rows)
-        runtime.launch(kernel, s.plane, *lists, picture)
+        runtime.launch(kernel, s.plane, *lists, image)
 
     return forward
 
@@ -84,6 +84,6 @@ def by_torch(count: int, size: int, seed: int = 0) -> Callable[[], torch.Tensor]
 
 
 def cropped(splats: Splats, size: int) -> np.ndarray:
-    """(channels, size, size) of the picture that was filled, without the padding and the transmittance."""
-    planes = splats.picture.reshape(-1, splats.columns * TILE, splats.columns * TILE)
+    """(channels, size, size) of the image that was filled, without the padding and the transmittance."""
+    planes = splats.image.reshape(-1, splats.columns * TILE, splats.columns * TILE)
     return planes[:-1, :size, :size]

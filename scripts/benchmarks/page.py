@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report: one HTML file with every table, plot and picture inside."""
+"""The report: one HTML file with every table, plot and image inside."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from . import charts, summary
 from .section import Block, Chart, Note, Table, shown
 from .store import Results, Store
 
-LONGEST = 1600  # pixels of a picture that is shown
+LONGEST = 1600  # pixels of an image that is shown
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 1380px; padding: 1.5rem; background: #18191c; color: #e2e2de }
 h1 { font-size: 1.7rem; margin: 0 0 .3rem }
@@ -59,7 +59,7 @@ def about(store: Store) -> Iterator[str]:
         cpu = f"{machine['cpu']}, {machine['threads']} threads ({' '.join(machine['simd'])})"
         yield f"Machine: {cpu}; {machine['versions'].get('platform', '')}. Versions: {versions}."
     scenes = [f"{name} ({'glossy' if known['glossy'] else 'low-gloss'}, {known['size']} px)" for name, known in store.scenes.items()]
-    yield f"Scenes: {', '.join(scenes)}. Pictures are compared sRGB-encoded, clipped to 0..1, on black; PSNR in dB."
+    yield f"Scenes: {', '.join(scenes)}. Images are compared sRGB-encoded, clipped to 0..1, on black; PSNR in dB."
     yield "↑: more is better, ↓: less is. Seconds are wall clock, medians of repeats; compare them within this report alone."
 
 
@@ -108,13 +108,13 @@ def _cell(value: str | float | int | None) -> str:
 
 
 def _figure(folder: Path, caption: str, file: str) -> str:
-    """A picture with its bytes inside; without it, where the file is gone."""
+    """An image with its bytes inside; without it, where the file is gone."""
     if not (folder / file).is_file():
         return ""
-    with Image.open(folder / file) as image:
-        picture = image.convert("RGB")
-    picture.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
+    with Image.open(folder / file) as file:
+        image = file.convert("RGB")
+    image.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
     data = io.BytesIO()
-    picture.save(data, "JPEG", quality=92, subsampling=0)
+    image.save(data, "JPEG", quality=92, subsampling=0)
     source = base64.b64encode(data.getvalue()).decode()
     return f"<figure><img alt='{escape(caption)}' src='data:image/jpeg;base64,{source}'><figcaption>{escape(caption)}</figcaption></figure>"

@@ -11,20 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from irgspp.core.evaluation import metrics
-from irgspp.core.evaluation import visualisation as pictures
+from irgspp.core.evaluation import metrics, visualisation
 from irgspp.core.evaluation.prediction import Prediction
 from irgspp.core.evaluation.view_metrics import albedo_figures, averages, view_figures
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
-from irgspp.core.rendering.gbuffer import render_view
+from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import View
-from irgspp.core.scene.gbuffer import ViewBuffers
+from irgspp.core.scene.gbuffer import GBuffer
 from irgspp.core.scene.reconstruction import Reconstruction
 
 from . import mitsuba_peer
 from .bench import Bench, Scene
-from .section import Block, Measurement, Note, Pictures, Table, Task
+from .section import Block, Images, Measurement, Note, Table, Task
 from .store import Results
 
 PREFIX = "inverse: "
@@ -121,7 +120,7 @@ def tasks(bench: Bench, scene: Scene) -> Iterator[Task]:
     @cache
     def states() -> list[State]:
         made = bench.run(scene, bench.balanced())
-        seconds = made.phase_seconds()["transport"]
+        seconds = made.phase_seconds()["second stage"]
         return descend(made.path, scene.data.train, Reconstruction.load(made.path).glossy, [n * seconds for n in times])
 
     yield Task(f"{PREFIX}{OURS}", partial(_ours, bench, scene), 20.0, run)
@@ -136,18 +135,18 @@ def _shaded_views(scene: Scene) -> list[View]:
 
 
 def _ours(bench: Bench, scene: Scene) -> Measurement:
-    """What the run's evaluation says, pictures of the same views as Mitsuba's."""
+    """What the run's evaluation says, images of the same views as Mitsuba's."""
     run = bench.run(scene, bench.balanced())
     report, shaded = bench.evaluation(scene, run.path), _shaded_views(scene)
     few = averages([report["views"][view.name] for view in shaded], scene.relights)
     figures = {**report["figures"], **{name: few[name] for name in few if name.startswith(("nvs", "relight"))}}
     reconstruction = Reconstruction.load(run.path)
-    albedo = render_view(reconstruction, shaded[0].camera).albedo
+    albedo = render_gbuffer(reconstruction, shaded[0].camera).albedo
     true = scene.view_truth(shaded[0])
     assert true.albedo is not None
     shown = {"true albedo": _albedo(true.albedo, 1.0, true.alpha), "our albedo": _albedo(albedo, report["albedo_scale"], true.alpha)}
     shown |= {"our light": _map(reconstruction.environment_map()), "true light": _map(scene.truth.lights[str(scene.truth.train_light)])}
-    seconds = run.phase_seconds()["transport"]
+    seconds = run.phase_seconds()["second stage"]
     return Measurement({"seconds": seconds, **{name: figures[name] for name in FIGURES if name in figures}}, {}, shown)
 
 
@@ -157,18 +156,18 @@ def _theirs(bench: Bench, scene: Scene, states, number: int) -> Measurement:
     thing = mitsuba_peer.welded(bench.run(scene, bench.balanced()).path)
     cameras, shaded = {view.name: view.camera for view in scene.views}, _shaded_views(scene)
     truths = [scene.view_truth(view) for view in scene.views]
-    seen = mitsuba_peer.pictures(thing | state.materials, cameras, {"found": state.light}, [], layers=LAYER_SAMPLES)
+    seen = mitsuba_peer.images(thing | state.materials, cameras, {"found": state.light}, [], layers=LAYER_SAMPLES)
     predictions = [_prediction(cameras[name], seen[name, "found"].layers) for name in cameras]
     rows, scale = albedo_figures(predictions, truths)
     assert scale is not None
     scaled = {**state.materials, "vertex_albedo": state.materials["vertex_albedo"] * scale.astype(np.float32)}
     few = {view.name: view.camera for view in shaded}
-    nvs = mitsuba_peer.pictures(thing | state.materials, few, {"found": state.light}, [SHADED_SAMPLES])
-    relit = mitsuba_peer.pictures(thing | scaled, few, {name: scene.truth.lights[name] for name in scene.relights}, [SHADED_SAMPLES])
+    nvs = mitsuba_peer.images(thing | state.materials, few, {"found": state.light}, [SHADED_SAMPLES])
+    relit = mitsuba_peer.images(thing | scaled, few, {name: scene.truth.lights[name] for name in scene.relights}, [SHADED_SAMPLES])
     for view, prediction, truth, row in zip(scene.views, predictions, truths, rows, strict=True):
         if view.name in few:
-            pictures_of = {light: relit[view.name, light].frames[0].rgba for light in scene.relights}
-            row |= view_figures(replace(prediction, shaded=nvs[view.name, "found"].frames[0].rgba, relit=pictures_of), truth)
+            images_of = {light: relit[view.name, light].frames[0].rgba for light in scene.relights}
+            row |= view_figures(replace(prediction, shaded=nvs[view.name, "found"].frames[0].rgba, relit=images_of), truth)
         else:
             materials = view_figures(prediction, truth)
             row |= {name: materials[name] for name in ("roughness_mae", "metallic_mae") if name in materials}
@@ -186,11 +185,11 @@ def _prediction(camera: Camera, layers: dict[str, np.ndarray]) -> Prediction:
     alpha = layers["alpha"]
     none = np.zeros((*alpha.shape, 3), np.float32)
     materials = (layers["albedo"], layers["roughness"], layers["metallic"])
-    return Prediction(ViewBuffers(camera, alpha, none[..., 0], none, none, *materials), np.zeros((*alpha.shape, 4), np.float32))
+    return Prediction(GBuffer(camera, alpha, none[..., 0], none, none, *materials), np.zeros((*alpha.shape, 4), np.float32))
 
 
 def _albedo(albedo: np.ndarray, scale, alpha: np.ndarray) -> np.ndarray:
-    return pictures.over(pictures.colour(albedo * np.asarray(scale), alpha), 0.0)
+    return visualisation.over(visualisation.colour(albedo * np.asarray(scale), alpha), 0.0)
 
 
 def _map(light: np.ndarray) -> np.ndarray:
@@ -202,7 +201,7 @@ def _map(light: np.ndarray) -> np.ndarray:
 
 
 def blocks(results: Results) -> Iterator[Block]:
-    """Figures of all scenes, and pictures."""
+    """Figures of all scenes, and visualisation."""
     rows = [
         [r.scene, r.configuration.removeprefix(PREFIX), r.figures["seconds"], r.counted.get("iterations"), *map(r.figures.get, FIGURES)]
         for r in results.records(prefix=PREFIX)
@@ -216,5 +215,5 @@ def blocks(results: Results) -> Iterator[Block]:
         f"seconds are without compiling. New views and relit ones are of {SHADED} test views, by each one's own renderer."
     )
     yield Table("Materials and light at equal time, the shape given", ["scene", "by", "seconds", "iterations", *UNITS], rows)
-    shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix=PREFIX)]
-    yield Pictures("Albedo after the scale, and light", shown)
+    shown = [[(f"{r.scene}: {name}", file) for name, file in r.images.items()] for r in results.records(prefix=PREFIX)]
+    yield Images("Albedo after the scale, and light", shown)

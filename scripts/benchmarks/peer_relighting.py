@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ours, Mitsuba and Cycles relighting one object, in turns: error by seconds of each, each against its own converged picture."""
+"""Ours, Mitsuba and Cycles relighting one object, in turns: error by seconds of each, each against its own converged image."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Container, Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from irgspp.core.evaluation.cycles import CyclesPass, cycles_pictures
+from irgspp.core.evaluation.cycles import CyclesPass, cycles_images
 from irgspp.core.evaluation.metrics import on_black, psnr
 from irgspp.core.progress.protocol import Silent
 
@@ -26,7 +26,7 @@ EVERYONE = (OURS, OURS_NOISY, *PEERS)
 
 @dataclass(frozen=True)
 class Effort:
-    """Samples of each, of the peers' converged pictures, and how often all take turns."""
+    """Samples of each, of the peers' converged images, and how often all take turns."""
 
     counts: dict[str, tuple[int, ...]]
     converged: int
@@ -49,7 +49,7 @@ QUICK = Effort({OURS: (16, 64), OURS_NOISY: (64,), MITSUBA: (1, 8, 64), CYCLES: 
 
 @dataclass(frozen=True)
 class Point:
-    """Of so many samples a pixel: seconds, CPU seconds of all threads, and PSNR in dB over the object to the own converged picture."""
+    """Of so many samples a pixel: seconds, CPU seconds of all threads, and PSNR in dB over the object to the own converged image."""
 
     samples: int
     seconds: float
@@ -62,11 +62,11 @@ class Duel:
     """What was measured.
 
     Attributes:
-        rounds: of each round, points by renderer. pictures: converged, by renderer, (H, W, 3) encoded.
+        rounds: of each round, points by renderer. images: converged, by renderer, (H, W, 3) encoded.
     """
 
     rounds: list[dict[str, list[Point]]]
-    pictures: dict[str, np.ndarray]
+    images: dict[str, np.ndarray]
 
     def points(self, name: str) -> list[Point]:
         """Of one renderer, medians over the rounds."""
@@ -86,7 +86,7 @@ class Duel:
         return statistics.median(ratios) if ratios else None
 
     def at_our_time(self, ours: Point, peer: str) -> float | None:
-        """The peer's PSNR after our seconds: the median of the rounds; None where its first picture takes longer."""
+        """The peer's PSNR after our seconds: the median of the rounds; None where its first image takes longer."""
         found = []
         for one in self.rounds:
             mine = next(p for p in one[OURS] if p.samples == ours.samples)
@@ -109,7 +109,7 @@ def seconds_to(points: Sequence[Point], wanted: float, clock: str = "seconds") -
 
 
 def psnr_at(points: Sequence[Point], seconds: float) -> float | None:
-    """PSNR after so many seconds, between measured points by the logarithm of the time; None before the first picture."""
+    """PSNR after so many seconds, between measured points by the logarithm of the time; None before the first image."""
     if not points or seconds < points[0].seconds:
         return None
     times = np.maximum.accumulate([p.seconds for p in points])
@@ -159,7 +159,7 @@ Found = tuple[dict[str, list[Frame]], dict[str, np.ndarray]]
 def _mitsuba(studio: Studio, place: Place, light: np.ndarray, effort: Effort, first: bool) -> Found:
     views, lights = {"view": place.view.camera}, {"light": light}
     counts, converged = effort.counts[MITSUBA], effort.converged if first else 0
-    shots = mitsuba_peer.pictures(mitsuba_peer.textured(studio.run), views, lights, counts, converged)["view", "light"]
+    shots = mitsuba_peer.images(mitsuba_peer.textured(studio.run), views, lights, counts, converged)["view", "light"]
     limit = {} if shots.converged is None else {MITSUBA: on_black(shots.converged)}
     return {MITSUBA: shots.frames}, limit
 
@@ -167,10 +167,9 @@ def _mitsuba(studio: Studio, place: Place, light: np.ndarray, effort: Effort, fi
 def _cycles(studio: Studio, place: Place, light: np.ndarray, effort: Effort, first: bool) -> Found:
     passes = [CyclesPass(n, denoise) for name, denoise in ((CYCLES, True), (CYCLES_NOISY, False)) for n in effort.counts[name]]
     passes += [CyclesPass(effort.converged, False)] if first else []
-    made = cycles_pictures(studio.run, {"view": place.view.camera}, {"light": light}, passes, Silent())["view", "light"]
+    made = cycles_images(studio.run, {"view": place.view.camera}, {"light": light}, passes, Silent())["view", "light"]
     limit = {CYCLES: on_black(made.pop().rgba)} if first else {}
     frames = [
-        Frame(one.samples, picture.seconds, picture.cpu_seconds, picture.rgba, one.denoise)
-        for one, picture in zip(passes, made, strict=False)
+        Frame(one.samples, image.seconds, image.cpu_seconds, image.rgba, one.denoise) for one, image in zip(passes, made, strict=False)
     ]
     return {name: [f for f in frames if f.denoised == denoised] for name, denoised in ((CYCLES, True), (CYCLES_NOISY, False))}, limit

@@ -8,14 +8,14 @@ from dataclasses import asdict
 from functools import partial
 
 import numpy as np
-from irgspp.core.evaluation import visualisation as pictures
+from irgspp.core.evaluation import visualisation
 from irgspp.core.evaluation.metrics import on_black, psnr
 from irgspp.core.machine.blender_process import NoBlender, blender_command
 
 from . import mitsuba_peer, peer_inverse
 from .bench import Bench, Scene
 from .peer_relighting import CYCLES, EVERYONE, FULL, MITSUBA, OURS, PEERS, QUICK, Duel, fight, renderer_of
-from .section import Block, Chart, Figures, Measurement, Note, Pictures, Series, Table, Task
+from .section import Block, Chart, Figures, Images, Measurement, Note, Series, Table, Task
 from .store import Results
 from .studio import studio
 
@@ -24,13 +24,13 @@ TITLE = "Peers: Mitsuba 3 and Cycles"
 ABOUT = (
     "The exported mesh with its textures under a new light, by us, by Mitsuba 3 (path tracer, our BRDF as its plugin, all bounces; it has "
     "no denoiser for a CPU) and by Cycles (all bounces, with and without OpenImageDenoise), in as many threads. Error: PSNR over the "
-    "object's pixels, each renderer against its own converged picture; what these differ by is told apart. We look at the Gaussians first "
+    "object's pixels, each renderer against its own converged image; what these differ by is told apart. We look at the Gaussians first "
     "and at one bounce of indirect light, the others at the mesh. Seconds: of a frame with the scene loaded and everything compiled; all "
     "took turns."
 )
 ONCE = False
 PRINCIPLED = "Mitsuba, its own BRDF"
-SHARE = 0.1  # difference that is white in the pictures
+SHARE = 0.1  # difference that is white in the images
 SAMPLES = 64  # of the comparison of BRDFs
 
 
@@ -73,17 +73,17 @@ def without() -> dict[str, str]:
 
 
 def _difference(duel, absent: dict[str, str]) -> Measurement:
-    """Of the converged pictures, over the pixels that show the object in any."""
-    shown = duel().pictures
+    """Of the converged images, over the pixels that show the object in any."""
+    shown = duel().images
     figures: Figures = {"about Mitsuba": absent.get(MITSUBA) or mitsuba_peer.described()}
     figures["about Cycles"] = absent.get(CYCLES) or "of the Blender above"
-    made = {name: np.round(255 * picture.clip(0, 1)).astype(np.uint8) for name, picture in shown.items()}
+    made = {name: np.round(255 * image.clip(0, 1)).astype(np.uint8) for name, image in shown.items()}
     for a, b in ((OURS, MITSUBA), (OURS, CYCLES), (MITSUBA, CYCLES)):
         if a in shown and b in shown:
             seen = (shown[a].max(-1) > 0) | (shown[b].max(-1) > 0)
             error = np.abs(shown[a] - shown[b])
             figures |= {f"{a} and {b}, mean": float(error[seen].mean()), f"{a} and {b}, psnr": psnr(shown[a], shown[b])}
-            made[f"{a} and {b}, difference to {SHARE}"] = pictures.over(pictures.heat(error.max(-1), SHARE), 0.0)
+            made[f"{a} and {b}, difference to {SHARE}"] = visualisation.over(visualisation.heat(error.max(-1), SHARE), 0.0)
     return Measurement(figures, {}, made)
 
 
@@ -108,11 +108,11 @@ def _principled(bench: Bench, scene: Scene) -> Measurement:
     views, lights = {"view": place.view.camera}, {"light": scene.truth.lights[place.light]}
     figures, converged = {}, {}
     for brdf in ("ours", "principled"):
-        shots = mitsuba_peer.pictures(thing, views, lights, [SAMPLES], 4 * SAMPLES, brdf)["view", "light"]
+        shots = mitsuba_peer.images(thing, views, lights, [SAMPLES], 4 * SAMPLES, brdf)["view", "light"]
         assert shots.converged is not None
         figures[f"{brdf}: seconds"], converged[brdf] = shots.frames[0].seconds, on_black(shots.converged)
     difference = np.abs(converged["ours"] - converged["principled"])[place.inside].mean()
-    one_bounce = mitsuba_peer.pictures(thing, views, lights, [SAMPLES], bounces=1)["view", "light"].frames[0].seconds
+    one_bounce = mitsuba_peer.images(thing, views, lights, [SAMPLES], bounces=1)["view", "light"].frames[0].seconds
     return Measurement({**figures, "one bounce: seconds": one_bounce, "samples": SAMPLES, "difference": float(difference)})
 
 
@@ -127,10 +127,10 @@ def blocks(results: Results) -> Iterator[Block]:
     yield Chart(
         "Relighting: error against time",
         "seconds a frame ↓",
-        "PSNR to the own converged picture, dB ↑",
+        "PSNR to the own converged image, dB ↑",
         panels,
         log_y=False,
-        picture="benchmark_peers",
+        image="benchmark_peers",
     )
     columns = ["scene", "our samples", "our dB", "our seconds"]
     columns += [f"{peer}: {what}" for peer in PEERS for what in ("times as long for that ↓", "times the CPU ↓", "dB in our time ↑")]
@@ -140,11 +140,11 @@ def blocks(results: Results) -> Iterator[Block]:
         values = [f.get(f"{peer}: {what}") for peer in PEERS for what in ("times as long", "times the CPU", "psnr")]
         rows.append([record.scene, f["samples"], f["psnr"], f["seconds"], *values])
     yield Table(
-        "Time to our error, and error at our time (dash: not reached with the most samples tried, or no picture as soon)", columns, rows
+        "Time to our error, and error at our time (dash: not reached with the most samples tried, or no image as soon)", columns, rows
     )
     yield from _differences(results, scenes)
-    shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix="difference")]
-    yield Pictures("Converged pictures, and where they differ", shown)
+    shown = [[(f"{r.scene}: {name}", file) for name, file in r.images.items()] for r in results.records(prefix="difference")]
+    yield Images("Converged images, and where they differ", shown)
     yield from peer_inverse.blocks(results)
 
 
@@ -160,7 +160,7 @@ def _differences(results: Results, scenes: list[str]) -> Iterator[Block]:
         for scene in scenes
     ]
     columns = ["scene", *(f"{a}, {b}: {what}" for a, b in pairs for what in ("mean ↓", "dB ↑"))]
-    yield Table("Converged pictures: mean difference of encoded values on the object, and PSNR", columns, rows)
+    yield Table("Converged images: mean difference of encoded values on the object, and PSNR", columns, rows)
     rows = [
         [r.scene, *(r.figures[f"{what}: seconds"] for what in ("ours", "principled", "one bounce")), r.figures["difference"]]
         for r in results.records(prefix=PRINCIPLED)

@@ -38,7 +38,7 @@ def _exhausted(transmittance):
 
 
 @kernel
-def plain_range(begin, end, start, entries, record, feature, box, columns, picture, stride, plane):
+def plain_range(begin, end, start, entries, record, feature, box, columns, image, stride, plane):
     """`rasterize_range`, one pixel at a time."""
     features = feature.shape[1]
     acc = np.empty((features + 1, TILE, TILE), np.float32)
@@ -72,32 +72,32 @@ def plain_range(begin, end, start, entries, record, feature, box, columns, pictu
                 opaque = left <= _STOP
                 scale = _ONE / (_ONE - left) if opaque else _ONE
                 for channel in range(features + 1):
-                    picture[channel * plane + at] = acc[channel, row, column] * scale
-                picture[(features + 1) * plane + at] = _ONE if opaque else _ONE - left
-                picture[(features + 2) * plane + at] = left
+                    image[channel * plane + at] = acc[channel, row, column] * scale
+                image[(features + 1) * plane + at] = _ONE if opaque else _ONE - left
+                image[(features + 2) * plane + at] = left
 
 
 @kernel
-def _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, s_total):
+def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total):
     """A tile's upstream gradients, as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
     for row in range(TILE):
         for column in range(TILE):
             at = (y0 + row) * stride + x0 + column
-            left = picture[channels * plane + at]
+            left = image[channels * plane + at]
             opaque = left <= _STOP
             scale = _ONE / (_ONE - left) if opaque else _ONE
             s = _ZERO
             for channel in range(channels - 1):
                 g = gradient[channel * plane + at]
                 g_tile[channel, row, column] = g * scale
-                s += g * picture[channel * plane + at]
+                s += g * image[channel * plane + at]
             g = gradient[(channels - 1) * plane + at]
             g_tile[channels - 1, row, column] = -s * scale if opaque else g
             s_total[row, column] = _ZERO if opaque else s + g * (_ONE - left)
 
 
 @kernel
-def plain_backward_range(slot, begin, end, start, entries, record, feature, box, columns, picture, gradient, stride, plane, slots):
+def plain_backward_range(slot, begin, end, start, entries, record, feature, box, columns, image, gradient, stride, plane, slots):
     """`rasterize_backward_range`, one pixel at a time."""
     features = feature.shape[1]
     g_tile = np.empty((features + 2, TILE, TILE), np.float32)
@@ -107,7 +107,7 @@ def plain_backward_range(slot, begin, end, start, entries, record, feature, box,
     out = slots[slot]
     for tile in range(begin, end):
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        _load_gradients(gradient, picture, stride, plane, x0, y0, features + 2, g_tile, s_total)
+        _load_gradients(gradient, image, stride, plane, x0, y0, features + 2, g_tile, s_total)
         s_run[:] = _ZERO
         transmittance[:] = _ONE
         for entry in range(start[tile], start[tile + 1]):

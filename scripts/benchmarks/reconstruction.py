@@ -8,14 +8,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from irgspp.core.evaluation import metrics
-from irgspp.core.evaluation import visualisation as pictures
+from irgspp.core.evaluation import metrics, visualisation
 from irgspp.core.relight.backends import best_backend
 from irgspp.core.scene.gaussians import load_gaussians
 
 from .bench import PRESETS, Bench, Scene
 from .runs import Run, RunPlan
-from .section import Block, Chart, Figures, Measurement, Note, Pictures, Series, Table, Task
+from .section import Block, Chart, Figures, Images, Measurement, Note, Series, Table, Task
 from .store import Results
 from .studio import Way, studio
 
@@ -38,7 +37,7 @@ COLUMNS = {
     "metallic_mae": "metallic ↓",
 }
 NOTICED = 0.1  # dB
-IRGS = ("transport.sampling=stratified", "transport.samples=512")
+IRGS = ("second.sampling=stratified", "second.samples=512")
 # What one part brings: title, then the configurations that are set side by side.
 PARTS = {
     "Light between the object's parts, traced through the Gaussians (2DGRT), in training": ("balanced", "without indirect light"),
@@ -55,7 +54,7 @@ HEADLINE = {  # IRGS, and IRGS++ twice: how a run is made, how it is relit
 def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
     """By configuration. What needs a run for each scene kind alone is made on the first scene of either kind."""
     found = {preset: bench.plan(preset, preset=preset) for preset in bench.presets}
-    found["without indirect light"] = bench.plan("no-indirect", "transport.indirect=off", seconds=115)
+    found["without indirect light"] = bench.plan("no-indirect", "second.indirect=off", seconds=115)
     if scene.glossy:
         found["without reflections"] = bench.plan("no-reflections", materials="low-gloss")
     if scene in (bench.of_kind(True), bench.of_kind(False)):
@@ -115,11 +114,11 @@ def _first(bench: Bench, scene: Scene) -> Measurement:
         raise RuntimeError(f"{run.first} is missing: the first stage's result was not kept")
     evaluated = bench.evaluation(scene, run.first, settings_of=run.path)["figures"]
     seconds = run.phase_seconds()
-    return Measurement(_figures(evaluated) | {"seconds": seconds["read"] + seconds["reflective"]})
+    return Measurement(_figures(evaluated) | {"seconds": seconds["read"] + seconds["first stage"]})
 
 
 def _headline(bench: Bench, scene: Scene, plan: RunPlan, way: Way, samples: str | int) -> Measurement:
-    """Against the true relit pictures of a few views, with the scale of the albedo that all views give."""
+    """Against the true relit images of a few views, with the scale of the albedo that all views give."""
     run = bench.run(scene, plan)
     scale, one = bench.evaluation(scene, run.path)["albedo_scale"], studio(bench, scene, run.path)
     relighter = one.relighter(way, samples).scaled(scale)
@@ -128,13 +127,13 @@ def _headline(bench: Bench, scene: Scene, plan: RunPlan, way: Way, samples: str 
         ours = metrics.on_black(relighter.relit(relighter.surface(place.view.camera), place.prepared).numpy())
         rows.append((metrics.psnr(ours, place.true), metrics.ssim(ours, place.true)))
         if not shown:
-            error = pictures.heat(np.abs(ours - place.true).max(-1), 0.2)[..., :3]
+            error = visualisation.heat(np.abs(ours - place.true).max(-1), 0.2)[..., :3]
             shown = {"true": place.true, "ours": ours, "error to 0.2": error}
     seconds, turned = one.seconds(way, samples, bench.repeats), one.turned_seconds(way, samples, bench.repeats)
     psnr, ssim = np.mean(rows, 0)
     figures = {"relight_psnr": float(psnr), "relight_ssim": float(ssim), "frame_seconds": seconds, "turned_seconds": turned}
     about = {"train_seconds": run.seconds, "backend": way.backend if way.backend == "gaussian" else best_backend(run.path)}
-    encoded = {name: np.round(255 * np.clip(picture, 0, 1)).astype(np.uint8) for name, picture in shown.items()}
+    encoded = {name: np.round(255 * np.clip(image, 0, 1)).astype(np.uint8) for name, image in shown.items()}
     return Measurement({**figures, **about}, {"samples": sum(relighter.counts)}, encoded)
 
 
@@ -144,14 +143,14 @@ def _headline(bench: Bench, scene: Scene, plan: RunPlan, way: Way, samples: str 
 def blocks(results: Results) -> Iterator[Block]:
     scenes = [scene for scene in results.scenes if any(results.figure(scene, preset, "seconds") for preset in PRESETS)]
     timed = [scene for scene in scenes if any(" min" in r.configuration for r in results.records(scene))]
-    for name, title, picture in (
+    for name, title, image in (
         ("relight_psnr", "relit", "benchmark_reconstruction"),
         ("nvs_psnr", "NVS", ""),
         ("normal_mae", "normals", ""),
     ):
         panels = {scene: list(_curves(results, scene, name)) for scene in timed}
         if panels:
-            yield Chart(f"Equal time: {title}", "seconds of the whole job ↓", COLUMNS[name], panels, log_y=False, picture=picture)
+            yield Chart(f"Equal time: {title}", "seconds of the whole job ↓", COLUMNS[name], panels, log_y=False, image=image)
     rows = [_row(results, scene, c) for scene in scenes for c in _configurations(results, scene) if " min" in c or c in PRESETS]
     if rows:
         yield Table("Presets, and what a time budget gives", ["scene, configuration", "seconds ↓", *COLUMNS.values()], rows)
@@ -223,16 +222,16 @@ def _headline_blocks(results: Results) -> Iterator[Block]:
         columns = ("", "samples", "relit dB ↑", "SSIM ↑", "frames/s ↑", "light turned, frames/s ↑", "times as fast ↑", "training s ↓")
         yield Table("The paper's headline: IRGS (strata, no metal, no denoiser, secondary rays on Gaussians) against IRGS++", columns, rows)
         yield Note("The paper, on a GPU: from 0.5 to 25 frames a second, 50 times as fast, at better quality.")
-        yield Pictures("A view under a new light by each", list(_headline_pictures(results)))
+        yield Images("A view under a new light by each", list(_headline_images(results)))
 
 
-def _headline_pictures(results: Results) -> Iterator[list[tuple[str, str]]]:
-    """A row for each scene: the true picture, then each configuration's with its error (efficient looks like HQ)."""
+def _headline_images(results: Results) -> Iterator[list[tuple[str, str]]]:
+    """A row for each scene: the true image, then each configuration's with its error (efficient looks like HQ)."""
     for scene in results.scenes:
         row = []
         for name in list(HEADLINE)[:2]:
             record = results.get(scene, f"headline, {name}")
-            files = record.pictures if record else {}
+            files = record.images if record else {}
             row += [(f"{scene}: true", files["true"])] if files and not row else []
             row += [(f"{name}{what}", files[key]) for key, what in (("ours", ""), ("error to 0.2", ", error to 0.2")) if files]
         if row:

@@ -12,14 +12,13 @@ from functools import partial
 
 import numpy as np
 import torch
-from irgspp.core.evaluation import metrics
-from irgspp.core.evaluation import visualisation as pictures
+from irgspp.core.evaluation import metrics, visualisation
 from irgspp.core.relight.mesh_query import MeshQuery
 from irgspp.core.relight.relighter import Relighter
 from irgspp.core.relight.secondary_query import Hits, SurfaceQuery
 
 from .bench import Bench, Scene
-from .section import Block, Chart, Measurement, Note, Pictures, Series, Table, Task
+from .section import Block, Chart, Images, Measurement, Note, Series, Table, Task
 from .store import Results
 from .studio import Way, studio
 from .timing import medians
@@ -27,7 +26,7 @@ from .timing import medians
 NAME = "relighting"
 TITLE = "Relighting: error against time and samples"
 ABOUT = (
-    "A view under a new light. Error: root mean square over the object's pixels against the converged picture of the same renderer "
+    "A view under a new light. Error: root mean square over the object's pixels against the converged image of the same renderer "
     "(not denoised). Seconds of a frame: all of it, from the camera on, on a run that is open. full: multiple importance sampling "
     "(MIS), denoised, secondary rays on the mesh. Without MIS: strata of the hemisphere; without mesh: secondary rays on the Gaussians."
 )
@@ -44,7 +43,7 @@ WAYS = {
     "with neither MIS nor denoiser": Way(denoise="off", sampling="stratified"),
     "with the paper's denoiser": Way(denoise="paper"),
 }
-MAIN = tuple(WAYS)[:3]  # of the pictures that are shown
+MAIN = tuple(WAYS)[:3]  # of the images that are shown
 TO_ERROR, ERRORS = "to an error", (0.02, 0.01, 0.005, 0.0025)
 PLAIN = "with neither MIS nor denoiser"
 SPEEDS = {"mesh": "mesh", "gaussian": "gaussian"}
@@ -86,7 +85,7 @@ def _to_error(bench: Bench, scene: Scene, error: float) -> Measurement:
 
 
 def _indirect(bench: Bench, scene: Scene, indirect: bool) -> Measurement:
-    """Against the true pictures, with the albedo's scale that `evaluate` finds: only then does brightness say something."""
+    """Against the true images, with the albedo's scale that `evaluate` finds: only then does brightness say something."""
     one, run = studio(bench, scene), bench.run(scene, bench.balanced())
     scale = bench.evaluation(scene, run.path)["albedo_scale"]
     values = []
@@ -144,11 +143,11 @@ def _rays(bench: Bench, scene: Scene) -> Measurement:
 
 
 def _shown(bench: Bench, scene: Scene) -> Measurement:
-    """16 samples by each way beside the true picture."""
+    """16 samples by each way beside the true image."""
     one = studio(bench, scene)
     place, shown = one.places[0], {"true": one.places[0].true, "converged": one.converged("mesh", 0)}
-    shown |= {f"{way}, 16 samples": one.picture(WAYS[way], 16, place) for way in MAIN}
-    error = pictures.heat(np.abs(shown["full, 16 samples"] - shown["converged"]).max(-1), 0.2)[..., :3]
+    shown |= {f"{way}, 16 samples": one.image(WAYS[way], 16, place) for way in MAIN}
+    error = visualisation.heat(np.abs(shown["full, 16 samples"] - shown["converged"]).max(-1), 0.2)[..., :3]
     shown["full to converged, error to 0.2"] = error
     return Measurement({"light": place.light}, {}, {n: np.round(255 * p.clip(0, 1)).astype(np.uint8) for n, p in shown.items()})
 
@@ -161,15 +160,15 @@ def blocks(results: Results) -> Iterator[Block]:
     if scenes:
         panels = {scene: [_series(results, scene, way, "seconds") for way in (*WAYS, TO_ERROR)] for scene in scenes}
         label = "error (rms of encoded values) ↓"
-        yield Chart("Error against time of a frame", "seconds a frame ↓", label, panels, picture="benchmark_relighting")
+        yield Chart("Error against time of a frame", "seconds a frame ↓", label, panels, image="benchmark_relighting")
         panels = {scene: [_series(results, scene, way, "samples") for way in WAYS] for scene in scenes}
         yield Chart("Error against samples a pixel", "samples a pixel", label, panels)
     for scene in scenes:
         yield _table(results, scene)
     yield from _summaries(results)
-    shown = [[(f"{r.scene}: {name}", file) for name, file in r.pictures.items()] for r in results.records(prefix="pictures")]
+    shown = [[(f"{r.scene}: {name}", file) for name, file in r.images.items()] for r in results.records(prefix="pictures")]
     if shown:
-        yield Pictures("A view under a new light", shown)
+        yield Images("A view under a new light", shown)
 
 
 def _points(results: Results, scene: str, way: str) -> list[dict]:
@@ -189,7 +188,7 @@ def _table(results: Results, scene: str) -> Table:
         known = {p["samples"]: p for p in _points(results, scene, way)}
         row = [f"{known[n]['converged_psnr']:.1f} dB, {1000 * known[n]['seconds']:.0f} ms" if n in known else None for n in counts]
         rows.append([way, *row])
-    return Table(f"{scene}: PSNR to the converged picture ↑, and time of a frame ↓, by samples a pixel", ["", *map(str, counts)], rows)
+    return Table(f"{scene}: PSNR to the converged image ↑, and time of a frame ↓, by samples a pixel", ["", *map(str, counts)], rows)
 
 
 def _summaries(results: Results) -> Iterator[Block]:

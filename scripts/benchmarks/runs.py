@@ -147,7 +147,7 @@ def _keep_first(path: Path, first: Path) -> None:
         phases = read_run(path)["phases"]
     except (IrgsppError, KeyError):
         return  # not written yet
-    if phases.get("reflective", {}).get("finished"):
+    if phases.get("first stage", {}).get("finished"):
         partial = first.with_name(first.name + ".part")
         shutil.rmtree(partial, ignore_errors=True)
         shutil.copytree(source, partial)

@@ -33,12 +33,12 @@ class Measurement:
     Attributes:
         figures: name to number, or to a short text; units are in the name ("seconds", "relight_psnr").
         counted: work done as counts (rays, hits, pixels, samples, iterations), which a busy machine does not change.
-        pictures: name to (H, W, 3) uint8; kept as PNG files beside the results.
+        images: name to (H, W, 3) uint8; kept as PNG files beside the results.
     """
 
     figures: Figures
     counted: dict[str, int] = field(default_factory=dict)
-    pictures: dict[str, np.ndarray] = field(default_factory=dict)
+    images: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Chart:
-    """Curves of one or several panels side by side (title of each to its series); `picture` names the PNG that docs/ gets of it."""
+    """Curves of one or several panels side by side (title of each to its series); `image` names the PNG that docs/ gets of it."""
 
     title: str
     x: str
@@ -101,18 +101,18 @@ class Chart:
     panels: Mapping[str, Sequence[Series]]
     log_x: bool = True
     log_y: bool = True
-    picture: str = ""
+    image: str = ""
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """Rows of pictures: (caption, file relative to the report's folder)."""
+class Images:
+    """Rows of images: (caption, file relative to the report's folder)."""
 
     title: str
     rows: Sequence[Sequence[tuple[str, str]]]
 
 
-Block = Note | Table | Chart | Pictures
+Block = Note | Table | Chart | Images
 
 
 def shown(value: str | float | int | None) -> str:

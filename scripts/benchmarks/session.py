@@ -93,8 +93,8 @@ class Session:
         try:
             found = step.task.work()
             figures = {name: _plain(value) for name, value in found.figures.items()}
-            kept = {name: self._keep(step, name, picture) for name, picture in found.pictures.items()}
-            record = Record(*step.key, figures=figures, counted=found.counted, pictures=kept)
+            kept = {name: self._keep(step, name, image) for name, image in found.images.items()}
+            record = Record(*step.key, figures=figures, counted=found.counted, images=kept)
         except Exception as error:
             line = f"{type(error).__name__}: {' '.join(str(error).split())}"
             self.say(f"failed: {' '.join(step.key)}: {line}")
@@ -103,10 +103,10 @@ class Session:
             record = Record(*step.key, status="failed", error=line)
         return replace(record, seconds=round(time.monotonic() - self._began, 3), environment=self.store.current)
 
-    def _keep(self, step: Step, name: str, picture: np.ndarray) -> str:
+    def _keep(self, step: Step, name: str, image: np.ndarray) -> str:
         file = Path("pictures", "-".join("".join(c if c.isalnum() else "_" for c in part) for part in (*step.key, name)) + ".png")
         (self.store.folder / "pictures").mkdir(parents=True, exist_ok=True)
-        Image.fromarray(picture).save(self.store.folder / file)
+        Image.fromarray(image).save(self.store.folder / file)
         return file.as_posix()
 
     # --- the line on the terminal

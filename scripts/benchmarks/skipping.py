@@ -75,11 +75,11 @@ def _relit(bench: Bench, scene: Scene, rule: str) -> Measurement:
     relighters = {choice: one.relighter(Way(), "efficient", replace(SkipSettings(), **{rule: choice})) for choice in ("auto", "off")}
     surfaces = {choice: relighter.surface(one.places[0].view.camera) for choice, relighter in relighters.items()}
 
-    def picture(choice: str, light: PreparedLight) -> np.ndarray:
+    def image(choice: str, light: PreparedLight) -> np.ndarray:
         return metrics.on_black(relighters[choice].relit(surfaces[choice], light).numpy())
 
-    found = medians({choice: lambda c=choice: [picture(c, light) for light in lights] for choice in relighters}, bench.repeats)
-    ours, without = (picture(choice, lights[0]) for choice in ("auto", "off"))
+    found = medians({choice: lambda c=choice: [image(c, light) for light in lights] for choice in relighters}, bench.repeats)
+    ours, without = (image(choice, lights[0]) for choice in ("auto", "off"))
     limit, inside = one.converged("mesh", 0), one.places[0].inside
     errors = [float(np.sqrt(np.square(p - limit)[inside].mean())) for p in (ours, without)]
     figures = {"frame_seconds": found["auto"] / len(lights), "off_frame_seconds": found["off"] / len(lights)}

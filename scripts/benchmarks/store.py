@@ -25,7 +25,7 @@ class Record:
 
     Attributes:
         status: "done" or "failed"; error: why it failed, one line.
-        figures, counted: see `section.Measurement`. pictures: name to a file's path in the store's folder.
+        figures, counted: see `section.Measurement`. images: name to a file's path in the store's folder.
         seconds: of the whole measurement, wall clock, reconstructions that had to be made for it included.
         environment: which of the store's environments (machine and versions) it was made in.
     """
@@ -37,7 +37,7 @@ class Record:
     error: str = ""
     figures: dict[str, Any] = field(default_factory=dict)
     counted: dict[str, int] = field(default_factory=dict)
-    pictures: dict[str, str] = field(default_factory=dict)
+    images: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
     environment: str = ""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run that is relit in all the ways that are compared, and the pictures that each way tends to."""
+"""A run that is relit in all the ways that are compared, and the images that each way tends to."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLACES = 2  # pairs of a view and a light that errors are means over
 
 @dataclass(frozen=True)
 class Way:
-    """How pictures are made."""
+    """How images are made."""
 
     backend: Backend = "mesh"
     denoise: Literal["demodulated", "paper", "off"] = "demodulated"
@@ -38,7 +38,7 @@ class Way:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A view under a light, with its true picture (H, W, 3) encoded, and where the object is."""
+    """A view under a light, with its true image (H, W, 3) encoded, and where the object is."""
 
     view: View
     light: str
@@ -48,36 +48,36 @@ class Place:
 
 
 class Studio:
-    """A run and the places that it is relit at; converged pictures are made once."""
+    """A run and the places that it is relit at; converged images are made once."""
 
     def __init__(self, run: Path, places: list[Place], converged: dict[str, int]) -> None:
         self.run, self.places, self._converged = run, places, converged
         self.reconstruction = Reconstruction.load(run)
-        self._pictures: dict[tuple[str, int], np.ndarray] = {}
+        self._images: dict[tuple[str, int], np.ndarray] = {}
 
     def relighter(self, way: Way, samples: str | int, skip: SkipSettings | None = None) -> Relighter:
-        """With nothing remembered from other pictures."""
+        """With nothing remembered from other images."""
         rules = skip or SkipSettings()
         how = RelightSettings(samples, way.sampling, way.denoise, way.indirect, skip=rules, error=way.error)
         return open_relighter(self.run, self.reconstruction, way.backend, how)
 
-    def picture(self, way: Way, samples: str | int, place: Place) -> np.ndarray:
+    def image(self, way: Way, samples: str | int, place: Place) -> np.ndarray:
         """(H, W, 3) encoded, on black."""
         one = self.relighter(way, samples)
         return metrics.on_black(one.relit(one.surface(place.view.camera), place.prepared).numpy())
 
     def converged(self, backend: Backend, number: int) -> np.ndarray:
-        """The picture that a backend's pictures tend to."""
-        if (backend, number) not in self._pictures:
+        """The image that a backend's images tend to."""
+        if (backend, number) not in self._images:
             way = Way(backend, denoise="off")
-            self._pictures[backend, number] = self.picture(way, self._converged[backend], self.places[number])
-        return self._pictures[backend, number]
+            self._images[backend, number] = self.image(way, self._converged[backend], self.places[number])
+        return self._images[backend, number]
 
     def errors(self, way: Way, samples: str | int) -> dict[str, float]:
-        """Root mean square error and PSNR against the converged picture, and PSNR against the true one; means over the places."""
+        """Root mean square error and PSNR against the converged image, and PSNR against the true one; means over the places."""
         rows = []
         for number, place in enumerate(self.places):
-            ours, limit = self.picture(way, samples, place), self.converged(way.backend, number)
+            ours, limit = self.image(way, samples, place), self.converged(way.backend, number)
             rms = float(np.sqrt(np.square(ours - limit)[place.inside].mean()))
             rows.append((rms, metrics.psnr(ours, limit), metrics.psnr(ours, place.true)))
         rms, converged, true = np.mean(rows, 0)
@@ -102,7 +102,7 @@ def studio(bench: Bench, scene: Scene, run: Path | None = None) -> Studio:
     """Of the balanced run of a scene, or of another run of it; kept while the benchmark is at it."""
     path = run or bench.run(scene, bench.balanced()).path
     if path not in _studios:
-        _studios.clear()  # of scenes before: converged pictures and trees are large
+        _studios.clear()  # of scenes before: converged images and trees are large
         _studios[path] = Studio(path, places(scene), QUICK_CONVERGED if bench.quick else CONVERGED)
     return _studios[path]
 

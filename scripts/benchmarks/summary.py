@@ -84,4 +84,4 @@ def _duels(store: Store) -> Iterator[tuple[str, str, float]]:
                 yield name.removesuffix(": times as long"), where, ratio
     for record in Results(store, "kernels").records(prefix="by "):
         ratio = record.figures["their_ms"] / record.figures["ours_ms"]
-        yield f"rasteriser by {record.configuration.removeprefix('by ')}", "the same picture", ratio
+        yield f"rasteriser by {record.configuration.removeprefix('by ')}", "the same image", ratio

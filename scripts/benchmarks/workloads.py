@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work for the rasteriser's and the ray tracer's kernels: disks all over a torus, seen by a camera, or by rays from its surface."""
+"""Work for the rasteriser's and the ray tracer's kernels: surfels all over a torus, seen by a camera, or by rays from its surface."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from irgspp.core.kernels.constants import NEAR, TILE
 from irgspp.core.kernels.constants import SPLAT_GRADIENTS as GEOMETRY
 from irgspp.core.kernels.constants import SPLAT_RECORD as RECORD
 from irgspp.core.kernels.cpu.binning import bin_tiles, depth_order
-from irgspp.core.kernels.cpu.bvh import DiskTree, flat
+from irgspp.core.kernels.cpu.bvh import SurfelTree, flat
 from irgspp.core.kernels.cpu.compositing import SH_ROW, SUMS, composite_backward_range, composite_range, pack_range
 from irgspp.core.kernels.cpu.projection import project_range
 from irgspp.core.kernels.cpu.raster import rasterize_backward_range, rasterize_range
@@ -32,7 +32,7 @@ from .plain_trace import plain_composite_backward_range, plain_composite_range, 
 
 EXTRAS = 4  # with colour, normal, depth and opacity: 12 channels
 MAJOR, MINOR = 1.0, 0.4  # radii of the torus
-OFFSET = 0.75  # where secondary rays start, along themselves, in spacings of the disks
+OFFSET = 0.75  # where secondary rays start, along themselves, in spacings of the surfels
 OURS, PLAIN = "ours", "numba, plain loops"
 RASTER = {OURS: (rasterize_range, rasterize_backward_range), PLAIN: (plain_range, plain_backward_range)}
 TRACE = {
@@ -51,7 +51,7 @@ class Splats:
     feature: np.ndarray
     box: np.ndarray
     columns: int
-    picture: np.ndarray
+    image: np.ndarray
     gradient: np.ndarray
     stride: int
     plane: int
@@ -64,14 +64,14 @@ class Splats:
         return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
     def forward(self, kernel: Callable[..., None]) -> None:
-        """Fill `picture`."""
+        """Fill `image`."""
         lists = self.start, self.entries, self.record, self.feature, self.box, self.columns
-        run_ranges(kernel, self.tiles, *lists, self.picture, self.stride, self.plane)
+        run_ranges(kernel, self.tiles, *lists, self.image, self.stride, self.plane)
 
     def backward(self, kernel: Callable[..., None]) -> None:
         """Add to `slots`."""
         lists = self.start, self.entries, self.record, self.feature, self.box, self.columns
-        run_ranges(kernel, self.tiles, *lists, self.picture, self.gradient, self.stride, self.plane, self.slots, numbered=True)
+        run_ranges(kernel, self.tiles, *lists, self.image, self.gradient, self.stride, self.plane, self.slots, numbered=True)
 
 
 def torus(count: int, seed: int, extras: int = EXTRAS) -> list[np.ndarray]:
@@ -101,7 +101,7 @@ def viewer(size: int) -> Camera:
 
 
 def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splats:
-    """The torus in a picture of size x size, with a random upstream gradient."""
+    """The torus in an image of size x size, with a random upstream gradient."""
     camera = viewer(size)
     record, feature = np.empty((count, RECORD), np.float32), np.empty((count, 6 + extras), np.float32)
     box, depth = np.empty((count, 4), np.int32), np.empty(count, np.float32)
@@ -111,24 +111,24 @@ def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splat
     start, entries = bin_tiles(depth_order(depth, box), box, columns, columns)
     stride, plane = columns * TILE, (columns * TILE) ** 2
     tiles = balanced_ranges(np.diff(start) + 1, thread_count())
-    picture = np.empty((9 + extras) * plane, np.float32)
+    image = np.empty((9 + extras) * plane, np.float32)
     gradient = np.random.default_rng(seed).normal(size=(8 + extras) * plane).astype(np.float32)
     slots = np.zeros((len(tiles), count, GEOMETRY + 6 + extras), np.float32)
-    return Splats(start, entries, record, feature, box, columns, picture, gradient, stride, plane, slots, tiles)
+    return Splats(start, entries, record, feature, box, columns, image, gradient, stride, plane, slots, tiles)
 
 
 @dataclass
 class Rays:
     """Secondary rays and what the kernels make of them; attributes as in `core/kernels/trace.py`."""
 
-    tree: DiskTree
+    tree: SurfelTree
     rows: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
     ranges: list[tuple[int, int]]
     count: np.ndarray
     left: np.ndarray
-    picture: np.ndarray
+    image: np.ndarray
     gradient: np.ndarray
     slots: np.ndarray
     hits: tuple[np.ndarray, ...] = ()
@@ -140,14 +140,14 @@ class Rays:
         return sum(value.nbytes for value in own if isinstance(value, np.ndarray))
 
     def forward(self, kernels: tuple[Callable[..., Any], Callable[..., None]]) -> None:
-        """Fill `hits` and `picture`."""
+        """Fill `hits` and `image`."""
         gather, composite = kernels
         t = self.tree
         scene = t.node, t.child, t.leaf, t.index, t.depth, self.count, self.left
         parts = run_ranges(gather, self.ranges, self.origin, self.direction, *scene)
         index, weight, distance = (p[0] if len(parts) == 1 else np.concatenate(p) for p in zip(*parts, strict=True))
         start, lit = np.concatenate([[0], np.cumsum(self.count)]), np.empty(len(index), np.uint8)
-        sums = start, index, weight, distance, self.left, t.record, self.rows, 16, 0, self.picture, lit
+        sums = start, index, weight, distance, self.left, t.record, self.rows, 16, 0, self.image, lit
         run_ranges(composite, self.ranges, self.direction, *sums)
         self.hits = start, index, weight, lit
 
@@ -160,7 +160,7 @@ def scatter(count: int, number: int, seed: int = 0) -> Rays:
     """`number` rays over the hemispheres (cosine) of points that the viewer sees, with a random upstream gradient."""
     flat_arrays = [torch.from_numpy(a) for a in torus(count, seed)]
     parameters = [a.view(*shape, count) for a, shape in zip(flat_arrays[:4], [(3,), (4,), (2,), ()], strict=True)]
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     camera = viewer(256)
     direction = torch.from_numpy(camera.rays().reshape(-1, 3)).float()
     direction = torch.nn.functional.normalize(direction, dim=1)
@@ -179,9 +179,9 @@ def scatter(count: int, number: int, seed: int = 0) -> Rays:
     ranges = even_ranges(number, thread_count())
     gradient = torch.randn(number, SUMS, generator=g).numpy()
     slots = np.zeros((len(ranges), count, SH_ROW), np.float32)
-    counts, left, picture = np.zeros(number, np.int64), np.ones(number, np.float32), np.empty((number, SUMS), np.float32)
+    counts, left, image = np.zeros(number, np.int64), np.ones(number, np.float32), np.empty((number, SUMS), np.float32)
     return Rays(
-        tree, rows, flat(point[start] + OFFSET * spacing * direction), flat(direction), ranges, counts, left, picture, gradient, slots
+        tree, rows, flat(point[start] + OFFSET * spacing * direction), flat(direction), ranges, counts, left, image, gradient, slots
     )
 
 
@@ -190,15 +190,15 @@ def disagreement(work: Splats | Rays, kernels: dict[str, Any]) -> dict[str, floa
 
     Also warms the kernels up. Pixels and rays exactly on a threshold may fall to either side of it.
     """
-    pictures, gradients = [], []
+    images, gradients = [], []
     for forward, backward in kernels.values():
         work.slots[:] = 0
         work.forward(forward)
         work.backward(backward)
-        pictures.append(work.picture.copy())
+        images.append(work.image.copy())
         gradients.append(work.slots.sum(0, dtype=np.float64))
     relative = np.linalg.norm(gradients[0] - gradients[1]) / np.linalg.norm(gradients[1])
-    return {"picture": float(np.abs(pictures[0] - pictures[1]).max()), "gradient": float(relative)}
+    return {"picture": float(np.abs(images[0] - images[1]).max()), "gradient": float(relative)}
 
 
 def measure(work: Splats | Rays, kernels: dict[str, Any], repetitions: int) -> dict[str, dict[str, float]]:

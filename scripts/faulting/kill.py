@@ -116,7 +116,7 @@ def replaced(measured: Measured) -> None:
         for operation in range(1, 12):
             run = shutil.copytree(calm, folder / "run")
             (run / "checkpoint").mkdir(exist_ok=True)
-            (run / "checkpoint" / "reflective.pt").write_bytes(b"another run's")
+            (run / "checkpoint" / "first_stage.pt").write_bytes(b"another run's")
             status = nursery.run(work, str(data), str(run), False, Doom(operation), True)
             measured.holds(f"operation {operation} is met", status == -9)
             _resumed_or_replaced(measured, nursery, data, run, calm, operation)

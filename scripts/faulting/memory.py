@@ -27,7 +27,7 @@ STATED = {  # jobs whose peak is compared with the estimate: preset and changes
     "tiny": ("draft", ()),
     "draft": ("draft", ("data.resolution=64",)),
     "balanced": ("balanced", ("data.resolution=64",)),
-    "more points": ("balanced", ("data.resolution=64", "transport.points=5000", "transport.rows=20")),
+    "more points": ("balanced", ("data.resolution=64", "second.points=5000", "second.rows=20")),
 }
 
 
@@ -48,7 +48,7 @@ def peak(run: Path) -> int:
 
 def foreseen(measured: Measured, name: str, dataset: Path, how: Settings, run: Path) -> None:
     """Compare estimate and peak."""
-    estimate, found = bytes_needed(how, load_dataset(dataset, how.data)), peak(run)
+    estimate, found = bytes_needed(how, load_dataset(dataset, how.data).pixels()), peak(run)
     measured.at_most(f"{name}: {estimate / MIB:.0f} MB foreseen, {found / MIB:.0f} taken, off by", abs(estimate / found - 1), WITHIN)
 
 

@@ -92,7 +92,7 @@ def installed(measured: Measured) -> None:
 
 @case(
     "a file system where A is a",
-    "Views a.png, A.jpg and á.png, á.png of other folders keep apart: as many undistorted copies or pictures as views (ext4, casefold).",
+    "Views a.png, A.jpg and á.png, á.png of other folders keep apart: as many undistorted copies or images as views (ext4, casefold).",
     quick=False,
 )
 def one_case(measured: Measured) -> None:
@@ -122,4 +122,4 @@ def _crowd(measured: Measured, disk: Path) -> None:
     views = [replace(v, name=n, distorted=True) for v, n in zip(data.train, view_names(listed), strict=False)]
     save_views(runs / "cameras.json", [("train", view) for view in views])
     kept = list((runs / "photographs" / "train").iterdir())
-    measured.at_least("pictures of 5 views", len(kept), len(listed))
+    measured.at_least("images of 5 views", len(kept), len(listed))

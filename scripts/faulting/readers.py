@@ -23,11 +23,11 @@ from irgspp.core.datasets.sparse_points import read_points
 from irgspp.core.errors import InputError
 from irgspp.core.evaluation.surface_truth import rendered_points
 from irgspp.core.io.exr import exr_size, read_exr_rgb, write_exr
-from irgspp.core.io.image import picture_size, read_mask, read_picture
+from irgspp.core.io.image import image_size, read_image, read_mask
 from irgspp.core.io.safe_pickle import read_pickle
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.scene.edited_mesh import load_edited_mesh
-from irgspp.core.scene.environment_files import read_light
+from irgspp.core.scene.environment_files import read_environment
 from irgspp.core.scene.gaussians import Gaussians, load_gaussians, save_gaussians
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
@@ -36,7 +36,7 @@ from PIL import Image
 
 from .runs import read_checkpoint, read_layer, read_state, write_run
 
-PICTURES = ("picture.png", "grey.png", "palette.png", "deep.png", "picture.jpg")
+IMAGES = ("picture.png", "grey.png", "palette.png", "deep.png", "picture.jpg")
 EXRS = ("zip.exr", "half.exr", "piz.exr", "grey.exr")
 
 
@@ -94,12 +94,12 @@ def _converted(model: Path, text: bool) -> None:
 
 
 def read_dataset(folder: Path, file: Path) -> object:
-    """What a command makes of a dataset before it decodes pictures: its description, and the cameras fitted to them."""
+    """What a command makes of a dataset before it decodes images: its description, and the cameras fitted to them."""
     return load_cameras(folder, "all", DataSettings())
 
 
 def write_transforms(folder: Path) -> None:
-    """One file with everything that the family knows, and its pictures."""
+    """One file with everything that the family knows, and its images."""
     write_scene("nerfstudio", folder)
     for file in folder.glob("transforms*.json"):
         content = json.loads(file.read_text())
@@ -162,7 +162,7 @@ def write_hdrs(folder: Path) -> None:
     cv2.imwrite(str(folder / "small.hdr"), random.random((4, 6, 3)).astype(np.float32))  # too narrow for run lengths
 
 
-def write_pictures(folder: Path) -> None:
+def write_images(folder: Path) -> None:
     """PNGs of every kind that is met, and a JPEG."""
     pixels = np.random.default_rng(0).integers(0, 256, (12, 16, 4)).astype(np.uint8)
     Image.fromarray(pixels).save(folder / "picture.png")
@@ -172,15 +172,15 @@ def write_pictures(folder: Path) -> None:
     Image.fromarray(pixels[..., :3]).save(folder / "picture.jpg")
 
 
-def read_any_picture(folder: Path, file: Path) -> object:
+def read_any_image(folder: Path, file: Path) -> object:
     """Size, pixels, as a mask, and as a light."""
-    return _all([lambda f=f: f(file) for f in (picture_size, read_picture, read_mask, read_light)])
+    return _all([lambda f=f: f(file) for f in (image_size, read_image, read_mask, read_environment)])
 
 
 def write_toml(folder: Path) -> None:
     """A list of jobs."""
     (folder / "jobs.toml").write_text(
-        '[defaults]\npreset = "draft"\nset = ["reflective.iterations=5"]\n\n[[job]]\ndataset = "a"\noutput = "runs/a"\nseed = 3\n'
+        '[defaults]\npreset = "draft"\nset = ["first.iterations=5"]\n\n[[job]]\ndataset = "a"\noutput = "runs/a"\nseed = 3\n'
         'after = ["evaluate -o {output}/e", "export -o {name}.glb"]\n\n[[job]]\nname = "b"\ndataset = "b"\noutput = "runs/b"\n'
     )
 
@@ -216,10 +216,10 @@ READERS = (
     Reader("transforms.json", ("transforms.json",), write_transforms, read_dataset, True),
     Reader("PLY", ("points.ply", "gaussians.ply", "mesh.ply", "edited.ply"), write_plys, read_ply),
     Reader("EXR", EXRS, write_exrs, lambda _, file: (exr_size(file), read_exr_rgb(file))),
-    Reader("HDR", ("light.hdr", "small.hdr"), write_hdrs, lambda _, file: read_light(file)),
-    Reader("PNG and JPEG", PICTURES, write_pictures, read_any_picture),
+    Reader("HDR", ("light.hdr", "small.hdr"), write_hdrs, lambda _, file: read_environment(file)),
+    Reader("PNG and JPEG", IMAGES, write_images, read_any_image),
     Reader("run.json", ("run/run.json",), write_run, read_state, True),
-    Reader("checkpoints", ("run/checkpoint/geometry.pt", "run/checkpoint/reflective.pt"), write_run, read_checkpoint),
+    Reader("checkpoints", ("run/checkpoint/geometry.pt", "run/checkpoint/first_stage.pt"), write_run, read_checkpoint),
     Reader("layers of a run", ("run/reflections.npz", "run/cameras.json"), write_run, read_layer),
     Reader("job TOML", ("jobs.toml",), write_toml, lambda _, file: read_jobs(file, check_words), True),
     Reader("Metashape XML", ("cameras.xml",), lambda f: write_scene("metashape", f), read_dataset, True),

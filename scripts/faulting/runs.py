@@ -21,7 +21,7 @@ from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import from_dict
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import COATED
-from irgspp.core.stages.first.material_class_selection import kind_named
+from irgspp.core.stages.first.material_class_selection import material_class_named
 from irgspp.core.stages.first.trainer import Trainer
 
 from .tiny import settings, write_dataset
@@ -32,7 +32,7 @@ def fit() -> Trainer:
     """One of few disks, some steps done."""
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data = load_dataset(write_dataset(Path(name)), settings().data)
-    how = replace(settings().reflective, light_height=8)
+    how = replace(settings().first, light_height=8)
     trainer = Trainer(data, how, initial_gaussians(data, 40, np.random.default_rng(0)), COATED, 0, 0)
     for _ in range(3):
         trainer.step()
@@ -42,11 +42,11 @@ def fit() -> Trainer:
 def write_run(folder: Path) -> None:
     """A run folder after its first stage: run.json, checkpoints, cameras."""
     run = RunFolder.open(folder / "run", settings(), "photos")
-    run.record("reflective", 1.0, 1 << 20, finished=True)
+    run.record("first stage", 1.0, 1 << 20, finished=True)
     random = np.random.default_rng(0)
     surface = Surface(random.random((4, 3)), random.random((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), 0.1)
     run.save("geometry", surface.state())
-    run.save("reflective", fit().state())
+    run.save("first_stage", fit().state())
     reflections = Reflections(torch.full((5, 4), 0.5), torch.ones(2, 4, 3))
     reflections.save(run.path / "reflections.npz")
     run.close()
@@ -61,7 +61,7 @@ def read_state(folder: Path, file: Path) -> object:
     from_dict(state["settings"], file)
     run = RunFolder.open(folder / "run", settings(), "photos", resume=True)
     try:
-        return run.finished("reflective"), run.spent
+        return run.finished("first stage"), run.spent
     finally:
         run.close()
 
@@ -71,8 +71,8 @@ def read_checkpoint(folder: Path, file: Path) -> object:
     run = RunFolder(folder / "run", {}, None)  # pyright: ignore[reportArgumentType]
     if file.stem == "geometry":
         return run.load("geometry", Surface.restored)
-    state = run.load("reflective")
-    kind_named(state.get("kind", ""), fit().dataset)
+    state = run.load("first_stage")
+    material_class_named(state.get("kind", ""), fit().dataset)
     fit().restore(state)
     with suppress(IrgsppError):  # values that lead nowhere, said in one line
         fit().step()

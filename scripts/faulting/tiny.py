@@ -26,13 +26,13 @@ VIEWS, CHECKS = 20, 1  # of the demonstration's photographs
 SETTINGS = (
     "materials=low-gloss",
     "data.resolution=32",
-    "reflective.iterations=80",
-    "reflective.gaussians=1000",
-    "transport.points=200",
-    "transport.rows=8",
-    "transport.iterations=8",
-    "transport.pool=1000",
-    "transport.radiance_iterations=8",
+    "first.iterations=80",
+    "first.gaussians=1000",
+    "second.points=200",
+    "second.rows=8",
+    "second.iterations=8",
+    "second.pool=1000",
+    "second.radiance_iterations=8",
     "surface.voxels=24",
     "surface.triangles=500",
     "surface.texture=64",
@@ -40,7 +40,7 @@ SETTINGS = (
 CHECKPOINT_SECONDS = 0.05
 EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree")  # of the interpreter, before it does it
 CHATTER = ("events.jsonl", "log.txt")  # what is only appended to
-UNLIKE = ("run.json", "scene.blend", "reflective.pt")  # have times, addresses or the moment of a checkpoint in them
+UNLIKE = ("run.json", "scene.blend", "first_stage.pt")  # have times, addresses or the moment of a checkpoint in them
 
 
 def settings() -> Settings:
@@ -54,9 +54,9 @@ def write_dataset(folder: Path) -> Path:
         content = json.loads((DEMO_DATA / f"transforms_{name}.json").read_text())
         content["frames"] = content["frames"][:: len(content["frames"]) // count][:count]
         for entry in content["frames"]:
-            picture = Path(entry["file_path"] if entry["file_path"].endswith(".png") else entry["file_path"] + ".png")
-            (folder / picture).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(DEMO_DATA / picture, folder / picture)
+            image = Path(entry["file_path"] if entry["file_path"].endswith(".png") else entry["file_path"] + ".png")
+            (folder / image).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(DEMO_DATA / image, folder / image)
         (folder / f"transforms_{name}.json").write_text(json.dumps(content))
     return folder
 

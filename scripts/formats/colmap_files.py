@@ -17,7 +17,7 @@ MODELS = {"PINHOLE": 1, "SIMPLE_RADIAL": 2}
 def write_model(
     folder: Path, model: str, size: tuple[int, int], parameters: list[float], poses: dict[str, np.ndarray], points: np.ndarray
 ) -> None:
-    """Write cameras.bin, images.bin and points3D.bin: one camera; poses (4, 4) camera to world as in Blender, by picture name."""
+    """Write cameras.bin, images.bin and points3D.bin: one camera; poses (4, 4) camera to world as in Blender, by image name."""
     folder.mkdir(parents=True, exist_ok=True)
     camera = struct.pack("<QIiQQ", 1, 1, MODELS[model], *size) + struct.pack(f"<{len(parameters)}d", *parameters)
     (folder / "cameras.bin").write_bytes(camera)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""NeRO's GlossySynthetic: pickled cameras, 16-bit depth, a world with +Y up, relit pictures apart."""
+"""NeRO's GlossySynthetic: pickled cameras, 16-bit depth, a world with +Y up, relit images apart."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A capture as instant-ngp's colmap2nerf leaves it: shared intrinsics, sharpness, every picture in one list."""
+"""A capture as instant-ngp's colmap2nerf leaves it: shared intrinsics, sharpness, every image in one list."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ WORLD = similarity((0.0, 0.0, 110.0), 1.5, (0.3, 0.0, 0.2))
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME; the pictures have an alpha channel, as instant-ngp takes them."""
+    """Write folder/NAME; the images have an alpha channel, as instant-ngp takes them."""
     scene, lens = folder / source.name, RealLens.of(source)
     frames = []
     for number, shot in enumerate(source.interleaved()):
         name = f"./images/{number:04d}.png"
-        save_png(scene / name, lens.picture(source, shot.rgba))
+        save_png(scene / name, lens.image(source, shot.rgba))
         frames.append({"file_path": name, "sharpness": 30.0 + number, "transform_matrix": placed(WORLD, shot.pose).tolist()})
     k1, k2, p1, p2, _ = lens.distortion
     width, height = source.size

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A real camera's pictures: the scene's own, as they look through a lens with distortion and a shifted centre."""
+"""A real camera's images: the scene's own, as they look through a lens with distortion and a shifted centre."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class RealLens:
 
     @classmethod
     def of(cls, source: Source) -> RealLens:
-        """A lens like a telephone's for pictures of the scene's size."""
+        """A lens like a telephone's for images of the scene's size."""
         width, height = source.size
         return cls(source.focal * 0.97, 0.5 * width + 0.02 * width, 0.5 * height - 0.03 * height, (0.06, -0.02, 0.004, -0.003, 0.0))
 
-    def picture(self, source: Source, rgba: np.ndarray) -> np.ndarray:
+    def image(self, source: Source, rgba: np.ndarray) -> np.ndarray:
         """(H, W, 4) uint8 as seen through it."""
         width, height = source.size
         x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))

@@ -24,7 +24,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     cameras = ElementTree.SubElement(chunk, "cameras", next_id="99")
     for number, shot in enumerate(source.interleaved()):
         label = f"IMG_{number:04d}"
-        rgba = lens.picture(source, shot.rgba)
+        rgba = lens.image(source, shot.rgba)
         save_png(scene / "images" / f"{label}.png", over(rgba, BACKDROP))
         save_png(scene / "masks" / f"{label}.png", rgba[..., 3])
         camera = ElementTree.SubElement(cameras, "camera", id=str(number), sensor_id="0", label=label)

@@ -22,7 +22,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     listed: dict[str, list[str]] = {"train": [], "test": []}
     for number, shot in enumerate(source.interleaved(), 1):
         name = f"frame_{number:05d}.png"
-        rgba = lens.picture(source, shot.rgba)
+        rgba = lens.image(source, shot.rgba)
         save_png(scene / "images" / name, over(rgba, BACKDROP))
         save_png(scene / "images_2" / name, np.asarray(Image.fromarray(over(rgba, BACKDROP)).reduce(2)))
         save_png(scene / "masks" / name, rgba[..., 3])

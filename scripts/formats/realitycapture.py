@@ -26,7 +26,7 @@ def write(source: Source, folder: Path, world: np.ndarray = WORLD) -> tuple[Path
     rows = []
     for number, shot in enumerate(source.interleaved()):
         name = f"DSC{number:05d}.png"
-        rgba = lens.picture(source, shot.rgba)
+        rgba = lens.image(source, shot.rgba)
         save_png(scene / "images" / name, over(rgba, BACKDROP))
         save_png(scene / "masks" / name, rgba[..., 3])
         pose = placed(world, shot.pose)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ref-NeRF's real scenes: COLMAP with pictures at full, a quarter and an eighth of the size, a sphere of interest known by the name."""
+"""Ref-NeRF's real scenes: COLMAP with images at full, a quarter and an eighth of the size, a sphere of interest known by the name."""
 
 from __future__ import annotations
 

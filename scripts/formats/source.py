@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene that is written: pictures, cameras, layers and lights as scripts/render_dataset.py leaves them."""
+"""The scene that is written: images, cameras, layers and lights as scripts/render_dataset.py leaves them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A whole scene: views, the angle across a picture in radians, lights by name with that of the training first, surface points."""
+    """A whole scene: views, the angle across an image in radians, lights by name with that of the training first, surface points."""
 
     name: str
     angle: float
@@ -144,7 +144,7 @@ def save_json(file: Path, content: object) -> None:
 
 
 def over(rgba: np.ndarray, backdrop: float | np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8: the encoded picture over an encoded backdrop, blended in linear light."""
+    """(H, W, 3) uint8: the encoded image over an encoded backdrop, blended in linear light."""
     alpha = rgba[..., 3:].astype(np.float32) / 255
     linear = decode_srgb(rgba[..., :3].astype(np.float32) / 255) * alpha
     behind = decode_srgb(np.broadcast_to(np.asarray(backdrop, np.float32), linear.shape))

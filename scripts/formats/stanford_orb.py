@@ -38,21 +38,21 @@ def _name(source: Source, number: int) -> str:
 
 
 def _capture(source: Source, train: list[Shot], light: str, number: int, root: Path, hdr: bool) -> None:
-    """One capture with its own pictures, and the light maps of its test views."""
+    """One capture with its own images, and the light maps of its test views."""
     scene = root / _name(source, number)
     for split, shots in (("train", train), ("test", source.test)):
         frames = []
         for i, shot in enumerate(shots):
             pose = placed(WORLDS[number], shot.pose)
             frames.append({"file_path": f"{split}/{i:04d}", "transform_matrix": pose.tolist()})
-            _picture(scene, split, f"{i:04d}", shot.relit.get(light, shot.rgba), hdr)
+            _image(scene, split, f"{i:04d}", shot.relit.get(light, shot.rgba), hdr)
             if split == "test":
                 truth = root.parent / "ground_truth" / scene.name / "env_map"
                 save_exr(truth / f"{i:04d}.exr", camera_map(source.lights[light], shot.pose[:3, :3]))
         save_json(scene / f"transforms_{split}.json", {"camera_angle_x": source.angle, "frames": frames})
 
 
-def _picture(scene: Path, split: str, name: str, rgba: np.ndarray, hdr: bool) -> None:
+def _image(scene: Path, split: str, name: str, rgba: np.ndarray, hdr: bool) -> None:
     pixels = over(rgba, BACKDROP)
     if hdr:
         save_exr(scene / split / f"{name}.exr", decode_srgb(pixels.astype(np.float32) / 255))

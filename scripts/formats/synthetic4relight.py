@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Synthetic4Relight: EXR photographs with masks, encoded albedo, relit pictures in a folder of their own."""
+"""Synthetic4Relight: EXR photographs with masks, encoded albedo, relit images in a folder of their own."""
 
 from __future__ import annotations
 

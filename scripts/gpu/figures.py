@@ -17,9 +17,9 @@ from irgspp.core.pipeline import reconstruct
 from irgspp.core.relight.mesh_query import MeshQuery
 from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import Relighter, RelightSettings
-from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.settings.overrides import with_overrides
-from irgspp.core.settings.schema import ReflectiveSettings, TransportSettings, preset
+from irgspp.core.settings.schema import FirstStageSettings, SecondStageSettings, preset
 from irgspp.core.stages.first.material_class import KINDS
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second.pixel_pool import pool_pixels
@@ -46,7 +46,7 @@ class Size:
     """How much is done; the first are the sizes that targets are stated for."""
 
     gaussians: int = 100_000
-    picture: int = 800
+    image: int = 800
     triangles: int = 200_000
     pixels: int = 512  # of the second stage's step, times
     samples: int = 512  # rays of each: 2^18
@@ -85,15 +85,15 @@ def correctness(device: torch.device, quick: bool) -> Figure:
 
 def refinement(work: Work, size: Size) -> Refinement:
     """The second stage, ready for its steps."""
-    tracer = Tracer(work.reconstruction)
+    tracer = SecondaryTracer(work.reconstruction)
     pool = pool_pixels(work.dataset.train, tracer, 100_000, np.random.default_rng(0))
-    settings = replace(TransportSettings(), iterations=10_000, pixels=size.pixels, samples=size.samples)
+    settings = replace(SecondStageSettings(), iterations=10_000, pixels=size.pixels, samples=size.samples)
     return Refinement(work.reconstruction, pool, tracer, settings, 0)
 
 
 def trainer(work: Work, size: Size) -> Trainer:
     """The first stage, ready for its steps."""
-    settings = replace(ReflectiveSettings(), iterations=10_000, gaussians=size.gaussians)
+    settings = replace(FirstStageSettings(), iterations=10_000, gaussians=size.gaussians)
     return Trainer(work.dataset, settings, work.reconstruction.gaussians, KINDS[1], 0, 0)
 
 
@@ -101,7 +101,7 @@ def steps(work: Work, size: Size, device: torch.device) -> list[Figure]:
     """Of both stages."""
     second, first = refinement(work, size), trainer(work, size)
     rays = size.pixels * size.samples
-    about = f"{size.gaussians:,} Gaussians, {size.picture}x{size.picture}"
+    about = f"{size.gaussians:,} Gaussians, {size.image}x{size.image}"
     later = seconds_each(second.step, size, device)
     sooner = seconds_each(first.step, size, device)
     return [
@@ -117,9 +117,9 @@ def relighting(work: Work, size: Size, device: torch.device) -> list[Figure]:
     found = []
     for samples in (16, 32):
         relighter = Relighter(work.reconstruction, query, RelightSettings(samples=samples), query)
-        cameras = iter(ring(size.warm + size.repeats, size.picture))
+        cameras = iter(ring(size.warm + size.repeats, size.image))
         each = seconds_each(lambda r=relighter, c=cameras: r.relit(r.surface(next(c)), light), size, device)
-        name = f"relighting, {size.picture}x{size.picture}, {samples} samples, mesh of {len(work.mesh.faces):,} triangles"
+        name = f"relighting, {size.image}x{size.image}, {samples} samples, mesh of {len(work.mesh.faces):,} triangles"
         found.append(Figure(name, f"{1 / each:.1f} FPS", ">= 60 FPS (paper, RTX 3090: 25)"))
     return found
 
@@ -167,7 +167,7 @@ def bandwidth(work: Work, size: Size, device: torch.device) -> Figure:
     """What the loss's passes move through memory a second: they read and write planes in order, and compute little."""
     from irgspp.core.kernels.photometric import photometric_loss
 
-    a, b = (torch.rand(3, size.picture, size.picture, device=device) for _ in range(2))
+    a, b = (torch.rand(3, size.image, size.image, device=device) for _ in range(2))
     a.requires_grad_()
     each = seconds_each(lambda: photometric_loss(a, b), size, device)
     planes = (2 + 5) + (5 + 4) + (3 + 3) + (5 + 1) + (3 + 1)  # read and written by each of its four passes, and by what takes the means

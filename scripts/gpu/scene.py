@@ -11,13 +11,13 @@ import numpy as np
 import torch
 import trimesh
 from irgspp.core.io.srgb import encode_srgb
-from irgspp.core.rendering.gbuffer import render_view
+from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.procedural_lights import sky_light
-from irgspp.core.stages.first.initialization import disks
+from irgspp.core.stages.first.initialization import surfels
 
 MAJOR, MINOR, RADIUS = 1.0, 0.4, 1.6
 VIEWS = 24
@@ -33,7 +33,7 @@ class Work:
 
 
 def make_work(gaussians: int, size: int, triangles: int, device: torch.device) -> Work:
-    """The torus of so many disks, in square pictures of `size` pixels, and of about so many triangles."""
+    """The torus of so many disks, in square images of `size` pixels, and of about so many triangles."""
     rng = np.random.default_rng(0)
     angles = rng.uniform(0, 2 * np.pi, (2, 3 * gaussians))
     fair = rng.random(3 * gaussians) * (MAJOR + MINOR) < MAJOR + MINOR * np.cos(angles[1])  # uniform by area
@@ -42,7 +42,7 @@ def make_work(gaussians: int, size: int, triangles: int, device: torch.device) -
     points = MAJOR * np.stack([np.cos(a), np.sin(a), np.zeros(len(a))], 1) + MINOR * normal
     spacing = np.full(len(a), math.sqrt(4 * np.pi**2 * MAJOR * MINOR / len(a)))
     colour = 0.5 + 0.3 * np.sin(3 * np.stack([a, b, a + b], 1))
-    splats = disks(points, normal, colour, 1.5 * spacing, 0.9)
+    splats = surfels(points, normal, colour, 1.5 * spacing, 0.9)
     bound = Bound((0.0, 0.0, 0.0), RADIUS)
     reconstruction = Reconstruction(splats, torch.from_numpy(sky_light(64, 128)), bound, np.eye(4)).to(device)
     views = [_photograph(reconstruction, camera, i) for i, camera in enumerate(ring(VIEWS, size))]
@@ -59,7 +59,7 @@ def ring(count: int, size: int) -> list[Camera]:
 
 
 def _photograph(reconstruction: Reconstruction, camera: Camera, number: int) -> View:
-    rgba = render_view(reconstruction, camera).picture
+    rgba = render_gbuffer(reconstruction, camera).image
     straight = rgba[..., :3] / np.maximum(rgba[..., 3:], 1e-4)
     return View(f"{number}", camera, Path(f"{number}.png"), encode_srgb(straight).clip(0, 1).astype(np.float32), rgba[..., 3].copy())
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from irgspp.core.batch.jobs import Job
-from irgspp.core.datasets.format_detection import LOOKED_FOR, NoDataset, read_capture
+from irgspp.core.datasets.format_detection import LOOKED_FOR, NoDataset, parse_dataset
 from irgspp.core.errors import InputError
 from irgspp.core.settings.schema import DataSettings
 
@@ -48,7 +48,7 @@ def find_scenes(root: Path, wanted: Sequence[str] | None = None) -> list[Scene]:
 def _scenes(folder: Path, root: Path, deeper: int) -> Iterator[Scene]:
     name = "_".join(folder.relative_to(root).parts) or root.resolve().name
     try:
-        yield Scene(name, folder, read_capture(folder, DataSettings()).format)
+        yield Scene(name, folder, parse_dataset(folder, DataSettings()).format)
     except NoDataset:
         for below in sorted(folder.iterdir()) if deeper else []:
             if below.is_dir() and below.name not in TRUTH and not below.name.startswith("."):

@@ -162,11 +162,11 @@ def _html(table: Table) -> str:
 
 def _sheet(result: Result) -> str:
     assert result.sheet is not None
-    with Image.open(result.sheet) as image:
-        picture = image.convert("RGB")
-    picture.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
+    with Image.open(result.sheet) as file:
+        image = file.convert("RGB")
+    image.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
     data = io.BytesIO()
-    picture.save(data, "JPEG", quality=90)
+    image.save(data, "JPEG", quality=90)
     source = base64.b64encode(data.getvalue()).decode()
     return f"<h2>{escape(result.scene)}</h2><img alt='{escape(result.scene)}' src='data:image/jpeg;base64,{source}'>"
 

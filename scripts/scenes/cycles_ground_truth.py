@@ -79,7 +79,7 @@ def place_camera(scene: bpy.types.Scene, camera: Camera) -> None:
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
 
 
-def render_picture(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
+def render_image(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
     """The scene through its camera.
 
     Returns `rgba` (H, W, 4) linear premultiplied and denoised; `albedo` (H, W, 3) linear and `material` (H, W, 2) roughness and

@@ -41,7 +41,7 @@ class Surface:
 
 
 def camera(size: int) -> Camera:
-    """Looks down on the scene, which fills the picture."""
+    """Looks down on the scene, which fills the image."""
     return Camera(size, size, 1.6 * size, 1.6 * size, size / 2, size / 2, look_at(EYE, (0.0, 0.0, 0.3)))
 
 

@@ -19,10 +19,10 @@ from irgspp.core.scene.dataset import Dataset
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import with_overrides
-from irgspp.core.settings.schema import ReflectiveSettings, preset
+from irgspp.core.settings.schema import FirstStageSettings, preset
 from irgspp.core.stages.common.optimizer import Rate
 from irgspp.core.stages.first.initialization import initial_gaussians
-from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, Kind
+from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, MaterialClass
 
 from .case import Measured, group
 from .gaussians import thread_setting
@@ -32,7 +32,7 @@ case = group("endurance")
 
 
 def drift(steps: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """(steps,) losses of the same training with the float32 kernels and with the float64 twin: 48 disks, 12x12 pixels, Adam."""
+    """(steps,) losses of the same training with the float32 kernels and with the float64 twin: 48 surfels, 12x12 pixels, Adam."""
     dataset = photographs(cameras(8, 12))
     start = initial_gaussians(dataset, 48, np.random.default_rng(0))
     return _descent(dataset, start, torch.float32, steps), _descent(dataset, start, torch.float64, steps)
@@ -48,8 +48,8 @@ def _descent(dataset: Dataset, start: Gaussians, dtype: torch.dtype, steps: int)
         assert view.alpha is not None
         inputs, seen = (*leaves.values(), nothing, view.camera, 1.5), torch.from_numpy(view.colour * view.alpha[..., None]).permute(2, 0, 1)
         sums = rasterize(*inputs)[0] if dtype == torch.float32 else rasterize_reference(*inputs)
-        picture = encode_srgb(sums[:3] / sums[-1:].clamp_min(1e-4)) * sums[-1:]
-        loss = (picture - seen.to(dtype)).square().mean() + 0.1 * (sums[-1] - torch.from_numpy(view.alpha).to(dtype)).square().mean()
+        image = encode_srgb(sums[:3] / sums[-1:].clamp_min(1e-4)) * sums[-1:]
+        loss = (image - seen.to(dtype)).square().mean() + 0.1 * (sums[-1] - torch.from_numpy(view.alpha).to(dtype)).square().mean()
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -71,7 +71,7 @@ def short_drift(measured: Measured) -> None:
 
 @case(
     "float32 against float64, 1000 steps",
-    """1000 steps: disks cross their neighbours' thresholds at other steps, so that both take other ways to the same end. The loss of the
+    """1000 steps: surfels cross their neighbours' thresholds at other steps, so that both take other ways to the same end. The loss of the
     last 100 steps is the same in the mean to 5 %, the drift is told.""",
     quick=False,
 )
@@ -92,7 +92,7 @@ def long_drift(measured: Measured) -> None:
 )
 def very_long(measured: Measured) -> None:
     for kind, masked in ((LOW_GLOSS, True), (LOW_GLOSS, False), (METAL, True)):
-        settings = replace(TINY.reflective, iterations=20_000, gaussians=100 if masked else 400)
+        settings = replace(TINY.first, iterations=20_000, gaussians=100 if masked else 400)
         fitted = trainer(photographs(cameras(9, 16), checks, masked), kind, settings)
         with thread_setting(1):  # so little work is done sooner by one
             losses = np.array([fitted.step() for _ in range(20_000)])
@@ -104,12 +104,12 @@ def very_long(measured: Measured) -> None:
 
 @case(
     "learning rates times 10 and 100",
-    """150 iterations at these rates, then 300 at the proper ones, for all kinds: it stops with one clear line, as where most disks are
+    """150 iterations at these rates, then 300 at the proper ones, for all kinds: it stops with one clear line, as where most surfels are
     lost and none may grow back, or all is finite and views held back are met to 2 dB of what they are without the accident.""",
     quick=False,
 )
 def fast_learning(measured: Measured) -> None:
-    dataset, settings = photographs(cameras(12, 24)), replace(TINY.reflective, iterations=450)
+    dataset, settings = photographs(cameras(12, 24)), replace(TINY.first, iterations=450)
     for kind in (LOW_GLOSS, COATED, METAL):
         calm = _accident(dataset, kind, settings, 1.0)
         for factor in (10.0, 100.0):
@@ -122,7 +122,7 @@ def fast_learning(measured: Measured) -> None:
             measured.at_least(f"{kind.name} x{factor:g}: dB", psnr, calm - 2)
 
 
-def _accident(dataset: Dataset, kind: Kind, settings: ReflectiveSettings, factor: float) -> float:
+def _accident(dataset: Dataset, kind: MaterialClass, settings: FirstStageSettings, factor: float) -> float:
     """PSNR of held-back views after 150 iterations at rates times `factor` and 300 at the proper ones."""
     fitted = trainer(dataset, kind, settings)
     proper = fitted.optimizer.rates
@@ -145,8 +145,8 @@ def _accident(dataset: Dataset, kind: Kind, settings: ReflectiveSettings, factor
     quick=False,
 )
 def whole_jobs(measured: Measured) -> None:
-    changes = ["materials=low-gloss", "reflective.iterations=120", "reflective.gaussians=2000", "transport.points=400", "transport.rows=8"]
-    changes += ["transport.iterations=30", "transport.pool=8000", "transport.radiance_iterations=20"]
+    changes = ["materials=low-gloss", "first.iterations=120", "first.gaussians=2000", "second.points=400", "second.rows=8"]
+    changes += ["second.iterations=30", "second.pool=8000", "second.radiance_iterations=20"]
     settings = with_overrides(preset("draft"), [*changes, "surface.voxels=48", "surface.triangles=2000", "surface.texture=128"])
     with tempfile.TemporaryDirectory() as folder:
         runs = []

@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 from irgspp.core.kernels.constants import NEAR
-from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.trace import hit_lists, trace, transmittance
 
 from .case import Measured, group
-from .twins import ALLOWED, GEOMETRY, Disks, Limits, Rays, agree_along_rays, agree_in_pictures, camera, cloud, scattered, towards
+from .twins import ALLOWED, GEOMETRY, Limits, Rays, Surfels, agree_along_rays, agree_in_images, camera, cloud, scattered, towards
 
 case = group("gaussians")
 AGREE = "Sums and gradients are finite and those of the float64 twins, "
@@ -25,14 +25,14 @@ IDENTITY = torch.tensor([1.0, 0.0, 0.0, 0.0])
 
 
 def in_both(
-    measured: Measured, what: str, values: Disks, twin: Disks | None = None, rays: Rays | None = None, limits: Limits = ALLOWED
+    measured: Measured, what: str, values: Surfels, twin: Surfels | None = None, rays: Rays | None = None, limits: Limits = ALLOWED
 ) -> None:
     """Pictures and rays agree with the twins."""
-    agree_in_pictures(measured, what, values, camera(), 1.0, twin, limits)
+    agree_in_images(measured, what, values, camera(), 1.0, twin, limits)
     agree_along_rays(measured, what, values, rays or scattered(300), twin, limits)
 
 
-def aimed(values: Disks, distance: float) -> Rays:
+def aimed(values: Surfels, distance: float) -> Rays:
     """A ray at every disk from around it, so that the smallest is hit, and another a little beside its centre."""
     g = torch.Generator().manual_seed(5)
     points, away = values["position"].T.repeat(2, 1), torch.nn.functional.normalize(torch.randn(2 * 24, 3, generator=g), dim=1)
@@ -71,12 +71,12 @@ def opacities(measured: Measured) -> None:
             measured.holds(f"opacity {opacity:g} leaves no trace", same)
 
 
-def _seen(values: Disks) -> tuple[torch.Tensor, torch.Tensor]:
-    tree = DiskTree.build(*(values[name] for name in GEOMETRY))
+def _seen(values: Surfels) -> tuple[torch.Tensor, torch.Tensor]:
+    tree = SurfelTree.build(*(values[name] for name in GEOMETRY))
     return rasterize(*values.values(), camera(), 1.0)[0], trace(*values.values(), *scattered(300), tree)
 
 
-@case("exactly coincident disks", AGREE + "where 40 disks are the same but for colour and opacity; ties go by the disks' numbers.")
+@case("exactly coincident surfels", AGREE + "where 40 surfels are the same but for colour and opacity; ties go by the surfels' numbers.")
 def coincident(measured: Measured) -> None:
     values = cloud(60, 4, 0.4)
     values["position"][:, :40], values["log_scale"][:, :40] = 0.0, -1.0
@@ -85,7 +85,7 @@ def coincident(measured: Measured) -> None:
     in_both(measured, "coincident", values, limits=Limits(shaken=("log_scale", "opacity")))  # noise in places would break it
 
 
-@case("4096 disks at one depth", AGREE + "more than the tracer's buffer of nearest hits holds, of which none may be lost or met twice.")
+@case("4096 surfels at one depth", AGREE + "more than the tracer's buffer of nearest hits holds, of which none may be lost or met twice.")
 def one_depth(measured: Measured) -> None:
     values = cloud(4096, 5, 1.0)
     values["position"][2] = 0.0
@@ -95,17 +95,17 @@ def one_depth(measured: Measured) -> None:
     values["log_scale"] += 0.5
     above = camera(8, (0.0, 0.0, 4.0))
     flat = Limits(0.2, shaken=("log_scale", "opacity"))  # each ray passes hundreds of edges
-    agree_in_pictures(measured, "4096", values, above, limits=flat)
+    agree_in_images(measured, "4096", values, above, limits=flat)
     rays = towards(np.array([0.0, 0.0, 4.0]), torch.tensor([[0.013 * i, 0.02 * i - 0.3, 0.0] for i in range(32)]))
     agree_along_rays(measured, "4096", values, rays, limits=flat)
-    tree = DiskTree.build(*(values[name] for name in GEOMETRY))
+    tree = SurfelTree.build(*(values[name] for name in GEOMETRY))
     lists = hit_lists(tree, *rays)
     twice = max(int(np.bincount(lists.index[a:b]).max(initial=0)) for a, b in zip(lists.start[:-1], lists.start[1:], strict=True))
     measured.at_least("most hits of a ray", float(np.diff(lists.start).max()), 300)
     measured.at_most("times a ray meets one disk", twice, 1)
 
 
-@case("edge-on", AGREE + "for disks whose normals are square with the ray to their centres, to 0, 1e-7, 1e-5, 1e-3.")
+@case("edge-on", AGREE + "for surfels whose normals are square with the ray to their centres, to 0, 1e-7, 1e-5, 1e-3.")
 def edge_on(measured: Measured) -> None:
     eye = np.array([3.0, 1.25, 2.0])
     for lean in (0.0, 1e-7, 1e-5, 1e-3):
@@ -126,7 +126,7 @@ def turned_to(normal: torch.Tensor) -> torch.Tensor:
 
 @case(
     "behind, at and around the camera",
-    AGREE + "for disks behind it, with their centre in it, and so wide that they reach round it.",
+    AGREE + "for surfels behind it, with their centre in it, and so wide that they reach round it.",
 )
 def around_the_camera(measured: Measured) -> None:
     view, values = camera(), cloud(48, 7, 0.3)
@@ -136,12 +136,12 @@ def around_the_camera(measured: Measured) -> None:
     values["log_scale"][:, 3:10] = 1.5  # reach beyond the camera on all sides
     twin = values | {"position": values["position"].clone()}
     twin["position"][:, 2] = eye - 2 * forward  # the twin knows no direction to a disk in the camera
-    agree_in_pictures(measured, "disks", values, view, twin=twin)
+    agree_in_images(measured, "disks", values, view, twin=twin)
     agree_along_rays(measured, "disks", values, scattered(300))
     agree_along_rays(measured, "from the camera", values, towards(view.centre, values["position"].T[8:]))
 
 
-@case("on the near plane", AGREE + "for disks on the near plane exactly, which are not seen, and one rounding before and behind it.")
+@case("on the near plane", AGREE + "for surfels on the near plane exactly, which are not seen, and one rounding before and behind it.")
 def near_plane(measured: Measured) -> None:
     view, near = camera(16, (0.0, 0.0, 4.0)), 0.03125
     values = cloud(12, 14, 0.3)
@@ -149,14 +149,14 @@ def near_plane(measured: Measured) -> None:
     values["position"][:, :9] *= 0.01
     values["position"][2, :9] = torch.cat([plane, plane.nextafter(torch.zeros(())), plane.nextafter(torch.full((), 9.0))])
     values["log_scale"][:, :9] -= 4.0
-    agree_in_pictures(measured, "disks", values, view, near / NEAR, limits=Limits(shaken=GEOMETRY[1:]))
+    agree_in_images(measured, "disks", values, view, near / NEAR, limits=Limits(shaken=GEOMETRY[1:]))
     radius = rasterize(*values.values(), view, near / NEAR)[1].radius > 0
     measured.holds("seen: exactly those behind the plane", radius[:9].tolist() == [False] * 3 + [True] * 3 + [False] * 3)
 
 
 @case(
     "rays on, along and of no direction",
-    "A ray that starts on a disk doesn't meet it; one within a disk's plane meets nothing of it; one of direction 0 meets nothing; "
+    "A ray that starts on a disk doesn't meet it; one within a surfel's plane meets nothing of it; one of direction 0 meets nothing; "
     "sums and gradients are finite.",
 )
 def odd_rays(measured: Measured) -> None:
@@ -167,7 +167,7 @@ def odd_rays(measured: Measured) -> None:
     up, along = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([0.6, 0.8, 0.0])
     on = values["position"].T.clone()
     kinds = {"on": (on, up.expand_as(on)), "along": (on, along.expand_as(on)), "none": (on, torch.zeros_like(on))}
-    tree = DiskTree.build(*(values[name] for name in GEOMETRY))
+    tree = SurfelTree.build(*(values[name] for name in GEOMETRY))
     for name, rays in kinds.items():
         leaves = [v.detach().clone().requires_grad_() for v in (*values.values(), *(r.contiguous() for r in rays))]
         out = trace(*leaves, tree=tree)
@@ -194,20 +194,20 @@ def far_away(measured: Measured) -> None:
     offset = 1e5
     values["position"] += offset
     eye = (offset + 3.0, offset + 1.25, offset + 2.0)
-    agree_in_pictures(measured, "far", values, camera(24, eye, (offset, offset, offset)))
+    agree_in_images(measured, "far", values, camera(24, eye, (offset, offset, offset)))
     origin, direction = scattered(300)
     agree_along_rays(measured, "far", values, (origin + offset, direction))
 
 
-@case("0, 1 and 2 Gaussians", AGREE + "and nothing at all is a black, transparent picture.")
+@case("0, 1 and 2 Gaussians", AGREE + "and nothing at all is a black, transparent image.")
 def few(measured: Measured) -> None:
     for count in (1, 2, 7):
         values = cloud(count, 10, 0.5)
         values["position"] *= 0.3
         in_both(measured, str(count), values)
     none = cloud(0, 10)
-    picture, along = _seen(none)
-    measured.holds("none: a picture of nothing", picture.shape == (10, 24, 24) and not picture.any())
+    image, along = _seen(none)
+    measured.holds("none: an image of nothing", image.shape == (10, 24, 24) and not image.any())
     measured.holds("none: rays meet nothing", along.shape == (300, 10) and not along.any())
 
 
@@ -226,7 +226,7 @@ def quaternions(measured: Measured) -> None:
     _unturned(measured, values, twin)
 
 
-def _unturned(measured: Measured, values: Disks, twin: Disks) -> None:
+def _unturned(measured: Measured, values: Surfels, twin: Surfels) -> None:
     """Zero quaternions give the sums of the identity, and finite gradients."""
     for what, zero, unit in zip(("picture", "rays"), _seen(values), _seen(twin), strict=True):
         measured.at_most(f"zero, {what}: error", float((zero - unit).abs().max()), 1e-6)
@@ -253,7 +253,7 @@ def repeated(measured: Measured) -> None:
     measured.at_most("apart on other numbers of threads", apart, 1e-5)
 
 
-def _everything(values: Disks) -> list[torch.Tensor]:
+def _everything(values: Surfels) -> list[torch.Tensor]:
     leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
     seen = _seen(leaves)
     sum(s.square().sum() for s in seen).backward()  # type: ignore[union-attr]
@@ -286,6 +286,6 @@ def many(measured: Measured) -> None:
     origin, direction = scattered(16)
     for half in range(2):  # of the twins' memory
         strip = replace(close, height=2, cy=close.cy - 2 * half)
-        agree_in_pictures(measured, f"half {half + 1}", values, strip, limits=limits)
+        agree_in_images(measured, f"half {half + 1}", values, strip, limits=limits)
         part = slice(8 * half, 8 * half + 8)
         agree_along_rays(measured, f"half {half + 1}", values, (origin[part], direction[part]), limits=limits)

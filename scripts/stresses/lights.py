@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light maps of any brightness, contrast and size: distribution, lookup, filters, and pictures under them."""
+"""Light maps of any brightness, contrast and size: distribution, lookup, filters, and images under them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from irgspp.core.shading.light_distribution import LightDistribution
 from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import draw
 from irgspp.core.shading.split_sum import LEVELS, diffuse_light, specular_light
-from irgspp.core.stages.first.initialization import disks
+from irgspp.core.stages.first.initialization import surfels
 
 from .case import Measured, group, relative
 from .twins import camera
@@ -78,7 +78,7 @@ def distributions(measured: Measured) -> None:
 @case(
     "a sample's own density",
     """Directions drawn by the kernel for 200 points under each of these maps carry the density that float64 gives to the very texel they
-    were drawn from, but for 1 in 1000, which float32 rounds over a texel's edge; a stray one's weight in a picture is bounded, as the
+    were drawn from, but for 1 in 1000, which float32 rounds over a texel's edge; a stray one's weight in an image is bounded, as the
     mixture's other parts hold it.""",
 )
 def own_density(measured: Measured) -> None:
@@ -169,11 +169,11 @@ def poles_and_seam(measured: Measured) -> None:
 
 @cache
 def ball() -> Reconstruction:
-    """A ball of 2000 disks beside a small one, grey, half of it glossy metal."""
+    """A ball of 2000 surfels beside a small one, grey, half of it glossy metal."""
     z, angle = 1 - 2 * (np.arange(2000) + 0.5) / 2000, np.arange(2000) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
-    gaussians = disks(normal, normal, np.full((2000, 3), 0.5), np.full(2000, math.sqrt(4 * math.pi / 2000)), 0.99)
-    gaussians = gaussians.joined(disks(1.3 + 0.3 * normal, normal, np.full((2000, 3), 0.5), np.full(2000, 0.03), 0.99))
+    gaussians = surfels(normal, normal, np.full((2000, 3), 0.5), np.full(2000, math.sqrt(4 * math.pi / 2000)), 0.99)
+    gaussians = gaussians.joined(surfels(1.3 + 0.3 * normal, normal, np.full((2000, 3), 0.5), np.full(2000, 0.03), 0.99))
     metal = gaussians.position[2] > 0
     gaussians.material[3] = torch.where(metal, -3.0, 0.0)
     gaussians.material[4] = torch.where(metal, 8.0, -8.0)
@@ -181,19 +181,19 @@ def ball() -> Reconstruction:
 
 
 @case(
-    "pictures under extreme maps",
+    "images under extreme maps",
     """Two balls relit by each of these maps: finite, not negative, black under black, at most what the brightest texel could send, 1e-12
-    of the picture under white where the light is 1e-12 (to 1e-3); under white no pixel sends back more than 1 (5 % of noise).""",
+    of the image under white where the light is 1e-12 (to 1e-3); under white no pixel sends back more than 1 (5 % of noise).""",
 )
-def pictures(measured: Measured) -> None:
+def images(measured: Measured) -> None:
     scene = ball()
     relighter = Relighter(scene, GaussianQuery(scene), RelightSettings(samples=32))
     surface = relighter.surface(camera(32, (3.0, 1.25, 2.0)))
     seen = {name: relighter.relit(surface, prepare(light.numpy())) for name, light in maps().items()}
-    for name, picture in seen.items():
-        measured.finite(name, picture)
-        measured.holds(f"{name}: not negative", bool((picture >= 0).all()))
-        measured.holds(f"{name}: bounded", float(picture[..., :3].max()) <= 1.5 * float(maps()[name].max()))
+    for name, image in seen.items():
+        measured.finite(name, image)
+        measured.holds(f"{name}: not negative", bool((image >= 0).all()))
+        measured.holds(f"{name}: bounded", float(image[..., :3].max()) <= 1.5 * float(maps()[name].max()))
     measured.holds("black under black", not seen["black"][..., :3].any())
     measured.at_most("1e-12 against white", relative(seen["1e-12"][..., :3] * 1e12, seen["white"][..., :3]), 1e-3)
     measured.at_most("brightest under white", float((seen["white"][..., :3] / seen["white"][..., 3:].clamp_min(0.5)).max()), 1.05)
@@ -232,9 +232,9 @@ def quadrature(light: torch.Tensor, normal: torch.Tensor, finer: int = 8) -> tor
     "Maps with NaN, infinity, negative and no light at all are repaired to finite ones >= 0 with a remark for each, black to a dim grey.",
 )
 def impossible(measured: Measured) -> None:
-    picture = np.full((4, 8, 3), 0.5, np.float32)
-    picture[0, 0], picture[1, 1], picture[2, 2] = np.nan, np.inf, -1.0
-    light, remarks = repaired(picture, "map")
+    image = np.full((4, 8, 3), 0.5, np.float32)
+    image[0, 0], image[1, 1], image[2, 2] = np.nan, np.inf, -1.0
+    light, remarks = repaired(image, "map")
     measured.holds("finite and >= 0", bool(np.isfinite(light).all() and (light >= 0).all()))
     measured.at_least("remarks", len(remarks), 3)
     dim, told = repaired(np.zeros((4, 8, 3), np.float32), "map")

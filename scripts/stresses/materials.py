@@ -15,7 +15,7 @@ from irgspp.core.shading.environment_lookup import solid_angles, texel_direction
 from irgspp.core.shading.light_distribution import LightDistribution
 from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import Samples, draw
-from irgspp.core.shading.specular_albedo import diffuse_share, specular_albedo
+from irgspp.core.shading.specular_albedo import diffuse_fraction, specular_albedo
 from irgspp.core.shading.split_sum import diffuse_light, shade, specular_light
 
 from .case import Measured, group, relative
@@ -176,7 +176,7 @@ def tables(measured: Measured) -> None:
     ends = torch.tensor([-1.0, 0.0, 1e-6, 1e-4, 1e-3, 0.05, 0.5, 1.0, 1.5])
     n_v, roughness = (v.flatten().requires_grad_() for v in torch.meshgrid(ends, ends, indexing="ij"))
     f0 = torch.linspace(0, 1, len(n_v))[:, None].repeat(1, 3).requires_grad_()
-    seen, left = specular_albedo(n_v, roughness, f0), diffuse_share(n_v, roughness)
+    seen, left = specular_albedo(n_v, roughness, f0), diffuse_fraction(n_v, roughness)
     (seen.sum() + left.sum()).backward()
     measured.finite("values and gradients", [seen, left, n_v.grad, roughness.grad, f0.grad])
     low, high = (float(getattr(torch.cat([seen.flatten(), left]), end)()) for end in ("min", "max"))

@@ -14,7 +14,7 @@ from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound
-from irgspp.core.scene.gbuffer import SurfaceSamples, ViewBuffers
+from irgspp.core.scene.gbuffer import GBuffer, SurfaceSamples
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import SurfaceSettings
@@ -83,7 +83,7 @@ def joined(*parts: Triangles) -> Triangles:
     return Triangles(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-def seen(mesh: Triangles, views: list[Camera]) -> list[ViewBuffers]:
+def seen(mesh: Triangles, views: list[Camera]) -> list[GBuffer]:
     """What cameras see of a mesh: exact depth and flat normals, both sides alike, coloured by place."""
     scene, corners = EmbreeScene(), mesh.vertices[mesh.faces]
     TriangleMesh(scene, np.ascontiguousarray(corners, np.float32))
@@ -99,7 +99,7 @@ def seen(mesh: Triangles, views: list[Camera]) -> list[ViewBuffers]:
         colour = colour_of(camera.centre + far[:, None] * rays) * hit[:, None]
         layers = (hit, far, normal, colour, colour, colour[:, 1], colour[:, 2])
         shape = (camera.height, camera.width)
-        buffers.append(ViewBuffers(camera, *(x.reshape(*shape, *x.shape[1:]).astype(np.float32) for x in layers)))
+        buffers.append(GBuffer(camera, *(x.reshape(*shape, *x.shape[1:]).astype(np.float32) for x in layers)))
     return buffers
 
 
@@ -121,7 +121,7 @@ def reconstructed(measured: Measured, what: str, mesh: Triangles, settings: Surf
 
 
 def baked(
-    measured: Measured, what: str, surface: Surface, views: list[ViewBuffers], own: SurfaceSamples, settings: SurfaceSettings = SETTINGS
+    measured: Measured, what: str, surface: Surface, views: list[GBuffer], own: SurfaceSamples, settings: SurfaceSettings = SETTINGS
 ) -> Mesh:
     """Unwrap and bake, and compare the texels with the colour of the places they show."""
     mesh = textured_mesh(surface, views, own, settings, Silent())

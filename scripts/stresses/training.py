@@ -16,13 +16,13 @@ import torch
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.io.srgb import encode_srgb
-from irgspp.core.rendering.gbuffer import render_view
+from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.settings.overrides import with_overrides
-from irgspp.core.settings.schema import ReflectiveSettings, preset
+from irgspp.core.settings.schema import FirstStageSettings, preset
 from irgspp.core.stages.first.initialization import initial_gaussians
-from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL, Kind
+from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL, MaterialClass
 from irgspp.core.stages.first.train import train
 from irgspp.core.stages.first.trainer import Trainer
 from PIL import Image
@@ -31,7 +31,7 @@ from .case import Measured, group
 from .gaussians import thread_setting
 
 case = group("training")
-TINY = with_overrides(preset("draft"), ["reflective.gaussians=200", "reflective.light_height=8", "reflective.iterations=40"])
+TINY = with_overrides(preset("draft"), ["first.gaussians=200", "first.light_height=8", "first.iterations=40"])
 COUNT = 200  # Gaussians
 Painter = Callable[[np.ndarray], np.ndarray]
 
@@ -60,22 +60,22 @@ def half_clipped(points: np.ndarray) -> np.ndarray:
     return np.where(points[..., :1] > 0, np.ones(3), np.zeros(3))
 
 
-def photographs(views: list[Camera], paint: Painter = checks, masked: bool = True) -> Dataset:
+def photographs(views: list[Camera], assign_materials: Painter = checks, masked: bool = True) -> Dataset:
     """A unit ball of these colours; its surroundings look like a far wall painted alike."""
-    pictures = []
+    images = []
     for i, camera in enumerate(views):
         rays = camera.rays().astype(np.float64)
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         b = rays @ camera.centre
         inside = b * b - camera.centre @ camera.centre + 1
         far = np.where(inside > 0, -b - np.sqrt(np.maximum(inside, 0)), 8.0)
-        colour = paint(camera.centre + far[..., None] * rays).astype(np.float32)
+        colour = assign_materials(camera.centre + far[..., None] * rays).astype(np.float32)
         alpha = (inside > 0).astype(np.float32) if masked else None
-        pictures.append(View(f"{i}", camera, Path(f"{i}.png"), colour, alpha))
-    return Dataset(Path("ball"), "transforms", pictures, [], Bound((0.0, 0.0, 0.0), 1.5), np.eye(4))
+        images.append(View(f"{i}", camera, Path(f"{i}.png"), colour, alpha))
+    return Dataset(Path("ball"), "transforms", images, [], Bound((0.0, 0.0, 0.0), 1.5), np.eye(4))
 
 
-def trainer(dataset: Dataset, kind: Kind, settings: ReflectiveSettings = TINY.reflective) -> Trainer:
+def trainer(dataset: Dataset, kind: MaterialClass, settings: FirstStageSettings = TINY.first) -> Trainer:
     """On the hull or at random, one view in four held back."""
     start = initial_gaussians(dataset, settings.gaussians, np.random.default_rng(0))
     return Trainer(dataset, settings, start, kind, 0, 4 if len(dataset.train) >= 4 else 0)
@@ -88,7 +88,7 @@ def values(trained: Trainer) -> list[torch.Tensor]:
 
 def finite_training(measured: Measured, what: str, dataset: Dataset, steps: int = 25) -> None:
     """Steps of what may be metal and of what may not, each density control included, leave finite values and losses."""
-    settings = replace(TINY.reflective, iterations=steps)
+    settings = replace(TINY.first, iterations=steps)
     for kind in (LOW_GLOSS, METAL):
         fitted = trainer(dataset, kind, settings)
         losses = torch.tensor([fitted.step() for _ in range(steps)])
@@ -96,29 +96,29 @@ def finite_training(measured: Measured, what: str, dataset: Dataset, steps: int 
 
 
 @case(
-    "white, black, saturated pictures",
+    "white, black, saturated images",
     """With and without masks, low-gloss and metal: losses, Gaussians and light stay finite; a white and a black object's colour is met
     to 0.05 after 60 iterations, and the light told apart from it is finite.""",
 )
-def flat_pictures(measured: Measured) -> None:
+def flat_images(measured: Measured) -> None:
     views = cameras(9, 16)
-    for name, paint in (("white", flat(1.0)), ("black", flat(0.0)), ("saturated", half_clipped)):
+    for name, assign_materials in (("white", flat(1.0)), ("black", flat(0.0)), ("saturated", half_clipped)):
         for masked in (True, False):
-            finite_training(measured, f"{name}{' masked' if masked else ''}", photographs(views, paint, masked))
+            finite_training(measured, f"{name}{' masked' if masked else ''}", photographs(views, assign_materials, masked))
         if name == "saturated":
             continue
-        dataset = photographs(views, paint)
-        result, _ = train(dataset, replace(TINY, materials="low-gloss", reflective=replace(TINY.reflective, iterations=60)))
+        dataset = photographs(views, assign_materials)
+        result, _ = train(dataset, replace(TINY, materials="low-gloss", first=replace(TINY.first, iterations=60)))
         measured.finite(f"{name}: first stage", [*result.gaussians.tensors().values(), result.environment])
-        seen, target = render_view(result, views[0]), dataset.train[0]
+        seen, target = render_gbuffer(result, views[0]), dataset.train[0]
         inside = seen.alpha > 0.9
         error = np.median(np.abs(encode_srgb(seen.radiance[inside]) - target.colour[inside]))
         measured.at_most(f"{name}: off by", float(error), 0.05)
 
 
 @case(
-    "pictures of one pixel, a single view",
-    """The first stage on pictures of 1x1, 2x2 and 3x3 pixels, and on one view alone, ends with finite values or one clear line; at the
+    "images of one pixel, a single view",
+    """The first stage on images of 1x1, 2x2 and 3x3 pixels, and on one view alone, ends with finite values or one clear line; at the
     door both are refused with one line (exit status 2).""",
 )
 def smallest(measured: Measured) -> None:

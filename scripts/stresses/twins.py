@@ -6,7 +6,7 @@ one hangs by a rounding error, float32 and float64 may rightly differ. Such rays
 NOISE in its inputs, a few units in float32's last place, and where its own answer moves by more than UNDECIDED, a share of what is
 tolerated, the ray counts as undecided. Their share is said in the table and limited; on all others the kernels must agree with the twin.
 
-What is shaken: directions and logarithms; in pictures the place relative to the camera, along rays their direction. Differences of
+What is shaken: directions and logarithms; in images the place relative to the camera, along rays their direction. Differences of
 places are exact in float32, so that nothing else has a rounding error that depends on where the scene lies.
 """
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.reference.rasterize import rasterize_reference
 from irgspp.core.kernels.reference.trace import trace_reference
@@ -33,13 +33,13 @@ TOLERANCE = 1e-4  # of a sum, relative where it is above 1
 GRADIENT = 1e-3  # relative L2 of each parameter's gradient, or 10 times what NOISE does to the twin's
 GEOMETRY = ("position", "quaternion", "log_scale", "opacity")
 
-Disks = dict[str, torch.Tensor]
+Surfels = dict[str, torch.Tensor]
 Rays = tuple[torch.Tensor, torch.Tensor]
-Viewer = Callable[[Disks], torch.Tensor]
-Shake = Callable[[Disks, int], Disks]
+Viewer = Callable[[Surfels], torch.Tensor]
+Shake = Callable[[Surfels, int], Surfels]
 
 
-def cloud(count: int, seed: int = 0, size: float = 0.12) -> Disks:
+def cloud(count: int, seed: int = 0, size: float = 0.12) -> Surfels:
     """Disks of any orientation in a ball of about 1, of scale `size`, with opacity logits around 0."""
     g = torch.Generator().manual_seed(seed)
     random = lambda *shape: torch.randn(*shape, generator=g)  # noqa: E731
@@ -49,7 +49,7 @@ def cloud(count: int, seed: int = 0, size: float = 0.12) -> Disks:
 
 
 def camera(size: int = 24, eye: tuple[float, float, float] = (3.0, 1.25, 2.0), target: tuple[float, float, float] = (0, 0, 0)) -> Camera:
-    """A small picture; `eye` must be a number of float32, in which the kernels see it."""
+    """A small image; `eye` must be a number of float32, in which the kernels see it."""
     return Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(eye, target))
 
 
@@ -62,13 +62,13 @@ def scattered(count: int, seed: int = 0, spread: float = 0.7) -> Rays:
 
 @dataclass
 class Seen:
-    """What one of two viewers made of the disks: rows of sums (P, C), and gradients by parameter."""
+    """What one of two viewers made of the surfels: rows of sums (P, C), and gradients by parameter."""
 
     rows: torch.Tensor
     gradients: dict[str, torch.Tensor | None]
 
 
-def viewed(viewer: Viewer, values: Disks, weight: torch.Tensor | None, dtype: torch.dtype) -> Seen:
+def viewed(viewer: Viewer, values: Surfels, weight: torch.Tensor | None, dtype: torch.dtype) -> Seen:
     """Sums of a viewer, and gradients of their sum weighted by (P, C)."""
     leaves = {name: value.detach().to(dtype).clone().requires_grad_() for name, value in values.items()}
     rows = viewer(leaves)
@@ -77,7 +77,7 @@ def viewed(viewer: Viewer, values: Disks, weight: torch.Tensor | None, dtype: to
     return Seen(rows.detach(), {name: leaf.grad for name, leaf in leaves.items()})
 
 
-def noisy(values: Disks, shaken: Sequence[str], eye: np.ndarray | None, seed: int) -> Disks:
+def noisy(values: Surfels, shaken: Sequence[str], eye: np.ndarray | None, seed: int) -> Surfels:
     """The values in float64, those named with NOISE: of directions, logarithms, and distances from `eye` (3,)."""
     g = torch.Generator().manual_seed(seed)
     moved = {name: value.double() for name, value in values.items()}
@@ -108,7 +108,7 @@ class Limits:
 ALLOWED = Limits()
 
 
-def agree(measured: Measured, what: str, pair: tuple[Viewer, Viewer], values: Disks, twin: Disks, shake: Shake, limits: Limits) -> None:
+def agree(measured: Measured, what: str, pair: tuple[Viewer, Viewer], values: Surfels, twin: Surfels, shake: Shake, limits: Limits) -> None:
     """Compare a kernel, which sees `values`, with its twin, which sees `twin`: sums over the rays that are decided, and gradients of
     their randomly weighted sum."""
     fast, slow = pair
@@ -128,7 +128,7 @@ def agree(measured: Measured, what: str, pair: tuple[Viewer, Viewer], values: Di
 
 
 def _gradients_agree(
-    measured: Measured, pair: tuple[Viewer, Viewer], values: Disks, twin: Disks, shake: Shake, weight: torch.Tensor
+    measured: Measured, pair: tuple[Viewer, Viewer], values: Surfels, twin: Surfels, shake: Shake, weight: torch.Tensor
 ) -> None:
     """The largest relative error of a gradient, against its limit."""
     ours, theirs = viewed(pair[0], values, weight, torch.float32), viewed(pair[1], twin, weight, torch.float64)
@@ -145,36 +145,38 @@ def _gradients_agree(
     measured.at_most("gradient", worst, limit)
 
 
-def agree_in_pictures(
-    measured: Measured, what: str, values: Disks, view: Camera, radius: float = 1.0, twin: Disks | None = None, limits: Limits = ALLOWED
+def agree_in_images(
+    measured: Measured, what: str, values: Surfels, view: Camera, radius: float = 1.0, twin: Surfels | None = None, limits: Limits = ALLOWED
 ) -> None:
     """The rasteriser against its twin."""
     shaken = GEOMETRY if limits.shaken is None else limits.shaken
 
-    def fast(v: Disks) -> torch.Tensor:
+    def fast(v: Surfels) -> torch.Tensor:
         return rasterize(*v.values(), view, radius)[0].flatten(1).T
 
-    def slow(v: Disks) -> torch.Tensor:
+    def slow(v: Surfels) -> torch.Tensor:
         return rasterize_reference(*v.values(), view, radius).flatten(1).T
 
-    def shake(v: Disks, seed: int) -> Disks:
+    def shake(v: Surfels, seed: int) -> Surfels:
         return noisy(v, shaken, view.centre, seed)
 
-    agree(measured, f"{what}, picture", (fast, slow), values, values if twin is None else twin, shake, limits)
+    agree(measured, f"{what}, image", (fast, slow), values, values if twin is None else twin, shake, limits)
 
 
-def agree_along_rays(measured: Measured, what: str, values: Disks, rays: Rays, twin: Disks | None = None, limits: Limits = ALLOWED) -> None:
+def agree_along_rays(
+    measured: Measured, what: str, values: Surfels, rays: Rays, twin: Surfels | None = None, limits: Limits = ALLOWED
+) -> None:
     """The ray tracer against its twin."""
     both = {"origin": rays[0], "direction": rays[1]}
     shaken = (*GEOMETRY[1:], "direction") if limits.shaken is None else limits.shaken
 
-    def fast(v: Disks) -> torch.Tensor:
-        return trace(*v.values(), tree=DiskTree.build(*(v[name] for name in GEOMETRY)))
+    def fast(v: Surfels) -> torch.Tensor:
+        return trace(*v.values(), tree=SurfelTree.build(*(v[name] for name in GEOMETRY)))
 
-    def slow(v: Disks) -> torch.Tensor:
+    def slow(v: Surfels) -> torch.Tensor:
         return trace_reference(*v.values())
 
-    def shake(v: Disks, seed: int) -> Disks:
+    def shake(v: Surfels, seed: int) -> Surfels:
         return noisy(v, shaken, None, seed)
 
     agree(measured, f"{what}, rays", (fast, slow), values | both, (values if twin is None else twin) | both, shake, limits)

@@ -25,7 +25,7 @@ def from_menu(x: float, entry: str) -> Iterator[float]:
 
 
 def confirm_files(name: str, directory: Path | None = None, file: str = "") -> Iterator[float]:
-    """The file browser: a picture of it, then Return with the mouse over it."""
+    """The file browser: an image of it, then Return with the mouse over it."""
     yield from hands.wait(file_area, 10)
     yield 1.5
     found = file_area()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Eyes and hands inside a Blender window: pictures, real mouse and keys, and waiting while Blender goes on.
+"""Eyes and hands inside a Blender window: images, real mouse and keys, and waiting while Blender goes on.
 
 A story is a generator: each `yield SECONDS` gives the time back to Blender. Coordinates are Blender's, with the origin below left.
 """
@@ -96,7 +96,7 @@ def redraw() -> None:
 
 
 def shot(name: str, box: tuple[int, int, int, int] | None = None) -> Path:
-    """A picture of the window as it is now, or of a part of it: x, y, width, height with y from the top."""
+    """An image of the window as it is now, or of a part of it: x, y, width, height with y from the top."""
     path = OUTPUT / f"{name}.png"
     crop = ["-crop", "{2}x{3}+{0}+{1}".format(*box), "+repage"] if box else []
     subprocess.run(["import", "-window", "root", *crop, str(path)], check=True)
@@ -104,7 +104,7 @@ def shot(name: str, box: tuple[int, int, int, int] | None = None) -> Path:
 
 
 def sidebar_shot(name: str) -> Path:
-    """A picture of the sidebar alone."""
+    """An image of the sidebar alone."""
     part = region("UI")
     return shot(name, (part.x, window().height - part.y - part.height, part.width, part.height))
 

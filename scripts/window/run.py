@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drive the extension in a real Blender window, by real clicks, and take pictures at each step.
+"""Drive the extension in a real Blender window, by real clicks, and take images at each step.
 
     python scripts/build_extension.py -o dist
-    python scripts/window/run.py --zip dist/irgspp-0.1.0.zip --engine .venv/bin/python -o pictures
+    python scripts/window/run.py --zip dist/irgspp-0.1.0.zip --engine .venv/bin/python -o images
 
 Needs Linux with Blender, xdotool and ImageMagick (`import`); where there is no screen, Xvfb (`xvfb-run`) gives one. Blender starts with
 settings of its own in a temporary folder. Exit status: 0 done, 1 a step failed, 2 bad usage, 3 Blender ended or took too long.
@@ -48,7 +48,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--zip", type=Path, required=True, help="the extension")
     parser.add_argument("--engine", default=os.environ.get("IRGSPP_PYTHON", ""), help="Python with the engine (default: $IRGSPP_PYTHON)")
-    parser.add_argument("-o", dest="output", type=Path, required=True, help="folder for the pictures")
+    parser.add_argument("-o", dest="output", type=Path, required=True, help="folder for the images")
     parser.add_argument("--story", choices=STORIES, default="story_first_day", help="what is done (default: story_first_day)")
     parser.add_argument("--run", type=Path, help="a finished run's folder, for story_result; a copy is used")
     parser.add_argument("--blender", default="blender", help="Blender's executable")
@@ -94,7 +94,7 @@ def drive(args: argparse.Namespace) -> int:
         print(f"window: Blender ended or took too long; see {args.output / 'blender.log'}", file=sys.stderr)
         return 3
     told = json.loads(end.read_text())
-    print(told["error"] or f"window: pictures in {args.output}", file=sys.stderr if told["error"] else sys.stdout)
+    print(told["error"] or f"window: images in {args.output}", file=sys.stderr if told["error"] else sys.stdout)
     for name, time_taken in told["slowest"].items():
         print(f"  slowest {name}: {time_taken}")
     return 1 if told["error"] else 0

@@ -14,8 +14,8 @@ import bpy
 import hands
 
 MODULE = "bl_ext.user_default.irgspp"
-# A small part of the work, so that the story ends in a minute or two; the pictures are of 64x64 pixels anyway.
-SETTINGS = "reflective.iterations=300 reflective.trial_iterations=60 reflective.gaussians=8000 surface.voxels=96 surface.triangles=8000"
+# A small part of the work, so that the story ends in a minute or two; the images are of 64x64 pixels anyway.
+SETTINGS = "first.iterations=300 first.trial_iterations=60 first.gaussians=8000 surface.voxels=96 surface.triangles=8000"
 
 
 def story() -> Iterator[float]:
@@ -88,7 +88,7 @@ def reconstruct(run: Path) -> Iterator[float]:
     yield from hands.click("irgspp.reconstruct")
     yield from hands.wait(lambda: jobs.running(), 30)
     job = jobs.running()[0]
-    yield from hands.wait(lambda: job.finished or (job.phase == "reflective" and job.fraction > 0.5 and job.preview), 300)
+    yield from hands.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), 300)
     yield 1.0
     hands.shot("07_running")
     hands.sidebar_shot("07_running_sidebar")

@@ -61,7 +61,7 @@ def demo_and_cancel() -> Iterator[float]:
     hands.shot("59_demo_asked")
     yield from hands.wait(part("jobs").running, 30)
     job = part("jobs").running()[0]
-    yield from hands.wait(lambda: job.finished or (job.phase == "reflective" and job.step), 120)
+    yield from hands.wait(lambda: job.finished or (job.phase == "first stage" and job.step), 120)
     yield 3.0
     hands.sidebar_shot("60_demo_running")
     yield from browsing.press_button("irgspp.job_cancel", across=0.7)

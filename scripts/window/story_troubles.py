@@ -37,19 +37,19 @@ def story() -> Iterator[float]:
     demo = Path(str(sys.modules[MODULE].__file__)).parent / "core" / "demo_data"
     shutil.copytree(demo, work / "monkey")
     settings.dataset = "//monkey"
-    settings.overrides = "reflective.iterations=many"
+    settings.overrides = "first.iterations=many"
     yield 1.0
     yield from hands.click("irgspp.reconstruct")
     yield from hands.wait(lambda: not jobs.unfinished(), 60)
     yield 1.5
     hands.sidebar_shot("23_bad_setting")
 
-    settings.overrides, settings.preset = "reflective.iterations=3000", "draft"
+    settings.overrides, settings.preset = "first.iterations=3000", "draft"
     yield 1.0
     yield from hands.click("irgspp.reconstruct")
     yield from hands.wait(jobs.running, 30)
     job = jobs.running()[0]
-    yield from hands.wait(lambda: job.phase == "reflective" and job.step > 20, 300)
+    yield from hands.wait(lambda: job.phase == "first stage" and job.step > 20, 300)
     yield from hands.click("irgspp.job_cancel", across=0.7)
     yield from hands.wait(lambda: job.finished, 60)
     yield 1.5

@@ -13,7 +13,7 @@ from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.machine.blender_process import NoBlender
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.rendering import gbuffer_cache as rendered_views
-from irgspp.core.rendering.gbuffer_cache import RenderedViews
+from irgspp.core.rendering.gbuffer_cache import GBufferCache
 from irgspp.core.run_folder import read_run
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound, Dataset, View
@@ -61,7 +61,7 @@ class Stages:
         monkeypatch.setattr(pipeline, "load_dataset", small_dataset)
         monkeypatch.setattr(pipeline, "train", self.train)
         monkeypatch.setattr(pipeline, "extract_geometry", self.extract)
-        monkeypatch.setattr(pipeline, "solve_transport", self.transport)
+        monkeypatch.setattr(pipeline, "solve_second_stage", self.transport)
         monkeypatch.setattr(pipeline, "textured_mesh", self.texture)
         monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
         monkeypatch.setattr(pipeline.Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
@@ -82,8 +82,8 @@ class Stages:
         assert (ends is None) == (settings.time is None)
         progress.phase("first stage", 2)
         progress.step(1, loss=0.5, psnr=20.0)
-        begun = checkpoint.load("reflective")
-        checkpoint.save("reflective", {"step": 1})
+        begun = checkpoint.load("first_stage")
+        checkpoint.save("first_stage", {"step": 1})
         self.note("train" if begun is None else "train again")
         progress.step(2, loss=0.25, psnr=30.0)
         return Result("first"), 0.5
@@ -91,7 +91,7 @@ class Stages:
     def extract(self, views, samples, bound, settings, progress, masks):
         assert len(views) == 3
         assert samples == "first"
-        assert masks is None  # the pictures have no alpha
+        assert masks is None  # the images have no alpha
         self.note("geometry")
         return TRIANGLE
 
@@ -99,7 +99,7 @@ class Stages:
         assert first.stage == "first"
         assert settings == Settings() and ends is None  # no time was set
         self.given(surface)
-        self.note("transport")
+        self.note("second stage")
         return Result("second"), 1.0
 
     def texture(self, surface, views, samples, settings, progress):
@@ -131,7 +131,7 @@ def stages(monkeypatch):
     return Stages(monkeypatch)
 
 
-ALL = ["train", "geometry", "transport", "surface", "scene", "contact sheet"]
+ALL = ["train", "geometry", "second stage", "surface", "scene", "contact sheet"]
 
 
 def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
@@ -139,7 +139,7 @@ def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
     assert stages.ran == ALL
     state = read_run(run)
     assert state["status"] == "done"
-    assert list(state["phases"]) == ["read", "reflective", *ALL[1:]]
+    assert list(state["phases"]) == ["read", "first stage", *ALL[1:]]
     assert all(phase["finished"] and phase["peak_memory"] > 0 for phase in state["phases"].values())
     assert state["training"] == {"loss": 0.25, "psnr": 30.0}
     assert "b.png" in (run / "log.txt").read_text()
@@ -172,7 +172,7 @@ def test_stop_among_the_files_of_the_second_stage_leaves_those_of_the_first(tmp_
     with pytest.raises(KeyboardInterrupt):
         pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
     assert (tmp_path / "run" / "gaussians.ply").read_text() == "second"
-    assert not read_run(tmp_path / "run")["phases"]["transport"]["finished"]
+    assert not read_run(tmp_path / "run")["phases"]["second stage"]["finished"]
     monkeypatch.setattr(Result, "save", save)
     stages.ran[:] = []
     pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)  # the stand-in looks at what it is given
@@ -180,7 +180,7 @@ def test_stop_among_the_files_of_the_second_stage_leaves_those_of_the_first(tmp_
 
 
 def test_checkpoint_that_is_gone_is_one_clear_line(tmp_path, stages):
-    stages.stop = "transport"
+    stages.stop = "second stage"
     with pytest.raises(Cancelled):
         pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
     os.unlink(tmp_path / "run" / "checkpoint" / "geometry.pt")
@@ -252,8 +252,8 @@ def test_settings_are_checked_before_anything_else(tmp_path, stages):
 
 def test_rendered_views_keeps_what_fits(monkeypatch):
     rendered = []
-    monkeypatch.setattr(rendered_views, "render_view", lambda _, camera: rendered.append(camera.width) or camera.width)
-    views = RenderedViews(None, [camera(w) for w in (4, 5, 6)], memory=4 * 4 * 13 * 4)
+    monkeypatch.setattr(rendered_views, "render_gbuffer", lambda _, camera: rendered.append(camera.width) or camera.width)
+    views = GBufferCache(None, [camera(w) for w in (4, 5, 6)], memory=4 * 4 * 13 * 4)
     assert list(views) == [4, 5, 6]
     assert list(views) == [4, 5, 6]
     assert rendered == [4, 5, 6, 5, 6]

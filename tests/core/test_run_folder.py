@@ -13,7 +13,7 @@ from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.io.file_lock import FileLock
 from irgspp.core.machine.peak_memory import peak_memory, reset_peak_memory
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.progress.recorder import Journal
+from irgspp.core.progress.recorder import ProgressRecorder
 from irgspp.core.run_folder import RunFolder, read_run, write_atomic
 from irgspp.core.settings.schema import Settings, preset
 
@@ -59,10 +59,10 @@ def test_foreign_folder_is_refused_even_with_overwrite(tmp_path):
 def test_overwrite_removes_the_run_and_nothing_else(run):
     (run.path / "mesh.ply").write_text("old")
     (run.path / "notes.txt").write_text("mine")
-    run.save("reflective", {"step": 1})
+    run.save("first_stage", {"step": 1})
     again = reopen(run, overwrite=True)
     assert not (run.path / "mesh.ply").exists()
-    assert again.load("reflective") is None
+    assert again.load("first_stage") is None
     assert (run.path / "notes.txt").read_text() == "mine"
     again.close()
 
@@ -104,18 +104,18 @@ def test_run_in_use_by_another_process_is_refused(run):
 
 
 def test_resume_keeps_what_was_done(run):
-    with run.timed("reflective"):
+    with run.timed("first stage"):
         pass
     run.skip("scene.blend", "no bpy")
     again = reopen(run, resume=True)
-    assert again.finished("reflective")
+    assert again.finished("first stage")
     assert not again.finished("surface")
     assert again.state["skipped"] == [{"what": "scene.blend", "why": "no bpy"}]
     again.close()
 
 
 @pytest.mark.parametrize(
-    ("settings", "dataset", "words"), [(preset("draft"), "photos", "reflective.iterations"), (Settings(), "other", "dataset")]
+    ("settings", "dataset", "words"), [(preset("draft"), "photos", "first.iterations"), (Settings(), "other", "dataset")]
 )
 def test_resume_with_other_settings_is_refused(run, settings, dataset, words):
     with pytest.raises(InputError, match=words):
@@ -158,40 +158,40 @@ def test_checkpoint_round_trip(run):
     generator = torch.Generator().manual_seed(3)
     nested = {"x": torch.arange(3.0), "y": np.eye(2)}
     state = {"step": 4, "name": "a", "nested": nested, "pair": (1.5, [True, None]), "rng": generator.get_state()}
-    run.save("reflective", state)
-    back = run.load("reflective")
+    run.save("first_stage", state)
+    back = run.load("first_stage")
     assert (back["step"], back["name"], back["pair"]) == (4, "a", (1.5, [True, None]))
     assert torch.equal(back["nested"]["x"], state["nested"]["x"])
     assert torch.equal(back["nested"]["y"], torch.eye(2, dtype=torch.float64))
     generator.set_state(back["rng"])
     assert torch.equal(torch.rand(3, generator=generator), torch.rand(3, generator=torch.Generator().manual_seed(3)))
-    assert [p.name for p in (run.path / "checkpoint").iterdir()] == ["reflective.pt"]
+    assert [p.name for p in (run.path / "checkpoint").iterdir()] == ["first_stage.pt"]
 
 
 def test_damaged_checkpoint_is_told(run):
-    assert run.load("reflective") is None
-    run.save("reflective", {"x": torch.zeros(1000)})
-    path = run.path / "checkpoint" / "reflective.pt"
+    assert run.load("first_stage") is None
+    run.save("first_stage", {"x": torch.zeros(1000)})
+    path = run.path / "checkpoint" / "first_stage.pt"
     for data in (path.read_bytes()[:700], b"", b"not a checkpoint"):
         path.write_bytes(data)
-        with pytest.raises(InputError, match=r"reflective\.pt"):
-            run.load("reflective")
+        with pytest.raises(InputError, match=r"first_stage\.pt"):
+            run.load("first_stage")
 
 
 def test_interrupted_save_leaves_the_old_checkpoint(run, monkeypatch):
-    run.save("reflective", {"step": 1})
+    run.save("first_stage", {"step": 1})
     monkeypatch.setattr(run_folder.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(OSError, match="No space"):
-        run.save("reflective", {"step": 2})
-    assert run.load("reflective") == {"step": 1}
+        run.save("first_stage", {"step": 2})
+    assert run.load("first_stage") == {"step": 1}
     with pytest.raises(OSError, match="No space"):
         write_atomic(run.path / "run.json", b"half")
     assert read_run(run.path)["status"] == "running"
 
 
 def test_journal_writes_events_and_hears_the_files(run):
-    journal = Journal(run, Silent())
-    journal.phase("reflective", 2)
+    journal = ProgressRecorder(run, Silent())
+    journal.phase("first stage", 2)
     assert not journal.cancelled
     (run.path / "finish").touch()
     assert journal.finish_early
@@ -202,13 +202,13 @@ def test_journal_writes_events_and_hears_the_files(run):
     (run.path / "cancel").touch()
     assert journal.cancelled
     first, last, message, second = events(run)
-    assert (first["phase"], first["step"], first["of"]) == ("reflective", 0, 2)
+    assert (first["phase"], first["step"], first["of"]) == ("first stage", 0, 2)
     assert (last["step"], last["loss"], last["psnr"]) == (2, 0.5, None)
     assert message["message"] == "hello"
     assert second["phase"] == "surface"
     assert "hello" in (run.path / "log.txt").read_text()
     again = reopen(run, resume=True)
-    assert not Journal(again, Silent()).cancelled
+    assert not ProgressRecorder(again, Silent()).cancelled
     again.close()
 
 
@@ -237,8 +237,8 @@ def test_killed_before_run_json_was_written(tmp_path):
 @pytest.mark.parametrize("cut", ["rmtree", "unlink"])
 def test_killed_while_another_run_was_being_replaced(run, monkeypatch, cut):
     """What is left of the old run must not pass for the new one's: it was finished, and its checkpoint is of other settings."""
-    run.save("reflective", {"step": 1})
-    run.record("reflective", 1.0, 1, finished=True)
+    run.save("first_stage", {"step": 1})
+    run.record("first stage", 1.0, 1, finished=True)
     (run.path / "mesh.ply").write_text("old")
 
     def killed(*_, **__):
@@ -249,6 +249,6 @@ def test_killed_while_another_run_was_being_replaced(run, monkeypatch, cut):
         with pytest.raises(SystemError):
             reopen(run, preset("draft"), overwrite=True)
     again = RunFolder.open(run.path, preset("draft"), "photos", resume=True)
-    assert not again.finished("reflective") and again.load("reflective") is None
+    assert not again.finished("first stage") and again.load("first_stage") is None
     assert not (run.path / "mesh.ply").exists() and "replaces" not in read_run(run.path)
     again.close()

@@ -41,7 +41,7 @@ def scene(warm, relightable, tmp_path):
     bpy.ops.wm.read_homefile(use_empty=True)
     import_run(relightable)
     scene = bpy.context.scene
-    scene.world = world_from_map(blender_side.write_picture(tmp_path / "lamp.exr", lamp()))
+    scene.world = world_from_map(blender_side.write_image(tmp_path / "lamp.exr", lamp()))
     ((_, camera),) = orbit(1, [placed.camera for placed in load_cameras(relightable / "cameras.json")], Bound((0, 0, 0), 1.3))
     see_through(scene, camera, "eye")
     scene.render.image_settings.color_mode = "RGBA"

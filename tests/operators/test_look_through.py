@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Looking through an imported camera gives the scene its picture's size."""
+"""Looking through an imported camera gives the scene its image's size."""
 
 import bpy
 import irgspp

@@ -7,7 +7,7 @@ from math import pi
 import bpy
 import numpy as np
 import pytest
-from blender_side import read_picture
+from blender_side import read_image
 from irgspp.core.scene.camera_files import load_cameras
 from irgspp.irgspp_addon.engine.process import engine_command, engine_environment
 from irgspp.irgspp_addon.importer.run_frame import camera_of, frame_of, run_object, scene_camera
@@ -28,7 +28,7 @@ def rendered(scene, tmp_path, name="f12") -> np.ndarray:
     scene.render.engine = "IRGSPP"
     scene.render.filepath = str(tmp_path / f"{name}.exr")
     bpy.ops.render.render(write_still=True)
-    return read_picture(tmp_path / f"{name}.exr", 4)
+    return read_image(tmp_path / f"{name}.exr", 4)
 
 
 def by_command(run, tmp_path, light, *options) -> np.ndarray:
@@ -36,7 +36,7 @@ def by_command(run, tmp_path, light, *options) -> np.ndarray:
     words = ["render", str(run), "--orbit", "1", "-o", str(tmp_path / "views"), "--environment", str(light), "--name", "x", *options]
     done = subprocess.run(engine_command(*words), capture_output=True, text=True, env=engine_environment(), check=False)
     assert done.returncode == 0, done.stderr
-    return read_picture(tmp_path / "views" / "orbit_000" / "rgba_x.exr", 4)
+    return read_image(tmp_path / "views" / "orbit_000" / "rgba_x.exr", 4)
 
 
 def move(run) -> None:
@@ -69,9 +69,9 @@ def test_views_are_rendered_under_the_world(scene, relightable, tmp_path):
     out = tmp_path / "out"
     words = {"run": str(relightable), "views": "1", "output": str(out), "samples": "64", "backend": "mesh"}
     assert bpy.ops.irgspp.render_views(**words) == {"FINISHED"}
-    assert difference(previewed(relightable), read_picture(out / "orbit_000" / "rgba_world.exr", 4)) < 0.01
+    assert difference(previewed(relightable), read_image(out / "orbit_000" / "rgba_world.exr", 4)) < 0.01
     assert bpy.ops.irgspp.render_views(**words | {"use_world": False}) == {"FINISHED"}
-    assert difference(previewed(relightable, use_world=False), read_picture(out / "orbit_000" / "rgba.exr", 4)) < 0.01
+    assert difference(previewed(relightable, use_world=False), read_image(out / "orbit_000" / "rgba.exr", 4)) < 0.01
     with pytest.raises(RuntimeError, match="no-such"):
         bpy.ops.irgspp.render_views(**words | {"views": str(tmp_path / "no-such")})
 
@@ -183,6 +183,6 @@ def test_scripts_get_exceptions(scene, relightable, tmp_path, monkeypatch):
 def test_the_world_as_a_light_map(scene, tmp_path):
     mapping(scene).inputs["Rotation"].default_value = (0, 0, pi)
     assert bpy.ops.irgspp.world_to_map(filepath=str(tmp_path / "map.exr"), height=64) == {"FINISHED"}
-    assert np.abs(read_picture(tmp_path / "map.exr") - np.roll(lamp(), 64, 1)).max() < 1e-4
+    assert np.abs(read_image(tmp_path / "map.exr") - np.roll(lamp(), 64, 1)).max() < 1e-4
     with pytest.raises(RuntimeError, match=r"\.exr or \.npy"):
         bpy.ops.irgspp.world_to_map(filepath=str(tmp_path / "map.png"))

@@ -13,7 +13,7 @@ from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.irgspp_addon.properties import show_jobs
-from irgspp.panels import dataset, pictures, reconstruct, relight, result, run_state
+from irgspp.panels import dataset, images, reconstruct, relight, result, run_state
 from irgspp.panels import engine as engine_panel
 from irgspp.panels import jobs as jobs_panel
 from recording_layout import draw
@@ -118,7 +118,7 @@ def test_a_running_reconstruction(settings, tmp_path):
     add_job(
         tmp_path,
         state="running",
-        phase="reflective",
+        phase="first stage",
         step=100,
         of=400,
         eta=65.0,
@@ -222,19 +222,19 @@ def test_work_on_a_run_is_shown_where_it_was_started(settings, tmp_path, kind, p
 
 def test_a_preview_is_shown_while_it_is_there(settings, tmp_path, monkeypatch):
     now = [50.0]
-    monkeypatch.setattr(pictures.time, "monotonic", lambda: now[0])
-    picture = tmp_path / "latest.png"
-    job = add_job(tmp_path, state="running", preview=picture)
+    monkeypatch.setattr(images.time, "monotonic", lambda: now[0])
+    latest = tmp_path / "latest.png"
+    job = add_job(tmp_path, state="running", preview=latest)
     drawn = lambda: [e for e in draw(reconstruct.IRGSPP_PT_reconstruct).drawn if e[0] == "picture"]  # noqa: E731
     assert drawn() == []
     image = bpy.data.images.new("p", 8, 8)
-    image.filepath_raw, image.file_format = str(picture), "PNG"
+    image.filepath_raw, image.file_format = str(latest), "PNG"
     image.save()
     now[0] += 1
     assert len(drawn()) == 1
-    picture.unlink()
+    latest.unlink()
     now[0] += 1
-    assert drawn() == [] and job.preview == picture
+    assert drawn() == [] and job.preview == latest
 
 
 def test_defaults_are_those_of_the_engine(settings):

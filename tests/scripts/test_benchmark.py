@@ -20,9 +20,9 @@ def section(*tasks, name="things"):
         module = importlib.import_module("benchmarks.section")
         yield module.Table("Found", ["", "value ↑"], [[r.configuration, r.figures["value"]] for r in results.records()])
         points = [r.figures["value"] for r in results.records()]
-        yield module.Chart("Curve", "x", "y", {"": [module.Series("things", points, points)]}, picture="benchmark_things")
-        shown = [[(name, file) for name, file in r.pictures.items()] for r in results.records()]
-        yield module.Pictures("Seen", shown)
+        yield module.Chart("Curve", "x", "y", {"": [module.Series("things", points, points)]}, image="benchmark_things")
+        shown = [[(name, file) for name, file in r.images.items()] for r in results.records()]
+        yield module.Images("Seen", shown)
         yield module.Note("Worse than <others>.")
 
     return SimpleNamespace(NAME=name, TITLE="Things", ABOUT="Of things.", ONCE=True, tasks=lambda bench, scene: iter(tasks), blocks=blocks)
@@ -52,8 +52,8 @@ def task(script):
             done.append(name)
             if isinstance(value, BaseException):
                 raise value
-            picture = np.full((4, 4, 3), 200, np.uint8)
-            return script("benchmarks.section").Measurement({"value": value}, {"rays": 7}, {"seen": picture})
+            image = np.full((4, 4, 3), 200, np.uint8)
+            return script("benchmarks.section").Measurement({"value": value}, {"rays": 7}, {"seen": image})
 
         return script("benchmarks.section").Task(name, measure)
 
@@ -69,7 +69,7 @@ def test_what_is_measured_is_not_measured_again(work, task):
     record = store.records["things", "-", "one"]
     assert (record.figures, record.counted, record.status) == ({"value": 1.5}, {"rays": 7}, "done")
     assert store.environments[record.environment]["threads"] == 2
-    assert (store.folder / record.pictures["seen"]).is_file()
+    assert (store.folder / record.images["seen"]).is_file()
 
 
 def test_a_failure_is_noted_and_the_rest_goes_on(work, task, tmp_path):

@@ -14,7 +14,7 @@ from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.mesh_ply import save_mesh_ply
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.procedural_lights import LIGHTS
-from irgspp.core.stages.first.initialization import disks
+from irgspp.core.stages.first.initialization import surfels
 from scripts_folder import script as script
 from sphere_run import sphere
 
@@ -30,7 +30,7 @@ def write_balls(folder: Path, material: tuple[float, ...]) -> Path:
         z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
         normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
         spacing = np.full(count, radius * np.sqrt(4 * np.pi / count))
-        some = disks(centre + radius * normal, normal, np.full((count, 3), 0.5), spacing, 0.99)
+        some = surfels(centre + radius * normal, normal, np.full((count, 3), 0.5), spacing, 0.99)
         splats = some if splats is None else splats.joined(some)
         meshes.append((one, (centre + radius * one.vertices).astype(np.float32)))
     assert splats is not None
@@ -45,7 +45,7 @@ def write_balls(folder: Path, material: tuple[float, ...]) -> Path:
 
 
 def place(script, light: np.ndarray):
-    """What a camera sees of the balls under a light; the true picture is left out."""
+    """What a camera sees of the balls under a light; the true image is left out."""
     camera = Camera(48, 48, 60.0, 60.0, 24.0, 24.0, look_at((1.5, -4.0, 2.0), (0.4, -0.1, 0.3)))
     inside = np.ones((48, 48), bool)
     return script("benchmarks.studio").Place(SimpleNamespace(camera=camera), "light", prepare(light), np.zeros((48, 48, 3)), inside)

@@ -19,7 +19,7 @@ def test_vector_and_plain_kernels_agree(script, threads, monkeypatch):
     difference = script.disagreement(splats, script.RASTER)
     assert difference["picture"] < 1e-4 and difference["gradient"] < 1e-4
     channels = 8 + script.EXTRAS
-    opacity = splats.picture.reshape(channels + 1, splats.columns * 8, splats.columns * 8)[channels - 1]
+    opacity = splats.image.reshape(channels + 1, splats.columns * 8, splats.columns * 8)[channels - 1]
     assert channels == 12 and 0.2 < (opacity > 0.98).mean() < 0.8  # the torus is there
     assert abs(splats.slots).max() > 0
 
@@ -31,7 +31,7 @@ def test_vector_and_plain_traces_agree(script, threads, monkeypatch):
     lists = []
     for forward, _ in script.TRACE.values():
         rays.forward(forward)
-        lists.append([a.copy() for a in (*rays.hits, rays.picture)])
+        lists.append([a.copy() for a in (*rays.hits, rays.image)])
     vector, plain = lists
     assert 1 < rays.count.mean() < 20
     same = np.diff(vector[0]) == np.diff(plain[0])

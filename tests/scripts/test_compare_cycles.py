@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tracing Gaussians and path tracing meshes by Cycles are two ways to the same picture."""
+"""Tracing Gaussians and path tracing meshes by Cycles are two ways to the same image."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_coated_diffuse_differs_by_what_the_coat_reflects(script, cycles, light)
         assert difference.relative < LIMIT and abs(difference.signed) < 0.01, difference.row()
 
 
-def test_table_and_pictures(script, tmp_path, capsys):
+def test_table_and_images(script, tmp_path, capsys):
     few = ["--size", "12", "--splats", "3000", "--samples", "16", "--cycles-samples", "4"]
     assert script.main(["diffuse", "-o", str(tmp_path), *few]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("diffuse ")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Peers are given the same thing to do: Mitsuba's pictures against sums over all texels, and what is read off curves."""
+"""Peers are given the same thing to do: Mitsuba's images against sums over all texels, and what is read off curves."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -55,7 +55,7 @@ def test_mitsuba_sees_what_we_see(load):
     thing = {name: getattr(mesh, name) for name in ("vertices", "normals", "faces", "uvs")}
     thing |= {f"texture_{name}": texture for name, texture in mesh.textures.items()}
     camera = Camera(32, 24, 28.0, 28.0, 14.0, 13.0, look_at((2.0, -2.2, 1.1)))
-    shots = peer.pictures(thing, {"view": camera}, {"light": light}, [], converged=256)["view", "light"]
+    shots = peer.images(thing, {"view": camera}, {"light": light}, [], converged=256)["view", "light"]
     seen, points = sphere_from(camera)
     ours, theirs = reflected(points, camera.centre, light), shots.converged[seen][:, :3]
     assert seen.sum() > 120 and np.ptp(ours) > 0.2

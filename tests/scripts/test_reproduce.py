@@ -40,17 +40,17 @@ else:
 def write_scene(folder: Path, kind: str = "plain") -> None:
     """Three photographs with cameras, as plain transforms or in TensoIR's layout."""
     folder.mkdir(parents=True)
-    picture = Image.fromarray(np.full((16, 16, 4), 200, np.uint8))
+    image = Image.fromarray(np.full((16, 16, 4), 200, np.uint8))
     poses = [look_at(np.array(place)).tolist() for place in ((4.0, 0, 0), (0, 4.0, 0), (0, 0.1, 4.0))]
     frames = []
     for i, pose in enumerate(poses):
-        picture.save(folder / f"{i}.png")
+        image.save(folder / f"{i}.png")
         frames.append({"file_path": f"{i}.png", "transform_matrix": pose})
         for split in ("train", "test") if kind == "tensoir" else ():
             view = folder / f"{split}_{i:03d}"
             view.mkdir()
             for name in ("rgba", "albedo", "normal"):
-                picture.save(view / f"{name}.png")
+                image.save(view / f"{name}.png")
             said = {"cam_transform_mat": ",".join(str(v) for row in pose for v in row), "cam_angle_x": 0.7, "imw": 16, "imh": 16}
             (view / "metadata.json").write_text(json.dumps(said))
     if kind == "plain":

@@ -50,7 +50,7 @@ def write_sphere_run(folder: Path, texture_size: int = 128) -> Path:
     return folder
 
 
-def read_picture(path: Path, channels: int = 3) -> np.ndarray:
+def read_image(path: Path, channels: int = 3) -> np.ndarray:
     """(H, W, channels) float32 as stored in an EXR file (no colour conversion), top row first; by Blender's own reader."""
     import bpy
 
@@ -65,7 +65,7 @@ def read_picture(path: Path, channels: int = 3) -> np.ndarray:
         bpy.data.images.remove(image)
 
 
-def write_picture(path: Path, pixels: np.ndarray) -> Path:
+def write_image(path: Path, pixels: np.ndarray) -> Path:
     """Write (H, W, 3) linear values, top row first, as a 32-bit EXR by Blender's own writer."""
     import bpy
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from blender_side import read_picture
+from blender_side import read_image
 
 INPUTS = ("Base Color", "Roughness", "Metallic", "Normal")
 
@@ -46,4 +46,4 @@ def _render(scene: bpy.types.Scene, path: Path, samples: int) -> np.ndarray:
     settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGBA"
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True, scene=scene.name)
-    return read_picture(path, channels=4)
+    return read_image(path, channels=4)

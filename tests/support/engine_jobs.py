@@ -16,17 +16,17 @@ POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and links of
 DATASET = blender_side.ROOT / "core" / "demo_data"
 TINY = {
     "data.resolution": 32,
-    "reflective.iterations": 20,
-    "reflective.gaussians": 1000,
-    "transport.points": 300,
-    "transport.rows": 8,
-    "transport.iterations": 5,
-    "transport.radiance_iterations": 5,
+    "first.iterations": 20,
+    "first.gaussians": 1000,
+    "second.points": 300,
+    "second.rows": 8,
+    "second.iterations": 5,
+    "second.radiance_iterations": 5,
     "surface.voxels": 24,
     "surface.triangles": 500,
     "surface.texture": 64,
 }
-ENDLESS = {"reflective.iterations": 1_000_000}  # until somebody stops it
+ENDLESS = {"first.iterations": 1_000_000}  # until somebody stops it
 COUNTER = blender_side.ROOT / "scripts" / "faulting" / "counter.py"  # a stand-in for the engine
 
 

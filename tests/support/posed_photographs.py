@@ -33,20 +33,20 @@ def points() -> tuple[np.ndarray, np.ndarray]:
     return CENTRE + random.normal(scale=0.2, size=(200, 3)), random.integers(0, 256, (200, 3)).astype(np.uint8)
 
 
-def write_pictures(folder: Path) -> list[str]:
+def write_images(folder: Path) -> list[str]:
     from PIL import Image
 
     folder.mkdir(parents=True)
     y, x = np.mgrid[:H, :W]
     for i in range(12):
-        picture = np.stack([255 * x / W, 255 * y / H, np.full((H, W), 20.0 * i)], -1)
-        Image.fromarray(picture.astype(np.uint8)).save(folder / f"{i:03d}.png")
+        image = np.stack([255 * x / W, 255 * y / H, np.full((H, W), 20.0 * i)], -1)
+        Image.fromarray(image.astype(np.uint8)).save(folder / f"{i:03d}.png")
     return [f"{i:03d}.png" for i in range(12)]
 
 
 def write_transforms(folder: Path) -> None:
     """One file without a split, unequal focal lengths, a principal point off the centre."""
-    names = write_pictures(folder / "images")
+    names = write_images(folder / "images")
     fx, fy, cx, cy = LENSES["stretched"]
     frames = [{"file_path": f"images/{n}", "transform_matrix": p.tolist()} for n, p in zip(names, poses(), strict=True)]
     lens = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": W, "h": H}
@@ -55,7 +55,7 @@ def write_transforms(folder: Path) -> None:
 
 def write_colmap(folder: Path) -> None:
     """A model in text with a lens that bends lines, and points; its up is -Y, as COLMAP's often is."""
-    names, model = write_pictures(folder / "images"), folder / "sparse" / "0"
+    names, model = write_images(folder / "images"), folder / "sparse" / "0"
     model.mkdir(parents=True)
     turned = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
     lens = " ".join(map(repr, (*LENSES["distorted"], *DISTORTION)))

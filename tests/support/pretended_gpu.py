@@ -17,14 +17,14 @@ from irgspp.core.kernels.warp import photometric as losses
 from irgspp.core.kernels.warp import rasterize, runtime
 from irgspp.core.kernels.warp import trace as tracing
 from irgspp.core.machine import backend
-from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.settings.schema import ReflectiveSettings, TransportSettings
+from irgspp.core.settings.schema import FirstStageSettings, SecondStageSettings
 from irgspp.core.shading import sampling, specular_albedo, split_sum
 from irgspp.core.stages.common.finite_check import LOOK_EVERY
-from irgspp.core.stages.first.initialization import disks
+from irgspp.core.stages.first.initialization import surfels
 from irgspp.core.stages.first.material_class import KINDS
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second.pixel_pool import pool_pixels
@@ -74,11 +74,11 @@ def moved(value: Any, seen: dict[int, Any]) -> Any:
 
 
 def sphere(views: int = 9, size: int = 24, count: int = 300) -> tuple[Dataset, Reconstruction]:
-    """Photographs of nothing much, and disks on a sphere."""
+    """Photographs of nothing much, and surfels on a sphere."""
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.399963
     r = np.sqrt(1 - z**2)
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
-    splats = disks(points, points, np.full((count, 3), 0.5), np.full(count, 2 * np.sqrt(4 * np.pi / count)), 0.95)
+    splats = surfels(points, points, np.full((count, 3), 0.5), np.full(count, 2 * np.sqrt(4 * np.pi / count)), 0.95)
     bound, taken = Bound((0.0, 0.0, 0.0), 1.5), []
     for i in range(views):
         camera = Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at((4 * np.cos(i), 4 * np.sin(i), 1.0)))
@@ -93,13 +93,13 @@ def main() -> None:
     data, start = sphere()
     with backend.warp_on_cpu():
         trainers = [
-            Trainer(data, ReflectiveSettings(iterations=100, gaussians=300, light_height=8), start.gaussians, kind, 0, 0)
+            Trainer(data, FirstStageSettings(iterations=100, gaussians=300, light_height=8), start.gaussians, kind, 0, 0)
             for kind in KINDS[:2]
         ]
-        settings, refinements = TransportSettings(iterations=100, pixels=16, samples=16), []
+        settings, refinements = SecondStageSettings(iterations=100, pixels=16, samples=16), []
         for glossy in (False, True):
             known = dataclasses.replace(start, glossy=glossy)
-            tracer = Tracer(known)
+            tracer = SecondaryTracer(known)
             pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0))
             refinements.append(Refinement(known, pool, tracer, settings, 0))
     for module in (rasterize, tracing, losses):

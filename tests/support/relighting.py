@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A light in which every turn is seen, a camera to look through, and the preview's picture, for tests in Blender's process."""
+"""A light in which every turn is seen, a camera to look through, and the preview's image, for tests in Blender's process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def lamp() -> np.ndarray:
 
 
 def see_through(scene: bpy.types.Scene, camera: Camera, name: str) -> None:
-    """Render a scene by a camera of ours, to pictures of floats."""
+    """Render a scene by a camera of ours, to images of floats."""
     lens = bpy.data.cameras.new(name)
     set_lens(lens, camera)
     scene.camera = bpy.data.objects.new(name, lens)

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 from irgspp.core.shading.environment_lookup import texel_directions
-from irgspp.core.shading.specular_albedo import diffuse_share
-from irgspp.core.stages.second.light_material_solver import Separation
-from irgspp.core.stages.second.multi_view_samples import Observations
-from irgspp.core.stages.second.radiance_transfer import Transfer, subdivided_directions
+from irgspp.core.shading.specular_albedo import diffuse_fraction
+from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
+from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
+from irgspp.core.stages.second.radiance_transfer import RadianceTransfer, subdivided_directions
 
 HEIGHT = 8
 TEXELS = 2 * HEIGHT**2
@@ -52,7 +52,9 @@ def transport(position, normal):
     other = ((cosine > 0) & ~free)[:, None].astype(np.float32) * GLOW[:, None]
     weight = cosine * angle / math.pi
     irradiance = torch.from_numpy((weight * visible).reshape(len(position), 4, TEXELS).sum(1))
-    return Transfer(HEIGHT, (direction, angle, visible, other), irradiance, torch.from_numpy(np.einsum("pd,pcd->pc", weight, other)), True)
+    return RadianceTransfer(
+        HEIGHT, (direction, angle, visible, other), irradiance, torch.from_numpy(np.einsum("pd,pcd->pc", weight, other)), True
+    )
 
 
 def soft_light():
@@ -90,7 +92,7 @@ def photographed(transfer, position, normal, views=8):
     point, camera = np.array(pairs).T
     view = torch.from_numpy(toward[point, camera].astype(np.float32))
     dark = torch.zeros(len(point), 3)
-    seen = Observations(torch.from_numpy(position), torch.from_numpy(normal), torch.from_numpy(point), view, dark, dark.bool())
+    seen = MultiViewSamples(torch.from_numpy(position), torch.from_numpy(normal), torch.from_numpy(point), view, dark, dark.bool())
     truth = (soft_light(), *known_materials(position))
     return replace(seen, colour=rendered(seen, transfer, *truth)), truth
 
@@ -100,7 +102,7 @@ def rendered(seen, transfer, light, albedo, roughness, metallic):
     point = seen.point
     scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
     irradiance = (transfer.irradiance @ light + transfer.indirect)[point]
-    share = diffuse_share((seen.normal[point] * seen.view).sum(1), roughness[point])[:, None]
+    share = diffuse_fraction((seen.normal[point] * seen.view).sum(1), roughness[point])[:, None]
     metal = metallic[point, None]
     specular = scaled @ light + rest_scaled
     f0 = 0.04 * (1 - metal) + metal * albedo[point]
@@ -115,4 +117,4 @@ def make(*counts):
 
 def start(seen, transfer, seed=0):
     count = len(seen.position)
-    return Separation(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), seed)
+    return LightMaterialSolver(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), seed)

@@ -59,7 +59,7 @@ def axis_light(height: int = 64) -> np.ndarray:
 
 
 def cameras() -> list[Camera]:
-    """Square and stretched pixels, centred and off-centre principal points, wide and tall pictures."""
+    """Square and stretched pixels, centred and off-centre principal points, wide and tall images."""
     lenses = [(64, 48, 70.0, 70.0, 32.0, 24.0), (48, 64, 60.0, 66.0, 20.5, 35.0), (50, 50, 80.0, 62.0, 30.0, 21.5)]
     placed = []
     for (width, height, fx, fy, cx, cy), eye in zip(lenses, [(4.0, 0.5, 1.0), (-2.0, 3.0, 0.7), (0.3, -4.0, -1.2)], strict=True):
@@ -86,9 +86,9 @@ def write_run(folder: Path, size: int = 128) -> None:
     save_textures(mesh.textures, folder / "textures")
     write_exr(folder / "environment.exr", rgb_channels(axis_light()))
     for i, camera in enumerate(cameras()):
-        picture = photographs / f"view{i}.png"
-        Image.new("RGB", (camera.width, camera.height), (40 * i, 100, 200)).save(picture)
-        views.append(View(f"view{i}", camera, picture, np.zeros((camera.height, camera.width, 3), np.float32), None))
+        image = photographs / f"view{i}.png"
+        Image.new("RGB", (camera.width, camera.height), (40 * i, 100, 200)).save(image)
+        views.append(View(f"view{i}", camera, image, np.zeros((camera.height, camera.width, 3), np.float32), None))
     frame = {"bound": {"centre": [0, 0, 0], "radius": 1}, "to_world": np.eye(4).tolist()}
     (folder / "reconstruction.json").write_text(json.dumps(frame))
     save_cameras(folder / "cameras.json", Dataset(photographs, "transforms", views[:2], views[2:], Bound((0, 0, 0), 1), np.eye(4)))

@@ -72,8 +72,8 @@ class Written:
         """Centre and radius of the ball in our world."""
         return _moved(to_world @ self.world, BALL), RADIUS * float(np.cbrt(np.linalg.det((to_world @ self.world)[:3, :3])))
 
-    def mirror_error(self, camera: Camera, alpha: np.ndarray | None, picture: np.ndarray, light: np.ndarray, to_world: np.ndarray) -> float:
-        """Mean difference, relative to what is seen, of a picture (H, W, 3), encoded, and a light (H', W', 3) mirrored in the ball."""
+    def mirror_error(self, camera: Camera, alpha: np.ndarray | None, image: np.ndarray, light: np.ndarray, to_world: np.ndarray) -> float:
+        """Mean difference, relative to what is seen, of an image (H, W, 3), encoded, and a light (H', W', 3) mirrored in the ball."""
         centre, radius = self.ball(to_world)
         block = _moved(to_world @ self.world, BLOCK)
         ray = camera.rays().astype(np.float64)
@@ -87,7 +87,7 @@ class Written:
         clear = np.isinf(_hit(np.broadcast_to(camera.centre, ray.shape), ray, block, reach)) & np.isinf(_hit(place, away, block, reach))
         chosen = np.isfinite(distance) & clear & (cosine > 0.35) & (True if alpha is None else alpha > 0.99)
         assert chosen.sum() > 40
-        seen = decode_srgb(np.clip(picture[chosen], 0, 1).astype(np.float64))
+        seen = decode_srgb(np.clip(image[chosen], 0, 1).astype(np.float64))
         expected = np.clip(lookup(torch.from_numpy(light).double(), torch.from_numpy(away[chosen])).numpy() * TINT, 0, 1)
         return float(np.abs(seen - expected).mean() / seen.mean())
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""COLMAP sparse models with their pictures."""
+"""COLMAP sparse models with their images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...scene.camera import GL_TO_CV, Camera
 from ...scene.dataset import PointCloud
 from ...settings.schema import DataSettings
 from ..bound import focus_of
-from ..parsed_dataset import Capture, Frame, Lens, find_mask, find_picture
+from ..parsed_dataset import Frame, Lens, ParsedDataset, find_image, find_mask
 from ..world_frame import rough_camera, settle
 from .colmap_model import CameraRecord, ImageRecord, PointRecords, model_files, read_cameras, read_images, read_points
 from .ref_real import is_ref_real, published_sphere
@@ -30,8 +30,8 @@ def find_model(folder: Path) -> Path | None:
     return next((folder / name for name in MODEL_FOLDERS if model_files(folder / name)), None)
 
 
-def read_colmap(folder: Path, settings: DataSettings) -> Capture:
-    """Read the sparse model that a folder is or holds; of `images`, `images_2`, ... the smallest pictures are taken that reach the
+def read_colmap(folder: Path, settings: DataSettings) -> ParsedDataset:
+    """Read the sparse model that a folder is or holds; of `images`, `images_2`, ... the smallest images are taken that reach the
     resolution.
 
     Our world is the model's, turned so that the cameras' up is +Z and moved so that the object is at the origin; the scale is kept.
@@ -54,20 +54,20 @@ def read_frames(model: Path, resolution: int) -> tuple[list[Frame], PointCloud |
         raise InputError(model, "has no cameras and images, .bin or .txt")
     cameras, images, warnings = read_cameras(files["cameras"]), read_images(files["images"]), []
     if not images:
-        raise InputError(files["images"], "lists no pictures")
+        raise InputError(files["images"], "lists no images")
     for image in images:
         if image.camera not in cameras:
-            raise InputError(files["images"], f"picture {image.name!r} names camera {image.camera}, which {files['cameras'].name} has not")
+            raise InputError(files["images"], f"image {image.name!r} names camera {image.camera}, which {files['cameras'].name} has not")
     lenses = {number: _lens(record).checked(f"{files['cameras']}, camera {number}") for number, record in cameras.items()}
-    pictures = _picture_folder(model, images, max(max(lens.size) for lens in lenses.values()), resolution)
-    frames = [_frame(image, lenses[image.camera], pictures) for image in images]
+    folder = _image_folder(model, images, max(max(lens.size) for lens in lenses.values()), resolution)
+    frames = [_frame(image, lenses[image.camera], folder) for image in images]
     if "points3D" not in files:
         warnings.append(f"{model}: no points3D file, the object has to be found without points")
-        return frames, None, pictures.parent, warnings
+        return frames, None, folder.parent, warnings
     records = read_points(files["points3D"])
     kept = _not_far(model, [rough_camera(f) for f in frames], records, warnings)
     points = PointCloud(records.position[kept], records.colour[kept].astype(np.float32) / 255)
-    return frames, points, pictures.parent, warnings
+    return frames, points, folder.parent, warnings
 
 
 def _lens(record: CameraRecord) -> Lens:
@@ -80,15 +80,15 @@ def _lens(record: CameraRecord) -> Lens:
     return Lens(record.model, record.width, record.height, fx, fy, cx, cy, distortion, fisheye)
 
 
-def _picture_folder(model: Path, images: list[ImageRecord], longest: int, resolution: int) -> Path:
-    """The folder that picture names are relative to, beside the model or further up."""
+def _image_folder(model: Path, images: list[ImageRecord], longest: int, resolution: int) -> Path:
+    """The folder that image names are relative to, beside the model or further up."""
     roots = [parent for parent in (model, *model.absolute().parents[:3]) if any((parent / _scaled(n)).is_dir() for n in DOWNSCALES)]
     if not roots:
-        raise InputError(model, "has no folder of pictures near it", "looked for images, images_2, images_4, images_8 beside and above it")
+        raise InputError(model, "has no folder of images near it", "looked for images, images_2, images_4, images_8 beside and above it")
     present = [n for n in DOWNSCALES if (roots[0] / _scaled(n)).is_dir()]
-    filled = [n for n in present if any(find_picture(inside(roots[0] / _scaled(n) / image.name, roots[0])) for image in images)]
+    filled = [n for n in present if any(find_image(inside(roots[0] / _scaled(n) / image.name, roots[0])) for image in images)]
     if not filled:
-        raise InputError(roots[0] / _scaled(present[0]), f"has none of the pictures that the model names (such as {images[0].name})")
+        raise InputError(roots[0] / _scaled(present[0]), f"has none of the images that the model names (such as {images[0].name})")
     sufficient = [n for n in filled if longest / n >= resolution]
     return roots[0] / _scaled(sufficient[-1] if sufficient else filled[0])
 
@@ -98,11 +98,11 @@ def _scaled(factor: int) -> str:
 
 
 def _frame(image: ImageRecord, lens: Lens, root: Path) -> Frame:
-    picture = find_picture(inside(root / image.name, root.parent))
+    photograph = find_image(inside(root / image.name, root.parent))
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3], world_to_camera[:3, 3] = _rotation(image.quaternion), image.translation
     to_world = np.linalg.inv(world_to_camera) @ GL_TO_CV
-    return Frame(image.name, picture, find_mask(picture, root) if picture else None, lens, to_world)
+    return Frame(image.name, photograph, find_mask(photograph, root) if photograph else None, lens, to_world)
 
 
 def _rotation(quaternion: Sequence[float]) -> np.ndarray:
@@ -127,8 +127,8 @@ def _not_far(model: Path, cameras: list[Camera], records: PointRecords, warnings
 
 
 def _listed_names(file: Path) -> set[str]:
-    """The stems of the picture names in a text file, one a line; empty where there is no file."""
+    """The stems of the image names in a text file, one a line; empty where there is no file."""
     try:
         return {Path(line.strip()).stem for line in file.read_text("utf-8").splitlines() if line.strip()} if file.is_file() else set()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(file, f"is no list of pictures ({error})") from error
+        raise InputError(file, f"is no list of images ({error})") from error

@@ -21,7 +21,7 @@ LONGEST_NAME = 4096
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """One camera: model name, picture size in pixels, parameters in COLMAP's order."""
+    """One camera: model name, image size in pixels, parameters in COLMAP's order."""
 
     model: str
     width: int
@@ -31,7 +31,7 @@ class CameraRecord:
 
 @dataclass(frozen=True)
 class ImageRecord:
-    """One registered picture: name with folders, camera id, world-to-camera rotation (w, x, y, z) and translation (OpenCV axes)."""
+    """One registered image: name with folders, camera id, world-to-camera rotation (w, x, y, z) and translation (OpenCV axes)."""
 
     name: str
     camera: int
@@ -41,7 +41,7 @@ class ImageRecord:
 
 @dataclass(frozen=True, eq=False)
 class PointRecords:
-    """position (P, 3) float64, colour (P, 3) uint8, track (P,) number of pictures that see the point."""
+    """position (P, 3) float64, colour (P, 3) uint8, track (P,) number of images that see the point."""
 
     position: np.ndarray
     colour: np.ndarray
@@ -64,17 +64,17 @@ def read_cameras(file: Path) -> dict[int, CameraRecord]:
         if not np.isfinite(camera.parameters).all():
             raise InputError(file, f"camera {number} has parameters that are not finite")
         if not (0 < camera.width < 1 << 20 and 0 < camera.height < 1 << 20):
-            raise InputError(file, f"camera {number} has a picture size of {camera.width}x{camera.height}")
+            raise InputError(file, f"camera {number} has an image size of {camera.width}x{camera.height}")
     return cameras
 
 
 def read_images(file: Path) -> list[ImageRecord]:
-    """Registered pictures in the order of their names. Raises InputError where the file is damaged."""
+    """Registered images in the order of their names. Raises InputError where the file is damaged."""
     images = list(_binary_images(file) if file.suffix == ".bin" else _text_images(file))
     for image in images:
         # Negated comparisons: they are true for NaN.
         if not (np.abs(image.translation).max() < FARTHEST and 1e-6 < np.linalg.norm(image.quaternion) < 1e6):
-            raise InputError(file, f"picture {image.name[:80]!r} has a pose that is not finite or not a rotation")
+            raise InputError(file, f"image {image.name[:80]!r} has a pose that is not finite or not a rotation")
     return sorted(images, key=lambda image: image.name)
 
 
@@ -201,7 +201,7 @@ def _text_images(file: Path) -> Iterator[ImageRecord]:
         try:
             pose, camera, name = [float(v) for v in fields[1:8]], int(fields[8]), fields[9]
         except (ValueError, IndexError) as error:
-            raise InputError(file, f"line {number} is not a picture ({error})") from error
+            raise InputError(file, f"line {number} is not an image ({error})") from error
         if next(lines, None) is None:
             raise InputError(file, f"truncated after line {number}: the line of 2D points is missing")
         yield ImageRecord(name, camera, (pose[0], pose[1], pose[2], pose[3]), (pose[4], pose[5], pose[6]))

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError
-from ...io.image import picture_size
+from ...io.image import image_size
 from ...io.safe_paths import inside
 from ...io.safe_pickle import read_pickle
 from ...scene.camera import GL_TO_CV
 from ...scene.dataset import Bound
 from ...settings.schema import DataSettings
 from ..bound import MARGIN
-from ..parsed_dataset import Capture, Frame, Lens, find_picture
+from ..parsed_dataset import Frame, Lens, ParsedDataset, find_image
 from ..poses import rigid
 from ..sparse_points import read_points
 from ..up_direction import up_of
@@ -42,7 +42,7 @@ def object_points(folder: Path) -> Path | None:
     return file if file.is_file() and solved else None
 
 
-def read_glossy_real(folder: Path, settings: DataSettings) -> Capture:
+def read_glossy_real(folder: Path, settings: DataSettings) -> ParsedDataset:
     """Read such a scene, in NeRO's normalised frame: +Z up, the object's box around the origin, its farthest point at distance 1.
 
     Cameras are those of the COLMAP model, or of cache.pkl, what NeRO keeps of it, where that is all there is. Raises InputError on bad
@@ -55,7 +55,7 @@ def read_glossy_real(folder: Path, settings: DataSettings) -> Capture:
         frames, points, root, warnings = colmap.read_frames(model, settings.resolution)
     else:
         frames, points, root, warnings = _cached_frames(folder / "cache.pkl"), None, folder, []
-    capture = Capture(model or folder, root, "glossy-real", frames, None, np.eye(4), points or cloud, warnings=warnings)
+    capture = ParsedDataset(model or folder, root, "glossy-real", frames, None, np.eye(4), points or cloud, warnings=warnings)
     low, high = cloud.position.min(0).astype(np.float64), cloud.position.max(0).astype(np.float64)
     centre = (low + high) / 2
     size = 1 / max(float(np.linalg.norm(cloud.position - centre, axis=-1).max()), 1e-12)
@@ -94,12 +94,12 @@ def _directions(folder: Path) -> np.ndarray:
 def _cached_frames(file: Path) -> list[Frame]:
     content = read_pickle(file)
     if not (isinstance(content, list) and len(content) == 4 and all(isinstance(part, dict) for part in content[:3])):
-        raise InputError(file, "does not hold poses, intrinsics, names and numbers of pictures")
+        raise InputError(file, "does not hold poses, intrinsics, names and numbers of images")
     poses, intrinsics, names, numbers = content
     try:
         rows = [(str(names[n]), np.array(poses[n], np.float64), np.array(intrinsics[n], np.float64)) for n in numbers]
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(file, f"has a picture without a camera ({error})") from error
+        raise InputError(file, f"has an image without a camera ({error})") from error
     return [_cached_frame(file, *row) for row in sorted(rows, key=lambda row: row[0])]
 
 
@@ -107,9 +107,9 @@ def _cached_frame(file: Path, name: str, pose: np.ndarray, k: np.ndarray) -> Fra
     where = f"{file}, {name[:80]}"
     if k.shape != (3, 3):
         raise InputError(where, "has no 3x3 matrix of intrinsics")
-    picture = find_picture(inside(file.parent / "images" / name, file.parent))
-    # The principal point was the middle of the picture.
-    width, height = picture_size(picture) if picture else (round(2 * float(k[0, 2])), round(2 * float(k[1, 2])))
+    image = find_image(inside(file.parent / "images" / name, file.parent))
+    # The principal point was the middle of the image.
+    width, height = image_size(image) if image else (round(2 * float(k[0, 2])), round(2 * float(k[1, 2])))
     numbers: Any = [float(k[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))]
     lens = Lens("PINHOLE", width, height, *numbers).checked(where)
-    return Frame(name, picture, None, lens, np.linalg.inv(rigid(where, pose, "the pose")) @ GL_TO_CV)
+    return Frame(name, image, None, lens, np.linalg.inv(rigid(where, pose, "the pose")) @ GL_TO_CV)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""NeRO's GlossySynthetic: pickled cameras, depth maps for masks, a world with +Y up; and pictures under other lights apart from it."""
+"""NeRO's GlossySynthetic: pickled cameras, depth maps for masks, a world with +Y up; and images under other lights apart from it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ...io.image import picture_size
+from ...io.image import image_size
 from ...io.safe_paths import inside
 from ...io.safe_pickle import read_pickle
 from ...scene.camera import GL_TO_CV
 from ...settings.schema import DataSettings
-from ..parsed_dataset import Capture, Frame, Lens
+from ..parsed_dataset import Frame, Lens, ParsedDataset
 from ..poses import rigid
 from ..world_frame import moved
 
@@ -33,7 +33,7 @@ def views_of(folder: Path) -> list[Path]:
     return sorted(files, key=lambda f: int(f.name.split("-")[0]))
 
 
-def read_glossy_synthetic(folder: Path, settings: DataSettings) -> Capture:
+def read_glossy_synthetic(folder: Path, settings: DataSettings) -> ParsedDataset:
     """Read such a scene: every `holdout`-th view is a test view (Ref-Gaussian's split), NeRO's where its file of them lies there or beside.
 
     Raises InputError where a camera is none, or a pickle holds anything but arrays.
@@ -44,16 +44,16 @@ def read_glossy_synthetic(folder: Path, settings: DataSettings) -> Capture:
     learn, check = [f for f in frames if f.listed not in chosen], [f for f in frames if f.listed in chosen]
     declared = (frames, None) if file is None else (learn, check)
     published = frozenset(f.listed for f in check) if file is not None or len(frames) == 128 else frozenset()
-    return upright(Capture(folder, folder, "glossy-synthetic", *declared, np.eye(4), published=published, novel=_novel(folder)))
+    return upright(ParsedDataset(folder, folder, "glossy-synthetic", *declared, np.eye(4), published=published, novel=_novel(folder)))
 
 
-def upright(capture: Capture) -> Capture:
+def upright(capture: ParsedDataset) -> ParsedDataset:
     """The capture, read in the +Y-up world of these scenes, in ours."""
     return moved(capture, Y_UP)
 
 
 def relit_folders(folder: Path) -> dict[str, Path]:
-    """The folders of a scene's pictures under other lights: relight_gt/SCENE_LIGHT beside it or further up, by light."""
+    """The folders of a scene's images under other lights: relight_gt/SCENE_LIGHT beside it or further up, by light."""
     prefix = folder.resolve().name.removesuffix("_blender") + "_"
     for parent in list(folder.resolve().parents)[:2]:
         for place in (parent / "relight_gt", parent / "glossy_relight" / "relight_gt"):
@@ -70,13 +70,13 @@ def light_files(folder: Path) -> dict[str, Path]:
     return {light: inside(file, file.parent) for light, file in files.items() if file.is_file()}
 
 
-def depth_of(picture: Path) -> Path:
-    """The depth map that goes with a picture."""
-    return picture.with_name(picture.stem + "-depth.png")
+def depth_of(image: Path) -> Path:
+    """The depth map that goes with an image."""
+    return image.with_name(image.stem + "-depth.png")
 
 
 def _novel(folder: Path) -> list[Frame]:
-    """Views under other lights; the cameras are those beside the pictures, or those of the scene where there are none."""
+    """Views under other lights; the cameras are those beside the images, or those of the scene where there are none."""
     frames = []
     for light, relit in relit_folders(folder).items():
         for camera in views_of(relit) or [f for f in views_of(folder) if (relit / f"{f.name.split('-')[0]}.png").is_file()]:
@@ -88,14 +88,14 @@ def _frame(camera: Path, folder: Path | None = None, light: str | None = None) -
     number, place = camera.name.split("-")[0], folder or camera.parent
     matrix, intrinsics = _arrays(camera)
     to_world = np.linalg.inv(rigid(camera, matrix, "the pose")) @ GL_TO_CV
-    picture = inside(place / f"{number}.png", place)
-    exists = picture.is_file()
-    width, height = picture_size(picture) if exists else (round(2 * intrinsics[0, 2]), round(2 * intrinsics[1, 2]))
+    image = inside(place / f"{number}.png", place)
+    exists = image.is_file()
+    width, height = image_size(image) if exists else (round(2 * intrinsics[0, 2]), round(2 * intrinsics[1, 2]))
     fx, fy, cx, cy = (float(intrinsics[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
     lens = Lens("PINHOLE", width, height, fx, fy, cx, cy).checked(camera)
-    depth = depth_of(picture)
-    listed = picture.name if light is None else f"{place.name}/{picture.name}"
-    return Frame(listed, picture if exists else None, depth if depth.is_file() else None, lens, to_world, FAR / DEPTH_RANGE, light)
+    depth = depth_of(image)
+    listed = image.name if light is None else f"{place.name}/{image.name}"
+    return Frame(listed, image if exists else None, depth if depth.is_file() else None, lens, to_world, FAR / DEPTH_RANGE, light)
 
 
 def _arrays(camera: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -13,12 +13,12 @@ from ...errors import InputError
 from ...io.safe_paths import inside
 from ...scene.camera import GL_TO_CV
 from ...settings.schema import DataSettings
-from ..parsed_dataset import Capture, Frame, Lens, find_mask, find_picture
+from ..parsed_dataset import Frame, Lens, ParsedDataset, find_image, find_mask
 from ..poses import rigid
 from ..world_frame import settle
 
 LARGEST = 256 << 20  # bytes
-PICTURE_FOLDERS = ("images", "photos", "")
+IMAGE_FOLDERS = ("images", "photos", "")
 
 
 def find_cameras(folder: Path) -> Path | None:
@@ -26,8 +26,8 @@ def find_cameras(folder: Path) -> Path | None:
     return next((f for f in sorted(folder.glob("*.xml")) if _is_ours(f)), None)
 
 
-def read_metashape(path: Path, settings: DataSettings) -> Capture:
-    """Read such a file, or the folder it lies in, with the pictures beside it or in `images`.
+def read_metashape(path: Path, settings: DataSettings) -> ParsedDataset:
+    """Read such a file, or the folder it lies in, with the images beside it or in `images`.
 
     The frame is the chunk's own, turned so that the cameras' up is +Z, with the object at the origin. Raises InputError on bad input.
     """
@@ -44,7 +44,7 @@ def read_metashape(path: Path, settings: DataSettings) -> Capture:
         raise InputError(file, "has no cameras with a pose and a calibration", "align the photographs before exporting")
     left_out = len(list(chunk.iter("camera"))) - len(solved)
     warnings = [f"{file.name}: {left_out} cameras are not aligned or not enabled; left out"] if left_out else []
-    root = _picture_root(file.parent, solved)
+    root = _image_root(file.parent, solved)
     frames = [_frame(file, c, lenses[c.get("sensor_id")], root) for c in solved]
     return settle(file, file.parent, "metashape", sorted(frames, key=lambda f: f.listed), None, warnings)
 
@@ -100,10 +100,10 @@ def _lens(file: Path, sensor: ElementTree.Element) -> Lens | None:
     try:
         width, height = int(resolution.get("width", "")), int(resolution.get("height", ""))
     except ValueError as error:
-        raise InputError(where, "has no picture size") from error
+        raise InputError(where, "has no image size") from error
     f = _number(where, calibration, "f", None)
     k1, k2, k3, k4, p1, p2, b1, b2 = (_number(where, calibration, n) for n in ("k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2"))
-    if abs(b2) * height > 0.5 * f:  # less than half a pixel at a picture's edge is not worth refusing it
+    if abs(b2) * height > 0.5 * f:  # less than half a pixel at an image's edge is not worth refusing it
         raise InputError(where, "has skewed pixels (b2)", "export with b2 fixed to 0")
     fisheye = kind == "fisheye"
     if (k4 and not fisheye) or (fisheye and (p1 or p2)):
@@ -116,17 +116,17 @@ def _lens(file: Path, sensor: ElementTree.Element) -> Lens | None:
     return Lens(f"METASHAPE {kind}", width, height, f + b1, f, cx, cy, distortion if any(distortion) else (), fisheye).checked(where)
 
 
-def _picture_root(folder: Path, cameras: list[ElementTree.Element]) -> Path:
-    """The folder that has the pictures that the labels name."""
-    for name in PICTURE_FOLDERS:
-        if any(_picture(folder / name, c, folder) for c in cameras):
+def _image_root(folder: Path, cameras: list[ElementTree.Element]) -> Path:
+    """The folder that has the images that the labels name."""
+    for name in IMAGE_FOLDERS:
+        if any(_image(folder / name, c, folder) for c in cameras):
             return folder / name
-    return folder / PICTURE_FOLDERS[0]
+    return folder / IMAGE_FOLDERS[0]
 
 
-def _picture(root: Path, camera: ElementTree.Element, folder: Path) -> Path | None:
+def _image(root: Path, camera: ElementTree.Element, folder: Path) -> Path | None:
     label = camera.get("label", "").replace("\\", "/")
-    return find_picture(inside(root / label, folder)) if label else None
+    return find_image(inside(root / label, folder)) if label else None
 
 
 def _frame(file: Path, camera: ElementTree.Element, lens: Lens | None, root: Path) -> Frame:
@@ -139,6 +139,6 @@ def _frame(file: Path, camera: ElementTree.Element, lens: Lens | None, root: Pat
     if matrix.size != 16:
         raise InputError(where, f"has a transform of {matrix.size} numbers, not 16")
     assert lens is not None
-    picture = _picture(root, camera, file.parent)
+    image = _image(root, camera, file.parent)
     pose = rigid(where, matrix.reshape(4, 4), "the transform") @ GL_TO_CV
-    return Frame(label, picture, find_mask(picture, root) if picture else None, lens, pose)
+    return Frame(label, image, find_mask(image, root) if image else None, lens, pose)

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ...io.image import picture_size
+from ...io.image import image_size
 from ...io.safe_paths import inside
 from ...settings.schema import DataSettings
-from ..parsed_dataset import FARTHEST, Capture, Frame, Lens, find_mask, find_picture
+from ..parsed_dataset import FARTHEST, Frame, Lens, ParsedDataset, find_image, find_mask
 from ..world_frame import settle
-from .metashape import PICTURE_FOLDERS
+from .metashape import IMAGE_FOLDERS
 
 COLUMNS = ("#name", "x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
 FILM = 36.0  # mm: focal lengths are those of a 35 mm camera, whose longer side this is
@@ -27,8 +27,8 @@ def find_cameras(folder: Path) -> Path | None:
     return next((f for f in sorted(folder.glob("*.csv")) if _header(f) is not None), None)
 
 
-def read_realitycapture(path: Path, settings: DataSettings) -> Capture:
-    """Read such a file, or the folder it lies in, with the pictures beside it or in `images`.
+def read_realitycapture(path: Path, settings: DataSettings) -> ParsedDataset:
+    """Read such a file, or the folder it lies in, with the images beside it or in `images`.
 
     The world has +Z up already; the object is moved to the origin. Raises InputError on bad input.
     """
@@ -37,13 +37,13 @@ def read_realitycapture(path: Path, settings: DataSettings) -> Capture:
     if file is None or start is None:
         raise InputError(path, "is not a file of cameras exported by RealityCapture", f"its columns are {', '.join(COLUMNS)}")
     rows = _rows(file, start)
-    places = {row["#name"]: _picture(file.parent, row["#name"]) for row in rows}
-    present = {name: picture for name, picture in places.items() if picture is not None}
+    places = {row["#name"]: _image(file.parent, row["#name"]) for row in rows}
+    present = {name: image for name, image in places.items() if image is not None}
     if not present:
-        raise InputError(file, f"none of its {len(rows)} pictures exists", f"looked for {rows[0]['#name'][:80]!r} beside it and in images")
+        raise InputError(file, f"none of its {len(rows)} images exists", f"looked for {rows[0]['#name'][:80]!r} beside it and in images")
     frames = [_frame(file, row, present[row["#name"]]) for row in rows if row["#name"] in present]
     missing = len(rows) - len(frames)
-    warnings = [f"{file.name}: {missing} of {len(rows)} pictures are missing; left out"] if missing else []
+    warnings = [f"{file.name}: {missing} of {len(rows)} images are missing; left out"] if missing else []
     return settle(file, file.parent, "realitycapture", sorted(frames, key=lambda f: f.listed), None, warnings, upright=True)
 
 
@@ -80,19 +80,19 @@ def _rows(file: Path, start: int) -> list[dict[str, str]]:
     return rows
 
 
-def _picture(folder: Path, name: str) -> Path | None:
-    candidates = (folder / place / name.replace("\\", "/") for place in PICTURE_FOLDERS)
-    return next(filter(None, (find_picture(inside(c, folder)) for c in candidates)), None)
+def _image(folder: Path, name: str) -> Path | None:
+    candidates = (folder / place / name.replace("\\", "/") for place in IMAGE_FOLDERS)
+    return next(filter(None, (find_image(inside(c, folder)) for c in candidates)), None)
 
 
-def _frame(file: Path, row: dict[str, str], picture: Path) -> Frame:
+def _frame(file: Path, row: dict[str, str], image: Path) -> Frame:
     where = f"{file}, {row['#name'][:80]}"
     x, y, z, heading, pitch, roll, f, px, py, k1, k2, k3, k4, t1, t2 = (_number(where, row, c) for c in COLUMNS[1:])
     if max(map(abs, (x, y, z))) > FARTHEST:
         raise InputError(where, "puts the camera at infinity")
     if k4:
         raise InputError(where, "has distortion that OpenCV's models have not (k4)", "choose Brown3 with or without tangential distortion")
-    width, height = picture_size(picture)
+    width, height = image_size(image)
     longest = max(width, height)
     distortion = (k1, k2, t1, t2, k3)
     focal = f / FILM * longest
@@ -100,7 +100,7 @@ def _frame(file: Path, row: dict[str, str], picture: Path) -> Frame:
                 distortion if any(distortion) else ()).checked(where)  # fmt: skip
     to_world = np.eye(4)
     to_world[:3, :3], to_world[:3, 3] = _rotation(-heading, pitch, roll), (x, y, z)
-    return Frame(row["#name"], picture, find_mask(picture, picture.parent), lens, to_world)
+    return Frame(row["#name"], image, find_mask(image, image.parent), lens, to_world)
 
 
 def _number(where: str, row: dict[str, str], column: str) -> float:
@@ -114,7 +114,7 @@ def _number(where: str, row: dict[str, str], column: str) -> float:
 
 
 def _rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
-    """(3, 3) from degrees about Z, then X, then Y of the turned frame; all 0 looks straight down with the picture's top to +Y."""
+    """(3, 3) from degrees about Z, then X, then Y of the turned frame; all 0 looks straight down with the image's top to +Y."""
     (sz, cz), (sx, cx), (sy, cy) = ((math.sin(a), math.cos(a)) for a in map(math.radians, (yaw, pitch, roll)))
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])

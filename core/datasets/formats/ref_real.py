@@ -10,7 +10,7 @@ import numpy as np
 
 from ...scene.dataset import Bound
 from ..bound import focus_of
-from ..parsed_dataset import Capture
+from ..parsed_dataset import ParsedDataset
 from ..world_frame import rough_camera
 
 # Centre and radius in the models' own frames, as the reflective Gaussian methods use them.
@@ -22,12 +22,12 @@ SPHERES = {
 
 
 def is_ref_real(folder: Path) -> bool:
-    """True where the pictures are there whole, at a quarter and at an eighth, and not at a half as in other collections."""
+    """True where the images are there whole, at a quarter and at an eighth, and not at a half as in other collections."""
     there = {n for n in (2, 4, 8) if (folder / f"images_{n}").is_dir()}
     return (folder / "images").is_dir() and there == {4, 8}
 
 
-def published_sphere(capture: Capture) -> Capture:
+def published_sphere(capture: ParsedDataset) -> ParsedDataset:
     """The capture of such a scene, with the sphere of interest as its bound where it is one of those with a published one.
 
     A scene that has nothing but the name in common with them is told by its cameras, which look at something outside that sphere.

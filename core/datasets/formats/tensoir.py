@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""TensoIR's synthetic scenes: a folder for each view, with its camera, its picture, and what is true of it."""
+"""TensoIR's synthetic scenes: a folder for each view, with its camera, its image, and what is true of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import InputError
 from ...settings.schema import DataSettings
 from ..intrinsics import lens_of
-from ..parsed_dataset import Capture, Frame
+from ..parsed_dataset import Frame, ParsedDataset
 from ..poses import rigid
 
 VIEW = re.compile(r"(train|test|val)_\d+")
@@ -25,10 +25,10 @@ def views_of(folder: Path) -> list[Path]:
     return sorted(f for f in folder.iterdir() if VIEW.fullmatch(f.name) and (f / "metadata.json").is_file())
 
 
-def read_tensoir(folder: Path, settings: DataSettings) -> Capture:
+def read_tensoir(folder: Path, settings: DataSettings) -> ParsedDataset:
     """Read such a scene. The world is Blender's. Raises InputError on anything missing or not finite."""
     frames = {split: [_frame(v) for v in views_of(folder) if v.name.startswith(split)] for split in ("train", "test", "val")}
-    return Capture(folder, folder, "tensoir", frames["train"], frames["test"] or frames["val"] or None, np.eye(4))
+    return ParsedDataset(folder, folder, "tensoir", frames["train"], frames["test"] or frames["val"] or None, np.eye(4))
 
 
 def _frame(view: Path) -> Frame:
@@ -41,6 +41,6 @@ def _frame(view: Path) -> Frame:
         raise InputError(file, f"is not the description of a TensoIR view ({type(error).__name__}: {error})") from error
     if matrix.size != 16:
         raise InputError(file, f"cam_transform_mat has {matrix.size} numbers, not 16")
-    picture = view / "rgba.png"
+    image = view / "rgba.png"
     pose = rigid(file, matrix.reshape(4, 4), "cam_transform_mat")
-    return Frame(f"{view.name}/rgba", picture if picture.is_file() else None, None, lens_of(str(file), values, None), pose)
+    return Frame(f"{view.name}/rgba", image if image.is_file() else None, None, lens_of(str(file), values, None), pose)

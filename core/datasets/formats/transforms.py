@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError
-from ...io.image import picture_size
+from ...io.image import image_size
 from ...io.safe_paths import inside, is_file
 from ...scene.dataset import PointCloud
 from ...settings.schema import DataSettings
 from ..intrinsics import Size, lens_of, side_of
-from ..parsed_dataset import Capture, Frame, find_mask, find_picture
+from ..parsed_dataset import Frame, ParsedDataset, find_image, find_mask
 from ..poses import pose_of
 from ..sparse_points import read_points
 
@@ -26,36 +26,36 @@ TENSOIR_VIEW = re.compile(r"(train|test|val)_\d+/rgba(\.png)?")
 GLOSSY_VIEW = re.compile(r"rgb/\d+(\.png)?")  # of the GlossySynthetic scenes converted by Ref-Gaussian and its kin
 
 
-def read_transforms(file: Path, settings: DataSettings) -> Capture:
+def read_transforms(file: Path, settings: DataSettings) -> ParsedDataset:
     """Read a transforms file, with the one of the test views where the dataset has its own.
 
     The world is taken as it is (+Z up by convention). Raises InputError on anything missing, not finite or not rigid.
     """
     content, test = load_transforms(file), _test_file(file)
-    pictures = [listed_picture(file.parent, e["file_path"]) for e in content["frames"]]
-    size = _known_size(file, content, pictures)
-    pictures = _downscaled(file.parent, content, pictures, size, settings.resolution)
-    frames = frames_of(file, content, pictures, size)
+    images = [listed_image(file.parent, e["file_path"]) for e in content["frames"]]
+    size = _known_size(file, content, images)
+    images = _downscaled(file.parent, content, images, size, settings.resolution)
+    frames = frames_of(file, content, images, size)
     if test is None:
         learn, check = _listed_split(content, frames)
     else:
         other = load_transforms(test)
-        others = [listed_picture(test.parent, e["file_path"]) for e in other["frames"]]
+        others = [listed_image(test.parent, e["file_path"]) for e in other["frames"]]
         learn, check = frames, frames_of(test, other, others, _known_size(test, other, others) or size)
     if not learn:
         raise InputError(file, "has no views to learn from", "all of its frames are test views, or none is listed in train_filenames")
-    return Capture(file, file.parent, kind_of(file, content, learn), learn, check, np.eye(4), _points(file, content))
+    return ParsedDataset(file, file.parent, kind_of(file, content, learn), learn, check, np.eye(4), _points(file, content))
 
 
 def kind_of(file: Path, content: dict[str, Any], frames: list[Frame]) -> str:
     """The short name of the dataset that such a file, its training frames and what lies beside it are found in."""
-    folder, first = file.parent, next((f for f in frames if f.picture is not None), frames[0])
+    folder, first = file.parent, next((f for f in frames if f.image is not None), frames[0])
     listed = first.listed.removeprefix("./")
     if (folder / "meta.json").is_file():  # of a dataset rendered by scripts/render_dataset.py
         return "transforms"
     if (folder / "transforms_novel.json").is_file() or (folder / "train_mask").is_dir():
         return "stanford-orb"
-    if first.picture is not None and first.picture.name.endswith("_rgb.exr"):
+    if first.image is not None and first.image.name.endswith("_rgb.exr"):
         return "synthetic4relight"
     if TENSOIR_VIEW.fullmatch(listed):
         return "tensoir"
@@ -96,8 +96,8 @@ def load_transforms(file: Path) -> dict[str, Any]:
     return content
 
 
-def listed_picture(folder: Path, listed: str) -> Path | None:
-    """The picture that a file in `folder` lists, or None where there is none.
+def listed_image(folder: Path, listed: str) -> Path | None:
+    """The image that a file in `folder` lists, or None where there is none.
 
     Raises InputError where it would lie outside that folder, or can't be the name of a file.
     """
@@ -108,75 +108,73 @@ def listed_picture(folder: Path, listed: str) -> Path | None:
             base.lstat()
         # Synthetic4Relight lists NAME for NAME_rgb.exr and NAME_rgba.png.
         candidates = (base, base.with_name(base.name + "_rgb.exr"), base.with_name(base.name + "_rgba.png"))
-        return next(filter(None, map(find_picture, candidates)), None)
+        return next(filter(None, map(find_image, candidates)), None)
     except (OSError, ValueError) as error:  # names too long or otherwise impossible for the file system
         reason = getattr(error, "strerror", None) or error
         raise InputError(folder, f"can't have the impossible file {listed[:80]!r} that is listed ({reason})") from error
 
 
-def _downscaled(
-    folder: Path, content: dict[str, Any], pictures: list[Path | None], size: Size | None, resolution: int
-) -> list[Path | None]:
-    """Nerfstudio's smaller copies of all pictures, from images_2, images_4 or images_8, where they reach the resolution."""
+def _downscaled(folder: Path, content: dict[str, Any], images: list[Path | None], size: Size | None, resolution: int) -> list[Path | None]:
+    """Nerfstudio's smaller copies of all images, from images_2, images_4 or images_8, where they reach the resolution."""
     names = [e["file_path"].removeprefix("./") for e in content["frames"]]
     if size is None or not all(n.startswith("images/") for n in names):
-        return pictures
+        return images
     for factor in (8, 4, 2):
         small = folder / f"images_{factor}"
         if max(size) / factor >= resolution and small.is_dir():
-            copies = [listed_picture(folder, f"images_{factor}/" + n.removeprefix("images/")) for n in names]
-            if all(c is not None or p is None for c, p in zip(copies, pictures, strict=True)):
+            copies = [listed_image(folder, f"images_{factor}/" + n.removeprefix("images/")) for n in names]
+            if all(c is not None or p is None for c, p in zip(copies, images, strict=True)):
                 return copies
-    return pictures
+    return images
 
 
-def _known_size(file: Path, content: dict[str, Any], pictures: list[Path | None]) -> Size | None:
-    """The size the cameras are for: as stated, or that of the first picture that can be read; None where there is neither."""
+def _known_size(file: Path, content: dict[str, Any], images: list[Path | None]) -> Size | None:
+    """The size the cameras are for: as stated, or that of the first image that can be read; None where there is neither."""
     if "w" in content and "h" in content:
         return side_of(file, content, "w"), side_of(file, content, "h")
-    for picture in filter(None, pictures):
+    for image in filter(None, images):
         try:
-            return picture_size(picture)
+            return image_size(image)
         except InputError:
             continue  # reported when its turn to be decoded comes
     return None
 
 
-def frames_of(file: Path, content: dict[str, Any], pictures: list[Path | None], size: Size | None) -> list[Frame]:
-    """The frames of a file, with pictures in the order it lists them; `size` is that of cameras that don't say theirs."""
+def frames_of(file: Path, content: dict[str, Any], images: list[Path | None], size: Size | None) -> list[Frame]:
+    """The frames of a file, with images in the order it lists them; `size` is that of cameras that don't say theirs."""
     shared = {k: v for k, v in content.items() if k != "frames"}
     frames = []
-    for index, (entry, picture) in enumerate(zip(content["frames"], pictures, strict=True)):
+    for index, (entry, image) in enumerate(zip(content["frames"], images, strict=True)):
         where = f"{file}, frame {index} ({entry['file_path'][:80]})"
         lens = lens_of(where, {**shared, **entry}, size)
-        frames.append(Frame(entry["file_path"], picture, _mask(file, entry, picture), lens, pose_of(where, entry)))
+        frames.append(Frame(entry["file_path"], image, _mask(file, entry, image), lens, pose_of(where, entry)))
     return frames
 
 
-def _mask(file: Path, entry: dict[str, Any], picture: Path | None) -> Path | None:
+def _mask(file: Path, entry: dict[str, Any], image: Path | None) -> Path | None:
     if isinstance(entry.get("mask_path"), str) and entry["mask_path"]:
         mask = inside(file.parent / entry["mask_path"].replace("\\", "/"), file.parent)
-        if picture is not None and not is_file(mask):
+        if image is not None and not is_file(mask):
             raise InputError(mask, "no such mask file", f"it is named by {file.name}")
         return mask
-    if picture is None:
+    if image is None:
         return None
     # NAME_rgb.exr has its mask at NAME_mask.png.
-    twin = picture.with_name(picture.stem.removesuffix("_rgb") + "_mask.png")
-    return twin if twin != picture and is_file(twin) else find_mask(picture, _picture_root(file, picture))
+    twin = image.with_name(image.stem.removesuffix("_rgb") + "_mask.png")
+    return twin if twin != image and is_file(twin) else find_mask(image, _image_root(file, image))
 
 
-def _picture_root(file: Path, picture: Path) -> Path:
-    """The folder that the masks folder lies beside: the topmost folder of the picture's path below the file's own."""
+def _image_root(file: Path, image: Path) -> Path:
+    """The folder that the masks folder lies beside: the topmost folder of the image's path below the file's own."""
     try:
-        parts = picture.relative_to(file.parent).parts
+        parts = image.relative_to(file.parent).parts
     except ValueError:
-        return picture.parent
+        return image.parent
     return file.parent / parts[0] if len(parts) > 1 else file.parent
 
 
 def _listed_split(content: dict[str, Any], frames: list[Frame]) -> tuple[list[Frame], list[Frame] | None]:
-    """Nerfstudio may name the pictures of each split inside the file."""
+    """Nerfstudio may name the images of each split inside the file."""
     named = {split: content.get(f"{split}_filenames") for split in ("train", "val", "test")}
     held = next((n for n in (named["test"], named["val"]) if isinstance(n, list) and n), None)
     if held is None:

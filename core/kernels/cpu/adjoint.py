@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The way back from what rays saw to the geometry: disks, origins and directions.
+"""The way back from what rays saw to the geometry: surfels, origins and directions.
 
 Over the hits of a ray runs the adjoint of compositing that `raster.py` states. With h = o + t d - c, the hit seen from the centre,
 
@@ -27,12 +27,12 @@ _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 
 @kernel
-def _upstream(picture, gradient, ray, left):
+def _upstream(image, gradient, ray, left):
     """What the ray's hits share: scale of the sums, g . C shifted into every q, and S_total."""
     last = gradient.shape[1] - 1
     sums = _ZERO
     for j in range(last):
-        sums += gradient[ray, j] * picture[ray, j]
+        sums += gradient[ray, j] * image[ray, j]
     if left <= np.float32(TRANSMITTANCE_MIN):
         scale = _ONE / (_ONE - left)
         return scale, -sums * scale, _ZERO
@@ -41,7 +41,7 @@ def _upstream(picture, gradient, ray, left):
 
 @kernel
 def trace_backward_range(
-    slot, begin, end, origin, direction, start, index, weight, distance, left, record, rows, coefficients, extras, picture, gradient,
+    slot, begin, end, origin, direction, start, index, weight, distance, left, record, rows, coefficients, extras, image, gradient,
     slots, g_origin, g_direction,
 ):  # fmt: skip
     """Adjoint of tracing rays begin..end: adds to slots[slot] (N, width + SURFEL_GRADIENTS), writes g_origin and g_direction (R, 3)."""
@@ -58,7 +58,7 @@ def trace_backward_range(
         low, high = load(spread, lane * 16), load(spread, lane * 16 + 8)
         to_low, to_high = splat(_ZERO), splat(_ZERO)
         dx, dy, dz = direction[3 * ray], direction[3 * ray + 1], direction[3 * ray + 2]
-        scale, shift, s_total = _upstream(picture, gradient, ray, left[ray])
+        scale, shift, s_total = _upstream(image, gradient, ray, left[ray])
         before, run = _ONE, _ZERO
         gox, goy, goz, gdx, gdy, gdz = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
         for hit in range(start[ray], start[ray + 1]):
@@ -127,8 +127,8 @@ def trace_backward_range(
 
 
 @kernel
-def disk_backward_range(begin, end, slots, width, record, quaternion, n, g_position, g_quaternion, g_log_scale, g_opacity):
-    """From the slots' gradients of records to those of the raw parameters, flattened; 0 for disks that no ray can meet."""
+def surfel_backward_range(begin, end, slots, width, record, quaternion, n, g_position, g_quaternion, g_log_scale, g_opacity):
+    """From the slots' gradients of records to those of the raw parameters, flattened; 0 for surfels that no ray can meet."""
     s = np.empty(SURFEL_GRADIENTS, np.float32)
     for i in range(begin, end):
         s[:] = _ZERO

@@ -3,7 +3,7 @@
 
 Weight of neighbour p' at p: exp(-|p - p'|^2 / 2 sigma^2) max(n.n', 0)^(2^k) exp(-|z - z'| / (|grad z . (p - p')| + epsilon)) times its
 coverage. Guides: normal 3, depth, its slope per pixel to the right and down, coverage (0 = nothing there).
-Pictures are channel planes, flattened, with a margin of empty pixels on every side so that no load leaves them; a group is 8 pixels of a
+Images are channel planes, flattened, with a margin of empty pixels on every side so that no load leaves them; a group is 8 pixels of a
 row, named by the place of its first.
 """
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """An 8-wide bounding volume hierarchy over 2D Gaussians, each bounded where its alpha falls below ALPHA_MIN.
 
-A node holds the boxes of up to 8 children side by side, a leaf up to 8 disks, so that one vector operation tests them all.
+A node holds the boxes of up to 8 children side by side, a leaf up to 8 surfels, so that one vector operation tests them all.
 Splits follow the surface area heuristic in bins, a leaf costing the same however full it is.
 """
 
@@ -17,15 +17,15 @@ from ..constants import ALPHA_MIN, AXIS_U, AXIS_V, CUT, NORMAL, OPACITY, SCALE_R
 from .jit import kernel
 from .simd import load, minimum, splat, store
 
-LEAF = 14 * 8  # floats of a leaf: the record up to CUT, 8 disks to each
+LEAF = 14 * 8  # floats of a leaf: the record up to CUT, 8 surfels to each
 NODE = 6 * 8  # floats of a node: low x y z, high x y z, 8 children to each
 _BINS = 16
 _PAD = np.float32(1e-6)  # boxes grow by this share of their position, ten times that of their size: rounding must not lose a hit
 
 
 @kernel
-def describe_disks(position, quaternion, log_scale, opacity, n, record, box, middle):
-    """Records (N, SURFEL_RECORD), boxes and centres (N x 8,) of all disks; CUT is -1, and the box empty, where there is nothing to hit."""
+def describe_surfels(position, quaternion, log_scale, opacity, n, record, box, middle):
+    """Records (N, SURFEL_RECORD), boxes and centres (N x 8,) of all surfels; CUT is -1 and the box empty where nothing can be hit."""
     box[:] = middle[:] = np.float32(0.0)
     for i in range(n):
         w, x, y, z = quaternion[i], quaternion[n + i], quaternion[2 * n + i], quaternion[3 * n + i]
@@ -187,7 +187,7 @@ def build_nodes(order, boxes, middle):
 
 @kernel
 def fill_leaves(index, record, leaf):
-    """Copy the records of `index` (leaves x 8, -1 where empty) into leaves, 8 disks side by side."""
+    """Copy the records of `index` (leaves x 8, -1 where empty) into leaves, 8 surfels side by side."""
     for i in range(len(index)):
         at = (i // 8) * LEAF + i % 8
         for j in range(LEAF // 8):
@@ -231,7 +231,7 @@ def flat(tensor: torch.Tensor) -> np.ndarray:
 
 
 @dataclass
-class DiskTree:
+class SurfelTree:
     """N Gaussians ready to be traced. Those with opacity <= ALPHA_MIN, no area, or values that are not finite are left out.
 
     Attributes:
@@ -250,7 +250,7 @@ class DiskTree:
     depth: int
 
     @classmethod
-    def build(cls, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> DiskTree:
+    def build(cls, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> SurfelTree:
         """A tree over raw parameters: (3, N) world, (4, N) w x y z of any length, (2, N) logs, (N,) logits; no gradients."""
         parameters = tuple(flat(p).copy() for p in (position, quaternion, log_scale, opacity))
         record, boxes, middle = _describe(parameters)
@@ -272,7 +272,7 @@ class DiskTree:
         held = np.zeros(len(record), bool)
         held[self.index[self.index >= 0]] = True
         if len(record) != len(self.record) or (~held & (record[:, CUT] >= 0)).any():
-            self.__dict__.update(DiskTree.build(position, quaternion, log_scale, opacity).__dict__)
+            self.__dict__.update(SurfelTree.build(position, quaternion, log_scale, opacity).__dict__)
             return
         self.parameters, self.record = parameters, record
         self._fill(boxes)
@@ -290,5 +290,5 @@ class DiskTree:
 def _describe(parameters: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(parameters[3])
     record, boxes, middle = np.empty((n, SURFEL_RECORD), np.float32), np.empty(8 * n, np.float32), np.empty(8 * n, np.float32)
-    describe_disks(*parameters, n, record, boxes, middle)
+    describe_surfels(*parameters, n, record, boxes, middle)
     return record, boxes, middle

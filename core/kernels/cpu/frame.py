@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where 8 disks stand before a camera: their centres and axes in its space, the way back to their quaternions, and vectors of three."""
+"""Where 8 surfels stand before a camera: their centres and axes in its space, the way back to their quaternions, and vectors of three."""
 
 from __future__ import annotations
 

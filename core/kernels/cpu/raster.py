@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tile rasteriser of 2D Gaussians: front-to-back compositing, a tile row of 8 pixels to a vector.
 
-Channels of a picture: the splats' features, then depth, then opacity, and one more plane: the transmittance where it stopped.
+Channels of an image: the splats' features, then depth, then opacity, and one more plane: the transmittance where it stopped.
 A pixel whose transmittance falls below TRANSMITTANCE_MIN counts as opaque: its sums are divided by the weights' sum and its
 opacity is 1. Otherwise the last per cent leaks through to the far side and draws the mean depth behind the surface.
 
@@ -9,7 +9,7 @@ The adjoint runs front to back as well: with q_i = g . c_i and the running sum S
 
     dL/dalpha_i = T_i q_i - (S_total - S_i) / (1 - alpha_i),
 
-where S_total = g . C is known from the picture. In an opaque pixel C = sum(w c) / sum(w), so that q_i = (g . c_i - g . C) / sum(w)
+where S_total = g . C is known from the image. In an opaque pixel C = sum(w c) / sum(w), so that q_i = (g . c_i - g . C) / sum(w)
 and S_total = 0.
 """
 
@@ -56,8 +56,8 @@ def _fetch(record, feature, box, g):
 
 
 @kernel
-def rasterize_range(begin, end, start, entries, record, feature, box, columns, picture, stride, plane):
-    """Composite tiles begin..end into `picture`: channel planes of `plane` floats with rows of `stride` floats, flattened."""
+def rasterize_range(begin, end, start, entries, record, feature, box, columns, image, stride, plane):
+    """Composite tiles begin..end into `image`: channel planes of `plane` floats with rows of `stride` floats, flattened."""
     features = feature.shape[1]
     channels = features + 2
     acc = np.empty(channels * _PIXELS, np.float32)
@@ -97,24 +97,24 @@ def rasterize_range(begin, end, start, entries, record, feature, box, columns, p
             opaque = left <= TRANSMITTANCE_MIN
             scale = select(opaque, 1.0 / (1.0 - left), splat(1.0))
             for channel in range(channels - 1):
-                store(picture, channel * plane + at, load(acc, channel * _PIXELS + row * 8) * scale)
-            store(picture, (channels - 1) * plane + at, select(opaque, splat(1.0), 1.0 - left))
-            store(picture, channels * plane + at, left)
+                store(image, channel * plane + at, load(acc, channel * _PIXELS + row * 8) * scale)
+            store(image, (channels - 1) * plane + at, select(opaque, splat(1.0), 1.0 - left))
+            store(image, channels * plane + at, left)
 
 
 @kernel
-def _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, s_total):
+def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total):
     """Copy a tile's upstream gradients together, as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
     for row in range(TILE):
         at = (y0 + row) * stride + x0
-        left = load(picture, channels * plane + at)
+        left = load(image, channels * plane + at)
         opaque = left <= TRANSMITTANCE_MIN
         scale = select(opaque, 1.0 / (1.0 - left), splat(1.0))
         s = splat(0.0)
         for channel in range(channels - 1):
             g = load(gradient, channel * plane + at)
             store(g_tile, channel * _PIXELS + row * 8, g * scale)
-            s = s + g * load(picture, channel * plane + at)
+            s = s + g * load(image, channel * plane + at)
         g = load(gradient, (channels - 1) * plane + at)
         store(g_tile, (channels - 1) * _PIXELS + row * 8, select(opaque, s * scale * -1.0, g))
         store(s_total, row * 8, select(opaque, splat(0.0), s + g * (1.0 - left)))
@@ -122,7 +122,7 @@ def _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, 
 
 @kernel
 def rasterize_backward_range(
-    slot, begin, end, start, entries, record, feature, box, columns, picture, gradient, stride, plane, slots
+    slot, begin, end, start, entries, record, feature, box, columns, image, gradient, stride, plane, slots
 ):  # fmt: skip
     """Adjoint of `rasterize_range`: adds gradients of records and features to slots[slot] (N, SPLAT_GRADIENTS + F)."""
     features = feature.shape[1]
@@ -134,7 +134,7 @@ def rasterize_backward_range(
     zero = splat(0.0)
     for tile in range(begin, end):
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        _load_gradients(gradient, picture, stride, plane, x0, y0, channels, g_tile, s_total)
+        _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total)
         s_run[:] = 0.0
         transmittance[:] = 1.0
         x = ramp() + (x0 + 0.5)

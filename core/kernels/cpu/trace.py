@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which 2D Gaussians a ray meets, in exact order: one ray at a time against 8 boxes, or 8 disks, of a `DiskTree`.
+"""Which 2D Gaussians a ray meets, in exact order: one ray at a time against 8 boxes, or 8 surfels, of a `DiskTree`.
 
 A ray keeps its NEAREST next hits in a sorted buffer, ordered by the true distance, then by the Gaussian's number. Where the buffer
 overflows before the ray is opaque, it goes on from the last hit: nothing is dropped or met twice. Nodes wait on a stack, the nearest
@@ -85,8 +85,8 @@ def _open(stack, top, node, side, ray, t_min, t_max, group, enters):
 
 
 @kernel
-def _disks(leaf, at, o, d):
-    """Where the ray meets the planes of a leaf's 8 disks, rho there, and whether that lies on the disk.
+def _surfels(leaf, at, o, d):
+    """Where the ray meets the planes of a leaf's 8 surfels, rho there, and whether that lies on the disk.
 
     All of it at once: leaving early where no plane is met would be guessed wrongly too often.
     """
@@ -169,7 +169,7 @@ def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha
                 _push(stack, stack_t, bottom, top, below, enters[lane])
                 top += 1
                 continue
-            t, rho, met = _disks(leaf, ~below * LEAF, o, d)
+            t, rho, met = _surfels(leaf, ~below * LEAF, o, d)
             mask = bits(met & (t >= t_min) & (t <= t_max))
             if mask == 0:
                 continue
@@ -256,7 +256,7 @@ def transmittance_range(begin, end, origin, direction, node, child, leaf, depth,
                     stack[top] = below
                     top += 1
                     continue
-                t, rho, met = _disks(leaf, ~below * LEAF, o, d)
+                t, rho, met = _surfels(leaf, ~below * LEAF, o, d)
                 met = met & (t > _ZERO)
                 if bits(met) == 0:
                     continue

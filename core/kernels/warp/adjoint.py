@@ -21,7 +21,7 @@ Columns = wp.types.vector(length=SURFEL_GRADIENTS, dtype=wp.float32)
 def trace_backward(
     origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3), start: wp.array(dtype=wp.int64), index: wp.array(dtype=int),
     weight: wp.array(dtype=float), distance: wp.array(dtype=float), left: wp.array(dtype=float), record: wp.array2d(dtype=float),
-    sh: wp.array(dtype=float), coefficients: int, extra: wp.array(dtype=float), extras: int, picture: wp.array2d(dtype=float),
+    sh: wp.array(dtype=float), coefficients: int, extra: wp.array(dtype=float), extras: int, image: wp.array2d(dtype=float),
     gradient: wp.array2d(dtype=float), of_hit: wp.array2d(dtype=float), g_origin: wp.array(dtype=wp.vec3),
     g_direction: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
@@ -32,7 +32,7 @@ def trace_backward(
     last = 7 + extras
     sums = float(0.0)
     for j in range(last):
-        sums += gradient[ray, j] * picture[ray, j]
+        sums += gradient[ray, j] * image[ray, j]
     scale, shift, s_total = float(1.0), float(gradient[ray, last]), sums + gradient[ray, last] * (1.0 - left[ray])
     if left[ray] <= _OPAQUE:
         scale = 1.0 / (1.0 - left[ray])
@@ -91,7 +91,7 @@ def trace_backward(
 
 
 @wp.kernel
-def disk_backward(
+def surfel_backward(
     order: wp.array(dtype=wp.int64), first: wp.array(dtype=int), of_hit: wp.array2d(dtype=float), record: wp.array2d(dtype=float),
     quaternion: wp.array(dtype=float), n: int, g_position: wp.array(dtype=float), g_quaternion: wp.array(dtype=float),
     g_log_scale: wp.array(dtype=float), g_opacity: wp.array(dtype=float),

@@ -58,7 +58,7 @@ def filtered(
     index: torch.Tensor, width: int, height: int, guides: torch.Tensor, spatial: torch.Tensor, epsilon: float, doublings: int,
     values: torch.Tensor,
 ) -> torch.Tensor:  # fmt: skip
-    """(P, C): means of the values (P, C) of a picture's pixels `index` (P,) over their neighbours; guides: (P, GUIDES)."""
+    """(P, C): means of the values (P, C) of an image's pixels `index` (P,) over their neighbours; guides: (P, GUIDES)."""
     scattered = [v.new_zeros(width * height, v.shape[1]).index_copy(0, index, v) for v in (guides, values)]
     out = torch.empty_like(values)
     if len(index):

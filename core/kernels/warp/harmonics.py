@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Real spherical harmonics up to degree 3 and what every kernel of disks shares: rotations, and their gradient."""
+"""Real spherical harmonics up to degree 3 and what every kernel of surfels shares: rotations, and their gradient."""
 
 import warp as wp
 
@@ -83,7 +83,7 @@ def tangent_v(q: wp.vec4) -> wp.vec3:
 
 @wp.func
 def normal_of(q: wp.vec4) -> wp.vec3:
-    """Its third column, the disk's normal."""
+    """Its third column, the surfel's normal."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return wp.vec3(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
 

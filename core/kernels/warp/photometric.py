@@ -103,8 +103,8 @@ class Photometric(torch.autograd.Function):
     """The face is that of the CPU's; nothing makes the host wait."""
 
     @staticmethod
-    def forward(ctx, picture, truth, ssim_share):
-        x, y = picture.detach().contiguous(), truth.contiguous()
+    def forward(ctx, image, truth, ssim_weight):
+        x, y = image.detach().contiguous(), truth.contiguous()
         planes, height, width = x.shape
         taps = _taps(x.device)
         blurred, slopes = x.new_empty(5, *x.shape), x.new_empty(3, *x.shape)
@@ -113,10 +113,10 @@ class Photometric(torch.autograd.Function):
         launch(across, x.shape, x, y, taps, *size, planes, blurred)
         launch(compare, x.shape, blurred, taps, *size, planes, similarity, slopes)
         launch(across_slopes, (3 * planes, *size), slopes, taps, *size, blurred[:3])
-        weights = ((1 - ssim_share) / x.numel(), ssim_share / x.numel())
+        weights = ((1 - ssim_weight) / x.numel(), ssim_weight / x.numel())
         launch(gradient_of, x.shape, blurred[:3], taps, *size, planes, x, y, *weights, gradient)
         ctx.save_for_backward(gradient)
-        return (1 - ssim_share) * (x - y).abs().mean() + ssim_share * (1 - similarity.mean())
+        return (1 - ssim_weight) * (x - y).abs().mean() + ssim_weight * (1 - similarity.mean())
 
     @staticmethod
     def backward(ctx, upstream):

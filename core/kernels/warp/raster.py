@@ -65,7 +65,7 @@ def kernels(features: int) -> tuple[Any, Any]:
     def composite(
         start: wp.array(dtype=int), index: wp.array(dtype=wp.int64), owner: wp.array(dtype=int), record: wp.array2d(dtype=float),
         feature: wp.array2d(dtype=float), box: wp.array(dtype=wp.vec4i), columns: int, width: int, height: int,
-        picture: wp.array(dtype=float),
+        image: wp.array(dtype=float),
     ):  # fmt: skip
         thread = wp.tid()
         pixel = pixel_of(thread, columns)
@@ -92,16 +92,16 @@ def kernels(features: int) -> tuple[Any, Any]:
         scale = wp.where(opaque, 1.0 / (1.0 - before), 1.0)
         at, plane = pixel[1] * width + pixel[0], width * height
         for j in range(count):
-            picture[j * plane + at] = acc[j] * scale
-        picture[count * plane + at] = depth * scale
-        picture[(count + 1) * plane + at] = wp.where(opaque, 1.0, 1.0 - before)
-        picture[(count + 2) * plane + at] = before
+            image[j * plane + at] = acc[j] * scale
+        image[count * plane + at] = depth * scale
+        image[(count + 1) * plane + at] = wp.where(opaque, 1.0, 1.0 - before)
+        image[(count + 2) * plane + at] = before
 
     @wp.kernel(module="unique")
     def composite_backward(
         start: wp.array(dtype=int), index: wp.array(dtype=wp.int64), owner: wp.array(dtype=int), record: wp.array2d(dtype=float),
         feature: wp.array2d(dtype=float), box: wp.array(dtype=wp.vec4i), columns: int, width: int, height: int,
-        picture: wp.array(dtype=float), gradient: wp.array(dtype=float), slots: wp.array2d(dtype=float),
+        image: wp.array(dtype=float), gradient: wp.array(dtype=float), slots: wp.array2d(dtype=float),
     ):  # fmt: skip
         """Gradients of records and features, in the place of each entry of the tiles' lists before they were sorted."""
         thread = wp.tid()
@@ -111,19 +111,19 @@ def kernels(features: int) -> tuple[Any, Any]:
         at, plane = pixel[1] * width + pixel[0], width * height
         upstream = Row(0.0)
         g_depth, g_opacity, s_total, s_run = float(0.0), float(0.0), float(0.0), float(0.0)
-        before = float(0.0)  # outside the picture: nothing to do, but sums need every thread of a warp
+        before = float(0.0)  # outside the image: nothing to do, but sums need every thread of a warp
         if pixel[0] < width and pixel[1] < height:
             before = 1.0
-            left = picture[(count + 2) * plane + at]
+            left = image[(count + 2) * plane + at]
             opaque = left <= _OPAQUE
             scale = wp.where(opaque, 1.0 / (1.0 - left), 1.0)
             for j in range(count):
                 up = gradient[j * plane + at]
                 upstream[j] = up * scale
-                s_total += up * picture[j * plane + at]
+                s_total += up * image[j * plane + at]
             up = gradient[count * plane + at]
             g_depth = up * scale
-            s_total += up * picture[count * plane + at]
+            s_total += up * image[count * plane + at]
             last = gradient[(count + 1) * plane + at]
             g_opacity = wp.where(opaque, -s_total * scale, last)
             s_total = wp.where(opaque, 0.0, s_total + last * (1.0 - left))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rasteriser on the device: lists of tiles without waiting for the host, pictures, and the way back."""
+"""The rasteriser on the device: lists of tiles without waiting for the host, images, and the way back."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from . import splats
 from .raster import PARTS, PIXELS, kernels
 from .runtime import launch
 
-SPARE = 2.0  # times the longest lists seen so far that there is room for; pictures of gradient descent change slowly
+SPARE = 2.0  # times the longest lists seen so far that there is room for; images of gradient descent change slowly
 _LAST = torch.iinfo(torch.int64).max
 
 
 class Room:
-    """How many entries the lists of one size of picture may have, so that no step of an optimisation has to wait for their number.
+    """How many entries the lists of one size of image may have, so that no step of an optimisation has to wait for their number.
 
     Their number is looked at two calls later, when it has long been known. Where nothing is optimised it is waited for.
     """
@@ -27,7 +27,7 @@ class Room:
     def __init__(self) -> None:
         self._entries = 0
         self._coming: list[tuple[torch.Tensor, torch.cuda.Event | None]] = []
-        self.overflowed = 0  # pictures that lacked some of their splats
+        self.overflowed = 0  # images that lacked some of their splats
 
     def entries(self, total: torch.Tensor, exact: bool) -> int:
         """Entries to make room for, of which there are `total` (a tensor of one number)."""
@@ -88,13 +88,13 @@ class Rasterize(torch.autograd.Function):
         key, index = torch.sort(key, stable=True)  # of one depth the first Gaussian comes first
         edges = torch.arange(columns * rows + 1, device=device) << 32
         start = torch.searchsorted(key, edges, out_int32=True)
-        picture = torch.empty(9 + extras, height, width, device=device)
+        image = torch.empty(9 + extras, height, width, device=device)
         lists = (start, index, owner, record, feature, box, columns, width, height)
-        launch(kernels(6 + extras)[0], columns * rows * PIXELS, *lists, picture)
+        launch(kernels(6 + extras)[0], columns * rows * PIXELS, *lists, image)
         ctx.parameters, ctx.pinhole, ctx.coefficients, ctx.statistics = parameters, pinhole, coefficients, statistics
-        ctx.lists, ctx.order, ctx.picture = lists, (end, tiles, capacity), picture
+        ctx.lists, ctx.order, ctx.image = lists, (end, tiles, capacity), image
         statistics.radius = (box[:, 2:] - box[:, :2]).amax(1).add(1).clamp_min(0)
-        return picture[:-1]
+        return image[:-1]
 
     @staticmethod
     def backward(ctx, gradient):
@@ -102,7 +102,7 @@ class Rasterize(torch.autograd.Function):
         (end, tiles, capacity), (n, features), device = ctx.order, feature.shape, record.device
         slots = torch.zeros(capacity * PARTS, SPLAT_GRADIENTS + features, device=device)
         threads = (len(start) - 1) * PIXELS
-        launch(kernels(features)[1], threads, *ctx.lists, ctx.picture, gradient.contiguous(), slots)
+        launch(kernels(features)[1], threads, *ctx.lists, ctx.image, gradient.contiguous(), slots)
         sums = torch.empty(n, SPLAT_GRADIENTS + features, device=device)
         launch(splats.sum_slots, sums.shape, slots, end, tiles, capacity, PARTS, sums)
         gradients = [torch.empty_like(p) for p in ctx.parameters]

@@ -14,7 +14,7 @@ _FEATURES = wp.constant(SPLAT_GRADIENTS)  # column of a splat's gradients at whi
 
 @wp.struct
 class Pinhole:
-    """A camera: world to camera (z forward), intrinsics, centre, picture, nearest depth."""
+    """A camera: world to camera (z forward), intrinsics, centre, image, nearest depth."""
 
     rotation: wp.mat33
     focal: wp.vec2
@@ -71,7 +71,7 @@ def colour_channel(sh: wp.array(dtype=float), b: Basis, coefficients: int, chann
 
 @wp.func
 def reach(low: float, high: float, limit: int) -> wp.vec2i:
-    """First and last pixel along an axis whose centres lie in low..high, inside the picture."""
+    """First and last pixel along an axis whose centres lie in low..high, inside the image."""
     first = wp.max(0.0, wp.ceil(wp.clamp(low, -1.0e9, 1.0e9) - 0.5))
     last = wp.min(float(limit) - 1.0, wp.floor(wp.clamp(high, -1.0e9, 1.0e9) - 0.5))
     return wp.vec2i(int(first), int(last))

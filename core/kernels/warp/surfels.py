@@ -52,7 +52,7 @@ def describe(
     position: wp.array(dtype=float), quaternion: wp.array(dtype=float), log_scale: wp.array(dtype=float), opacity: wp.array(dtype=float),
     n: int, record: wp.array2d(dtype=float), lower: wp.array(dtype=wp.vec3), upper: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """Records and boxes of all disks, see core/kernels/cpu/bvh.py; those that can't be hit have a box of one point, and CUT is -1."""
+    """Records and boxes of all surfels, see core/kernels/cpu/bvh.py; those that can't be hit have a box of one point, and CUT is -1."""
     i = wp.tid()
     c = wp.vec3(position[i], position[n + i], position[2 * n + i])
     q = unit_quaternion(wp.vec4(quaternion[i], quaternion[n + i], quaternion[2 * n + i], quaternion[3 * n + i]))
@@ -103,7 +103,7 @@ def safe(d: wp.vec3) -> wp.vec3:
 
 @wp.func
 def meet(record: wp.array2d(dtype=float), g: int, o: wp.vec3, d: wp.vec3) -> wp.vec2:
-    """Distance to a disk's plane and alpha there; alpha is 0 where the disk is missed."""
+    """Distance to a surfel's plane and alpha there; alpha is 0 where the disk is missed."""
     normal, h = triple(record, g, _N), triple(record, g, 0) - o
     cosine = wp.dot(normal, d)
     if cosine * cosine <= _GRAZING:

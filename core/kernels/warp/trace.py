@@ -12,7 +12,7 @@ import warp as wp
 
 from ..constants import SURFEL_GRADIENTS, SURFEL_RECORD
 from . import adjoint
-from . import surfels as disks
+from . import surfels as surfels
 from .runtime import launch, on_stream
 
 SUMS = 8  # outputs beside the extras
@@ -81,7 +81,7 @@ def _copies(*parameters: torch.Tensor) -> tuple[Any, ...]:
 def _describe(position, quaternion, log_scale, opacity, record, boxes) -> None:
     if len(opacity):
         parameters = [p.detach().contiguous() for p in (position, quaternion, log_scale, opacity)]
-        launch(disks.describe, len(opacity), *parameters, len(opacity), record, *boxes)
+        launch(surfels.describe, len(opacity), *parameters, len(opacity), record, *boxes)
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def _see(tree: DeviceTree, origin, direction, sh: torch.Tensor, coefficients: in
     count = torch.zeros(rays, dtype=torch.int64, device=device)
     if rays and len(tree.record):
         rows = (sh, coefficients, extra)
-        launch(disks.composite(extras), rays, tree.id, tree.record, origin, direction, *rows, out, count, left)
+        launch(surfels.composite(extras), rays, tree.id, tree.record, origin, direction, *rows, out, count, left)
     return out, count, left
 
 
@@ -141,7 +141,7 @@ def _gathered(tree: DeviceTree, origin, direction, count: torch.Tensor, left: to
     index, of = torch.empty(2, total, dtype=torch.int32, device=device)
     weight, distance = torch.empty(2, total, device=device)
     if total:
-        launch(disks.gather, len(count), tree.id, tree.record, origin, direction, start, index, weight, distance, of)
+        launch(surfels.gather, len(count), tree.id, tree.record, origin, direction, start, index, weight, distance, of)
     return DeviceLists(start, index, weight, distance, left, of, longest)
 
 
@@ -158,7 +158,7 @@ def transmittance(tree: DeviceTree, origin: torch.Tensor, direction: torch.Tenso
     through = torch.ones(len(origin), device=origin.device)
     if len(origin) and len(tree.record):
         rays = (origin.detach().contiguous(), direction.detach().contiguous())
-        launch(disks.pass_through, len(origin), tree.id, tree.record, *rays, through)
+        launch(surfels.pass_through, len(origin), tree.id, tree.record, *rays, through)
     return through
 
 
@@ -198,10 +198,10 @@ class Trace(torch.autograd.Function):
             if any(ctx.needs_input_grad[:4]) or any(ctx.needs_input_grad[6:8]):
                 of_hit = torch.empty(len(lists.index), SURFEL_GRADIENTS, device=device)
                 hits = (lists.start, lists.index, lists.weight, lists.distance, lists.left)
-                pictures = (ctx.saved_tensors[0].detach(), gradient)
+                images = (ctx.saved_tensors[0].detach(), gradient)
                 rows = (sh, k, extra, extras)
-                launch(adjoint.trace_backward, lists.rays, *ctx.rays, *hits, ctx.record, *rows, *pictures, of_hit, *gradients[6:8])
-                launch(adjoint.disk_backward, n, order, first, of_hit, ctx.record, ctx.quaternion, n, *gradients[:4])
+                launch(adjoint.trace_backward, lists.rays, *ctx.rays, *hits, ctx.record, *rows, *images, of_hit, *gradients[6:8])
+                launch(adjoint.surfel_backward, n, order, first, of_hit, ctx.record, ctx.quaternion, n, *gradients[:4])
             g_sh = torch.empty(0, device=device) if gradients[4] is None else gradients[4]
             rows = (ctx.rays[1], sh, k, extras)
             launch(adjoint.rows_backward, (n, 3 + extras), order, first, lists.of, lists.weight, *rows, gradient, n, g_sh, gradients[5])
@@ -229,7 +229,7 @@ class Blend(torch.autograd.Function):
     def forward(ctx, values, lists, ray):
         out = torch.zeros(len(ray), len(values), device=values.device)
         if len(lists.index):
-            launch(disks.blend, out.shape, ray, lists.start, lists.index, lists.weight, values.detach().contiguous(), out)
+            launch(surfels.blend, out.shape, ray, lists.start, lists.index, lists.weight, values.detach().contiguous(), out)
         ctx.lists, ctx.ray, ctx.shape = lists, ray, values.shape
         return out
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run kept in memory for pictures on demand: what does not change from one to the next is computed once."""
+"""A run kept in memory for images on demand: what does not change from one to the next is computed once."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from ...machine.devices import best
 from ...scene.camera import Camera
 from ...scene.camera_files import load_cameras
 from ...scene.environment_files import repaired
-from ...scene.environment_map import LightMap
+from ...scene.environment_map import EnvironmentMap
 from ...scene.mesh_ply import load_mesh_ply
 from ...scene.reconstruction import Reconstruction
 from ..backends import Backend
 from ..gaussian_query import GaussianQuery
 from ..mesh_query import MeshQuery
 from ..prepared_light import PreparedLight, prepare
-from ..primary_hits import Primary
+from ..primary_hits import PrimaryHits
 from ..relighter import RAYS, Relighter, RelightSettings
 from ..secondary_query import Hits, SurfaceQuery
 
-QUICK = 8  # samples of a first picture
+QUICK = 8  # samples of a first image
 SMALL = 1 / 4  # its size
 LIGHT_ROWS = 256  # of the map that lights the object; backdrops are sharper
 SMALLEST = 96  # pixels; shorter sides are not reduced
@@ -48,7 +48,7 @@ class LightSource:
     def upright(self) -> tuple[LightSource, float]:
         """The same before it was turned about +Z, and by how many degrees it was; 0 where it was turned otherwise as well.
 
-        So a light that is only turned about +Z is prepared once, and its picture never depends on what was shown before.
+        So a light that is only turned about +Z is prepared once, and its image never depends on what was shown before.
         """
         turn = np.array(self.turn).reshape(3, 3)
         if abs(turn[2, 2] - 1) > 1e-9:
@@ -58,12 +58,12 @@ class LightSource:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A picture that is wanted.
+    """An image that is wanted.
 
     Attributes:
         camera: in the run's frame. light: None is the recovered one. backdrop: show the light behind the object as well.
         samples, denoise, indirect, albedo_scale: see `RelightSettings`. backend: "mesh" or "gaussian".
-        progressive: pictures of lower quality first.
+        progressive: images of lower quality first.
     """
 
     camera: Camera
@@ -82,7 +82,7 @@ class Request:
         return RelightSettings(samples=samples, denoise=denoise, indirect=self.indirect, albedo_scale=self.albedo_scale)
 
     def passes(self) -> list[tuple[Camera, str | int]]:
-        """Cameras and samples of the pictures to make, the last as it is wanted."""
+        """Cameras and samples of the images to make, the last as it is wanted."""
         wanted: list[tuple[Camera, str | int]] = [(self.camera, self.samples)]
         many = not isinstance(self.samples, int) or self.samples > QUICK
         width, height = self.camera.width, self.camera.height
@@ -112,11 +112,11 @@ class Latest:
         return self._values[key]  # type: ignore[return-value]
 
 
-class WarmRun:
+class LoadedRun:
     """A loaded run.
 
     Args:
-        run: its folder. tick: called before every chunk of rays with the share of the picture that is done; it may raise to stop.
+        run: its folder. tick: called before every chunk of rays with the share of the image that is done; it may raise to stop.
     """
 
     def __init__(self, run: Path, tick: Callable[[float], None] = lambda share: None) -> None:
@@ -128,7 +128,7 @@ class WarmRun:
         self._gaussians: GaussianQuery | None = None
         self._maps, self._lights, self._surfaces, self._relighters = Latest(2), Latest(3), Latest(6), Latest(4)
 
-    def picture(self, request: Request, camera: Camera, samples: str | int) -> np.ndarray:
+    def image(self, request: Request, camera: Camera, samples: str | int) -> np.ndarray:
         """(H, W, 4) float32 linear premultiplied. Raises InputError where the light can't be read or the mesh is missing."""
         settings = request.settings(samples)
         light = self._light(request.light)
@@ -137,19 +137,19 @@ class WarmRun:
         counted = relighter.query
         assert isinstance(counted, Counted)
         counted.begin(2 * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
-        picture = relighter.relit(surface, light).numpy()
+        image = relighter.relit(surface, light).numpy()
         if request.backdrop and request.light is not None:
-            picture = self._with_backdrop(picture, camera, request.light)
-        return picture
+            image = self._with_backdrop(image, camera, request.light)
+        return image
 
     def warm_up(self) -> None:
-        """One small picture, so that the first that is asked for finds every kernel compiled."""
+        """One small image, so that the first that is asked for finds every kernel compiled."""
         cameras = load_cameras(self._run / "cameras.json")
         if cameras:
             first = cameras[0].camera
             scale = 64 / max(first.width, first.height)
             camera = first.resized(max(1, round(first.width * scale)), max(1, round(first.height * scale)))
-            self.picture(Request(camera, backend="mesh" if self._mesh else "gaussian"), camera, QUICK)
+            self.image(Request(camera, backend="mesh" if self._mesh else "gaussian"), camera, QUICK)
 
     def _relighter(self, backend: Backend, settings: RelightSettings) -> Relighter:
         return Relighter(self.reconstruction, Counted(self._query(backend), self._tick), settings, self._mesh)
@@ -162,7 +162,7 @@ class WarmRun:
             raise InputError(self._run / "mesh.ply", "is missing, which tracing on the mesh needs", "trace on the Gaussians")
         return self._mesh
 
-    def _surface(self, relighter: Relighter, request: Request, camera: Camera) -> Primary:
+    def _surface(self, relighter: Relighter, request: Request, camera: Camera) -> PrimaryHits:
         """Kept for the same view: it does not depend on light and samples."""
         lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world.tobytes())
         return self._surfaces.get((*lens, request.backend, request.albedo_scale), lambda: relighter.surface(camera))
@@ -171,17 +171,17 @@ class WarmRun:
         if source is None:
             return self._lights.get(None, lambda: prepare(self.reconstruction.environment_map(), self._device))
         upright, degrees = source.upright()
-        return self._lights.get(upright, lambda: prepare(self._map(upright).picture(LIGHT_ROWS), self._device)).turned(degrees)
+        return self._lights.get(upright, lambda: prepare(self._map(upright).image(LIGHT_ROWS), self._device)).turned(degrees)
 
-    def _map(self, source: LightSource) -> LightMap:
+    def _map(self, source: LightSource) -> EnvironmentMap:
         texels = self._maps.get(source.file, lambda: _read_map(source.file))
-        return LightMap(texels, np.array(source.turn).reshape(3, 3), source.strength)
+        return EnvironmentMap(texels, np.array(source.turn).reshape(3, 3), source.strength)
 
-    def _with_backdrop(self, picture: np.ndarray, camera: Camera, source: LightSource) -> np.ndarray:
+    def _with_backdrop(self, image: np.ndarray, camera: Camera, source: LightSource) -> np.ndarray:
         """The light itself where the object lets it through; opaque."""
         behind = self._map(source).radiance(camera.rays())
-        colour = picture[..., :3] + (1 - picture[..., 3:]) * behind
-        return np.concatenate([colour, np.ones_like(picture[..., 3:])], -1).astype(np.float32)
+        colour = image[..., :3] + (1 - image[..., 3:]) * behind
+        return np.concatenate([colour, np.ones_like(image[..., 3:])], -1).astype(np.float32)
 
 
 class Counted:
@@ -191,10 +191,10 @@ class Counted:
         self._query, self._tick, self._asked, self._expected = query, tick, 0, 1
 
     def begin(self, expected: int) -> None:
-        """A picture begins for which so many questions are expected."""
+        """An image begins for which so many questions are expected."""
         self._asked, self._expected = 0, max(1, expected)
 
-    def origins(self, surface: Primary) -> torch.Tensor:
+    def origins(self, surface: PrimaryHits) -> torch.Tensor:
         """See `SurfaceQuery`."""
         return self._query.origins(surface)
 

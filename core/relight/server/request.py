@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A request for a picture as the warm worker gets it: JSON, checked before any work is done."""
+"""A request for an image as the warm worker gets it: JSON, checked before any work is done."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _camera(values: dict[str, Any]) -> Camera:
     if to_world.shape != (4, 4) or not np.isfinite(to_world).all() or not np.isfinite(numbers).all():
         raise ValueError("camera: not finite, or to_world is not 4 x 4")
     if width < 1 or height < 1 or width * height > PIXELS or numbers[0] <= 0 or numbers[1] <= 0:
-        raise ValueError(f"camera: a picture of {width} x {height} with focal lengths {numbers[:2]}")
+        raise ValueError(f"camera: an image of {width} x {height} with focal lengths {numbers[:2]}")
     return Camera(width, height, numbers[0], numbers[1], numbers[2], numbers[3], to_world)
 
 

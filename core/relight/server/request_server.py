@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a warm worker takes requests and puts pictures: the files of a session folder, which `serve_command` describes."""
+"""Where a warm worker takes requests and puts images: the files of a session folder, which `serve_command` describes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ...errors import IrgsppError
 from ...io.atomic import replace
 from ...scene.camera import Camera
 from ..sample_counts import sample_counts
-from .loaded_run import Request, WarmRun
+from .loaded_run import LoadedRun, Request
 from .request import read_request
 
 IDLE = 0.01  # seconds between looks for requests
@@ -27,7 +27,7 @@ NOTE = 0.2  # seconds between notes on how much is done
 
 
 class Stopped(Exception):
-    """The picture in work is not wanted any more."""
+    """The image in work is not wanted any more."""
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Task:
         return (sum(self.weights[: self.made]) + of_pass * self.weights[self.made]) / sum(self.weights)
 
 
-class Desk:
+class RequestServer:
     """Takes requests from the session folder and puts answers there."""
 
     def __init__(self, session: Path, ended: Callable[[], bool]) -> None:
@@ -56,7 +56,7 @@ class Desk:
         self._now: Task | None = None
         self._looked = self._noted = 0.0
 
-    def work(self, run: WarmRun) -> None:
+    def work(self, run: LoadedRun) -> None:
         """Pass by pass, those first that have shown least, until the end."""
         while not self._ended():
             self._collect()
@@ -89,13 +89,13 @@ class Desk:
             self._noted = now
             self._answer(task, None, task.share(share))
 
-    def _advance(self, run: WarmRun, task: Task) -> None:
-        picture = run.picture(task.request, *task.passes[task.made])
+    def _advance(self, run: LoadedRun, task: Task) -> None:
+        image = run.image(task.request, *task.passes[task.made])
         self._collect()
         if self._tasks.get(task.channel) is not task:
             return
         name = f"{task.channel}-{task.number}-{task.made}.npy"
-        _write_array(self._session / name, picture)
+        _write_array(self._session / name, image)
         share = task.share(1.0)
         task.made += 1
         self._answer(task, name, share)
@@ -144,9 +144,9 @@ class Desk:
         weights = [float(camera.width * camera.height * _rays(samples)) for camera, samples in passes]
         self._tasks[channel] = Task(channel, number, request, passes, weights=weights)
 
-    def _answer(self, task: Task, picture: str | None, share: float) -> None:
-        """A note of progress names the last picture there is."""
-        shown = picture or (f"{task.channel}-{task.number}-{task.made - 1}.npy" if task.made else None)
+    def _answer(self, task: Task, image: str | None, share: float) -> None:
+        """A note of progress names the last image there is."""
+        shown = image or (f"{task.channel}-{task.number}-{task.made - 1}.npy" if task.made else None)
         about = {"pass": task.made, "passes": len(task.passes), "share": round(share, 4), "picture": shown}
         done = task.made == len(task.passes)
         self._put(task.channel, {"number": task.number, **about, "done": done, "error": None})
@@ -161,9 +161,9 @@ class Desk:
             write_json(self._session / f"answer-{channel}.json", answer)
 
     def _tidy(self, channel: str, latest: str) -> None:
-        """Remove pictures but the latest two: the asker may just be reading the one before."""
-        pictures = [p for p in self._session.glob(f"{channel}-*.npy") if p.name != latest]
-        for old in sorted(pictures, key=lambda p: p.stat().st_mtime_ns)[:-1]:
+        """Remove images but the latest two: the asker may just be reading the one before."""
+        images = [p for p in self._session.glob(f"{channel}-*.npy") if p.name != latest]
+        for old in sorted(images, key=lambda p: p.stat().st_mtime_ns)[:-1]:
             with suppress(OSError):  # Windows: being read; the next tidying gets it
                 old.unlink()
 

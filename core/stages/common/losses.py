@@ -25,16 +25,16 @@ def depth_normals(depth: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
     return normal * torch.rsqrt(normal.square().sum(0, keepdim=True).clamp_min(1e-20))
 
 
-def normal_consistency(picture: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+def normal_consistency(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
     """Mean over pixels of alpha (1 - n_splat . n_depth), the outer alpha detached (2DGS, eq. 14).
 
     Args:
-        picture: (C, H, W) of `rasterize`: normals in channels 3..6, depth and opacity last. rays: `camera_rays`.
+        image: (C, H, W) of `rasterize`: normals in channels 3..6, depth and opacity last. rays: `camera_rays`.
         rotation: (3, 3) world to camera (OpenCV axes).
     """
-    alpha = picture[-1]
+    alpha = image[-1]
     # Not detached here: sum(w z) / sum(w) must not look deeper when a splat only grows more opaque.
-    surface = depth_normals(picture[-2] / alpha.clamp_min(1e-3), rays)
-    splat = torch.einsum("ij,jhw->ihw", rotation, picture[3:6, 1:-1, 1:-1])
+    surface = depth_normals(image[-2] / alpha.clamp_min(1e-3), rays)
+    splat = torch.einsum("ij,jhw->ihw", rotation, image[3:6, 1:-1, 1:-1])
     weight = alpha.detach()[1:-1, 1:-1]
     return (weight - (splat * surface).sum(0)).sum() / alpha.numel()

@@ -11,7 +11,7 @@ import statistics
 import time
 from collections.abc import Callable
 
-from ...settings.schema import TransportSettings
+from ...settings.schema import SecondStageSettings
 
 MEASURED = 20  # steps after which the cost of one is known
 GROWTH = 1.2  # what a step of the first stage costs on average, by then: colour comes to depend on the view
@@ -20,7 +20,7 @@ SECOND = 400  # the same of the second stage's schedules at the preset's own len
 FUSED = 2.5  # what follows the second stage takes so many times as long as fusing the surface did
 RADIANCE, RADIANCE_GLOSSY = 1.2, 2.3  # a step that fits the radiance, in steps of the refinement
 SHORTEST = 0.1  # times the preset's own schedules
-# Longer ones were seen to fit the photographs' noise: normals, albedo and relit pictures get worse again.
+# Longer ones were seen to fit the photographs' noise: normals, albedo and relit images get worse again.
 FIRST_LONGEST = 4500  # steps, unless the preset has more
 SECOND_LONGEST = 5.0  # times the preset's
 
@@ -35,7 +35,7 @@ def seconds_a_step(step: Callable[[], object], steps: int = MEASURED) -> float:
     return statistics.median(taken)
 
 
-def first_pace(iterations: int, seconds: float, glossy: bool, step: float) -> float:
+def first_schedule_scale(iterations: int, seconds: float, glossy: bool, step: float) -> float:
     """Times the preset's schedules of both stages that so many seconds pay for.
 
     Args:
@@ -51,7 +51,7 @@ def first_longest(iterations: int) -> float:
     return max(1.0, FIRST_LONGEST / iterations)
 
 
-def second_pace(settings: TransportSettings, seconds: float, glossy: bool, step: float) -> float:
+def second_schedule_scale(settings: SecondStageSettings, seconds: float, glossy: bool, step: float) -> float:
     """Times the preset's schedules of the second stage that so many seconds pay for, where a step of the refinement takes `step`."""
     preset = step * (settings.iterations + (RADIANCE_GLOSSY if glossy else RADIANCE) * settings.radiance_iterations)
     return min(max(seconds / preset, SHORTEST), SECOND_LONGEST) if preset > 0 else 1.0

@@ -16,12 +16,12 @@ SATURATED = 0.996  # encoded value from which a pixel says "at least this bright
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class TrainingView:
     """What one camera should see.
 
     Attributes:
         camera: pinhole camera.
-        picture: (3, H, W) encoded, on black where there is a mask.
+        image: (3, H, W) encoded, on black where there is a mask.
         alpha: (H, W), or None without a mask.
         saturated: (3, H, W) bool, values that are lower bounds.
         rays: (3, H, W) in camera axes (z = 1); world_rays: the same in the world.
@@ -30,7 +30,7 @@ class Target:
     """
 
     camera: Camera
-    picture: torch.Tensor
+    image: torch.Tensor
     alpha: torch.Tensor | None
     saturated: torch.Tensor
     rays: torch.Tensor
@@ -38,7 +38,7 @@ class Target:
     rotation: torch.Tensor
     share: float = 1.0
 
-    def to(self, device: torch.device) -> Target:
+    def to(self, device: torch.device) -> TrainingView:
         """The same on a device."""
         return replace(self, **{f.name: v.to(device) for f in fields(self) if isinstance(v := getattr(self, f.name), torch.Tensor)})
 
@@ -48,8 +48,8 @@ class Target:
         return torch.where(self.saturated, torch.minimum(rendered, rendered.new_ones(()) * limit), rendered)
 
 
-def make_target(view: View, reduction: int = 1, cut: bool = False) -> Target:
-    """A view as a target, its picture averaged over reduction x reduction pixels (a remainder at the border is cut off).
+def make_training_view(view: View, reduction: int = 1, cut: bool = False) -> TrainingView:
+    """A view as a target, its image averaged over reduction x reduction pixels (a remainder at the border is cut off).
 
     `cut`: to where its mask shows the object, and a margin, as all around is black anyway.
     """
@@ -71,7 +71,7 @@ def make_target(view: View, reduction: int = 1, cut: bool = False) -> Target:
         share = alpha.numel() / (camera.width * camera.height)
         camera = cropped(camera, columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     rays, rotation = camera_rays(camera), torch.as_tensor(camera.world_to_cv[:3, :3], dtype=torch.float32)
-    return Target(camera, full.contiguous(), alpha, saturated, rays, torch.einsum("ji,jhw->ihw", rotation, rays), rotation, share)
+    return TrainingView(camera, full.contiguous(), alpha, saturated, rays, torch.einsum("ji,jhw->ihw", rotation, rays), rotation, share)
 
 
 def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:
@@ -85,5 +85,5 @@ def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:
 
 
 def cropped(camera: Camera, x: int, y: int, width: int, height: int) -> Camera:
-    """The camera of the part of the picture that begins at column x, row y."""
+    """The camera of the part of the image that begins at column x, row y."""
     return Camera(width, height, camera.fx, camera.fy, camera.cx - x, camera.cy - y, camera.to_world)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Density control: clone, split and prune Gaussians by what the pictures ask for (3DGS's policy under a budget)."""
+"""Density control: clone, split and prune Gaussians by what the images ask for (3DGS's policy under a budget)."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class DensityControl:
     large: float = 0.01
     huge: float = 0.5
     grow: float = 0.1  # share of the Gaussians that are cloned or split at a time
-    pictures: int = 0  # looked at since the last change
+    images: int = 0  # looked at since the last change
     gradient: torch.Tensor = field(default_factory=lambda: torch.zeros(0))
     seen: torch.Tensor = field(default_factory=lambda: torch.zeros(0))
 
     def observe(self, statistics: ScreenStatistics) -> None:
-        """Add one picture's gradients."""
+        """Add one image's gradients."""
         if len(self.gradient) != len(statistics.radius):
             self.gradient, self.seen = torch.zeros_like(statistics.radius, dtype=torch.float32).repeat(2, 1)
-        self.pictures += 1
+        self.images += 1
         assert statistics.gradient is not None, "observe after the backward pass"
         self.gradient += statistics.gradient
         self.seen += statistics.gradient > 0  # what lies behind opaque surfaces has none
@@ -73,7 +73,7 @@ class DensityControl:
             fresh = stay.new_full((len(clone) + 2 * len(split),), -1)
             optimizer.rebuild(grown, torch.cat([stay, fresh]))
         pruned = g.count - int(keep.sum())
-        self.pictures, self.gradient, self.seen = 0, torch.zeros(0), torch.zeros(0)
+        self.images, self.gradient, self.seen = 0, torch.zeros(0), torch.zeros(0)
         return len(chosen), pruned
 
     def _pull(self, count: int) -> torch.Tensor:

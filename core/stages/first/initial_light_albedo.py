@@ -32,7 +32,7 @@ def facing_radiance(gaussians: Gaussians) -> torch.Tensor:
     return ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0).T
 
 
-def separate_light(reconstruction: Reconstruction, seed: int) -> Reconstruction:
+def estimate_light_albedo(reconstruction: Reconstruction, seed: int) -> Reconstruction:
     """Set albedo, and the light where the stage has not found one by reflections, from the diffuse radiance.
 
     The light is kept where `glossy`. The overall scale between light and albedo is unknowable: a light that is fitted here is

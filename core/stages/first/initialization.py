@@ -26,7 +26,7 @@ MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # albedo, roughness, metallic of the star
 
 @kernel
 def carve_range(begin, end, corner, step, shape, matrix, alpha, inside):
-    """Lower `inside` (X, Y, Z) to the bilinear alpha of one view, for planes begin..end; cells out of the picture stay."""
+    """Lower `inside` (X, Y, Z) to the bilinear alpha of one view, for planes begin..end; cells out of the image stay."""
     height, width = alpha.shape
     for i in range(begin, end):
         for j in range(shape[1]):
@@ -61,7 +61,7 @@ def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, c
         arrays = (low.astype(np.float32), np.float32(step), shape, _projection(view), view.alpha)
         run_ranges(carve_range, even_ranges(shape[0], thread_count()), *arrays, inside)
     x, y, z = ((low[i] + step * np.arange(shape[i]) - bound.centre[i]) ** 2 for i in range(3))
-    # The corners of the box lie beyond the bound and often beyond every picture's border, where nothing carves them.
+    # The corners of the box lie beyond the bound and often beyond every image's border, where nothing carves them.
     inside[(x[:, None, None] + y[:, None] + z > bound.radius**2) | (inside > 1)] = 0
     return inside, low, step
 
@@ -114,7 +114,7 @@ def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) 
     return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)
 
 
-def disks(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: np.ndarray, opacity: float) -> Gaussians:
+def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: np.ndarray, opacity: float) -> Gaussians:
     """Disks on points (N, 3) facing normals (N, 3), linear colour (N, 3), scale from spacing (N,)."""
     n = len(points)
     sh = torch.zeros(SH_COEFFICIENTS, 3, n)
@@ -127,12 +127,12 @@ def disks(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: 
 
 
 def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
-    """`count` disks on the visual hull of the training masks, in spatial order."""
+    """`count` surfels on the visual hull of the training masks, in spatial order."""
     inside, corner, step = visual_hull(dataset.train, dataset.bound)
     points, normals, area = _surface(inside, corner, step, count, rng)
     order, spacing = spatial_order(points), np.full(count, np.sqrt(area / count))
     points, normals = points[order], normals[order]
-    return disks(points, normals, observed_colour(dataset.train, points, normals), spacing, OPACITY)
+    return surfels(points, normals, observed_colour(dataset.train, points, normals), spacing, OPACITY)
 
 
 def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
@@ -162,7 +162,7 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     distance, _ = KDTree(points).query(points, k=4)
     spacing = np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
     colour = np.concatenate([colours, observed_colour(dataset.train, points[len(known) :], normals[len(known) :])])
-    return disks(points, normals, colour, spacing, 0.1)
+    return surfels(points, normals, colour, spacing, 0.1)
 
 
 def spatial_order(points: np.ndarray) -> np.ndarray:

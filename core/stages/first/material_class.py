@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 from ..common.optimizer import Rate
 
-MOVES = ("position", "quaternion", "log_scale")  # where disks are, how they lie and how large they are
+MOVES = ("position", "quaternion", "log_scale")  # where surfels are, how they lie and how large they are
 
 
 @dataclass(frozen=True)
-class Kind:
+class MaterialClass:
     """A start that the optimisation can't leave by itself: metallic 0.5 stays 0.5, so the start needs a decision.
 
     Attributes:
@@ -44,17 +44,17 @@ class Kind:
         return table
 
 
-LOW_GLOSS = Kind("low-gloss", False, (0.5, 0.5, 0.5, 0.5, 0.02), 8e-4, 5e-4, 6e-3)
-COATED = Kind("glossy", True, (0.5, 0.5, 0.5, 0.4, 0.1), 1.5e-3, 2e-3, 1e-2)
-METAL = Kind("metal", True, (0.7, 0.7, 0.7, 0.25, 0.95), 1.2e-3, 5e-4, 1e-2)
+LOW_GLOSS = MaterialClass("low-gloss", False, (0.5, 0.5, 0.5, 0.5, 0.02), 8e-4, 5e-4, 6e-3)
+COATED = MaterialClass("glossy", True, (0.5, 0.5, 0.5, 0.4, 0.1), 1.5e-3, 2e-3, 1e-2)
+METAL = MaterialClass("metal", True, (0.7, 0.7, 0.7, 0.25, 0.95), 1.2e-3, 5e-4, 1e-2)
 KINDS = (LOW_GLOSS, COATED, METAL)
 
 
-def candidates(materials: str) -> tuple[Kind, ...]:
+def candidates(materials: str) -> tuple[MaterialClass, ...]:
     """The kinds that the setting `materials` allows: auto, low-gloss or glossy."""
     return KINDS if materials == "auto" else tuple(k for k in KINDS if k.glossy == (materials == "glossy"))
 
 
-def with_pace(kind: Kind, other: Kind) -> Kind:
+def with_schedule_scale(kind: MaterialClass, other: MaterialClass) -> MaterialClass:
     """`kind` with the learning rates of `other`."""
     return replace(kind, position=other.position, quaternion=other.quaternion, log_scale=other.log_scale)

@@ -8,30 +8,30 @@ import time
 import numpy as np
 import torch
 
-from ...machine.backend import incomplete_pictures, wait_for
+from ...machine.backend import incomplete_images, wait_for
 from ...progress.protocol import Checkpoint, Progress, Silent
 from ...scene.dataset import Dataset
 from ...scene.reconstruction import Reconstruction
 from ...settings.schema import Settings
-from ...settings.skip_rules import decide
-from ..common.time_budget import first_longest, first_pace, seconds_a_step, times
+from ..common.skip_rules import decide
+from ..common.time_budget import first_longest, first_schedule_scale, seconds_a_step, times
 from ..common.training_view import object_box
-from .initial_light_albedo import separate_light
+from .initial_light_albedo import estimate_light_albedo
 from .initialization import initial_gaussians
-from .material_class_selection import HOLD_BACK_FROM, choose_kind, kind_named
+from .material_class_selection import HOLD_BACK_FROM, material_class_named, select_material_class
 from .trainer import Trainer
 
-CUT_BELOW = 0.9  # share of the pictures around the object from which cutting them pays
+CUT_BELOW = 0.9  # share of the images around the object from which cutting them pays
 
 
 def surroundings(dataset: Dataset, settings: Settings, progress: Progress) -> bool:
-    """True where pictures are to be cut to the object: what is black in photograph and rendering teaches nothing."""
+    """True where images are to be cut to the object: what is black in photograph and rendering teaches nothing."""
     if not dataset.has_alpha:
-        progress.decided("outside", False, "without masks all pixels count")
+        progress.decided("background", False, "without masks all pixels count")
         return False
     alphas = [torch.from_numpy(view.alpha) for view in dataset.train if view.alpha is not None]
     share = float(np.mean([alpha[object_box(alpha)].numel() / alpha.numel() for alpha in alphas]))
-    return decide(settings.skip, "outside", share < CUT_BELOW, f"the object's surroundings are {1 - share:.0%} of the pixels", progress)
+    return decide(settings.skip, "background", share < CUT_BELOW, f"the object's surroundings are {1 - share:.0%} of the pixels", progress)
 
 
 def train(
@@ -45,7 +45,7 @@ def train(
 ) -> tuple[Reconstruction, float]:
     """Fit Gaussians to the training views on a device. Returns them on the CPU, and how many times as long as set schedules are to be.
 
-    Goes on from the checkpoint "reflective" where there is one; the result is then that of an undisturbed run. `ends`: when the whole
+    Goes on from the checkpoint "first stage" where there is one; the result is then that of an undisturbed run. `ends`: when the whole
     job is to be done, in seconds of the monotonic clock; schedules follow from the time that the first steps take. `resident`: whether
     the photographs are kept on the device.
 
@@ -54,35 +54,39 @@ def train(
     """
     progress = progress or Silent()
     torch.manual_seed(settings.seed)
-    gaussians = initial_gaussians(dataset, settings.reflective.gaussians, np.random.default_rng(settings.seed)).to(device)
-    state = checkpoint.load("reflective") if checkpoint is not None else None
+    gaussians = initial_gaussians(dataset, settings.first.gaussians, np.random.default_rng(settings.seed)).to(device)
+    state = checkpoint.load("first_stage") if checkpoint is not None else None
     cut = surroundings(dataset, settings, progress)
-    kind = kind_named(state.get("kind", ""), dataset) if state is not None else choose_kind(dataset, settings, gaussians, progress, cut)
+    kind = (
+        material_class_named(state.get("kind", ""), dataset)
+        if state is not None
+        else select_material_class(dataset, settings, gaussians, progress, cut)
+    )
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
-    trainer = Trainer(dataset, settings.reflective, gaussians, kind, settings.seed, hold_back, cut=cut, resident=resident)
+    trainer = Trainer(dataset, settings.first, gaussians, kind, settings.seed, hold_back, cut=cut, resident=resident)
     if state is not None:
         trainer.restore(state)
     elif ends is not None:
         _set_pace(trainer, ends, progress)
-    progress.phase("reflective", trainer.settings.iterations)
-    before = incomplete_pictures()
+    progress.phase("first stage", trainer.settings.iterations)
+    before = incomplete_images()
     trainer.run(progress, checkpoint)
-    if lacking := incomplete_pictures() - before:
+    if lacking := incomplete_images() - before:
         progress.message(
-            f"warning: {lacking} steps saw pictures that lacked some disks: more came into view at once than there was room for"
+            f"warning: {lacking} steps saw images that lacked some surfels: more came into view at once than there was room for"
         )
     trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
     result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, kind.glossy, background)
-    return separate_light(result.to("cpu"), settings.seed), trainer.settings.iterations / settings.reflective.iterations
+    return estimate_light_albedo(result.to("cpu"), settings.seed), trainer.settings.iterations / settings.first.iterations
 
 
 def _set_pace(trainer: Trainer, ends: float, progress: Progress) -> None:
     """Do the first steps, and make the schedule as long as what is left of the time allows."""
     step = seconds_a_step(lambda: (trainer.step(), wait_for(trainer.device)))
     left, iterations = ends - time.monotonic(), trainer.settings.iterations
-    pace = first_pace(iterations, left, trainer.kind.glossy, step)
+    pace = first_schedule_scale(iterations, left, trainer.kind.glossy, step)
     trainer.paced(times(pace, iterations))
     longest = ", the most that helps" if pace == first_longest(iterations) else ""
     progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the first stage is {pace:.2f} times the preset's{longest}")

@@ -19,20 +19,20 @@ from ...progress.protocol import Checkpoint, Progress
 from ...rendering.deferred import composite, radiance
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
-from ...settings.schema import ReflectiveSettings
+from ...settings.schema import FirstStageSettings
 from ..common.finite_check import due
 from ..common.losses import normal_consistency
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.preview import LONGEST, eight_bits
-from ..common.training_view import Target, make_target
+from ..common.training_view import TrainingView, make_training_view
 from .densification import DensityControl, reset_opacity
-from .material_class import MOVES, Kind
+from .material_class import MOVES, MaterialClass
 
 START_RADIANCE = 0.5  # of the light, linear
 CHECKPOINT_SECONDS = 30.0
 RESET_EVERY = 3000  # steps between resets of the opacity (3DGS); shorter schedules have none
-HULL_LEFT = 0.4  # of the disks at the start; photographs that fit each other take a few per cent
-MEANT_FOR = 1500  # steps, that the rates at which disks move were chosen with
+HULL_LEFT = 0.4  # of the surfels at the start; photographs that fit each other take a few per cent
+MEANT_FOR = 1500  # steps, that the rates at which surfels move were chosen with
 TEST_EVERY = 50  # steps between looks at the held-back view
 
 
@@ -42,16 +42,16 @@ class Trainer:
     def __init__(
         self,
         dataset: Dataset,
-        settings: ReflectiveSettings,
+        settings: FirstStageSettings,
         gaussians: Gaussians,
-        kind: Kind,
+        kind: MaterialClass,
         seed: int,
         hold_back: int,
         reduction: int = 1,
         cut: bool = False,
         resident: bool = True,
     ) -> None:
-        """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the pictures, see `make_target`.
+        """`hold_back`: every so many views one is kept for `test`, 0 = none. `reduction`, `cut`: of the images, see `make_target`.
 
         `resident`: photographs are kept on the Gaussians' device, else each is brought there for its step.
         """
@@ -60,7 +60,7 @@ class Trainer:
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
         self.device = gaussians.position.device
         home = self.device if resident else torch.device("cpu")
-        self.targets = [make_target(view, reduction, cut).to(home) for view in dataset.train]
+        self.targets = [make_training_view(view, reduction, cut).to(home) for view in dataset.train]
         self.generator = torch.Generator().manual_seed(seed)
         self.masked = dataset.has_alpha
         self.light = gaussians.position.new_full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
@@ -79,8 +79,8 @@ class Trainer:
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order, self._loss = 0, torch.zeros(0, dtype=torch.long), math.nan
 
-    def render(self, target: Target, degree: int = 3):
-        """The encoded picture (3, H, W), the rasterised sums and the screen statistics."""
+    def render(self, target: TrainingView, degree: int = 3):
+        """The encoded image (3, H, W), the rasterised sums and the screen statistics."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
         extra = g.materials() if self.kind.glossy else g.position.new_zeros(0, g.count)
         sums, statistics = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, target.camera, radius, degree)
@@ -91,12 +91,12 @@ class Trainer:
     def step(self) -> float:
         """One view, one step; returns the loss, on a device that of the last step that was looked at."""
         target = self.targets[self._next_view()].to(self.device)
-        picture, sums, statistics = self.render(target, self._degree())
-        loss = photometric_loss(target.bounded(picture), target.picture)
+        image, sums, statistics = self.render(target, self._degree())
+        loss = photometric_loss(target.bounded(image), target.image)
         if target.alpha is not None:
             loss = loss + self.settings.mask_weight * (sums[-1] - target.alpha).abs().mean()
         loss = loss + self.settings.normal_weight * normal_consistency(sums, target.rays, target.rotation)
-        loss = loss * target.share  # all losses are means over the pixels; where a picture was cut off they are 0
+        loss = loss * target.share  # all losses are means over the pixels; where an image was cut off they are 0
         if self.kind.glossy:
             loss = loss + self.settings.light_smoothness * _roughness_of(self.light)
         if due(loss, self.done + 1):
@@ -127,7 +127,7 @@ class Trainer:
         self.density.observe(statistics)
         # A hull start needs every view looked at before something counts as unseen.
         period = max(settings.iterations // 20, 2 * len(self.targets) if self.masked else 1)
-        if self.density.pictures >= period:
+        if self.density.images >= period:
             self.density.refine(self.optimizer, self.generator, grow=not self.masked)
             self._check_hull()
         if not self.masked and self.done % RESET_EVERY == 0:
@@ -137,7 +137,7 @@ class Trainer:
         """Raise IrgsppError where most of a visual hull is gone: none of it grows back, and what is left is no object."""
         left = self.optimizer.gaussians.count
         if self.masked and left < HULL_LEFT * self._start:
-            lost = f"only {left:,} of {self._start:,} disks of the visual hull are left at iteration {self.done}"
+            lost = f"only {left:,} of {self._start:,} surfels of the visual hull are left at iteration {self.done}"
             raise IrgsppError(f"{lost}; do cameras and masks fit the photographs?")
 
     def _next_view(self) -> int:
@@ -153,22 +153,22 @@ class Trainer:
         for index in torch.nonzero(self.held_back)[:, 0].tolist():
             target = self.targets[index].to(self.device)
             with torch.no_grad():
-                error = (self.render(target)[0].clamp(0, 1) - target.picture).square().mean() * target.share
+                error = (self.render(target)[0].clamp(0, 1) - target.image).square().mean() * target.share
             values.append(-10 * math.log10(max(error.item(), 1e-10)))
         return sum(values) / len(values) if values else None
 
-    def picture(self) -> np.ndarray:
+    def image(self) -> np.ndarray:
         """(H, W, 3) uint8: the first training view as it is now, small."""
         camera = self.targets[0].camera
         with torch.no_grad():
-            small = make_target(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST))
+            small = make_training_view(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST))
             rendered = self.render(small.to(self.device))[0]
         return eight_bits(rendered.permute(1, 2, 0).cpu().numpy())
 
     def paced(self, iterations: int) -> None:
         """Go on with a schedule of another length.
 
-        The gradients' noise moves disks by their rate times the root of the steps: they go the slower the longer the schedule is, so that
+        The gradients' noise moves surfels by their rate times the root of the steps: they go the slower the longer the schedule is, so that
         it scatters them no more than one of MEANT_FOR steps does, or the one that was set.
         """
         slower = math.sqrt(min(1.0, max(MEANT_FOR, self._set_iterations) / iterations))
@@ -181,21 +181,21 @@ class Trainer:
         while self.done < self.settings.iterations and not progress.finish_early:
             if progress.cancelled:
                 if checkpoint is not None:
-                    checkpoint.save("reflective", self.state())
+                    checkpoint.save("first_stage", self.state())
                 raise Cancelled(f"stopped at iteration {self.done} of the first stage")
             figures = {"loss": self.step()}
             if self.done % TEST_EVERY == 0 or self.done == self.settings.iterations:
                 psnr = self.test()
                 figures |= {} if psnr is None else {"psnr": psnr}
             progress.step(self.done, **figures)
-            progress.picture(self.picture)
+            progress.image(self.image)
             if checkpoint is not None and time.monotonic() - saved > CHECKPOINT_SECONDS:
-                checkpoint.save("reflective", self.state())
+                checkpoint.save("first_stage", self.state())
                 saved = time.monotonic()
 
     def state(self) -> dict[str, Any]:
         """Everything that the rest of the schedule depends on."""
-        density = {"gradient": self.density.gradient, "seen": self.density.seen, "pictures": self.density.pictures}
+        density = {"gradient": self.density.gradient, "seen": self.density.seen, "pictures": self.density.images}
         order = {"order": self.order, "generator": self.generator.get_state()}
         return {
             "done": self.done,
@@ -218,7 +218,7 @@ class Trainer:
         self.paced(int(state["iterations"]))
         self.generator.set_state(state["generator"])
         self.density.gradient, self.density.seen = state["gradient"].to(self.device), state["seen"].to(self.device)
-        self.density.pictures = int(state["pictures"])
+        self.density.images = int(state["pictures"])
         self.optimizer.restore(state["optimizer"])
 
     def _fits(self, state: dict[str, Any]) -> bool:
@@ -234,12 +234,12 @@ class Trainer:
 
 def no_state() -> InputError:
     """What a checkpoint raises that is whole, but no state of such a fit."""
-    return InputError("checkpoint/reflective.pt", "holds no state of this job's first stage", "delete it, or start anew with --overwrite")
+    return InputError("checkpoint/first_stage.pt", "holds no state of this job's first stage", "delete it, or start anew with --overwrite")
 
 
-def border_radiance(targets: list[Target]) -> torch.Tensor:
-    """(3,) median linear colour along the pictures' borders: what the background is like before anything is known."""
-    edges = [t.picture[:, rows, columns].flatten(1) for t in targets for rows, columns in ((0, slice(None)), (slice(None), 0))]
+def border_radiance(targets: list[TrainingView]) -> torch.Tensor:
+    """(3,) median linear colour along the images' borders: what the background is like before anything is known."""
+    edges = [t.image[:, rows, columns].flatten(1) for t in targets for rows, columns in ((0, slice(None)), (slice(None), 0))]
     return decode_srgb(torch.cat(edges, 1).median(1).values).clamp_min(1e-3)
 
 

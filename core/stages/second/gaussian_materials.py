@@ -10,15 +10,15 @@ import torch
 from scipy.spatial import KDTree
 
 from ...kernels.reference.harmonics import sh_basis
-from ...rendering.secondary_rays import Tracer
+from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.dataset import View
 from ...scene.gaussians import METALLIC, Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...scene.surface import Surface
-from ...shading.specular_albedo import diffuse_share
-from .light_material_solver import OUTLIER, Separation, encoding_slope, view_terms
-from .multi_view_samples import Observations, observe
-from .radiance_transfer import Transfer, trace_transfer
+from ...shading.specular_albedo import diffuse_fraction
+from .light_material_solver import OUTLIER, LightMaterialSolver, encoding_slope, view_terms
+from .multi_view_samples import MultiViewSamples, observe
+from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
 
 NEAREST = 8  # points asked for roughness and metallic
 VIEWS = 4  # of each Gaussian
@@ -29,12 +29,12 @@ METAL = 0.5  # share of metal among the nearest points from which a Gaussian is 
 EDGE = 2e-3  # materials stay this far inside 0..1: their logits are finite
 
 
-def paint(
+def assign_materials(
     reconstruction: Reconstruction,
     surface: Surface,
     views: Sequence[View],
-    tracer: Tracer,
-    found: Separation,
+    tracer: SecondaryTracer,
+    found: LightMaterialSolver,
     seed: int,
     step: Callable[[float], None],
 ) -> torch.Tensor:
@@ -52,7 +52,7 @@ def paint(
     for begin in range(0, len(albedo), BATCH):
         part = slice(begin, begin + BATCH)
         batch = seen.part(begin, min(begin + BATCH, len(albedo)))
-        transfer = trace_transfer(batch.position, batch.normal, tracer, found.transfer.height, 1, seed, found.transfer.bounces)
+        transfer = trace_radiance_transfer(batch.position, batch.normal, tracer, found.transfer.height, 1, seed, found.transfer.bounces)
         albedo[part] = fitted_albedo(batch, transfer, found.light, roughness[part], metallic[part])
         step(min(1.0, (begin + BATCH) / len(albedo)))
     metal = metallic > 0
@@ -70,25 +70,25 @@ def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
 
 
 def own_radiance(gaussians: Gaussians, index: torch.Tensor, view: torch.Tensor) -> torch.Tensor:
-    """(K, 3) linear SH radiance of Gaussians (K,) towards (K, 3): sharper than a photograph's pixels, as the pictures were fitted by it."""
+    """(K, 3) linear SH radiance of Gaussians (K,) towards (K, 3): sharper than a photograph's pixels, as the images were fitted by it."""
     basis = sh_basis(-view.T, 3)
     return ((basis[:, None] * gaussians.sh[:, :, index]).sum(0) + 0.5).clamp_min(0).T.contiguous()
 
 
-def with_colour(seen: Observations, colour: torch.Tensor) -> Observations:
+def with_colour(seen: MultiViewSamples, colour: torch.Tensor) -> MultiViewSamples:
     """The same views with other colours (K, 3)."""
-    return Observations(seen.position, seen.normal, seen.point, seen.view, colour, seen.saturated)
+    return MultiViewSamples(seen.position, seen.normal, seen.point, seen.view, colour, seen.saturated)
 
 
 def fitted_albedo(
-    seen: Observations, transfer: Transfer, light: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor
+    seen: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor
 ) -> torch.Tensor:
     """(P, 3) albedo that explains the views best under a light (T, 3), by reweighted least squares."""
     scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
     point, metal = seen.point, metallic[seen.point][:, None]
     irradiance = (transfer.irradiance @ light + transfer.indirect)[point]
     n_v = (seen.normal[point] * seen.view).sum(1).clamp_min(1e-3)
-    share = diffuse_share(n_v, roughness[point])[:, None]
+    share = diffuse_fraction(n_v, roughness[point])[:, None]
     factor, rest = view_terms(metal, share, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)
     slope = encoding_slope(seen.colour)
     # First all views of a point count alike in linear light: by its slope one that is dark by mistake would have all the say.
@@ -116,7 +116,7 @@ def medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     """(P, C) medians of values (P, C), such as albedo, over AROUND neighbours.
 
     A metal's is what it reflects divided by what it should: a small error of the normal finds another part of the light, and a single
-    disk's albedo is worth little.
+    surfel's albedo is worth little.
     """
     if not len(position):
         return values

@@ -22,10 +22,10 @@ from scipy.spatial import KDTree
 from ...io.srgb import encode_srgb
 from ...kernels.jacobian import jacobian
 from ...shading.brdf import DIELECTRIC_F0
-from ...shading.specular_albedo import diffuse_share
+from ...shading.specular_albedo import diffuse_fraction
 from ..common.finite_check import require_finite
-from .multi_view_samples import Observations
-from .radiance_transfer import Transfer
+from .multi_view_samples import MultiViewSamples
+from .radiance_transfer import RadianceTransfer
 
 STEPS = 24
 CONSTANT = 3  # steps with one albedo for all
@@ -43,7 +43,7 @@ ALBEDO_RANGE = (0.005, 1.5)  # above 1: the light's scale is not known yet
 NEIGHBOURS = 13
 
 
-class Separation:
+class LightMaterialSolver:
     """The unknowns and how they are found, from points of which each has at least one view.
 
     Attributes:
@@ -52,8 +52,8 @@ class Separation:
 
     def __init__(
         self,
-        seen: Observations,
-        transfer: Transfer,
+        seen: MultiViewSamples,
+        transfer: RadianceTransfer,
         roughness: torch.Tensor,
         metallic: torch.Tensor,
         seed: int,
@@ -99,7 +99,7 @@ class Separation:
         dielectric = DIELECTRIC_F0 * (1 - self.metallic[self.seen.point][:, None])
         self.scaled, added, self.scaled_own, added_own = self.transfer.rows(self.seen, self.roughness)
         self.rest, self.rest_own = added.addcmul_(dielectric, self.scaled), added_own.addcmul_(dielectric, self.scaled_own)
-        self.share = diffuse_share(self.n_v, self.roughness[self.seen.point])[:, None]
+        self.share = diffuse_fraction(self.n_v, self.roughness[self.seen.point])[:, None]
 
     def _model(self) -> tuple[torch.Tensor, torch.Tensor]:
         """c and d (K, 3)."""
@@ -183,7 +183,7 @@ class Separation:
         weight = self.trust * self.slope**2
         cost = metals.new_empty(len(seen.position), len(metals), len(knots))
         for j, knot in enumerate(knots):
-            share = diffuse_share(self.n_v, knot.expand_as(self.n_v))[:, None]
+            share = diffuse_fraction(self.n_v, knot.expand_as(self.n_v))[:, None]
             for i, metal in enumerate(metals):
                 factor, rest = view_terms(metal, share, irradiance, scaled[:, j], added[:, j])
                 fit = seen.sums(weight * factor * (seen.colour - rest)) / seen.sums(weight * factor * factor).clamp_min(1e-9)

@@ -23,7 +23,7 @@ INSIDE = 0.99  # opacity of the mask around a point: no background in its colour
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class MultiViewSamples:
     """P points and K views of them, those of a point side by side.
 
     Attributes:
@@ -44,12 +44,12 @@ class Observations:
         """(P,) views of each point."""
         return torch.bincount(self.point, minlength=len(self.position))
 
-    def part(self, begin: int, end: int) -> Observations:
+    def part(self, begin: int, end: int) -> MultiViewSamples:
         """Points begin..end and their views."""
         first, last = (int(k) for k in torch.searchsorted(self.point, torch.tensor([begin, end], device=self.point.device)))
         views = slice(first, last)
         point = self.point[views] - begin
-        return Observations(
+        return MultiViewSamples(
             self.position[begin:end], self.normal[begin:end], point, self.view[views], self.colour[views], self.saturated[views]
         )
 
@@ -68,12 +68,12 @@ def observe(
     most: int,
     least: int = 3,
     device: torch.device | str = "cpu",
-) -> tuple[Observations, torch.Tensor]:
+) -> tuple[MultiViewSamples, torch.Tensor]:
     """Look points (P, 3) up in the photographs that see them.
 
     Args:
         position, normal: (P, 3) float32, of the surface. views: the photographs. tree: what may stand in the way.
-        offset: world units along the normal that clear the surface's own disks.
+        offset: world units along the normal that clear the surface's own surfels.
         most: views kept of each point, chosen by `random`. least: points seen by fewer are left out.
         device: where the tree is, and where the result comes to be.
 
@@ -93,7 +93,7 @@ def observe(
     number[chosen] = np.arange(len(chosen))
     parts = (position[chosen], normal[chosen], number[point[kept]], direction[kept], colour[kept], saturated[kept])
     tensors = (torch.from_numpy(np.ascontiguousarray(part)).to(device) for part in parts)
-    return Observations(*tensors), torch.from_numpy(chosen).to(device)
+    return MultiViewSamples(*tensors), torch.from_numpy(chosen).to(device)
 
 
 def _one_view(position, normal, view: View, tree: Tree, offset: float, device: torch.device) -> tuple[np.ndarray, ...]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Disks turned towards the fused surface: it averages what single disks scatter about."""
+"""Disks turned towards the fused surface: it averages what single surfels scatter about."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FARTHEST = math.cos(math.radians(30))  # what differs by more is an edge, or on 
 
 
 def turned(gaussians: Gaussians, surface: Surface, share: float) -> Gaussians:
-    """The disks with normals that are `share` (0..1) the surface's and the rest their own."""
+    """The surfels with normals that are `share` (0..1) the surface's and the rest their own."""
     own = gaussians.normals()
     other = torch.from_numpy(surface_normals(surface, np.ascontiguousarray(gaussians.position.T.cpu().numpy()))).to(own.device).T
     cosine = (own * other).sum(0)

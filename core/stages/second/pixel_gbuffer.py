@@ -15,8 +15,8 @@ from ...scene.gaussians import Gaussians
 from .pixel_pool import PixelPool, part
 
 
-class KnownDisks:
-    """Gathers the disks that are known for each pixel: geometry is frozen, so they never change.
+class CachedHits:
+    """Gathers the surfels that are known for each pixel: geometry is frozen, so they never change.
 
     Args: side: (N,) +1 or -1, by which normals are multiplied to look at those who see them.
     """
@@ -30,7 +30,7 @@ class KnownDisks:
 
     def sums(self, gaussians: Gaussians, pixels: torch.Tensor) -> torch.Tensor:
         """(B, 8) normal and materials, not divided by opacity."""
-        if not isinstance(self._pool.lists, HitLists):  # all disks: how many the pixels show would have to be waited for
+        if not isinstance(self._pool.lists, HitLists):  # all surfels: how many the pixels show would have to be waited for
             return blend(self._pool.lists, torch.cat([gaussians.normals() * self._side, gaussians.materials()]), pixels)
         lists, met = part(self._pool.lists, pixels.numpy())
         index = torch.from_numpy(met).long()
@@ -38,7 +38,7 @@ class KnownDisks:
         return blend(lists, torch.cat([few.normals() * self._side[index], few.materials()]))
 
 
-class DrawnViews:
+class RasterizedViews:
     """Draws whole views anew for each step and picks the pixels out, as one has to where geometry moves."""
 
     def __init__(self, pool: PixelPool, cameras: Sequence[Camera], scene_radius: float) -> None:
@@ -57,7 +57,7 @@ class DrawnViews:
         for view in number.unique().tolist():
             here = torch.nonzero(number == view)[:, 0]
             shape = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh.detach(), g.materials())
-            picture, _ = rasterize(*shape, self._cameras[view], self._radius)
-            wanted = torch.cat([picture[NORMAL], picture[EXTRA : EXTRA + 5]]).flatten(1)
+            image, _ = rasterize(*shape, self._cameras[view], self._radius)
+            wanted = torch.cat([image[NORMAL], image[EXTRA : EXTRA + 5]]).flatten(1)
             out = out.index_copy(0, here, wanted[:, self._pool.place[pixels[here]]].T)
         return out

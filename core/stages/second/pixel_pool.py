@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from ...kernels.trace import HitLists, Lists, hit_lists
-from ...rendering.secondary_rays import Tracer
+from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.dataset import View
 from ..common.training_view import SATURATED
 
@@ -44,7 +44,7 @@ class PixelPool:
         return len(self.point)
 
 
-def pool_pixels(views: Sequence[View], tracer: Tracer, count: int, random: np.random.Generator) -> PixelPool:
+def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:
     """At most `count` pixels inside the object, as many of each view as of any other."""
     parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random) for number, view in enumerate(views)]
     lists = joined([part.lists for part in parts])
@@ -52,7 +52,7 @@ def pool_pixels(views: Sequence[View], tracer: Tracer, count: int, random: np.ra
     return PixelPool(lists, *rest)
 
 
-def _pixels_of(view: View, number: int, tracer: Tracer, count: int, random: np.random.Generator) -> PixelPool:
+def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:
     camera = view.camera
     inside = np.ones((camera.height, camera.width), bool) if view.alpha is None else view.alpha > INSIDE
     index = np.flatnonzero(inside)

@@ -16,7 +16,7 @@ from ...scene.dataset import View
 from ...scene.reconstruction import Reconstruction, Reflections
 from ..common.finite_check import due, require_finite
 from ..common.optimizer import GaussianOptimizer, Rate
-from ..common.training_view import Target, make_target
+from ..common.training_view import TrainingView, make_training_view
 
 DARKEST = 1e-6  # of the light's texels, whose logarithm is optimised
 EDGE = 1e-4  # materials stay this far inside 0..1: their logits are finite
@@ -36,7 +36,7 @@ def refit_radiance(
         others["light"] = mirrored.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
-    targets = [make_target(view).to(g.position.device) for view in views]
+    targets = [make_training_view(view).to(g.position.device) for view in views]
     order = torch.cat([torch.randperm(len(targets), generator=generator) for _ in range(math.ceil(iterations / len(targets)))])
     for done, index in enumerate(order[:iterations].tolist()):
         loss = _loss(optimizer, reconstruction, targets[index], others.get("light"))
@@ -55,11 +55,11 @@ def refit_radiance(
     return replace(reconstruction, gaussians=gaussians, reflections=reflections)
 
 
-def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, target: Target, light: torch.Tensor | None) -> torch.Tensor:
+def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, target: TrainingView, light: torch.Tensor | None) -> torch.Tensor:
     g = optimizer.gaussians
     extra = g.position.new_zeros(0, g.count) if light is None else g.materials()
     geometry = (g.position.detach(), g.quaternion.detach(), g.log_scale.detach(), g.opacity.detach())
     sums, _ = rasterize(*geometry, g.sh, extra, target.camera, reconstruction.bound.radius)
     straight = radiance(sums, target.world_rays, None if light is None else light.exp())
-    picture = composite(straight, sums[-1], target.world_rays, reconstruction.background)
-    return photometric_loss(target.bounded(picture), target.picture)
+    image = composite(straight, sums[-1], target.world_rays, reconstruction.background)
+    return photometric_loss(target.bounded(image), target.image)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light transport to single points, traced once and kept: geometry is frozen, so what a point sees never changes.
 
-With it the picture is linear in the light, and no estimate: light, albedo and gloss can be told apart without noise.
+With it the image is linear in the light, and no estimate: light, albedo and gloss can be told apart without noise.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import torch
 
 from ...kernels.lobes import lobe_rows, lobe_sums
 from ...machine.backend import by_warp
-from ...rendering.secondary_rays import Tracer
+from ...rendering.secondary_rays import SecondaryTracer
 from ...shading.brdf import ggx_alpha
 from ...shading.environment_lookup import solid_angles
-from .multi_view_samples import Observations
+from .multi_view_samples import MultiViewSamples
 
 RAYS = 1 << 18  # at a time, unless memory is short
 
@@ -53,7 +53,7 @@ def subdivided_directions(height: int, side: int, seed: int) -> tuple[np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Transfer:
+class RadianceTransfer:
     """What P points receive from T texels of a light and from each other.
 
     Attributes:
@@ -74,28 +74,28 @@ class Transfer:
         """Tensors as what `fixed` is: numpy's arrays of the same memory, or tensors as they are."""
         return tensors if isinstance(self.fixed[0], torch.Tensor) else tuple(t.numpy() for t in tensors)
 
-    def rows(self, seen: Observations, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def rows(self, seen: MultiViewSamples, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Specular rows of all views for the points' roughness (P,): see `lobe_rows`."""
         point, view, normal, alpha = self.arrays(seen.point, seen.view, seen.normal, ggx_alpha(roughness))
         return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, 2 * self.height**2)))
 
-    def sums(self, seen: Observations, roughness: torch.Tensor, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def sums(self, seen: MultiViewSamples, roughness: torch.Tensor, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Specular integrals (K, J, 3) of all views for J roughness values under a light (T, 3): see `lobe_sums`."""
         point, view, normal, alphas, shining = self.arrays(seen.point, seen.view, seen.normal, ggx_alpha(roughness), light)
         scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, shining)
         return torch.as_tensor(scaled), torch.as_tensor(added)
 
 
-def trace_transfer(
+def trace_radiance_transfer(
     position: torch.Tensor,
     normal: torch.Tensor,
-    tracer: Tracer,
+    tracer: SecondaryTracer,
     height: int,
     side: int,
     seed: int,
     indirect: bool,
     step: Callable[[int], object] = lambda done: None,
-) -> Transfer:
+) -> RadianceTransfer:
     """Trace the hemispheres of P points; `indirect` False leaves out what the object reflects onto itself (it still casts shadows).
 
     `step` is told how many points are done and may raise.
@@ -109,11 +109,11 @@ def trace_transfer(
     rows = (weight * visible).view(len(position), side * side, 2 * height * height).sum(1)
     own = torch.einsum("pd,pcd->pc", weight, other)
     fixed = (direction, angle, visible, other)
-    return Transfer(height, fixed if by_warp(position) else tuple(t.numpy() for t in fixed), rows, own, indirect)
+    return RadianceTransfer(height, fixed if by_warp(position) else tuple(t.numpy() for t in fixed), rows, own, indirect)
 
 
 def _look_around(
-    origin: torch.Tensor, direction: torch.Tensor, wanted: torch.Tensor, tracer: Tracer, step: Callable[[int], object]
+    origin: torch.Tensor, direction: torch.Tensor, wanted: torch.Tensor, tracer: SecondaryTracer, step: Callable[[int], object]
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """What P origins see in those of the directions (3, D) that are `wanted` (P, D): free (P, D) and radiance (P, 3, D), else 0."""
     points, count = wanted.shape

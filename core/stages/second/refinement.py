@@ -17,17 +17,17 @@ from scipy.spatial import KDTree
 
 from ...io.srgb import encode_srgb
 from ...machine.backend import by_warp
-from ...rendering.secondary_rays import Tracer
+from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.camera import Camera
 from ...scene.gaussians import METALLIC, Gaussians
 from ...scene.reconstruction import Reconstruction
-from ...settings.schema import TransportSettings
+from ...settings.schema import SecondStageSettings
 from ...shading.environment_lookup import lookup
 from ...shading.rendering_equation import reflect_light
 from ...shading.sampling import LightDistribution, Samples, draw
 from ..common.finite_check import due, require_finite
 from ..common.optimizer import GaussianOptimizer, Rate
-from .pixel_gbuffer import DrawnViews, KnownDisks
+from .pixel_gbuffer import CachedHits, RasterizedViews
 from .pixel_pool import PixelPool
 
 HOLD_BACK = 8  # every so many views one is held back
@@ -49,8 +49,8 @@ class Refinement:
         self,
         reconstruction: Reconstruction,
         pool: PixelPool,
-        tracer: Tracer,
-        settings: TransportSettings,
+        tracer: SecondaryTracer,
+        settings: SecondStageSettings,
         seed: int,
         *,
         cameras: Sequence[Camera] = (),
@@ -69,7 +69,7 @@ class Refinement:
             table |= {"metallic": Rate(1e-2, 0.1), "quaternion": Rate(settings.normal_rate, 0.1)}
         self.optimizer = GaussianOptimizer(g, table, {"light": self.light})
         radius = reconstruction.bound.radius
-        self.surface = DrawnViews(pool, cameras, radius) if cameras else KnownDisks(pool, facing_side(g, pool))
+        self.surface = RasterizedViews(pool, cameras, radius) if cameras else CachedHits(pool, facing_side(g, pool))
         views = int(pool.number.max()) + 1
         held = (pool.number % HOLD_BACK == HOLD_BACK // 2) if views >= HOLD_BACK else torch.zeros_like(pool.number, dtype=torch.bool)
         tested = torch.nonzero(held if held.any() else ~held)[:, 0]
@@ -181,7 +181,7 @@ class Refinement:
 
 
 def is_metal(gaussians: Gaussians) -> bool:
-    """True where most of the disks are metal."""
+    """True where most of the surfels are metal."""
     return float(gaussians.materials()[METALLIC].mean()) > MOSTLY_METAL
 
 

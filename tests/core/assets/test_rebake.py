@@ -22,7 +22,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.textures import load_textures, save_textures
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
-from irgspp.core.stages.first.initialization import disks
+from irgspp.core.stages.first.initialization import surfels
 from irgspp.core.surface.bake import rasterise
 
 SETTINGS = with_overrides(Settings(), ["surface.voxels=40", "surface.triangles=1500", "surface.texture=64"])
@@ -37,7 +37,7 @@ def albedo_at(points):
 def ball(count=12_000):
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
-    gaussians = disks(normal, normal, np.full((count, 3), 0.5), np.full(count, np.sqrt(4 * np.pi / count)), 0.99)
+    gaussians = surfels(normal, normal, np.full((count, 3), 0.5), np.full(count, np.sqrt(4 * np.pi / count)), 0.99)
     values = np.concatenate([albedo_at(normal), np.full((count, 1), 0.6), np.full((count, 1), 0.01)], -1)
     gaussians.material = torch.logit(torch.from_numpy(values.T.copy()).float())
     return Reconstruction(gaussians, torch.full((8, 16, 3), 0.5), Bound((0, 0, 0), 1.3), np.eye(4))
@@ -83,7 +83,7 @@ def albedo_error(run):
     return np.abs(linear - albedo_at(texels.interpolate(mesh.vertices, mesh.faces))).mean()
 
 
-def test_size_changes_the_pictures_and_nothing_else(run):
+def test_size_changes_the_images_and_nothing_else(run):
     before = (run / "mesh.ply").read_bytes()
     bake(run, Silent(), size=128)
     assert (run / "mesh.ply").read_bytes() == before
@@ -100,7 +100,7 @@ def test_triangles_make_a_new_mesh(run):
     bake(run, Silent(), triangles=600)
     mesh = load_mesh_ply(run / "mesh.ply")
     assert 300 < len(mesh.faces) <= 600
-    assert np.abs(np.linalg.norm(mesh.vertices, axis=-1) - 1).max() < 0.04  # disks that nothing was fitted with stick out a little
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=-1) - 1).max() < 0.04  # surfels that nothing was fitted with stick out a little
     assert np.abs(mesh.albedo - albedo_at(mesh.vertices)).mean() < 0.02 and albedo_error(run) < 0.02
     assert len(load_textures(run / "textures")["albedo"]) == 64  # as in the run's settings
 

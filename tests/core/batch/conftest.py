@@ -29,7 +29,7 @@ with starts.open("a") as file:
 state = {"status": "running", "phases": {}, "settings": {}}
 (run / "run.json").write_text(json.dumps(state))
 with (pathlib.Path(os.environ["IRGSPP_JOB"]) / "events.jsonl").open("a") as file:
-    file.write(json.dumps({"phase": "reflective", "step": 3, "of": 12, "eta": 75.0}) + "\\n")
+    file.write(json.dumps({"phase": "first stage", "step": 3, "of": 12, "eta": 75.0}) + "\\n")
 if dataset == "long" and "--resume" not in words:
     ended = threading.Event()
     threading.Thread(target=lambda: (os.read(0, 1), ended.set()), daemon=True).start()

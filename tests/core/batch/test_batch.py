@@ -9,7 +9,7 @@ import pytest
 from irgspp.core.batch import batch as batches
 from irgspp.core.batch.batch import run_batch
 from irgspp.core.batch.job_state import JobFolder, Progress, State
-from irgspp.core.batch.table import Board, doing, row_line, summary
+from irgspp.core.batch.table import BatchTable, doing, row_line, summary
 from irgspp.core.cli.main import main
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.io.file_lock import FileLock
@@ -130,7 +130,7 @@ def test_dask_without_a_scheduler(listed, capsys, monkeypatch):
 
 ROWS = [
     ("bear", State("done", seconds=65.0), Progress()),
-    ("fox", State("running"), Progress("reflective", 30, 120, 75.0)),
+    ("fox", State("running"), Progress("first stage", 30, 120, 75.0)),
     ("owl", State("failed", "photos: no such folder"), Progress()),
     ("elk", State(), Progress()),
 ]
@@ -149,7 +149,7 @@ def test_rows_say_how_far_each_is():
 
 def test_in_a_file_a_line_is_a_change():
     stream = io.StringIO()
-    board = Board(stream)
+    board = BatchTable(stream)
     board.show(ROWS, last=True)
     board.show(ROWS, last=True)
     changed = [*ROWS[:1], ("fox", State("done", seconds=80.0), Progress()), *ROWS[2:]]
@@ -169,7 +169,7 @@ def test_on_a_terminal_the_table_stays_in_its_place(monkeypatch):
 
     monkeypatch.setattr("shutil.get_terminal_size", lambda: (40, 5))
     stream, many = Tty(), [*ROWS, *((f"job {i}", State(), Progress()) for i in range(20))]
-    board = Board(stream)
+    board = BatchTable(stream)
     board.show(many)
     assert "fox" in stream.getvalue() and "owl" in stream.getvalue() and "bear" not in stream.getvalue()  # no room for all
     before = len(stream.getvalue())

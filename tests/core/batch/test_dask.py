@@ -18,7 +18,7 @@ from irgspp.core.pipeline import DEMO_DATA
 
 distributed = pytest.importorskip("distributed")
 
-ENDLESS = ("materials=low-gloss", "reflective.iterations=100000", "reflective.gaussians=1000", "data.resolution=32")
+ENDLESS = ("materials=low-gloss", "first.iterations=100000", "first.gaussians=1000", "data.resolution=32")
 PATIENCE = 300  # seconds on a machine that has other things to do
 
 
@@ -69,7 +69,7 @@ def test_a_job_whose_worker_is_killed_goes_on_elsewhere(cluster, tmp_path):
         with distributed.Client(cluster, set_as_default=False) as client:
             (number,) = client.run(os.getpid, workers=[killed]).values()
         os.kill(number, signal.SIGKILL)
-        until(lambda: (run / "log.txt").read_text().count("reflective: 100000 steps") == 2, "nobody took over")
+        until(lambda: (run / "log.txt").read_text().count("first stage: 100000 steps") == 2, "nobody took over")
         before = len(steps_of(run))
         until(lambda: len(steps_of(run)) >= before + 2, "the other worker does not get going")
         assert worker_at_work(cluster) != killed

@@ -26,7 +26,7 @@ def edit(photos, change):
     path.write_text(json.dumps(content))
 
 
-def pictures(photos):
+def images(photos):
     return sorted((photos / "train").glob("*.png"))
 
 
@@ -35,7 +35,7 @@ def matrix(content, row, column, value):
 
 
 def write_colmap(photos, model=1, cut=0):
-    """A COLMAP model of the pictures in binary: one camera, all poses alike, no points; `cut` bytes short."""
+    """A COLMAP model of the images in binary: one camera, all poses alike, no points; `cut` bytes short."""
     folder = photos / "sparse" / "0"
     folder.mkdir(parents=True)
     for name in ("transforms_train.json", "transforms_test.json"):
@@ -51,17 +51,17 @@ def write_colmap(photos, model=1, cut=0):
 
 
 def truncate_all(photos):
-    for path in pictures(photos):
+    for path in images(photos):
         path.write_bytes(path.read_bytes()[:200])
 
 
 def clear_all(photos):
-    for path in pictures(photos):
+    for path in images(photos):
         Image.fromarray(np.zeros((64, 64, 4), np.uint8)).save(path)
 
 
 def other_size(photos):
-    Image.fromarray(np.full((48, 64, 4), 255, np.uint8)).save(pictures(photos)[2])
+    Image.fromarray(np.full((48, 64, 4), 255, np.uint8)).save(images(photos)[2])
 
 
 BREAKS = {
@@ -74,9 +74,9 @@ BREAKS = {
     "missing matrix": (lambda p: edit(p, lambda c: c["frames"][1].pop("transform_matrix")), "transform_matrix"),
     "NaN": (lambda p: edit(p, lambda c: matrix(c, 0, 3, float("nan"))), "not finite"),
     "not rigid": (lambda p: edit(p, lambda c: matrix(c, 0, 0, 3.0)), "not rigid"),
-    "truncated pictures": (truncate_all, "r_000.png: unreadable or truncated"),
-    "transparent pictures": (clear_all, "r_000.png: is transparent everywhere"),
-    "picture of another size": (other_size, "is 64x48 but its camera is 64x64"),
+    "truncated images": (truncate_all, "r_000.png: unreadable or truncated"),
+    "transparent images": (clear_all, "r_000.png: is transparent everywhere"),
+    "image of another size": (other_size, "is 64x48 but its camera is 64x64"),
     "unknown camera model": (lambda p: write_colmap(p, model=99), "unknown camera model"),
     "truncated binary": (lambda p: write_colmap(p, cut=30), "images.bin: truncated"),
 }
@@ -93,8 +93,8 @@ def test_bad_dataset(photos, tmp_path, capsys, name):
     assert not (tmp_path / "run").exists()
 
 
-def test_one_broken_picture_is_left_out_with_a_warning(photos, capsys):
-    path = pictures(photos)[3]
+def test_one_broken_image_is_left_out_with_a_warning(photos, capsys):
+    path = images(photos)[3]
     path.write_bytes(path.read_bytes()[:200])
     assert main(["inspect", str(photos)]) == 0
     out = capsys.readouterr().out

@@ -135,8 +135,8 @@ def test_bare_resume_takes_the_settings_of_the_run(tmp_path):
 
 
 def test_bad_override_is_status_2(job, tmp_path, capsys):
-    assert main(["reconstruct", "photos", "-o", str(tmp_path / "run"), "--set", "reflective.iteration=3"]) == 2
-    assert "reflective.iterations" in capsys.readouterr().err
+    assert main(["reconstruct", "photos", "-o", str(tmp_path / "run"), "--set", "first.iteration=3"]) == 2
+    assert "first.iterations" in capsys.readouterr().err
     assert job.calls == []
 
 

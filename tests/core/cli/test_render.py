@@ -112,16 +112,16 @@ def test_bad_usage(run, tmp_path, capsys, words, complaint):
     assert not (tmp_path / "out").exists()
 
 
-def test_options_reach_the_pictures(run, tmp_path, capsys):
-    """The same view by default, brighter albedo, and stratified: three different pictures of the same coverage."""
-    pictures = []
+def test_options_reach_the_images(run, tmp_path, capsys):
+    """The same view by default, brighter albedo, and stratified: three different images of the same coverage."""
+    images = []
     for i, words in enumerate(([], ["--albedo-scale", "2", "2", "2"], ["--sampling", "stratified"])):
         out = tmp_path / str(i)
         command = ["render", str(run), "--views", str(DEMO_DATA), "--orbit", "1", "-o", str(out), "--layers", "rgba"]
         assert main([*command, "--samples", "8", "--no-denoise", *words]) == 0
-        pictures.append(read_exr(out / "orbit_000" / "rgba.exr"))
+        images.append(read_exr(out / "orbit_000" / "rgba.exr"))
     assert capsys.readouterr().out.split() == [str(tmp_path / str(i)) for i in range(3)]
-    for other in pictures[1:]:
-        np.testing.assert_array_equal(pictures[0]["A"], other["A"])
-        assert not np.array_equal(pictures[0]["R"], other["R"])
-    assert pictures[1]["R"].mean() > 1.2 * pictures[0]["R"].mean()
+    for other in images[1:]:
+        np.testing.assert_array_equal(images[0]["A"], other["A"])
+        assert not np.array_equal(images[0]["R"], other["R"])
+    assert images[1]["R"].mean() > 1.2 * images[0]["R"].mean()

@@ -52,7 +52,7 @@ class Worker:
         os.replace(partial, self.session / f"request-{channel}.json")
 
     def answer(self, number, channel="a", done=True, seconds=PATIENCE):
-        """The answer to a request, all of it or its first picture."""
+        """The answer to a request, all of it or its first image."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             file = self.session / f"answer-{channel}.json"
@@ -63,7 +63,7 @@ class Worker:
             time.sleep(0.005)
         raise AssertionError(f"no answer to {number}")
 
-    def picture(self, **values):
+    def image(self, **values):
         return np.load(self.session / self.answer(self.ask(**values))["picture"])
 
     def end(self, seconds=PATIENCE):
@@ -90,31 +90,31 @@ def light_file(worker, name="light.npy", factor=1.0):
 
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
-def test_pictures_are_those_of_the_relighter(worker, run, backend):
+def test_images_are_those_of_the_relighter(worker, run, backend):
     light, named = light_file(worker)
-    assert np.array_equal(worker.picture(light=named, backend=backend), reference(run, light, backend=backend))
+    assert np.array_equal(worker.image(light=named, backend=backend), reference(run, light, backend=backend))
     recovered = Reconstruction.load(run).environment_map()
-    assert np.array_equal(worker.picture(backend=backend), reference(run, recovered, backend=backend))
+    assert np.array_equal(worker.image(backend=backend), reference(run, recovered, backend=backend))
 
 
 def test_light_is_turned_and_scaled(worker, run):
     light, named = light_file(worker)
-    quarter = [0, -1, 0, 1, 0, 0, 0, 0, 1]  # +X sees the texel of +Y, which is a quarter of the picture further left
-    turned = worker.picture(light={**named, "turn": quarter, "strength": 2.0})
+    quarter = [0, -1, 0, 1, 0, 0, 0, 0, 1]  # +X sees the texel of +Y, which is a quarter of the image further left
+    turned = worker.image(light={**named, "turn": quarter, "strength": 2.0})
     expected = reference(run, 2 * np.roll(light, light.shape[1] // 4, 1))
     assert np.abs(turned - expected).mean() < 0.01 * expected.mean()
 
 
 def test_backdrop_is_the_light_behind(worker):
     light, named = light_file(worker)
-    plain, backed = worker.picture(light=named), worker.picture(light=named, backdrop=True)
+    plain, backed = worker.image(light=named), worker.image(light=named, backdrop=True)
     assert np.allclose(backed[..., 3], 1) and plain[0, 0, 3] == 0
     assert backed[0, 0, :3].min() >= 0 and backed[0, 0, :3].max() <= light.max() and backed[0, 0, :3].any()
     inside = plain[..., 3] == 1
     assert inside.any() and np.allclose(plain[inside], backed[inside])
 
 
-def test_first_pictures_come_before_the_last(worker):
+def test_first_images_come_before_the_last(worker):
     number = worker.ask(samples=512, albedo_scale=[0.9, 1, 1])
     first = worker.answer(number, done=False)
     small = np.load(worker.session / first["picture"]) if not first["done"] else None
@@ -158,7 +158,7 @@ def test_channels_share_the_worker(worker):
         ({"light": {"map": "none.npy", "turn": [2] * 9, "strength": 1}}, "no rotation"),
         ({"light": "none.npy"}, "can't be understood"),
         ({"camera": {}}, "can't be understood"),
-        ({"camera": {"width": 0, "height": 9, "fx": 1, "fy": 1, "cx": 0, "cy": 0, "to_world": np.eye(4).tolist()}}, "picture of 0 x 9"),
+        ({"camera": {"width": 0, "height": 9, "fx": 1, "fy": 1, "cx": 0, "cy": 0, "to_world": np.eye(4).tolist()}}, "image of 0 x 9"),
     ],
 )
 def test_bad_wishes_are_told(worker, values, words):
@@ -178,7 +178,7 @@ def test_nonsense_is_told(worker):
     assert worker.answer(worker.ask(channel="c", samples=4), "c")["error"] is None
 
 
-def test_few_pictures_are_kept(worker):
+def test_few_images_are_kept(worker):
     for _ in range(4):
         worker.answer(worker.ask(samples=16))
     end = time.monotonic() + PATIENCE

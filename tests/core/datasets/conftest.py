@@ -36,13 +36,13 @@ def photograph(pose: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 @dataclass
-class Capture:
-    """Poses (camera to world) and pictures (H, W, 4) uint8 of the ball about `centre`."""
+class ParsedDataset:
+    """Poses (camera to world) and images (H, W, 4) uint8 of the ball about `centre`."""
 
     folder: Path
     centre: np.ndarray
     poses: list[np.ndarray]
-    pictures: list[np.ndarray]
+    images: list[np.ndarray]
     size: tuple[int, int] = (W, H)
     focal: float = FOCAL
     radius: float = RADIUS
@@ -57,16 +57,16 @@ class Capture:
         """Intrinsics as NeRF-synthetic writes them."""
         return {"camera_angle_x": 2 * np.arctan(W / 2 / FOCAL)}
 
-    def save_pictures(self, names: list[str], alpha: bool = True) -> None:
-        for name, picture in zip(names, self.pictures, strict=True):
+    def save_images(self, names: list[str], alpha: bool = True) -> None:
+        for name, image in zip(names, self.images, strict=True):
             path = self.folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(picture if alpha else picture[..., :3]).save(path, quality=95)
+            Image.fromarray(image if alpha else image[..., :3]).save(path, quality=95)
 
     def transforms(self, name: str = "transforms.json", names: list[str] | None = None, alpha: bool = True, **values: object) -> Path:
         """Pictures and a transforms file; `values` replaces the shared intrinsics."""
         listed = names or [f"images/{i:03d}.png" for i in range(len(self.poses))]
-        self.save_pictures([n if "." in Path(n).name else n + ".png" for n in listed], alpha)
+        self.save_images([n if "." in Path(n).name else n + ".png" for n in listed], alpha)
         frames = [{"file_path": n, "transform_matrix": p.tolist()} for n, p in zip(listed, self.poses, strict=True)]
         path = self.folder / name
         path.write_text(json.dumps({**(values or self.lens), "frames": frames}))
@@ -90,7 +90,7 @@ class Capture:
     ) -> Path:
         """Pictures and a sparse model in the same world; returns the model's folder."""
         listed = names or [f"{i:03d}.png" for i in range(len(self.poses))]
-        self.save_pictures([f"{images}/{n}" for n in listed], alpha)
+        self.save_images([f"{images}/{n}" for n in listed], alpha)
         parameters = parameters or (FOCAL, FOCAL, W / 2, H / 2)
         points = self.surface() if points is None else points
         folder = self.folder / "sparse" / "0"
@@ -154,18 +154,18 @@ def write_binary(folder, model, parameters, names, poses, points, colours) -> No
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> Capture:
+def capture(tmp_path: Path) -> ParsedDataset:
     """Ten views around a ball that is not at the origin."""
     centre = np.array([0.3, -0.2, 0.4])
     poses = ring(10, centre)
-    return Capture(tmp_path, centre, poses, [photograph(p, centre) for p in poses])
+    return ParsedDataset(tmp_path, centre, poses, [photograph(p, centre) for p in poses])
 
 
 @pytest.fixture
-def trapped(capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Capture:
-    """A capture in a folder of its own, with a picture beside that folder that is none of its business."""
+def trapped(capture: ParsedDataset, tmp_path_factory: pytest.TempPathFactory) -> ParsedDataset:
+    """A capture in a folder of its own, with an image beside that folder that is none of its business."""
     home = tmp_path_factory.mktemp("home")
     capture.folder = home / "dataset"
     capture.folder.mkdir()
-    Image.fromarray(capture.pictures[0]).save(home / "secret.png")
+    Image.fromarray(capture.images[0]).save(home / "secret.png")
     return capture

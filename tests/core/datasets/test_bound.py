@@ -23,19 +23,19 @@ def test_masks_enclose_the_ball_tightly(capture):
 def test_one_bad_mask_does_not_break_the_bound(capture):
     rng = np.random.default_rng(0)
     more = [*capture.poses, *capture.poses, *capture.poses]
-    capture.pictures = [p.copy() for _ in range(3) for p in capture.pictures]
+    capture.images = [p.copy() for _ in range(3) for p in capture.images]
     capture.poses = [p + np.pad(rng.normal(0, 1e-6, (3, 1)), ((0, 1), (3, 0))) for p in more]
-    capture.pictures[4][..., 3] = 0
-    capture.pictures[4][:6, :6, 3] = 255
+    capture.images[4][..., 3] = 0
+    capture.images[4][:6, :6, 3] = 255
     capture.transforms()
     bound = load_dataset(capture.folder, DataSettings(holdout=0)).bound
     assert np.linalg.norm(np.array(bound.centre) - capture.centre) < 0.15 and 1 < bound.radius / capture.radius < 1.35
 
 
 def test_masks_that_exclude_each_other_are_told(capture):
-    for i, picture in enumerate(capture.pictures):
-        picture[..., 3] = 0
-        picture[:8, (0 if i % 2 else 52) : (8 if i % 2 else 60), 3] = 255
+    for i, image in enumerate(capture.images):
+        image[..., 3] = 0
+        image[:8, (0 if i % 2 else 52) : (8 if i % 2 else 60), 3] = 255
     capture.transforms()
     assert any("masks" in w for w in load_dataset(capture.folder).warnings)
 

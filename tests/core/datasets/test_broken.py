@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import Cancelled, InputError
-from irgspp.core.io.image import picture_size, read_mask, read_picture
+from irgspp.core.io.image import image_size, read_image, read_mask
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import DataSettings
 from PIL import Image
@@ -85,7 +85,7 @@ def spoil(path, how):
 
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
 @pytest.mark.parametrize("how", ["empty", "text", "half", "head"])
-def test_one_broken_picture_is_left_out_and_all_broken_is_an_error(capture, how, suffix):
+def test_one_broken_image_is_left_out_and_all_broken_is_an_error(capture, how, suffix):
     names = [f"images/{i}.{suffix}" for i in range(10)]
     capture.transforms(names=names, alpha=False)
     spoil(capture.folder / names[3], how)
@@ -96,7 +96,7 @@ def test_one_broken_picture_is_left_out_and_all_broken_is_an_error(capture, how,
     fails(capture.folder, f"1.{suffix}", "can't be used")
 
 
-def test_a_broken_test_picture_is_left_out(capture):
+def test_a_broken_test_image_is_left_out(capture):
     capture.transforms()
     spoil(capture.folder / "images/000.png", "half")
     assert [v.name for v in load_dataset(capture.folder).test] == ["008"]
@@ -110,20 +110,20 @@ def test_three_views_and_one_broken_is_an_error(capture):
     fails(path, "001.png", "truncated")
 
 
-def test_one_picture_of_another_size(capture):
+def test_one_image_of_another_size(capture):
     capture.transforms()
-    Image.fromarray(capture.pictures[0]).resize((30, 24)).save(capture.folder / "images/004.png")
+    Image.fromarray(capture.images[0]).resize((30, 24)).save(capture.folder / "images/004.png")
     fails(capture.folder, "004.png", "30x24", "60x48")
 
 
-def test_transparent_pictures(capture):
+def test_transparent_images(capture):
     path = capture.folder / "images/001.png"
     capture.transforms()
-    Image.fromarray(capture.pictures[0] * 0).save(path)
+    Image.fromarray(capture.images[0] * 0).save(path)
     data = load_dataset(capture.folder)
     assert "001.png" in data.warnings[0] and "transparent" in data.warnings[0]
     for i in range(10):
-        Image.fromarray(capture.pictures[0] * 0).save(capture.folder / f"images/{i:03d}.png")
+        Image.fromarray(capture.images[0] * 0).save(capture.folder / f"images/{i:03d}.png")
     fails(capture.folder, "001.png", "transparent everywhere")
 
 
@@ -143,7 +143,7 @@ def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
     path = tmp_path / "bomb.png"
     header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 10_000)) + chunk(b"IEND", b""))
-    for read in (picture_size, read_picture, read_mask):
+    for read in (image_size, read_image, read_mask):
         with pytest.raises(InputError, match=r"bomb\.png"):
             read(path)
 
@@ -215,7 +215,7 @@ def test_truncated_binaries(capture, file, record):
     fails(capture.folder, file, "truncated", record)
 
 
-def test_colmap_without_pictures(capture):
+def test_colmap_without_images(capture):
     model = capture.colmap(binary=True)
     (capture.folder / "images").rename(capture.folder / "other")
     fails(model, "images_2")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from irgspp.core.datasets.formats.colmap_model import read_cameras, read_images, read_points
 from irgspp.core.datasets.load import load_cameras
 from irgspp.core.errors import InputError
-from irgspp.core.io.image import read_picture
+from irgspp.core.io.image import read_image
 from PIL import Image
 
 fuzz = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -44,12 +44,12 @@ def test_damaged_models(tmp_path_factory, cut, edits, file):
 
 @fuzz
 @given(cuts, places, st.sampled_from(["picture.png", "picture.jpg", "deep.png", "picture.exr"]))
-def test_damaged_pictures(tmp_path_factory, cut, edits, file):
+def test_damaged_images(tmp_path_factory, cut, edits, file):
     path = tmp_path_factory.mktemp("picture") / file
     path.write_bytes(damage(SAMPLES[file], cut, edits))
     with contextlib.suppress(InputError):
-        picture = read_picture(path)
-        assert picture.colour.shape[2] == 3 and np.isfinite(picture.colour).all()
+        image = read_image(path)
+        assert image.colour.shape[2] == 3 and np.isfinite(image.colour).all()
 
 
 @fuzz

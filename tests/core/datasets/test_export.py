@@ -17,7 +17,7 @@ from irgspp.core.scene.camera_files import load_cameras
 from irgspp.core.settings.schema import DataSettings
 from PIL import Image
 
-SMALL = DataSettings(resolution=16)  # smaller than any picture
+SMALL = DataSettings(resolution=16)  # smaller than any image
 FULL = DataSettings(resolution=1000)
 
 
@@ -29,23 +29,23 @@ def bent(tmp_path):
     frames = []
     for i in range(6):
         y, x = np.mgrid[:30, :40]
-        picture = np.stack([6 * x, 8 * y, np.full((30, 40), 40 * i)], -1).astype(np.uint8)
-        Image.fromarray(picture).save(tmp_path / f"{i}.png")
+        image = np.stack([6 * x, 8 * y, np.full((30, 40), 40 * i)], -1).astype(np.uint8)
+        Image.fromarray(image).save(tmp_path / f"{i}.png")
         pose = look_at((2 * np.cos(i), 2 * np.sin(i), 0.5 + 0.1 * i))
         frames.append({"file_path": f"{i}.png", "transform_matrix": pose.tolist()})
-    (tmp_path / "5.png").write_bytes(b"no picture")
+    (tmp_path / "5.png").write_bytes(b"no image")
     lens = {"fl_x": 50.0, "fl_y": 48.0, "cx": 19.0, "cy": 16.0, "w": 40, "h": 30, "k1": -0.15, "k2": 0.02, "camera_model": "OPENCV"}
     (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     return tmp_path
 
 
-def test_cameras_are_those_of_the_unreduced_pictures(tmp_path):
+def test_cameras_are_those_of_the_unreduced_images(tmp_path):
     save_dataset(load_dataset(DEMO_DATA, SMALL), SMALL, tmp_path, Silent())
     full = load_dataset(DEMO_DATA, FULL)
     placed = load_cameras(tmp_path / "cameras.json")
     expected = [("train", v) for v in full.train] + [("test", v) for v in full.test]
     for record, (split, view) in zip(placed, expected, strict=True):
-        assert (record.split, record.name, record.picture) == (split, view.name, view.path.resolve())
+        assert (record.split, record.name, record.image) == (split, view.name, view.path.resolve())
         same = ("width", "height", "fx", "fy", "cx", "cy")
         assert [getattr(record.camera, n) for n in same] == [getattr(view.camera, n) for n in same]
     assert not (tmp_path / "photographs").exists() and not (tmp_path / "points.npz").exists()
@@ -59,8 +59,8 @@ def test_bent_photographs_are_straightened_at_full_size(bent, tmp_path_factory):
     placed = load_cameras(out / "cameras.json")
     assert [p.name for p in placed] == [v.name for v in views] == list("12340")  # without the broken one
     for record, view in zip(placed, views, strict=True):
-        assert record.picture.is_relative_to(out) and (record.camera.fx, record.camera.width) == (view.camera.fx, 40)
-        shown = np.asarray(Image.open(record.picture), float) / 255
+        assert record.image.is_relative_to(out) and (record.camera.fx, record.camera.width) == (view.camera.fx, 40)
+        shown = np.asarray(Image.open(record.image), float) / 255
         assert np.abs(shown - view.colour).mean() < 0.01  # but for the losses of a JPEG
 
 

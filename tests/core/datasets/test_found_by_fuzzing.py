@@ -12,11 +12,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 import torch
-from irgspp.core.datasets.format_detection import read_capture
+from irgspp.core.datasets.format_detection import parse_dataset
 from irgspp.core.errors import InputError
 from irgspp.core.evaluation.surface_truth import rendered_points
 from irgspp.core.io.exr import exr_size, write_exr
-from irgspp.core.io.image import picture_size
+from irgspp.core.io.image import image_size
 from irgspp.core.io.safe_pickle import read_pickle
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import RunFolder, read_run
@@ -58,7 +58,7 @@ def frame(content):
 )
 def test_transforms(tmp_path, change, words):
     with refused(words):
-        read_capture(transforms(tmp_path, change), DataSettings())
+        parse_dataset(transforms(tmp_path, change), DataSettings())
 
 
 def test_colmap_pose_with_one_value_that_is_no_number(tmp_path):
@@ -66,13 +66,13 @@ def test_colmap_pose_with_one_value_that_is_no_number(tmp_path):
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 8 8 9 9 4 4\n")
     (tmp_path / "images.txt").write_text("".join(f"{i} 1 0 0 0 {i} nan 3 1 {i}.png\n\n" for i in range(4)))
     with refused("not finite"):
-        read_capture(tmp_path, DataSettings())
+        parse_dataset(tmp_path, DataSettings())
 
 
 def test_metashape_in_an_encoding_that_is_none(tmp_path):
     (tmp_path / "cameras.xml").write_text('<?xml version="1.0" encoding="UTF-88"?>\n<document><chunk></chunk></document>')
     with refused("not valid XML"):
-        read_capture(tmp_path / "cameras.xml", DataSettings())
+        parse_dataset(tmp_path / "cameras.xml", DataSettings())
 
 
 @pytest.mark.parametrize(
@@ -80,11 +80,11 @@ def test_metashape_in_an_encoding_that_is_none(tmp_path):
     [
         lambda text: text.replace('"seed": 0', '"seed": Infinity'),
         lambda text: text.replace('"seed": 0', '"seed": 1e999'),
-        lambda text: text.replace('"phases": {', '"phases": {"reflective": 1, "x": {').replace("}\n", "}}\n", 1),
-        lambda text: text.replace('"phases": {}', '"phases": {"reflective": 7}'),
-        lambda text: text.replace('"phases": {}', '"phases": {"reflective": {"seconds": "x", "peak_memory": 1, "finished": true}}'),
-        lambda text: text.replace('"phases": {}', '"phases": {"reflective": {"seconds": "nan", "peak_memory": 1, "finished": true}}'),
-        lambda text: text.replace('"phases": {}', '"phases": {"reflective": {"seconds": "1e999", "peak_memory": 1, "finished": true}}'),
+        lambda text: text.replace('"phases": {', '"phases": {"first stage": 1, "x": {').replace("}\n", "}}\n", 1),
+        lambda text: text.replace('"phases": {}', '"phases": {"first stage": 7}'),
+        lambda text: text.replace('"phases": {}', '"phases": {"first stage": {"seconds": "x", "peak_memory": 1, "finished": true}}'),
+        lambda text: text.replace('"phases": {}', '"phases": {"first stage": {"seconds": "nan", "peak_memory": 1, "finished": true}}'),
+        lambda text: text.replace('"phases": {}', '"phases": {"first stage": {"seconds": "1e999", "peak_memory": 1, "finished": true}}'),
         lambda text: text.replace('"phases": {}', '"phases": []'),
         lambda text: "[" * 10**5,
     ],
@@ -107,14 +107,14 @@ def test_setting_beyond_all_floats():
 def test_checkpoint_that_lost_a_bit(tmp_path):
     """torch reads on where the numbers are others than those that were written."""
     folder = RunFolder.open(tmp_path / "run", Settings(), "photos")
-    folder.save("reflective", {"values": torch.arange(1000.0)})
-    path = tmp_path / "run" / "checkpoint" / "reflective.pt"
+    folder.save("first_stage", {"values": torch.arange(1000.0)})
+    path = tmp_path / "run" / "checkpoint" / "first_stage.pt"
     data = bytearray(path.read_bytes())
     data[data.find(np.float32(500).tobytes())] ^= 16
     path.write_bytes(data)
     torch.load(path, weights_only=True)
     with refused("can't be read"):
-        folder.load("reflective")
+        folder.load("first_stage")
     folder.close()
 
 
@@ -153,15 +153,15 @@ def png(width, height, data):
 
 
 @pytest.mark.filterwarnings("ignore:Image size")
-def test_pictures_that_claim_more_than_they_can_hold(tmp_path):
+def test_images_that_claim_more_than_they_can_hold(tmp_path):
     (tmp_path / "a.png").write_bytes(png(13000, 13000, b""))
-    (tmp_path / "b.png").write_bytes(png(4000, 4000, bytes(4000 * (4 * 4000 + 1))))  # black: as small as a picture can be
+    (tmp_path / "b.png").write_bytes(png(4000, 4000, bytes(4000 * (4 * 4000 + 1))))  # black: as small as an image can be
     frame = b"\xff\xc0" + struct.pack(">HBHHB", 17, 8, 13000, 13000, 3) + b"\x01\x11\x00\x02\x11\x00\x03\x11\x00"
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8" + frame + b"\xff\xd9")
     for name in ("a.png", "a.jpg"):
         with refused("far more pixels"):
-            picture_size(tmp_path / name)
-    assert picture_size(tmp_path / "b.png") == (4000, 4000)
+            image_size(tmp_path / name)
+    assert image_size(tmp_path / "b.png") == (4000, 4000)
 
 
 def test_exr_that_claims_more_than_it_can_hold(tmp_path):
@@ -205,15 +205,15 @@ def test_checkpoint_of_no_surface(tmp_path, change):
 
 
 def test_checkpoint_that_unpacks_to_more_than_it_is(tmp_path):
-    with closing(saved(tmp_path, "reflective", {"values": torch.zeros(10_000)})) as run:
-        path = tmp_path / "run" / "checkpoint" / "reflective.pt"
+    with closing(saved(tmp_path, "first stage", {"values": torch.zeros(10_000)})) as run:
+        path = tmp_path / "run" / "checkpoint" / "first_stage.pt"
         with zipfile.ZipFile(path) as archive:
             parts = {entry.filename: archive.read(entry) for entry in archive.infolist()}
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, part in parts.items():
                 archive.writestr(name, part)
         with refused("can't be read"):
-            run.load("reflective")
+            run.load("first_stage")
 
 
 def test_arrays_that_claim_more_than_they_have(tmp_path):

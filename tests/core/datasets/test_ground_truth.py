@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Arrays beside pictures that lie about their size, or hold objects."""
+"""Arrays beside images that lie about their size, or hold objects."""
 
 import pickle
 
 import numpy as np
-from irgspp.core.datasets.ground_truth import layers_of
+from irgspp.core.datasets.ground_truth import ground_truth_layers
 from irgspp.core.datasets.load import load_dataset
 from PIL import Image
 from refused import refused
@@ -21,7 +21,7 @@ def test_arrays_that_lie_or_hold_objects_are_refused(tmp_path, capture):
     view = type(view)(view.name, view.camera, scene / "test" / "0000.png", view.colour, None)
     path = truth / "0000.npy"
     np.save(path, np.ones((8, 8), np.float32))
-    assert layers_of("stanford-orb", view).depth.shape == (8, 8)
+    assert ground_truth_layers("stanford-orb", view).depth.shape == (8, 8)
     whole = path.read_bytes()
     for data in (
         pickle.dumps(1),
@@ -32,8 +32,8 @@ def test_arrays_that_lie_or_hold_objects_are_refused(tmp_path, capture):
     ):
         path.write_bytes(data)
         with refused(r"0000\.npy"):
-            layers_of("stanford-orb", view)
+            ground_truth_layers("stanford-orb", view)
     for value in (np.array([{}], object), np.zeros((2, 2), int), np.zeros((2, 2, 2, 2)), np.zeros((4, 4, 7))):
         np.save(path, value, allow_pickle=True)
         with refused(r"0000\.npy"):
-            layers_of("stanford-orb", view)
+            ground_truth_layers("stanford-orb", view)

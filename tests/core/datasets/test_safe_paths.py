@@ -50,7 +50,7 @@ def test_ways_out_of_the_folder_in_colmap(trapped, binary):
 @pytest.mark.parametrize("form", ["transforms", "colmap"])
 def test_links_out_of_the_folder(trapped, what, form):
     trapped.transforms() if form == "transforms" else trapped.colmap(True)
-    picture = trapped.folder / "images/003.png"
+    image = trapped.folder / "images/003.png"
     if what == "folder":
         shutil.move(trapped.folder / "images", trapped.folder.parent / "images")
         (trapped.folder / "images").symlink_to(trapped.folder.parent / "images", target_is_directory=True)
@@ -58,8 +58,8 @@ def test_links_out_of_the_folder(trapped, what, form):
         (trapped.folder / "masks").mkdir()
         (trapped.folder / "masks/003.png").symlink_to(trapped.folder.parent / "secret.png")
     else:
-        picture.unlink()
-        picture.symlink_to(trapped.folder.parent / "secret.png" if what == "picture" else picture)
+        image.unlink()
+        image.symlink_to(trapped.folder.parent / "secret.png" if what == "picture" else image)
     leads = ["impossible file"] if what == "loop" else ["leads out", f"to {trapped.folder.parent.resolve()}", "copy"]
     with refused(r"003\.png" if what != "folder" else "images", *leads):
         load_dataset(trapped.folder)

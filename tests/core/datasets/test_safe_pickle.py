@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.format_detection import read_capture
+from irgspp.core.datasets.format_detection import parse_dataset
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.io.safe_pickle import read_pickle
 from irgspp.core.settings.schema import DataSettings
@@ -95,7 +95,7 @@ def glossy_scene(folder, count=3):
 
 def test_a_dataset_with_such_a_pickle_is_refused(tmp_path):
     scene, marker = glossy_scene(tmp_path), tmp_path / "ran"
-    assert read_capture(scene, DataSettings()).format == "glossy-synthetic"
+    assert parse_dataset(scene, DataSettings()).format == "glossy-synthetic"
     (scene / "1-camera.pkl").write_bytes(pickle.dumps(Runs(marker)))
     with refused(r"1-camera\.pkl", "mkdir", "refused"):
         load_dataset(scene)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from irgspp.core.datasets.parsed_dataset import Lens
 from irgspp.core.datasets.undistort import pinhole, undistort
 from irgspp.core.errors import InputError
-from irgspp.core.io.image import Picture
+from irgspp.core.io.image import DecodedImage
 
 W, H = 160, 120
 
@@ -18,7 +18,7 @@ def lens(distortion, fisheye=False, fx=150.0, fy=148.0, cx=83.0, cy=57.0):
 
 
 def distorted_pixel(optics: Lens, x, y):
-    """Where the ray (x, y, 1) lands in the real picture, by the formulas of the OpenCV documentation, pixel centres at .5."""
+    """Where the ray (x, y, 1) lands in the real image, by the formulas of the OpenCV documentation, pixel centres at .5."""
     r2 = x * x + y * y
     if optics.fisheye:
         theta = np.arctan(np.sqrt(r2))
@@ -51,7 +51,7 @@ def test_a_dot_lands_on_its_pinhole_projection(optics):
         x, y = (target[0] - plain.cx) / plain.fx, (target[1] - plain.cy) / plain.fy
         u, v = distorted_pixel(optics, x, y)
         dot = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * 1.5**2)).astype(np.float32)
-        seen = undistort(Picture(np.repeat(dot[..., None], 3, -1), None), optics).colour[..., 0]
+        seen = undistort(DecodedImage(np.repeat(dot[..., None], 3, -1), None), optics).colour[..., 0]
         expected_u, expected_v = distorted_pixel(optics, (columns - plain.cx) / plain.fx, (rows - plain.cy) / plain.fy)
         expected = np.exp(-((expected_u - u) ** 2 + (expected_v - v) ** 2) / (2 * 1.5**2))
         assert np.abs(seen - expected).max() < 0.03  # bicubic; a shift by a tenth of a pixel makes it 0.04
@@ -61,7 +61,7 @@ def test_a_dot_lands_on_its_pinhole_projection(optics):
 
 
 @pytest.mark.parametrize("optics", LENSES, ids=str)
-def test_no_pixel_comes_from_outside_the_picture(optics):
+def test_no_pixel_comes_from_outside_the_image(optics):
     plain = pinhole(optics)
     assert (plain.cx, plain.cy, plain.size) == (optics.cx, optics.cy, optics.size) and plain.fx >= optics.fx
     rows, columns = np.mgrid[:H, :W] + 0.5
@@ -72,21 +72,21 @@ def test_no_pixel_comes_from_outside_the_picture(optics):
 
 
 def test_a_pinhole_is_left_alone():
-    picture = Picture(np.random.default_rng(0).random((H, W, 3), np.float32), None)
-    assert undistort(picture, lens(())) is picture and pinhole(lens(())) == lens(())
+    image = DecodedImage(np.random.default_rng(0).random((H, W, 3), np.float32), None)
+    assert undistort(image, lens(())) is image and pinhole(lens(())) == lens(())
 
 
 def test_alpha_edges_take_no_colour_from_outside():
     alpha = np.zeros((H, W), np.float32)
     alpha[40:80, 50:110] = 1
     colour = np.where(alpha[..., None] > 0, 0.8, 0.0).astype(np.float32).repeat(3, -1)
-    result = undistort(Picture(colour, alpha), LENSES[0])
+    result = undistort(DecodedImage(colour, alpha), LENSES[0])
     assert np.abs(result.colour[result.alpha > 0.05] - 0.8).max() < 1e-3
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.tuples(*[st.floats(-2, 2)] * 5), st.booleans())
-def test_any_coefficients_give_a_full_picture_or_an_error(coefficients, fisheye):
+def test_any_coefficients_give_a_full_image_or_an_error(coefficients, fisheye):
     optics = lens(coefficients[:4] if fisheye else coefficients, fisheye)
     try:
         plain = pinhole(optics)

@@ -11,25 +11,25 @@ from irgspp.core.evaluation.ground_truth import Truth, load_scene_truth, load_tr
 from irgspp.core.evaluation.view_metrics import Prediction
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.scene.dataset import View
-from irgspp.core.scene.gbuffer import ViewBuffers
+from irgspp.core.scene.gbuffer import GBuffer
 
 DEMO = Path(irgspp.core.__file__).parent / "demo_data"
 
 
-def premultiplied(picture: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+def premultiplied(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Encoded times alpha, as in Truth, to linear premultiplied RGBA."""
-    straight = picture / np.maximum(alpha, 1e-6)[..., None]
+    straight = image / np.maximum(alpha, 1e-6)[..., None]
     return np.concatenate([decode_srgb(straight) * alpha[..., None], alpha[..., None]], -1).astype(np.float32)
 
 
 def perfect(view: View, truth: Truth) -> Prediction:
     """What an ideal reconstruction would show."""
-    shaded = premultiplied(truth.picture, truth.alpha)
+    shaded = premultiplied(truth.image, truth.alpha)
     radiance = shaded[..., :3] / np.maximum(truth.alpha, 1e-6)[..., None]
     assert truth.depth is not None and truth.normal is not None and truth.albedo is not None
     assert truth.roughness is not None and truth.metallic is not None
     layers = (truth.alpha, truth.depth, truth.normal, radiance, truth.albedo, truth.roughness, truth.metallic)
-    return Prediction(ViewBuffers(view.camera, *layers), shaded, {n: premultiplied(p, truth.alpha) for n, p in truth.relit.items()})
+    return Prediction(GBuffer(view.camera, *layers), shaded, {n: premultiplied(p, truth.alpha) for n, p in truth.relit.items()})
 
 
 @pytest.fixture(scope="session")

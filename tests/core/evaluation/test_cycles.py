@@ -9,10 +9,10 @@ import pytest
 import torch
 from irgspp.core.errors import IrgsppError
 from irgspp.core.evaluation import cycles
-from irgspp.core.evaluation.cycles import CyclesPass, compare, cycles_pictures
+from irgspp.core.evaluation.cycles import CyclesPass, compare, cycles_images
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.shading.brdf import base_reflectance
-from irgspp.core.shading.specular_albedo import diffuse_share, specular_albedo
+from irgspp.core.shading.specular_albedo import diffuse_fraction, specular_albedo
 from sphere_run import cameras, materials, write_run
 
 SKY = np.full((8, 16, 3), 0.5, np.float32)
@@ -34,14 +34,14 @@ def under_the_sky(camera):
     point = camera.centre + (-along - np.sqrt(np.maximum(root, 0)))[..., None] * ray
     albedo, roughness, metallic = (torch.from_numpy(np.ascontiguousarray(m)).flatten(0, 1).float() for m in materials(point))
     n_v = torch.from_numpy(-(point * ray).sum(-1)).flatten().float().clamp(1e-3, 1)
-    body = albedo * (1 - metallic)[:, None] * diffuse_share(n_v, roughness)[:, None]
+    body = albedo * (1 - metallic)[:, None] * diffuse_fraction(n_v, roughness)[:, None]
     shown = 0.5 * (body + specular_albedo(n_v, roughness, base_reflectance(albedo, metallic[:, None])))
     return shown.view(*root.shape, 3).numpy(), (root > 0.3) & (np.abs(point[..., 2]) > 0.1)
 
 
 def test_a_white_sky_shows_the_materials(run):
     wide = cameras()[0]
-    rendered = cycles_pictures(run, {"a": wide}, {"sky": SKY}, [CyclesPass(64, False), CyclesPass(8, True)], Silent(), "attributes")
+    rendered = cycles_images(run, {"a": wide}, {"sky": SKY}, [CyclesPass(64, False), CyclesPass(8, True)], Silent(), "attributes")
     exact, denoised = rendered["a", "sky"]
     expected, inside = under_the_sky(wide)
     assert exact.rgba.shape == (wide.height, wide.width, 4) and inside.sum() > 300
@@ -53,7 +53,7 @@ def test_a_white_sky_shows_the_materials(run):
 
 
 def test_views_and_lights_are_told_apart(run, monkeypatch):
-    """The comparison pairs each picture of ours with Cycles' of the same view and light."""
+    """The comparison pairs each image of ours with Cycles' of the same view and light."""
     lights = {"dim": SKY, "bright": 2 * SKY}
     views = dict(zip("ab", cameras()[:2], strict=True))
     monkeypatch.setattr(cycles, "SAMPLES", 8)
@@ -77,10 +77,10 @@ def test_views_and_lights_are_told_apart(run, monkeypatch):
 
 def test_a_run_that_is_not_finished_is_one_line(tmp_path):
     with pytest.raises(IrgsppError, match=r"Cycles did not render it: .*cameras\.json"):
-        cycles_pictures(tmp_path, {}, {"sky": SKY}, [CyclesPass(1, False)], Silent())
+        cycles_images(tmp_path, {}, {"sky": SKY}, [CyclesPass(1, False)], Silent())
 
 
 def test_without_blender_it_says_so(run, monkeypatch):
     monkeypatch.setitem(os.environ, "IRGSPP_BLENDER", "no such blender")
     with pytest.raises(IrgsppError, match="no such blender"):
-        cycles_pictures(run, {}, {}, [], Silent())
+        cycles_images(run, {}, {}, [], Silent())

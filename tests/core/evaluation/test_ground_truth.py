@@ -50,8 +50,8 @@ def test_depth_leads_to_the_surface_and_normals_face_the_camera(demo):
         assert ((truth.normal[truth.object] * rays).sum(-1) < 0.02).mean() > 0.99
 
 
-def test_pictures_are_lit_from_where_the_light_map_says(demo):
-    """Unshadowed diffuse shading explains each picture best with its own light, not with the same light mirrored or turned."""
+def test_images_are_lit_from_where_the_light_map_says(demo):
+    """Unshadowed diffuse shading explains each image best with its own light, not with the same light mirrored or turned."""
     _, _, scene, truths, _ = demo
     light = scene.lights["sunset"]
 
@@ -89,7 +89,7 @@ def test_layers_follow_the_world_of_the_run(demo):
     assert np.allclose(np.linalg.norm(scene.points[1], axis=-1), 1, atol=1e-2)
 
 
-def test_photographs_alone_have_only_a_picture(demo, tmp_path):
+def test_photographs_alone_have_only_an_image(demo, tmp_path):
     _, dataset, _, _, _ = demo
     assert vars(load_scene_truth(tmp_path, np.eye(4))) == vars(SceneTruth())
     view = dataset.train[0]

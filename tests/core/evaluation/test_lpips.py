@@ -15,8 +15,8 @@ def test_lpips_comes_from_a_file_or_not_at_all(tmp_path):
 
     torch.jit.trace(Distance(), (torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8))).save(str(tmp_path / "metric.pt"))
     lpips = find_lpips(tmp_path / "metric.pt")
-    picture = np.random.default_rng(0).random((8, 8, 3))
-    assert lpips(picture, picture) == 0
+    image = np.random.default_rng(0).random((8, 8, 3))
+    assert lpips(image, image) == 0
     assert lpips(np.zeros((8, 8, 3)), np.full((8, 8, 3), 0.25)) == pytest.approx(0.25)  # 0..1 is shown to it as -1..1
     (tmp_path / "text.pt").write_text("no module")
     with pytest.raises(InputError, match="is no TorchScript module"):

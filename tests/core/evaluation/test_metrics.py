@@ -23,7 +23,7 @@ def test_psnr_of_a_constant_error():
     assert metrics.psnr(a, a) == 100
 
 
-def test_pictures_are_compared_encoded_on_black_and_clipped():
+def test_images_are_compared_encoded_on_black_and_clipped():
     rgba = np.array([[[0.05, 0.1, 0.15, 0.5], [3.0, 0.0, 0.2, 1.0], [0.0, 0.0, 0.0, 0.0], [np.nan, np.inf, -1.0, 1.0]]])
     expected = np.zeros((1, 4, 3))
     expected[0, 0] = 0.5 * encode_srgb(np.array([0.1, 0.2, 0.3]))
@@ -44,7 +44,7 @@ def test_ssim_is_that_of_the_library():
     assert metrics.ssim(a, b) == pytest.approx(structural_similarity(a, b, **options), abs=1e-12)
 
 
-def test_ssim_of_constant_pictures_and_of_a_small_window():
+def test_ssim_of_constant_images_and_of_a_small_window():
     a, b = np.full((13, 15, 3), 0.3), np.full((13, 15, 3), 0.5)
     for window in (3, 11):
         assert metrics.ssim(a, b, window) == pytest.approx((2 * 0.15 + 1e-4) / (0.09 + 0.25 + 1e-4))
@@ -61,7 +61,7 @@ def test_ssim_of_constant_pictures_and_of_a_small_window():
     assert metrics.ssim(a, b, 3) == pytest.approx(np.mean(values), abs=1e-12)
 
 
-def test_a_mask_loses_two_pixels_but_not_at_the_edge_of_the_picture():
+def test_a_mask_loses_two_pixels_but_not_at_the_edge_of_the_image():
     mask = np.zeros((12, 14), bool)
     mask[:7, 3:12] = True
     expected = np.zeros_like(mask)

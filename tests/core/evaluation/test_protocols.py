@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Protocols on pictures whose errors are known, against figures computed by hand."""
+"""Protocols on images whose errors are known, against figures computed by hand."""
 
 from dataclasses import fields, replace
 
@@ -13,7 +13,7 @@ from irgspp.core.evaluation.protocols import PLAIN, PROTOCOLS, described, protoc
 from irgspp.core.evaluation.view_metrics import Fits, averages, fitted_figures, relit_figures, view_figures
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.scene.camera import Camera
-from irgspp.core.scene.gbuffer import ViewBuffers
+from irgspp.core.scene.gbuffer import GBuffer
 
 HEIGHT, WIDTH = 24, 32
 EVERYWHERE = np.ones((HEIGHT, WIDTH), np.float32)
@@ -27,7 +27,7 @@ def layer(value) -> np.ndarray:
     return np.broadcast_to(np.asarray(value, np.float32), (HEIGHT, WIDTH, np.size(value))).copy()
 
 
-def picture(encoded, alpha: np.ndarray = EVERYWHERE) -> np.ndarray:
+def image(encoded, alpha: np.ndarray = EVERYWHERE) -> np.ndarray:
     """(H, W, 4) linear premultiplied, of encoded straight colour."""
     return np.concatenate([decode_srgb(layer(encoded)) * alpha[..., None], alpha[..., None]], -1)
 
@@ -36,8 +36,8 @@ def predicted(rgba: np.ndarray | None = None, alpha: np.ndarray = EVERYWHERE, re
     """A prediction with the given layers; what is not given is plain."""
     camera = Camera(WIDTH, HEIGHT, 40.0, 40.0, WIDTH / 2, HEIGHT / 2, np.eye(4))
     plain = {"normal": layer(Z), "depth": EVERYWHERE, "albedo": layer([0.5] * 3), "roughness": EVERYWHERE, "metallic": EVERYWHERE}
-    buffers = ViewBuffers(camera, alpha=alpha, radiance=layer([0.5] * 3), **(plain | layers))
-    return Prediction(buffers, picture([0.5] * 3) if rgba is None else rgba, relit or {})
+    buffers = GBuffer(camera, alpha=alpha, radiance=layer([0.5] * 3), **(plain | layers))
+    return Prediction(buffers, image([0.5] * 3) if rgba is None else rgba, relit or {})
 
 
 def true_view(encoded=(0.5, 0.5, 0.5), alpha: np.ndarray = EVERYWHERE, **known) -> Truth:
@@ -48,13 +48,13 @@ def db(mean_square: float) -> float:
     return -10 * np.log10(mean_square)
 
 
-# --- pictures
+# --- images
 
 
 @pytest.mark.parametrize(("name", "error"), [("plain", 0.1), ("tensoir", 0.1), ("irgs", 0.1), ("glossy", 153 / 255 - 128 / 255)])
 def test_a_constant_offset_d_is_minus_20_log_d(name, error):
     """Eight bits know neither 0.5 nor an offset of exactly 0.1."""
-    figures = view_figures(predicted(picture([0.6] * 3)), true_view(), PROTOCOLS[name])
+    figures = view_figures(predicted(image([0.6] * 3)), true_view(), PROTOCOLS[name])
     assert figures["nvs_psnr"] == figures["nvs_psnr_object"] == pytest.approx(-20 * np.log10(error), abs=1e-4)
 
 
@@ -62,7 +62,7 @@ def test_a_constant_offset_d_is_minus_20_log_d(name, error):
 def test_an_object_too_large_costs_what_the_background_says(name, error):
     """Right on the object, and 0.6 where black or white should be; only IRGS takes the true mask to it."""
     truth = true_view([0.6] * 3, HALF)
-    figures = view_figures(predicted(relit={"a": picture([0.6] * 3)}), replace(truth, relit={"a": truth.picture}), PROTOCOLS[name])
+    figures = view_figures(predicted(relit={"a": image([0.6] * 3)}), replace(truth, relit={"a": truth.image}), PROTOCOLS[name])
     assert figures["relight_a_psnr"] == (100 if error == 0 else pytest.approx(db(error), abs=1e-4))
     assert figures["relight_a_psnr_object"] == 100
 
@@ -78,13 +78,13 @@ def test_an_object_too_large_costs_what_the_background_says(name, error):
     ],
 )
 def test_what_is_half_transparent_is_shown_as_the_code_of_each_shows_it(name, alpha, value):
-    rgba = picture([0.6] * 3, alpha * EVERYWHERE)
+    rgba = image([0.6] * 3, alpha * EVERYWHERE)
     assert np.allclose(shown("relight", rgba, true_view(alpha=0.8 * EVERYWHERE), PROTOCOLS[name]), value, atol=1e-5)
 
 
-def test_pictures_of_radiance_keep_their_own_silhouette():
+def test_images_of_radiance_keep_their_own_silhouette():
     """TensoIR cuts what it shades, IRGS what it relights."""
-    rgba, truth = picture([0.6] * 3, 0.6 * EVERYWHERE), true_view(alpha=0.8 * EVERYWHERE)
+    rgba, truth = image([0.6] * 3, 0.6 * EVERYWHERE), true_view(alpha=0.8 * EVERYWHERE)
     soft = {"tensoir": 0.6 * 0.6 + 0.4, "irgs": 0.6 * 0.6}
     cut = {"tensoir": 0.6, "irgs": 0.6 * 0.6 * 0.8}
     for name, kinds in {"tensoir": ("nvs", "relight"), "irgs": ("relight",)}.items():
@@ -93,10 +93,10 @@ def test_pictures_of_radiance_keep_their_own_silhouette():
             assert np.allclose(shown(kind, rgba, truth, PROTOCOLS[name]), expected, atol=1e-5), (name, kind)
 
 
-def test_glossy_scales_each_picture_with_its_white_background():
+def test_glossy_scales_each_image_with_its_white_background():
     ours, true = 102 / 255, 153 / 255
     how = PROTOCOLS["glossy"]
-    prediction = predicted(relit={"golf": picture([ours] * 3, HALF)})
+    prediction = predicted(relit={"golf": image([ours] * 3, HALF)})
     figures = relit_figures(prediction, replace(true_view(), relit={"golf": layer([true] * 3) * HALF[..., None]}, alpha=HALF), how)
     scale = (ours * true + 1) / (ours**2 + 1)  # half of the pixels are white in both
     assert figures["relight_golf_psnr"] == pytest.approx(db((ours - true) ** 2 / 2), abs=1e-4)
@@ -104,9 +104,9 @@ def test_glossy_scales_each_picture_with_its_white_background():
     assert "relight_golf_ssim_scaled" in figures
 
 
-def test_lpips_is_asked_about_the_pictures_that_are_compared():
+def test_lpips_is_asked_about_the_images_that_are_compared():
     mean = {"": lambda a, b: float(np.abs(a - b).mean()), "_alex": lambda a, b: float(a.max())}
-    figures = view_figures(predicted(picture([0.6] * 3)), true_view([0.6] * 3, HALF), PROTOCOLS["tensoir"], mean)
+    figures = view_figures(predicted(image([0.6] * 3)), true_view([0.6] * 3, HALF), PROTOCOLS["tensoir"], mean)
     assert figures["nvs_lpips"] == pytest.approx(0.2, abs=1e-6) and figures["nvs_lpips_alex"] == pytest.approx(0.6, abs=1e-6)
 
 
@@ -176,15 +176,15 @@ def turned(degrees: float) -> np.ndarray:
 
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_normals_turned_by_a_known_angle(name):
-    """Half of the picture is background, right in all of them: the full picture's mean is half of the object's."""
+    """Half of the image is background, right in all of them: the full image's mean is half of the object's."""
     truth = true_view(alpha=HALF, normal=turned(0) * HALF[..., None], depth=HALF)
-    figures = view_figures(predicted(picture([0.5] * 3, HALF), HALF, normal=turned(30)), truth, PROTOCOLS[name])
+    figures = view_figures(predicted(image([0.5] * 3, HALF), HALF, normal=turned(30)), truth, PROTOCOLS[name])
     assert figures["normal_mae"] == pytest.approx(30, abs=1e-3) and figures["normal_mae_full"] == pytest.approx(15, abs=1e-3)
     assert figures.get("normal_cosine", 1 - np.cos(np.radians(30))) == pytest.approx(1 - np.cos(np.radians(30)), abs=1e-5)
 
 
 def test_normals_outside_the_object_count_where_the_paper_counts_them():
-    """Normals to +X on the whole picture, of an object in its left half: the right half is +Z in IRGS and TensoIR."""
+    """Normals to +X on the whole image, of an object in its left half: the right half is +Z in IRGS and TensoIR."""
     truth = true_view(alpha=HALF, normal=layer(X) * HALF[..., None], depth=HALF)
     found = {
         name: view_figures(predicted(normal=layer(X)), truth, PROTOCOLS[name])["normal_mae_full"] for name in ("plain", "irgs", "tensoir")
@@ -207,11 +207,11 @@ def test_depth_up_to_a_factor():
         assert row["depth_si_mse"] == pytest.approx(expected, abs=1e-6)  # 5 becomes 3, which is 1 off everywhere
 
 
-# --- Stanford-ORB's pictures
+# --- Stanford-ORB's images
 
 
 def halves(left: float, right: float) -> np.ndarray:
-    """(H, W, 4) linear, two values on an opaque picture."""
+    """(H, W, 4) linear, two values on an opaque image."""
     return np.concatenate([np.where(HALF[..., None] > 0, layer([left] * 3), layer([right] * 3)), EVERYWHERE[..., None]], -1)
 
 
@@ -245,7 +245,7 @@ def test_what_is_brighter_than_a_display_counts_in_psnr_hdr_alone():
     assert figures["nvs_psnr_ldr"] == pytest.approx(db(ldr / 2), abs=1e-3)
 
 
-def test_the_mask_loses_two_pixels_and_the_error_is_of_the_whole_picture():
+def test_the_mask_loses_two_pixels_and_the_error_is_of_the_whole_image():
     box = np.zeros_like(EVERYWHERE)
     box[5:16, 8:20] = 1  # 11 x 12, of which 7 x 8 stay
     ours = halves(0.4, 0.4)

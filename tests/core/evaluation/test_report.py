@@ -63,7 +63,7 @@ def known(demo, monkeypatch):
             return torch.from_numpy(at(camera).relit[name] * self.brightness if relit else at(camera).shaded)
 
     for module in (report, sheet):
-        monkeypatch.setattr(module, "render_view", lambda reconstruction, camera: at(camera).buffers)
+        monkeypatch.setattr(module, "render_gbuffer", lambda reconstruction, camera: at(camera).buffers)
     monkeypatch.setattr(report, "open_relighter", lambda *_: KnowingRelighter())
     known = Known(scene.lights["sky"])
     monkeypatch.setattr(report.Reconstruction, "load", lambda run: known)
@@ -90,7 +90,7 @@ def test_page_is_self_contained(demo, known, tmp_path):
     html = (tmp_path / "evaluation" / "report.html").read_text()
     sources = re.findall(r"(?:src|href)='([^']{5})", html)
     assert len(sources) > 6 * 12 and set(sources) == {"data:"}
-    for name in (*demo[2].lights, "Relit pictures: albedo times", "true normal", "photograph", "r_005"):
+    for name in (*demo[2].lights, "Relit images: albedo times", "true normal", "photograph", "r_005"):
         assert name == "sky" or name in html
 
 
@@ -129,8 +129,8 @@ def test_as_many_views_are_relit_as_the_protocol_says(demo, known, tmp_path, mon
     assert [any(figure.startswith("relight") for figure in row) for row in views.values()] == [True, True, False, False, False, False]
 
 
-def test_photographs_under_other_lights_are_what_relit_pictures_are_compared_with(demo, known, tmp_path, monkeypatch):
-    """Those of the demonstration's relit truth, as if somebody had taken them: each view's own picture is under another light."""
+def test_photographs_under_other_lights_are_what_relit_images_are_compared_with(demo, known, tmp_path, monkeypatch):
+    """Those of the demonstration's relit truth, as if somebody had taken them: each view's own image is under another light."""
     _, dataset, _, truths, _ = demo
     novel = []
     for light in ("studio", "sunset"):
@@ -172,8 +172,8 @@ def test_report_that_can_not_be_written(demo, known, tmp_path):
 
 def test_contact_sheet_shows_each_view_under_each_heading(demo, known, tmp_path):
     sheet.contact_sheet(demo[1], known, tmp_path / "sheet.png", Silent(), rows=3)
-    with Image.open(tmp_path / "sheet.png") as picture:
-        pixels = np.asarray(picture.convert("RGB"), float) / 255
+    with Image.open(tmp_path / "sheet.png") as image:
+        pixels = np.asarray(image.convert("RGB"), float) / 255
     pitch = sheet.TILE + sheet.GAP
     assert pixels.shape == (sheet.HEADER + 3 * pitch, sheet.GAP + len(sheet.COLUMNS) * pitch, 3)
     tiles = [[pixels[sheet.HEADER + r * pitch :, sheet.GAP + c * pitch :][: sheet.TILE, : sheet.TILE] for c in range(9)] for r in range(3)]
@@ -195,7 +195,7 @@ def test_cancelling_leaves_no_contact_sheet(demo, known, tmp_path):
 
 
 @pytest.mark.parametrize(("width", "height"), [(64, 64), (1600, 900), (900, 1600), (300, 3000), (5, 3)])
-def test_tiles_keep_the_shape_of_the_picture(width, height):
+def test_tiles_keep_the_shape_of_the_image(width, height):
     w, h = sheet.fitted(width, height, sheet.TILE)
     assert w <= sheet.TILE and h <= 1.5 * sheet.TILE + 0.5
     assert w == sheet.TILE or h == round(1.5 * sheet.TILE)

@@ -13,7 +13,7 @@ def test_the_truth_itself_is_perfect(demo):
     _, _, _, truths, predictions = demo
     figures = view_figures(predictions[0], truths[0])
     for name in ("nvs", "radiance", "relight_studio", "relight_sunset"):
-        # Edge pixels of a relit picture have their own rounding of alpha.
+        # Edge pixels of a relit image have their own rounding of alpha.
         assert figures[f"{name}_psnr"] > (60 if name.startswith("relight") else 90)
         assert figures[f"{name}_ssim"] == pytest.approx(1, abs=1e-3)
     assert figures["normal_mae"] == pytest.approx(0, abs=0.05)
@@ -53,9 +53,9 @@ def test_one_albedo_scale_serves_all_views(demo):
     assert all(row["albedo_psnr"] > 80 and row["albedo_psnr_unscaled"] < 25 for row in rows)
 
 
-def test_without_truth_there_are_only_pictures(demo):
+def test_without_truth_there_are_only_images(demo):
     _, _, _, truths, predictions = demo
-    bare = Truth(truths[0].picture, truths[0].alpha)
+    bare = Truth(truths[0].image, truths[0].alpha)
     assert {name.split("_")[0] for name in view_figures(predictions[0], bare)} == {"nvs", "radiance"}
     assert albedo_figures(predictions[:1], [bare]) == ([{}], None)
 

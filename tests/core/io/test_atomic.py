@@ -2,11 +2,11 @@
 """Files that appear whole or not at all."""
 
 import pytest
-from irgspp.core.io.atomic import whole, write_atomic
+from irgspp.core.io.atomic import atomic_file, write_atomic
 
 
 def test_file_is_there_after_the_block_and_not_before(tmp_path):
-    with whole(tmp_path / "a.png") as partial:
+    with atomic_file(tmp_path / "a.png") as partial:
         partial.write_bytes(b"new")
         assert partial.suffix == ".png" and not (tmp_path / "a.png").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
@@ -16,7 +16,7 @@ def test_file_is_there_after_the_block_and_not_before(tmp_path):
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_failure_keeps_the_old_file_and_gives_the_room_back(tmp_path, failure):
     write_atomic(tmp_path / "a", b"old")
-    with pytest.raises(type(failure)), whole(tmp_path / "a") as partial:
+    with pytest.raises(type(failure)), atomic_file(tmp_path / "a") as partial:
         partial.write_bytes(b"half")
         raise failure
     assert [p.name for p in tmp_path.iterdir()] == ["a"]

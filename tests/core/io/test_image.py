@@ -8,8 +8,8 @@ import numpy as np
 import OpenEXR
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.io.exr import read_exr, read_exr_rgb
-from irgspp.core.io.image import picture_size, read_depth_mask, read_mask, read_picture
-from irgspp.core.scene.environment_files import read_light
+from irgspp.core.io.image import image_size, read_depth_mask, read_image, read_mask
+from irgspp.core.scene.environment_files import read_environment
 from refused import refused
 
 
@@ -31,11 +31,11 @@ def exr_bomb(path, side=60_000):
     path.write_bytes(data.replace(box, struct.pack("<4i", 0, 0, side - 1, side - 1)))
 
 
-def test_enormous_pictures_are_refused_before_they_are_decoded(tmp_path):
+def test_enormous_images_are_refused_before_they_are_decoded(tmp_path):
     (tmp_path / "a.png").write_bytes(png_bomb())
     exr_bomb(tmp_path / "a.exr")
     (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n" + b"\2\2\0\0" * 100)
-    for read in (picture_size, read_picture, read_mask, lambda p: read_depth_mask(p, 0.5), read_light):
+    for read in (image_size, read_image, read_mask, lambda p: read_depth_mask(p, 0.5), read_environment):
         for name in ("a.png", "a.exr"):
             with refused(name, "60000x60000", "million"):
                 read(tmp_path / name)
@@ -43,7 +43,7 @@ def test_enormous_pictures_are_refused_before_they_are_decoded(tmp_path):
         with refused(r"a\.exr", "60000x60000"):
             read(tmp_path / "a.exr")
     with refused(r"a\.hdr", "60000x60000"):
-        read_light(tmp_path / "a.hdr")
+        read_environment(tmp_path / "a.hdr")
 
 
 def test_a_bomb_among_photographs_is_left_out_and_told(capture):

@@ -53,7 +53,7 @@ def assert_finite(values: dict[str, torch.Tensor], sums: torch.Tensor) -> None:
 
 
 @pytest.mark.parametrize("broken", [*NOTHING.values(), *ODD.values()], ids=[*NOTHING, *ODD])
-def test_pictures_and_gradients_are_finite(broken):
+def test_images_and_gradients_are_finite(broken):
     values = gaussians(broken)
     assert_finite(values, rasterize(*values.values(), CAMERA, 1.0)[0])
 

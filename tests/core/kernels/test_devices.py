@@ -13,7 +13,7 @@ import trimesh
 from irgspp.core.kernels.photometric import photometric_loss
 from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.trace import blend, build_tree, hit_lists, trace, transmittance
-from irgspp.core.machine.backend import incomplete_pictures, warp_on_cpu
+from irgspp.core.machine.backend import incomplete_images, warp_on_cpu
 from irgspp.core.machine.cuda import obstacle, probe
 from irgspp.core.relight.triangles import EmbreeTriangles, triangles_of
 from irgspp.core.scene.camera import Camera, look_at
@@ -103,13 +103,13 @@ def test_lists_and_transmittance_are_numbas(device):
 
 
 def test_loss_is_numbas(device):
-    pictures = [torch.rand(3, 50, 71, generator=torch.Generator().manual_seed(i)) for i in range(2)]
+    images = [torch.rand(3, 50, 71, generator=torch.Generator().manual_seed(i)) for i in range(2)]
     with warp_on_cpu(False):
-        x = pictures[0].clone().requires_grad_()
-        expected = photometric_loss(x, pictures[1])
+        x = images[0].clone().requires_grad_()
+        expected = photometric_loss(x, images[1])
         truth = torch.autograd.grad(expected, x)[0]
-    x = pictures[0].clone().to(device).requires_grad_()
-    loss = photometric_loss(x, pictures[1].to(device))
+    x = images[0].clone().to(device).requires_grad_()
+    loss = photometric_loss(x, images[1].to(device))
     assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
     assert (torch.autograd.grad(loss, x)[0].cpu() - truth).norm() < 1e-4 * truth.norm()
 
@@ -140,7 +140,7 @@ def test_a_run_repeats_bit_by_bit(device):
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
 
 
-MODULES = ("splats", "disks", "adjoint", "mesh", "photometric", "lobes", "light")
+MODULES = ("splats", "surfels", "adjoint", "mesh", "photometric", "lobes", "light")
 
 
 @pytest.mark.long
@@ -148,26 +148,26 @@ def test_kernels_compile_for_gpus(tmp_path: Path):
     """By NVIDIA's compiler in warp's wheel, which needs no GPU."""
     import warp as wp
     from irgspp.core.kernels.warp import bilateral, raster
-    from irgspp.core.kernels.warp import surfels as disks
+    from irgspp.core.kernels.warp import surfels as surfels
 
     modules = [importlib.import_module(f"irgspp.core.kernels.warp.{name}") for name in MODULES]
-    special = [*raster.kernels(11), disks.composite(5), bilateral._kernel(4)]
+    special = [*raster.kernels(11), surfels.composite(5), bilateral._kernel(4)]
     for module in [*modules, *(kernel.module for kernel in special)]:
         made = wp.compile_aot_module(module, arch=75, module_dir=tmp_path)
         assert made and all(path.stat().st_size > 1000 for path in made)
     shutil.rmtree(tmp_path)
 
 
-def test_pictures_that_lack_splats_are_counted_and_get_room():
+def test_images_that_lack_splats_are_counted_and_get_room():
     from irgspp.core.kernels.warp.rasterize import ROOMS, Room
 
-    room, before = Room(), incomplete_pictures()
+    room, before = Room(), incomplete_images()
     ROOMS[0, 0, 0] = room
     try:
         first = room.entries(torch.tensor(100), exact=False)
         for _ in range(4):  # each number is looked at two calls later
             last = room.entries(torch.tensor(10 * first), exact=False)
-        assert room.overflowed == incomplete_pictures() - before == 1
+        assert room.overflowed == incomplete_images() - before == 1
         assert last >= 10 * first
     finally:
         del ROOMS[0, 0, 0]

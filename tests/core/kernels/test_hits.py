@@ -6,18 +6,18 @@ import math
 import numpy as np
 import pytest
 import torch
-from disk_clouds import UP, cloud, rays, stack
 from irgspp.core.kernels.constants import TRANSMITTANCE_MIN
-from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.kernels.cpu.trace import NEAREST
 from irgspp.core.kernels.trace import EXTRA, blend, build_tree, hit_lists, trace, transmittance
+from surfel_clouds import UP, cloud, rays, stack
 
 pytestmark = pytest.mark.usefixtures("engine")
 
 
 @pytest.mark.parametrize("opacity", [0.01, 0.1, 0.5])
 @pytest.mark.parametrize("n", [NEAREST - 1, NEAREST, NEAREST + 1, 2 * NEAREST, 3 * NEAREST + 5])
-def test_stacked_disks_come_each_once_and_in_order(n, opacity):
+def test_stacked_surfels_come_each_once_and_in_order(n, opacity):
     parameters, order = stack(n, opacity)
     lists = hit_lists(build_tree(*parameters[:4]), *UP)
     seen = min(n, math.ceil(math.log(TRANSMITTANCE_MIN) / math.log(1 - opacity)))
@@ -30,7 +30,7 @@ def test_stacked_disks_come_each_once_and_in_order(n, opacity):
 
 
 @pytest.mark.parametrize("n", [20, 3 * NEAREST])
-def test_disks_at_one_distance_come_by_number(n):
+def test_surfels_at_one_distance_come_by_number(n):
     parameters, _ = stack(n, 0.02)
     parameters[0][2] = torch.where(torch.arange(n) % 2 == 0, 2.0, 1.0)
     lists = hit_lists(build_tree(*parameters[:4]), *UP)
@@ -45,13 +45,13 @@ def test_a_tree_as_deep_as_it_gets():
     parameters[0][2] = 1.4 ** (order + 1.0)  # each split of the bins takes few away
     parameters[2][:] = (0.01 * parameters[0][2]).log()
     tree = build_tree(*parameters[:4])
-    assert not isinstance(tree, DiskTree) or tree.depth > 2  # 90 disks evenly spread need 2
+    assert not isinstance(tree, SurfelTree) or tree.depth > 2  # 90 surfels evenly spread need 2
     lists = hit_lists(tree, *UP)
     assert order[lists.index].tolist() == list(range(n))
     assert transmittance(tree, *UP)[0].item() == pytest.approx(0.97**n, rel=1e-4)
 
 
-def test_an_origin_inside_a_disks_bound_sees_it():
+def test_an_origin_inside_a_surfels_bound_sees_it():
     parameters, _ = stack(1, 0.5)
     parameters[1][:, 0] = torch.tensor([math.cos(0.35), math.sin(0.35), 0, 0])  # tilted: its box is thick
     tree = build_tree(*parameters[:4])
@@ -60,7 +60,7 @@ def test_an_origin_inside_a_disks_bound_sees_it():
         assert lists.distance.tolist() == ([] if distance is None else [pytest.approx(distance, rel=1e-3)])
 
 
-def test_grazed_disks_are_missed():
+def test_grazed_surfels_are_missed():
     parameters, _ = stack(1, 0.9)
     tree = build_tree(*parameters[:4])
     for slope, hits in [(5e-5, 0), (5e-3, 1)]:

@@ -32,6 +32,6 @@ def test_value_and_gradient(shape, share):
     assert (fast.grad - slow.grad).norm() <= 2e-5 * slow.grad.norm()
 
 
-def test_equal_pictures_cost_nothing():
+def test_equal_images_cost_nothing():
     x = torch.rand(3, 20, 20)
     assert photometric_loss(x, x.clone()).item() == pytest.approx(0, abs=1e-6)

@@ -78,7 +78,7 @@ def test_unused_coefficients_get_no_gradient(poisoned_memory, degree):
     assert all(torch.isfinite(p.grad).all() for p in parameters if p.grad is not None)
 
 
-def test_edge_on_and_degenerate_disks_stay_finite():
+def test_edge_on_and_degenerate_surfels_stay_finite():
     parameters = cloud(64, 5)
     cam = camera()
     parameters[0][:, 0] = torch.as_tensor(cam.centre)  # in the camera
@@ -87,9 +87,9 @@ def test_edge_on_and_degenerate_disks_stay_finite():
     parameters[2][:, 3] = -30.0  # a point
     parameters[1][:, 4] = 0.0  # no orientation
     fast = [p.clone().requires_grad_() for p in parameters]
-    picture, statistics = rasterize(*fast, cam, 1.0)
-    picture.square().sum().backward()
-    assert torch.isfinite(picture).all()
+    image, statistics = rasterize(*fast, cam, 1.0)
+    image.square().sum().backward()
+    assert torch.isfinite(image).all()
     assert all(torch.isfinite(f.grad).all() for f in fast)
     assert statistics.radius[1] == 0 and statistics.radius[2] == 0
     assert statistics.gradient is not None and statistics.gradient.shape == (64,)
@@ -104,7 +104,7 @@ def test_same_input_same_bits():
     assert all(torch.equal(a.grad, b.grad) for a, b in zip(first, second, strict=True))
 
 
-def test_facing_disk_has_its_depth_normal_and_opacity():
+def test_facing_surfel_has_its_depth_normal_and_opacity():
     pose = np.eye(4)
     pose[2, 3] = 3.0  # looks down -Z at the origin
     cam = Camera(16, 16, 20.0, 20.0, 8.5, 8.5, pose)  # the centre of pixel (8, 8)
@@ -114,9 +114,9 @@ def test_facing_disk_has_its_depth_normal_and_opacity():
     position = torch.zeros(3, n)
     position[0, 1:] = 50.0  # the others are out of sight
     upright = torch.tensor([1.0, 0, 0, 0])[:, None].repeat(1, n)
-    picture, _ = rasterize(position, upright, torch.zeros(2, n), torch.full((n,), 2.0), sh, torch.zeros(0, n), cam, 1.0)
-    alpha = picture[-1, 8, 8]
+    image, _ = rasterize(position, upright, torch.zeros(2, n), torch.full((n,), 2.0), sh, torch.zeros(0, n), cam, 1.0)
+    alpha = image[-1, 8, 8]
     assert alpha == pytest.approx(torch.tensor(2.0).sigmoid().item(), abs=1e-3)
-    assert (picture[:3, 8, 8] / alpha).tolist() == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
-    assert (picture[3:6, 8, 8] / alpha).tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-5)
-    assert picture[6, 8, 8] / alpha == pytest.approx(3.0, abs=1e-5)
+    assert (image[:3, 8, 8] / alpha).tolist() == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
+    assert (image[3:6, 8, 8] / alpha).tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-5)
+    assert image[6, 8, 8] / alpha == pytest.approx(3.0, abs=1e-5)

@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from disk_clouds import cloud, rays
 from irgspp.core.kernels.constants import TRANSMITTANCE_MIN
 from irgspp.core.kernels.cpu.trace import NEAREST
 from irgspp.core.kernels.reference.trace import trace_reference
 from irgspp.core.kernels.trace import EXTRA, Seen, blend, build_tree, hit_lists, trace, transmittance
+from surfel_clouds import cloud, rays
 
 NAMES = ("position", "quaternion", "log_scale", "opacity", "sh", "extra", "origin", "direction")
 pytestmark = pytest.mark.usefixtures("engine")
@@ -129,7 +129,7 @@ def test_without_sh_colour_is_zero_and_the_rest_the_same():
     assert float((extra.grad * parameters[5]).sum()) == pytest.approx(float(bare[:, EXTRA:-2].detach().sum()), rel=1e-4)
 
 
-def test_faint_disks_in_great_number_are_all_met():
+def test_faint_surfels_in_great_number_are_all_met():
     _, _, fast, slow = both(cloud(3000, 11, size=0.4, opacity=-4.5), *rays(60, 8))
     assert (relative(fast, slow) > 1e-4).float().mean() <= 0.02
     parameters, (origin, direction) = cloud(3000, 11, size=0.4, opacity=-4.5), rays(60, 8)
@@ -192,7 +192,7 @@ def test_shapes_are_checked():
 
 
 @pytest.mark.parametrize(("n", "count"), [(0, 5), (20, 0)])
-def test_no_disks_or_no_rays(n, count):
+def test_no_surfels_or_no_rays(n, count):
     parameters = [p.requires_grad_() for p in cloud(n, 1)]
     origin, direction = (r.requires_grad_() for r in rays(count, 1))
     tree = build_tree(*parameters[:4])
@@ -204,7 +204,7 @@ def test_no_disks_or_no_rays(n, count):
     assert blend(hit_lists(tree, origin, direction), parameters[5]).shape == (count, 2)
 
 
-def test_broken_disks_neither_show_nor_take_a_gradient():
+def test_broken_surfels_neither_show_nor_take_a_gradient():
     parameters, (origin, direction) = cloud(60, 1), rays(300, 2)
     keep = torch.arange(60) >= 6
     expected = trace(*(p[..., keep] for p in parameters), origin, direction, build_tree(*(p[..., keep] for p in parameters[:4])))

@@ -23,19 +23,19 @@ def data():
 
 
 def test_more_of_anything_needs_more(data):
-    sizes = [bytes_needed(preset(name), data) for name in ("draft", "balanced", "paper")]
+    sizes = [bytes_needed(preset(name), data.pixels()) for name in ("draft", "balanced", "paper")]
     assert 900 * MIB < sizes[0] <= sizes[1] < sizes[2]
-    assert bytes_needed(preset("draft"), data, FEWEST_RAYS) < sizes[0] - 200 * MIB
+    assert bytes_needed(preset("draft"), data.pixels(), FEWEST_RAYS) < sizes[0] - 200 * MIB
 
 
 def test_rays_are_as_many_as_fit(data, monkeypatch):
     how, taken = preset("draft"), 300 * MIB
     monkeypatch.setattr(host_memory, "resident", lambda: taken)  # the process of other tests may have taken more than the job needs
-    whole, least = (bytes_needed(how, data, rays) - taken for rays in (MOST_RAYS, FEWEST_RAYS))
-    assert rays_that_fit(how, data, Free(2 * whole, "plenty")) == MOST_RAYS
-    assert FEWEST_RAYS <= rays_that_fit(how, data, Free((whole + least) // 2 + 60 * MIB, "some")) < MOST_RAYS
+    whole, least = (bytes_needed(how, data.pixels(), rays) - taken for rays in (MOST_RAYS, FEWEST_RAYS))
+    assert rays_that_fit(how, data.pixels(), Free(2 * whole, "plenty")) == MOST_RAYS
+    assert FEWEST_RAYS <= rays_that_fit(how, data.pixels(), Free((whole + least) // 2 + 60 * MIB, "some")) < MOST_RAYS
     with pytest.raises(InputError, match=r"memory: the job needs about \d\.\d GiB, .* can be had \(too little\); close other programs"):
-        rays_that_fit(how, data, Free(1, "too little"))
+        rays_that_fit(how, data.pixels(), Free(1, "too little"))
 
 
 @pytest.mark.parametrize("version", [0, 1])

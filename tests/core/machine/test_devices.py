@@ -115,7 +115,7 @@ def test_more_of_anything_takes_more_memory():
     base = bytes_needed(settings, 100, 800, 800, True)
     assert bytes_needed(settings, 101, 800, 800, True) > base
     assert bytes_needed(settings, 100, 900, 800, True) > base
-    more = replace(settings, reflective=replace(settings.reflective, gaussians=10_000_000))
+    more = replace(settings, first=replace(settings.first, gaussians=10_000_000))
     assert bytes_needed(more, 100, 800, 800, True) > base
 
 
@@ -129,9 +129,9 @@ def test_a_lost_gpu_leaves_a_checkpoint(tmp_path, monkeypatch):
 
     monkeypatch.setattr(trainers, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(Trainer, "step", fails)
-    small = ["materials=low-gloss", "reflective.gaussians=500", "reflective.iterations=30", "device=cpu"]
+    small = ["materials=low-gloss", "first.gaussians=500", "first.iterations=30", "device=cpu"]
     with pytest.raises(DeviceLost, match="--resume"):
         reconstruct(DEMO_DATA, tmp_path / "run", with_overrides(preset("draft"), small))
-    state = torch.load(tmp_path / "run" / "checkpoint" / "reflective.pt", weights_only=True)
+    state = torch.load(tmp_path / "run" / "checkpoint" / "first_stage.pt", weights_only=True)
     assert int(state["done"]) == 12
     assert "GPU failed" in json.loads((tmp_path / "run" / "run.json").read_text())["error"]

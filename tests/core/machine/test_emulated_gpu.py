@@ -15,9 +15,9 @@ from irgspp.core.settings.schema import preset
 
 EMULATED = Path(__file__).resolve().parents[2] / "support" / "emulated_gpu.py"
 TINY = [
-    "materials=glossy", "reflective.gaussians=2000", "reflective.iterations=80", "reflective.trial_iterations=10",
-    "reflective.trial_gaussians=400", "transport.points=300", "transport.rows=8", "transport.views=4", "transport.iterations=8",
-    "transport.pixels=32", "transport.samples=16", "transport.pool=2000", "transport.radiance_iterations=5", "surface.voxels=48",
+    "materials=glossy", "first.gaussians=2000", "first.iterations=80", "first.trial_iterations=10",
+    "first.trial_gaussians=400", "second.points=300", "second.rows=8", "second.views=4", "second.iterations=8",
+    "second.pixels=32", "second.samples=16", "second.pool=2000", "second.radiance_iterations=5", "surface.voxels=48",
     "surface.triangles=2000", "surface.texture=128",
 ]  # fmt: skip
 

@@ -11,7 +11,7 @@ from irgspp.core.cli import main as cli
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
 from irgspp.core.machine import disk_space as room
-from irgspp.core.machine.out_of_resources import Shortage, shortage, told
+from irgspp.core.machine.out_of_resources import OutOfResources, as_out_of_resources, translate_errors
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import RunFolder, read_run
 from irgspp.core.settings.schema import Settings, preset
@@ -31,14 +31,14 @@ from irgspp.core.settings.schema import Settings, preset
     ],
 )
 def test_shortages_are_told(tmp_path, error, words):
-    with pytest.raises(Shortage, match=r"--resume$") as found, told(tmp_path):
+    with pytest.raises(OutOfResources, match=r"--resume$") as found, translate_errors(tmp_path):
         raise error
     assert words in str(found.value) and "\n" not in str(found.value)
     assert found.value.exit_status == 1
 
 
 def test_shortage_behind_another_error_is_found(tmp_path):
-    with pytest.raises(Shortage, match="the disk is full"), told(tmp_path):
+    with pytest.raises(OutOfResources, match="the disk is full"), translate_errors(tmp_path):
         try:
             raise OSError(errno.ENOSPC, "x")
         except OSError:
@@ -46,19 +46,19 @@ def test_shortage_behind_another_error_is_found(tmp_path):
 
 
 def test_what_cannot_be_resumed_is_not_told_to_be(tmp_path):
-    assert str(shortage(MemoryError(), tmp_path, resumable=False)) == f"{tmp_path}: memory ran out; close other programs"
+    assert str(as_out_of_resources(MemoryError(), tmp_path, resumable=False)) == f"{tmp_path}: memory ran out; close other programs"
 
 
 def test_libraries_that_do_not_say_why_are_asked_about_the_disk(tmp_path, monkeypatch):
     error = RuntimeError("write failed")
-    assert shortage(error, tmp_path) is None
+    assert as_out_of_resources(error, tmp_path) is None
     monkeypatch.setattr("irgspp.core.machine.out_of_resources.FULL", 1 << 62)
-    assert "the disk is full" in str(shortage(error, tmp_path))
+    assert "the disk is full" in str(as_out_of_resources(error, tmp_path))
 
 
 @pytest.mark.parametrize("error", [InputError("a", "is bad"), FileNotFoundError(2, "x"), ValueError("x")])
 def test_other_errors_pass(tmp_path, error):
-    with pytest.raises(type(error)), told(tmp_path):
+    with pytest.raises(type(error)), translate_errors(tmp_path):
         raise error
 
 
@@ -82,7 +82,7 @@ def test_job_on_a_full_disk_tells_its_own_error(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "x")
 
     monkeypatch.setattr(run_folder, "write_atomic", full)
-    with pytest.raises(Shortage, match="the disk is full"), folder.job(), folder.timed("fit"):
+    with pytest.raises(OutOfResources, match="the disk is full"), folder.job(), folder.timed("fit"):
         raise ValueError("the disk was full, so to speak")
     folder.close()
     assert read_run(tmp_path / "run")["status"] == "running"  # as after a kill
@@ -90,12 +90,16 @@ def test_job_on_a_full_disk_tells_its_own_error(tmp_path, monkeypatch):
 
 def test_room_is_looked_for_before_anything_is_written(tmp_path, monkeypatch):
     data, settings = load_dataset(DEMO_DATA), preset("balanced")
-    needed = room.bytes_needed(settings, data)
+    needed = room.bytes_needed(settings, data.pixels(distorted=True))
     assert 50e6 < needed < 500e6
-    assert room.bytes_needed(preset("paper"), data) > 2 * needed > 2 * room.bytes_needed(preset("draft"), data)
-    room.check_room(tmp_path / "a" / "run", settings, data)
+    assert (
+        room.bytes_needed(preset("paper"), data.pixels(distorted=True))
+        > 2 * needed
+        > 2 * room.bytes_needed(preset("draft"), data.pixels(distorted=True))
+    )
+    room.check_disk_space(tmp_path / "a" / "run", settings, data.pixels(distorted=True))
     usage = type("Usage", (), {"free": 10**6})
     monkeypatch.setattr(room.shutil, "disk_usage", lambda _: usage)
     with pytest.raises(InputError, match=r"run: the job needs about \d+ MB of the disk, of which 1 MB are free; free some room"):
-        room.check_room(tmp_path / "a" / "run", settings, data)
+        room.check_disk_space(tmp_path / "a" / "run", settings, data.pixels(distorted=True))
     assert not list(tmp_path.iterdir())

@@ -9,9 +9,9 @@ import sys
 import numpy as np
 import pytest
 from irgspp.core.progress import recorder as journal
-from irgspp.core.progress.event_log import Notes
+from irgspp.core.progress.event_log import EventLog
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.progress.recorder import JobJournal, JobNotes, Journal
+from irgspp.core.progress.recorder import JobLog, JobRecorder, ProgressRecorder
 from irgspp.core.progress.terminal import Terminal
 from PIL import Image
 
@@ -29,7 +29,7 @@ class Clock:
 
 
 def test_files_ask_for_what_they_are_named_after(tmp_path):
-    told = Journal(Notes(tmp_path), Silent())
+    told = ProgressRecorder(EventLog(tmp_path), Silent())
     assert not told.cancelled and not told.finish_early
     (tmp_path / "finish").touch()
     assert told.finish_early and not told.cancelled
@@ -41,7 +41,7 @@ def test_files_ask_for_what_they_are_named_after(tmp_path):
 
 
 def test_events_are_complete_but_rare(tmp_path, monkeypatch):
-    clock, told = Clock(monkeypatch), Journal(Notes(tmp_path), Silent())
+    clock, told = Clock(monkeypatch), ProgressRecorder(EventLog(tmp_path), Silent())
     told.phase("fit", 1000)
     for step in range(1, 1001):
         clock.now += 0.01
@@ -55,10 +55,10 @@ def test_events_are_complete_but_rare(tmp_path, monkeypatch):
     assert told.figures["loss"] == pytest.approx(1e-3)
 
 
-def test_pictures_cost_next_to_nothing(tmp_path, monkeypatch):
+def test_images_cost_next_to_nothing(tmp_path, monkeypatch):
     """Seldom, and the more seldom the longer one takes."""
     clock, drawn = Clock(monkeypatch), []
-    told = Journal(Notes(tmp_path), Silent())
+    told = ProgressRecorder(EventLog(tmp_path), Silent())
     told.phase("fit", 10)
 
     def draw(seconds):
@@ -68,31 +68,31 @@ def test_pictures_cost_next_to_nothing(tmp_path, monkeypatch):
 
     for _ in range(100):
         clock.now += 1.0
-        told.picture(lambda: draw(0.05))
+        told.image(lambda: draw(0.05))
     assert len(drawn) == 10
     shown = np.asarray(Image.open(tmp_path / journal.PREVIEW))
     assert shown.shape == (4, 6, 3) and (shown == 10).all()
     assert [e["preview"] for e in events(tmp_path) if "preview" in e] == ["previews/latest.png"] * 10
     clock.now += 100.0
-    told.picture(lambda: draw(2.0))  # a slow one
+    told.image(lambda: draw(2.0))  # a slow one
     for _ in range(199):
         clock.now += 1.0
-        told.picture(lambda: draw(2.0))
+        told.image(lambda: draw(2.0))
     assert len(drawn) == 11
     clock.now += 2.0
-    told.picture(lambda: draw(2.0))
+    told.image(lambda: draw(2.0))
     assert len(drawn) == 12
     assert sorted(p.name for p in (tmp_path / "previews").iterdir()) == ["latest.png"]
 
 
 def test_progress_of_a_terminal_that_a_program_watches(tmp_path, capsys):
-    told = JobJournal(JobNotes(tmp_path), Terminal())
+    told = JobRecorder(JobLog(tmp_path), Terminal())
     told.phase("read", 2)
     told.step(2)
-    told.message("odd picture")
+    told.message("odd image")
     told.end_line()
-    assert [e.get("message") for e in events(tmp_path)][-1] == "odd picture"
-    assert "odd picture" in capsys.readouterr().err
+    assert [e.get("message") for e in events(tmp_path)][-1] == "odd image"
+    assert "odd image" in capsys.readouterr().err
     assert not (tmp_path / "log.txt").exists()  # the terminal's output is the log
 
 

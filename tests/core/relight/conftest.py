@@ -14,7 +14,7 @@ from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.stages.first.initialization import disks
+from irgspp.core.stages.first.initialization import surfels
 
 BALLS = ((np.zeros(3), 1.0), (np.array([1.1, 0.0, 1.1]), 0.5))  # centre and radius of each
 RADIUS = 2.0  # of the scene
@@ -24,7 +24,7 @@ def splat_ball(centre: np.ndarray, radius: float, count: int):
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
     spacing = np.full(count, radius * np.sqrt(4 * np.pi / count))
-    return disks(centre + radius * normal, normal, np.full((count, 3), 0.5), spacing, 0.99)
+    return surfels(centre + radius * normal, normal, np.full((count, 3), 0.5), spacing, 0.99)
 
 
 def splat_scene(balls, material) -> Reconstruction:

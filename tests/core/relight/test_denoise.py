@@ -6,16 +6,16 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from irgspp.core.relight.denoise import PICTURE, Filter, Guides, denoised
+from irgspp.core.relight.denoise import IMAGE, Filter, Guides, denoised
 from irgspp.core.relight.estimate import Estimate
-from irgspp.core.relight.primary_hits import Primary
+from irgspp.core.relight.primary_hits import PrimaryHits
 from irgspp.core.scene.camera import Camera
 
 pytestmark = pytest.mark.usefixtures("engine")
 CAMERA = Camera(61, 43, 60.0, 60.0, 30.5, 21.5, np.eye(4))
 
 
-def plane(tilt: float = 0.0, covered=None) -> Primary:
+def plane(tilt: float = 0.0, covered=None) -> PrimaryHits:
     """A plane at distance 4, turned about the vertical by `tilt`, in front of CAMERA."""
     ray = torch.from_numpy(CAMERA.rays()).view(-1, 3)
     index = torch.arange(len(ray)) if covered is None else torch.nonzero(covered.flatten())[:, 0]
@@ -26,10 +26,10 @@ def plane(tilt: float = 0.0, covered=None) -> Primary:
     view = -torch.nn.functional.normalize(ray, dim=1)
     materials = (torch.full((n, 3), 0.5), torch.full((n,), 0.6), torch.zeros(n), torch.ones(n))
     coverage = torch.zeros(43 * 61).index_fill(0, index, 1.0).view(43, 61)
-    return Primary(CAMERA, index, ray, view, point, depth, normal.expand(n, 3).contiguous(), *materials, coverage, point)
+    return PrimaryHits(CAMERA, index, ray, view, point, depth, normal.expand(n, 3).contiguous(), *materials, coverage, point)
 
 
-def noise(surface: Primary, channels: int = 3) -> torch.Tensor:
+def noise(surface: PrimaryHits, channels: int = 3) -> torch.Tensor:
     return 1 + 0.3 * torch.randn(len(surface.index), channels, generator=torch.Generator().manual_seed(0))
 
 
@@ -49,7 +49,7 @@ def test_constant_light_stays_constant(mode):
 @pytest.mark.parametrize("tilt", [0.0, 0.8])
 def test_noise_goes_also_on_a_slope(tilt):
     surface = plane(tilt)
-    out = Guides(surface, 1.0).filtered(noise(surface), PICTURE)
+    out = Guides(surface, 1.0).filtered(noise(surface), IMAGE)
     assert out.std() < 0.1 and out.mean() == pytest.approx(1, abs=0.02)
 
 
@@ -78,11 +78,11 @@ def test_depth_and_normal_edges_stay_sharp():
     left = surface.index % 61 < 30
     values = torch.where(left[:, None], 1.0, 3.0).expand(-1, 3).contiguous()
     step = dataclasses.replace(surface, depth=torch.where(left, surface.depth, surface.depth + 1.0))
-    assert torch.allclose(Guides(step, 1.0).filtered(values, PICTURE), values, atol=0.01)
+    assert torch.allclose(Guides(step, 1.0).filtered(values, IMAGE), values, atol=0.01)
     turned = torch.where(left[:, None], surface.normal, torch.tensor([0.6, 0.0, 0.8]))
     crease = dataclasses.replace(surface, normal=turned)
-    assert torch.allclose(Guides(crease, 1.0).filtered(values, PICTURE), values, atol=0.01)
-    assert (Guides(surface, 1.0).filtered(values, PICTURE) - values).abs().max() > 0.5  # without an edge it is blurred
+    assert torch.allclose(Guides(crease, 1.0).filtered(values, IMAGE), values, atol=0.01)
+    assert (Guides(surface, 1.0).filtered(values, IMAGE) - values).abs().max() > 0.5  # without an edge it is blurred
 
 
 def test_demodulated_keeps_texture():
@@ -106,7 +106,7 @@ def test_noise_goes_as_far_as_the_halves_tell_of_it(lobe):
             given = estimate(torch.zeros_like(seen), split, seen)
         error = (denoised(given, surface, Guides(surface, 1.0)) - true).square().mean().sqrt()
         assert error <= 0.8 * sigma + 1e-4
-    blurred = Guides(surface, 1.0).filtered(true.contiguous(), PICTURE)
+    blurred = Guides(surface, 1.0).filtered(true.contiguous(), IMAGE)
     assert (blurred - true).square().mean().sqrt() > 0.015  # which the last ones are far below
 
 
@@ -118,6 +118,6 @@ def test_few_samples_that_agree_are_not_believed():
     assert few < 1.1 and many > 1.45
 
 
-def test_empty_picture():
+def test_empty_image():
     surface = plane(covered=torch.zeros(43, 61))
     assert denoised(estimate(torch.zeros(0, 3)), surface, Guides(surface, 1.0)).shape == (0, 3)

@@ -7,7 +7,7 @@ import torch
 from irgspp.core.relight.direct_light import add_light_samples
 from irgspp.core.relight.indirect_light import Points, SecondaryRays, Surroundings, gather, gather_reference, trace_samples
 from irgspp.core.relight.prepared_light import prepare
-from irgspp.core.relight.visibility_cache import Openness
+from irgspp.core.relight.visibility_cache import VisibilityCache
 from irgspp.core.shading.environment_lookup import lookup, rotate
 from irgspp.core.shading.procedural_lights import studio_light
 from irgspp.core.shading.rendering_equation import reflect_light
@@ -94,7 +94,7 @@ def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backe
     points, shift = points_of(surface)
     expected = gather(traced(one, surface, drawn(surface, COUNTS, still, light_only=True), None), still, 0)
     sums = torch.zeros_like(expected)
-    above, asked = add_light_samples(sums, points, shift, COUNTS, light, Openness.unknown(len(shift)), one.query)
+    above, asked = add_light_samples(sums, points, shift, COUNTS, light, VisibilityCache.unknown(len(shift)), one.query)
     assert above == asked and 0.3 * len(shift) * COUNTS[2] < above < 0.8 * len(shift) * COUNTS[2]
     torch.testing.assert_close(sums.mean(0), expected.mean(0), rtol=0.05, atol=0.02 * float(expected.mean()))
     if degrees == 0.0:  # else the turned light's samples are others
@@ -105,8 +105,8 @@ def test_rays_that_nothing_hides_are_not_traced_and_bring_the_light_itself(relig
     one = relighter("mesh", balls=((np.zeros(3), 1.0),))
     surface = one.surface(camera)
     points, shift = points_of(surface)
-    unknown = Openness.unknown(len(shift))
-    known = Openness(unknown.tile, torch.ones_like(unknown.clear))
+    unknown = VisibilityCache.unknown(len(shift))
+    known = VisibilityCache(unknown.tile, torch.ones_like(unknown.clear))
     sums = torch.zeros(2, len(shift), 2, 12)
     asked = [add_light_samples(part, points, shift, COUNTS, light, o, one.query) for part, o in zip(sums, (unknown, known), strict=True)]
     assert asked[0][0] == asked[0][1] == asked[1][0] > 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relit pictures against what energy, geometry and the other backend demand."""
+"""Relit images against what energy, geometry and the other backend demand."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -82,17 +82,17 @@ def test_rays_start_on_the_mesh_where_a_pixel_s_mean_depth_lies_inside_it(religh
         assert (height > 0).all() and ((height < 0.02).all() == on_ball)
 
 
-def test_same_picture_twice_bit_by_bit(relighter, camera):
+def test_same_image_twice_bit_by_bit(relighter, camera):
     light = prepare(sunset_light(32, 64))
     first, second = (relighter("gaussian", samples="efficient") for _ in range(2))
-    picture = first.relit(first.surface(camera), light)
-    assert torch.equal(picture, first.relit(first.surface(camera), light))
-    assert torch.equal(picture, second.relit(second.surface(camera), light))
+    image = first.relit(first.surface(camera), light)
+    assert torch.equal(image, first.relit(first.surface(camera), light))
+    assert torch.equal(image, second.relit(second.surface(camera), light))
 
 
 @pytest.mark.parametrize("sampling", ["mis", "stratified"])
 @pytest.mark.parametrize("kept_bytes", [1 << 29, 1 << 18, 0])
-def test_another_light_on_the_same_surface_is_the_same_picture_as_alone(relighter, camera, monkeypatch, sampling, kept_bytes):
+def test_another_light_on_the_same_surface_is_the_same_image_as_alone(relighter, camera, monkeypatch, sampling, kept_bytes):
     monkeypatch.setattr(module, "KEPT_BYTES", kept_bytes)
     monkeypatch.setattr(module, "RAYS", 1 << 14)  # several parts
     lights = [prepare(light) for light in (studio_light(32, 64), sunset_light(16, 32))]
@@ -145,7 +145,7 @@ def test_strategies_agree_and_mis_is_less_noisy(relighter, camera):
 
 
 def test_albedo_scale_holds_for_what_is_seen_in_reflections_too(relighter, camera):
-    """A matt scene of half the albedo: the same picture by the factor."""
+    """A matt scene of half the albedo: the same image by the factor."""
     whole, half = (relighter("mesh", (a, a, a, 0.9, 0.0)) for a in (0.8, 0.4))
     reference = half.relit(half.surface(camera), WHITE)
     scaled = whole.scaled((0.5, 0.5, 0.5))
@@ -154,7 +154,7 @@ def test_albedo_scale_holds_for_what_is_seen_in_reflections_too(relighter, camer
     assert whole.scaled(None) is whole
 
 
-def test_picture_is_linear_in_the_light(relighter, camera):
+def test_image_is_linear_in_the_light(relighter, camera):
     one = relighter("mesh", denoise="off")
     surface, light = one.surface(camera), sunset_light(32, 64)
     single, triple = (one.relit(surface, prepare(light * factor)) for factor in (np.float32(1), np.float32(3)))

@@ -17,7 +17,7 @@ from irgspp.core.progress.protocol import Silent
 from irgspp.core.relight import render_views as rendering
 from irgspp.core.relight.render_views import Light, cameras_of, load_light, render_views, split_of, write_rgba
 from irgspp.core.scene.camera import Camera
-from irgspp.core.scene.gbuffer import ViewBuffers
+from irgspp.core.scene.gbuffer import GBuffer
 from irgspp.core.settings.schema import DataSettings
 from irgspp.core.shading.environment_lookup import rotate
 from irgspp.core.shading.procedural_lights import map_directions
@@ -32,7 +32,7 @@ def buffers(alpha):
     colour = rng.random((*shape, 3), np.float32)
     normal = np.broadcast_to(np.float32([0, 0, 1]), (*shape, 3))
     alphas, depth = np.full(shape, alpha, np.float32), np.full(shape, 2.0, np.float32)
-    return ViewBuffers(CAMERA, alphas, depth, normal, colour, colour / 2, *rng.random((2, *shape), np.float32))
+    return GBuffer(CAMERA, alphas, depth, normal, colour, colour / 2, *rng.random((2, *shape), np.float32))
 
 
 def test_light_turns_counter_clockwise_seen_from_above():
@@ -56,7 +56,7 @@ def test_load_light(tmp_path):
     write_exr(path, rgb_channels(np.full((4, 8, 3), 0.5, np.float32)))
     light = load_light(path, rotation=45, strength=3)
     assert light.name == "city"
-    np.testing.assert_allclose(light.picture, 1.5)
+    np.testing.assert_allclose(light.image, 1.5)
     assert load_light(path, "other").name == "other"
     for wrong in ({"strength": -1.0}, {"strength": np.inf}, {"rotation": np.nan}):
         with pytest.raises(InputError, match="strength"):
@@ -73,13 +73,13 @@ def test_light_that_had_to_be_repaired_is_told(tmp_path):
             self.said += text
 
     path = tmp_path / "broken.exr"
-    picture = np.full((4, 8, 3), 0.5, np.float32)
-    picture[0, 0, 0] = np.nan
-    write_exr(path, rgb_channels(picture))
+    image = np.full((4, 8, 3), 0.5, np.float32)
+    image[0, 0, 0] = np.nan
+    write_exr(path, rgb_channels(image))
     listener = Listener()
     light = load_light(path, progress=listener)
     assert "broken.exr: 1 texel is not a number" in listener.said
-    assert np.isfinite(light.picture).all()
+    assert np.isfinite(light.image).all()
 
 
 class FakeRelighter:
@@ -114,11 +114,11 @@ def test_rgba_is_premultiplied_in_exr_and_straight_in_png(tmp_path):
 
 def test_views_are_written_with_their_layers(tmp_path, monkeypatch):
     lights = [Light(name, np.full((2, 4, 3), level, np.float32)) for name, level in (("city", 1), ("night", 2))]
-    monkeypatch.setattr(rendering, "render_view", lambda _, camera: buffers(0.5))
+    monkeypatch.setattr(rendering, "render_gbuffer", lambda _, camera: buffers(0.5))
     relighter = FakeRelighter()
     render_views(relighter, [("r_000", CAMERA), ("r_001", CAMERA)], tmp_path, Silent(), lights=lights)
-    pictures = [f"rgba_{light}.{kind}" for light in ("city", "night") for kind in ("exr", "png")]
-    expected = ["albedo.exr", "depth.exr", "material.exr", "normal.exr", "radiance.exr", *pictures]
+    images = [f"rgba_{light}.{kind}" for light in ("city", "night") for kind in ("exr", "png")]
+    expected = ["albedo.exr", "depth.exr", "material.exr", "normal.exr", "radiance.exr", *images]
     for view in ("r_000", "r_001"):
         assert sorted(p.name for p in (tmp_path / view).iterdir()) == expected
     assert relighter.asked == [(CAMERA, 1.0), (CAMERA, 2.0)] * 2
@@ -139,7 +139,7 @@ def test_recovered_light_is_the_default(tmp_path):
 
 
 def test_layers_are_zero_where_nothing_is(tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "render_view", lambda *_: buffers(1e-4))
+    monkeypatch.setattr(rendering, "render_gbuffer", lambda *_: buffers(1e-4))
     render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, Silent(), layers=("normal", "depth"))
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["depth.exr", "normal.exr"]
     assert not read_exr(tmp_path / "a" / "depth.exr")["Z"].any()
@@ -154,7 +154,7 @@ def test_rendering_refuses_and_stops(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="can't be made"):
         render_views(FakeRelighter(), [("a", CAMERA)], tmp_path / "file", Silent())
-    monkeypatch.setattr(rendering, "render_view", lambda *_: buffers(1.0))
+    monkeypatch.setattr(rendering, "render_gbuffer", lambda *_: buffers(1.0))
     progress = Silent()
     progress.cancelled = True
     with pytest.raises(Cancelled):

@@ -3,7 +3,7 @@
 
 import torch
 from irgspp.core.relight.indirect_light import Met, SecondaryRays
-from irgspp.core.relight.visibility_cache import BINS, Openness, survey
+from irgspp.core.relight.visibility_cache import BINS, VisibilityCache, survey
 
 WIDTH, RAYS = 8, 4000
 
@@ -22,19 +22,19 @@ def scene():
     return direction, rays((direction[..., 0] > 0.8) & above, above), (torch.arange(16) // 4) * WIDTH + torch.arange(16) % 4
 
 
-def clear_of(openness: Openness, direction) -> bool:
+def clear_of(visibility_cache: VisibilityCache, direction) -> bool:
     """Read the map, by its definition (Engelhardt and Dachsbacher 2008), for directions above the horizon."""
     x, y, z = direction
     size = abs(x) + abs(y) + abs(z)
     column, row = (min(int((c / size / 2 + 0.5) * BINS), BINS - 1) for c in (x, y))
-    return bool(openness.clear[openness.tile[0], row * BINS + column])
+    return bool(visibility_cache.clear[visibility_cache.tile[0], row * BINS + column])
 
 
 def test_directions_are_clear_where_many_rays_met_nothing():
-    openness = survey(*scene(), WIDTH)
-    assert openness.tile.tolist() == [0] * 16
-    assert all(clear_of(openness, d) for d in ((0, 0, 1), (0, 0.7, 0.7), (0, -0.7, 0.7), (-0.7, 0, 0.7)))
-    assert not any(clear_of(openness, d) for d in ((1, 0, 0.01), (0.9, 0, 0.4), (0.8, 0.4, 0.4)))
+    visibility_cache = survey(*scene(), WIDTH)
+    assert visibility_cache.tile.tolist() == [0] * 16
+    assert all(clear_of(visibility_cache, d) for d in ((0, 0, 1), (0, 0.7, 0.7), (0, -0.7, 0.7), (-0.7, 0, 0.7)))
+    assert not any(clear_of(visibility_cache, d) for d in ((1, 0, 0.01), (0.9, 0, 0.4), (0.8, 0.4, 0.4)))
 
 
 def test_nothing_is_clear_below_the_horizon_or_after_few_rays():
@@ -50,6 +50,6 @@ def test_a_tile_heeds_what_its_neighbours_met_and_no_others():
     direction, row = direction.repeat(2, 1, 1), torch.cat([torch.full_like(traced.row, -1), traced.row])
     both = SecondaryRays(traced.terms.repeat(2, 1, 1), row, traced.met)
     for step, clear in ((4 * WIDTH, False), (far, True)):
-        openness = survey(direction, both, torch.cat([index, index + step]), WIDTH)
-        assert clear_of(openness, (0.9, 0, 0.4)) == clear
+        visibility_cache = survey(direction, both, torch.cat([index, index + step]), WIDTH)
+        assert clear_of(visibility_cache, (0.9, 0, 0.4)) == clear
     assert survey(direction[:0], SecondaryRays(both.terms[:0], both.row[:0], both.met), index[:0], WIDTH).tile.numel() == 0

@@ -12,7 +12,7 @@ COLOUR = torch.tensor([0.2, 0.3, 0.4])
 SIZE = 6
 
 
-def picture(albedo, roughness, metallic, alpha=0.7, normal=(0.0, 0.0, 1.0)):
+def image(albedo, roughness, metallic, alpha=0.7, normal=(0.0, 0.0, 1.0)):
     """Rasterised sums of a plane, and rays that look straight down at it."""
     layers = torch.tensor([*COLOUR, *normal, *albedo, roughness, metallic, 3.0, 1.0])
     return (alpha * layers)[:, None, None].repeat(1, SIZE, SIZE), torch.tensor([0.0, 0.0, -2.0])[:, None, None].repeat(1, SIZE, SIZE)
@@ -23,17 +23,17 @@ def constant_light():
 
 
 def test_white_mirror_shows_the_light():
-    shown = radiance(*picture((1, 1, 1), 0.1, 1.0), constant_light())
+    shown = radiance(*image((1, 1, 1), 0.1, 1.0), constant_light())
     assert torch.allclose(shown, LIGHT[:, None, None].expand_as(shown), rtol=0.02)
 
 
 def test_coloured_metal_tints_the_light_and_hides_the_body():
-    shown = radiance(*picture((0.9, 0.5, 0.2), 0.1, 1.0), constant_light())
+    shown = radiance(*image((0.9, 0.5, 0.2), 0.1, 1.0), constant_light())
     assert torch.allclose(shown[:, 0, 0], LIGHT * torch.tensor([0.9, 0.5, 0.2]), rtol=0.02)
 
 
 def test_dielectric_adds_four_per_cent():
-    shown = radiance(*picture((1, 1, 1), 0.1, 0.0), constant_light())
+    shown = radiance(*image((1, 1, 1), 0.1, 0.0), constant_light())
     assert torch.allclose(shown[:, 0, 0], COLOUR + 0.04 * LIGHT, rtol=0.01)
 
 
@@ -41,22 +41,22 @@ def test_mirror_looks_the_right_way():
     light = torch.zeros(32, 64, 3)
     light[:16] = 1.0  # the upper half
     stack = specular_light(light)
-    up, rays = picture((1, 1, 1), 0.0, 1.0)
-    down, _ = picture((1, 1, 1), 0.0, 1.0, normal=(0.0, 0.0, -1.0))
+    up, rays = image((1, 1, 1), 0.0, 1.0)
+    down, _ = image((1, 1, 1), 0.0, 1.0, normal=(0.0, 0.0, -1.0))
     assert reflective_radiance(up, rays, stack).min() > 0.9
     assert reflective_radiance(down, -rays, stack).max() < 0.1
 
 
 @pytest.mark.parametrize("alpha", [0.02, 0.5, 1.0])
 def test_faint_pixels_show_their_own_colour(alpha):
-    sums, rays = picture((1, 1, 1), 0.1, 1.0, alpha=alpha)
+    sums, rays = image((1, 1, 1), 0.1, 1.0, alpha=alpha)
     assert torch.allclose(splat_radiance(sums)[:, 0, 0], COLOUR, rtol=1e-5)
     shown = radiance(sums, rays, constant_light())[:, 0, 0]
     assert torch.allclose(shown, COLOUR if alpha < 0.05 else LIGHT, rtol=0.02)
 
 
 def test_surface_pixels_are_means_of_the_covered():
-    sums, rays = picture((0.1, 0.2, 0.3), 0.4, 0.5, alpha=0.6)
+    sums, rays = image((0.1, 0.2, 0.3), 0.4, 0.5, alpha=0.6)
     sums[:, 2, 3] = 0
     p = surface_pixels(sums, rays)
     assert p.index.tolist() == [i for i in range(SIZE * SIZE) if i != 2 * SIZE + 3]

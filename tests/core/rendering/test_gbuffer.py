@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.rendering.gbuffer import reduced, render_view
+from irgspp.core.rendering.gbuffer import reduced, render_gbuffer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 
@@ -36,7 +36,7 @@ def analytic(camera):
 
 def test_layers_are_those_of_the_sphere(reconstruction, camera, analytic):
     depth, normal, edge = analytic
-    seen = render_view(reconstruction, camera)
+    seen = render_gbuffer(reconstruction, camera)
     inside, outside = edge < -2, edge > 2
     assert inside.sum() > 500 and outside.sum() > 500
     assert seen.alpha[inside].min() > 0.99 and seen.alpha[outside].max() < 0.01
@@ -54,7 +54,7 @@ def test_layers_are_those_of_the_sphere(reconstruction, camera, analytic):
 def test_glossy_reconstruction_shows_reflections(reconstruction, camera, analytic):
     inside = analytic[2] < -2
     glossy = Reconstruction(reconstruction.gaussians, reconstruction.environment, reconstruction.bound, np.eye(4), glossy=True)
-    added = (render_view(glossy, camera).radiance - render_view(reconstruction, camera).radiance)[inside]
+    added = (render_gbuffer(glossy, camera).radiance - render_gbuffer(reconstruction, camera).radiance)[inside]
     assert added.min() > 0.01 and np.median(added) < 0.06
 
 
@@ -65,7 +65,7 @@ def test_radiance_stays_when_materials_and_light_are_new(reconstruction, camera)
     for glossy in (False, True):
         before = Reconstruction(g, reconstruction.environment, reconstruction.bound, np.eye(4), glossy)
         after = before.relabelled(new, torch.rand(8, 16, 3)).relabelled(new, torch.rand(8, 16, 3))
-        old, seen = render_view(before, camera), render_view(after, camera)
+        old, seen = render_gbuffer(before, camera), render_gbuffer(after, camera)
         for name in ("radiance", "alpha", "depth", "normal"):
             assert np.array_equal(getattr(seen, name), getattr(old, name)), name
         inside = seen.alpha > 0.99

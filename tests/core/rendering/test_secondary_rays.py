@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.kernels.trace import transmittance
-from irgspp.core.rendering.secondary_rays import OFFSET, Tracer
+from irgspp.core.rendering.secondary_rays import OFFSET, SecondaryTracer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.specular_albedo import specular_albedo
@@ -19,11 +19,11 @@ RADIANCE, SKY = np.array([0.6, 0.3, 0.1]), torch.tensor([1.0, 2.0, 3.0])
 def traced(splat_sphere):
     """(glossy, metallic, opacity) to a tracer of a unit sphere under a sky of one colour."""
 
-    def make(glossy=False, metallic=0.0, opacity=0.999) -> Tracer:
+    def make(glossy=False, metallic=0.0, opacity=0.999) -> SecondaryTracer:
         sphere = splat_sphere(6000, np.tile(RADIANCE, (6000, 1)), opacity)
         material = torch.tensor([0.5, 0.25, 0.75, 0.4, metallic]).clamp(1e-6, 1 - 1e-6)
         sphere.material = torch.logit(material)[:, None].repeat(1, 6000)
-        return Tracer(Reconstruction(sphere, SKY.expand(8, 16, 3).contiguous(), Bound((0, 0, 0), 1.5), np.eye(4), glossy))
+        return SecondaryTracer(Reconstruction(sphere, SKY.expand(8, 16, 3).contiguous(), Bound((0, 0, 0), 1.5), np.eye(4), glossy))
 
     return make
 
@@ -65,12 +65,12 @@ def test_glossy_objects_reflect_the_sky(traced, metallic, opacity):
     albedo = torch.tensor([[0.5, 0.25, 0.75]])
     mirrored = SKY * specular_albedo(n_v, torch.full((3,), 0.4), 0.04 * (1 - metallic) + metallic * albedo)
     expected = (1 - metallic) * torch.tensor(RADIANCE) + mirrored
-    # Through thin disks the far side shows as well: its normals, turned to the eye, are others.
+    # Through thin surfels the far side shows as well: its normals, turned to the eye, are others.
     tolerance = 0.02 if opacity > 0.9 else 0.1
     np.testing.assert_allclose(radiance, (1 - free)[:, None] * expected, rtol=tolerance)
 
 
-def test_rays_start_above_the_disks_by_the_size_of_the_scene(traced):
+def test_rays_start_above_the_surfels_by_the_size_of_the_scene(traced):
     position, normal = rays((1, 0, 0, 1, 0, 0), (0, -1, 0, 0, -1, 0))
     tracer = traced()
     assert tracer.offset == pytest.approx(1.5 * OFFSET)
@@ -80,13 +80,13 @@ def test_rays_start_above_the_disks_by_the_size_of_the_scene(traced):
 
 
 def test_a_backdrop_hides_points_but_is_part_of_the_light(splat_sphere):
-    """Where the photographs had a background, disks outside the bound are it."""
+    """Where the photographs had a background, surfels outside the bound are it."""
     sphere, wall = splat_sphere(6000, opacity=0.999), splat_sphere(6000, opacity=0.999)
     wall.position *= 4
     wall.log_scale += np.log(4)
     scene = Reconstruction(sphere.joined(wall), SKY.expand(8, 16, 3).contiguous(), Bound((0, 0, 0), 1.5), np.eye(4))
     for background, passes in ((None, 0.0), (scene.environment, 1.0)):
-        tracer = Tracer(replace(scene, background=background))
+        tracer = SecondaryTracer(replace(scene, background=background))
         free, radiance = tracer.look(*rays((0, 0, 2, 0, 0, 1), (2, 0, 0, 1, 1, 1)))
         assert (free == passes).all() and ((radiance == 0).all() or not passes)
         assert (tracer.look(*rays((0, 0, 2, 0, 0, -1)))[0] == 0).all()

@@ -26,7 +26,7 @@ def test_points_on_a_pixels_ray_fall_on_its_centre(camera):
 
 
 def test_axes(camera):
-    """Forward is the middle of the picture, up is towards row 0, right towards the last column."""
+    """Forward is the middle of the image, up is towards row 0, right towards the last column."""
     for move, sign in ((camera.to_world[:3, 0], (1, 0)), (camera.to_world[:3, 1], (0, -1))):
         (a, b), _ = camera.project(np.stack([camera.centre + 3 * camera.forward, camera.centre + 3 * camera.forward + 0.1 * move]))
         assert np.allclose(a, [14.0, 9.5])

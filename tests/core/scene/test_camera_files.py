@@ -14,10 +14,10 @@ from irgspp.core.scene.dataset import Bound, Dataset, View
 from PIL import Image
 
 
-def make_dataset(*pictures: Path) -> Dataset:
+def make_dataset(*images: Path) -> Dataset:
     random = np.random.default_rng(0)
     views = []
-    for i, path in enumerate(pictures):
+    for i, path in enumerate(images):
         to_world = np.eye(4)
         to_world[:3, 3] = random.normal(size=3)
         to_world[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
@@ -34,17 +34,17 @@ def test_round_trip_is_exact(tmp_path):
     placed = load_cameras(run / "cameras.json")
     assert [p.split for p in placed] == ["train", "train", "test"]
     for record, view in zip(placed, dataset.train + dataset.test, strict=True):
-        assert record.name == view.name and record.picture == view.path
+        assert record.name == view.name and record.image == view.path
         assert np.array_equal(record.camera.to_world, view.camera.to_world)
         assert vars(record.camera) | {"to_world": 0} == vars(view.camera) | {"to_world": 0}
     assert [p.name for p in run.iterdir()] == ["cameras.json"]
 
 
-def test_pictures_in_the_run_move_with_it(tmp_path):
+def test_images_in_the_run_move_with_it(tmp_path):
     (tmp_path / "run").mkdir()
     save_cameras(tmp_path / "run" / "cameras.json", make_dataset(tmp_path / "run" / "own.png"))
     (tmp_path / "run").rename(tmp_path / "moved")
-    assert load_cameras(tmp_path / "moved" / "cameras.json")[0].picture == tmp_path / "moved" / "own.png"
+    assert load_cameras(tmp_path / "moved" / "cameras.json")[0].image == tmp_path / "moved" / "own.png"
 
 
 def test_undistorted_copies_stand_in_for_distorted_photographs(tmp_path):
@@ -53,11 +53,11 @@ def test_undistorted_copies_stand_in_for_distorted_photographs(tmp_path):
     dataset.train[0] = replace(dataset.train[0], colour=colour, distorted=True)
     (tmp_path / "run").mkdir()
     save_cameras(tmp_path / "run" / "cameras.json", dataset)
-    copy, original = (p.picture for p in load_cameras(tmp_path / "run" / "cameras.json"))
+    copy, original = (p.image for p in load_cameras(tmp_path / "run" / "cameras.json"))
     assert original == tmp_path / "b.png"
     assert copy == tmp_path / "run" / "photographs" / "train" / "v0.jpg"
-    with Image.open(copy) as picture:
-        assert np.abs(np.asarray(picture) / 255 - colour).max() < 0.05
+    with Image.open(copy) as image:
+        assert np.abs(np.asarray(image) / 255 - colour).max() < 0.05
     assert not list(tmp_path.rglob("*.part"))
 
 

@@ -53,7 +53,7 @@ def test_select_and_join_are_copies(gaussians):
     assert torch.equal(gaussians.position, before)
 
 
-def test_samples_are_the_disks(gaussians):
+def test_samples_are_the_surfels(gaussians):
     s = gaussians.samples()
     assert np.array_equal(s.position, gaussians.position.T.numpy())
     assert np.allclose(np.linalg.norm(s.normal, axis=1), 1, atol=1e-5)

@@ -21,10 +21,10 @@ def test_missing_textures_are_left_out(mesh, tmp_path):
     assert list(load_textures(tmp_path)) == ["albedo"]
 
 
-def test_a_broken_picture_is_one_clear_line(mesh, tmp_path):
+def test_a_broken_image_is_one_clear_line(mesh, tmp_path):
     save_textures(mesh.textures, tmp_path)
     (tmp_path / "normal.png").write_bytes((tmp_path / "normal.png").read_bytes()[:50])
-    with pytest.raises(InputError, match=r"normal\.png: not a readable picture"):
+    with pytest.raises(InputError, match=r"normal\.png: not a readable image"):
         load_textures(tmp_path)
 
 

@@ -16,9 +16,9 @@ from irgspp.core.settings.schema import PRESETS, Settings, preset
     ("text", "read", "expected"),
     [
         ("seed=7", lambda s: s.seed, 7),
-        ("reflective.iterations=600", lambda s: s.reflective.iterations, 600),
+        ("first.iterations=600", lambda s: s.first.iterations, 600),
         ("data.masks=no", lambda s: s.data.masks, False),
-        ("transport.indirect=off", lambda s: s.transport.indirect, False),
+        ("second.indirect=off", lambda s: s.second.indirect, False),
         ("data.masks = TRUE", lambda s: s.data.masks, True),
         ("data.centre=1,-2.5,3e-1", lambda s: s.data.centre, (1.0, -2.5, 0.3)),
         ("data.centre=none", lambda s: s.data.centre, None),
@@ -35,15 +35,15 @@ def test_override_is_typed(text, read, expected):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("reflective.iteration=4", "reflective.iterations"),
-        ("iterations=4", "reflective.iterations"),
+        ("first.iteration=4", "first.iterations"),
+        ("iterations=4", "first.iterations"),
         ("preset=draft", "no such setting"),
         ("data=3", "no such setting"),
         ("seed", "key=value"),
         ("seed=x", "whole number"),
         ("seed=1.5", "whole number"),
         ("seed=-1", "out of range"),
-        ("transport.rows=5", "multiple of 2"),
+        ("second.rows=5", "multiple of 2"),
         ("data.radius=0", "out of range"),
         ("data.radius=nan", "not a number"),
         ("data.radius=inf", "not a number"),
@@ -69,9 +69,9 @@ def test_presets_are_valid_and_survive_json(name):
 def test_the_papers_schedule():
     paper = preset("paper")
     assert paper.data.resolution == 800
-    assert (paper.reflective.iterations, paper.reflective.gaussians) == (50_000, 100_000)
-    assert (paper.transport.iterations, paper.transport.pixels * paper.transport.samples) == (10_000, 1 << 18)
-    assert paper.transport.samples == sum(sample_counts("hq", False)) == 512
+    assert (paper.first.iterations, paper.first.gaussians) == (50_000, 100_000)
+    assert (paper.second.iterations, paper.second.pixels * paper.second.samples) == (10_000, 1 << 18)
+    assert paper.second.samples == sum(sample_counts("hq", False)) == 512
     assert [sum(sample_counts("efficient", glossy)) for glossy in (False, True)] == [32, 16]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound
-from irgspp.core.scene.gbuffer import SurfaceSamples, ViewBuffers
+from irgspp.core.scene.gbuffer import GBuffer, SurfaceSamples
 
 
 def colour_of(points: np.ndarray) -> np.ndarray:
@@ -35,7 +35,7 @@ class Solid:
             points = points - self.distance(points)[..., None] * self.gradient(points)
         return points
 
-    def view(self, camera: Camera, depth_noise: float = 0.0, seed: int = 0) -> ViewBuffers:
+    def view(self, camera: Camera, depth_noise: float = 0.0, seed: int = 0) -> GBuffer:
         rays = camera.rays().astype(np.float64)
         length = np.linalg.norm(rays, axis=-1)
         along = np.full(length.shape, 1.0)
@@ -50,7 +50,7 @@ class Solid:
         layers = hit, np.where(hit, along / length + noise, 0), normal, albedo, albedo
         roughness = np.where(hit, colour_of(points)[..., 1], 0)
         metallic = np.where(hit, colour_of(points)[..., 2], 0)
-        return ViewBuffers(camera, *(x.astype(np.float32) for x in (*layers, roughness, metallic)))
+        return GBuffer(camera, *(x.astype(np.float32) for x in (*layers, roughness, metallic)))
 
     def samples(self, count: int = 4000) -> SurfaceSamples:
         points = np.random.default_rng(1).uniform(-1.3, 1.3, (20 * count, 3))
@@ -85,7 +85,7 @@ def solids() -> dict[str, Solid]:
 
 @pytest.fixture(scope="session")
 def camera_ring(camera_ring) -> Callable[..., list[Camera]]:
-    """As elsewhere, with finer pictures and from nearer to the poles."""
+    """As elsewhere, with finer images and from nearer to the poles."""
     return partial(camera_ring, size=96, lowest=-0.95, highest=0.95)
 
 

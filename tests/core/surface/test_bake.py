@@ -44,12 +44,12 @@ def test_texels_lie_in_their_triangle(sphere):
     assert (np.linalg.norm(texels.interpolate(mesh.vertices[source], faces), axis=-1) > 0.98).all()
 
 
-def test_picture_fills_every_texel_with_the_nearest_value(sphere):
+def test_image_fills_every_texel_with_the_nearest_value(sphere):
     _, _, faces, uvs = sphere
     texels = bake.rasterise(uvs, faces, 64)
-    picture = texels.picture(np.full(len(texels.row), 7, np.uint8))
-    assert picture.shape == (64, 64) and (picture == 7).all()
-    colour = texels.picture(np.stack([texels.row, texels.column, texels.row], -1).astype(np.uint8))
+    image = texels.image(np.full(len(texels.row), 7, np.uint8))
+    assert image.shape == (64, 64) and (image == 7).all()
+    colour = texels.image(np.stack([texels.row, texels.column, texels.row], -1).astype(np.uint8))
     np.testing.assert_array_equal(colour[texels.row, texels.column, 1], texels.column)
 
 

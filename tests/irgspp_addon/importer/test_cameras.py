@@ -32,6 +32,6 @@ def test_photographs_are_linked_behind_the_view(run_folder):
     imported = import_run(run_folder)
     for placed, record in zip(imported.cameras, load_cameras(run_folder / "cameras.json"), strict=True):
         (background,) = placed.data.background_images
-        assert bpy.path.abspath(background.image.filepath) == str(record.picture)
+        assert bpy.path.abspath(background.image.filepath) == str(record.image)
         assert tuple(background.image.size) == (record.camera.width, record.camera.height)
         assert placed.data.show_background_images

@@ -37,7 +37,7 @@ def test_reconstruction_tells_its_progress_and_ends_with_a_run(tmp_path):
     del jobs.ON_DONE["test"]
     assert (job.state, job.error) == ("done", None), job.log_tail()
     assert {state for state, _ in seen} == {"running", "done"}
-    assert {"reflective", "transport"} & {phase for _, phase in seen}
+    assert {"first stage", "second stage"} & {phase for _, phase in seen}
     assert 0 < job.figures["loss"] < 1 and 5 < job.figures["psnr"] < 60
     assert job.preview == tmp_path / "run" / "previews" / "latest.png"
     assert job.preview.read_bytes().startswith(b"\x89PNG")
@@ -50,7 +50,7 @@ def test_reconstruction_tells_its_progress_and_ends_with_a_run(tmp_path):
 def test_cancelled_reconstruction_goes_on_and_finishes_early(tmp_path):
     words = reconstruction(tmp_path / "run", reflective__iterations=1_000_000)
     job = jobs.start("reconstruct", "tiny", tmp_path / "run", words)
-    until(lambda: job.phase == "reflective" and job.step > 0)
+    until(lambda: job.phase == "first stage" and job.step > 0)
     assert not job.resumable and job.can_finish_early
     jobs.cancel(job)
     assert job.stopping and not job.can_finish_early
@@ -60,12 +60,12 @@ def test_cancelled_reconstruction_goes_on_and_finishes_early(tmp_path):
     assert job.resumable
     jobs.resume(job)
     assert (job.state, job.stopping) == ("running", False)
-    until(lambda: job.phase == "reflective" and job.step > 0)
+    until(lambda: job.phase == "first stage" and job.step > 0)
     jobs.finish_early(job)
     until(lambda: job.finished)
     assert (job.state, job.error) == ("done", None), job.log_tail()
     state = run_state(tmp_path / "run")
-    assert state["settings"]["reflective"]["iterations"] == 1_000_000 and state["status"] == "done"
+    assert state["settings"]["first"]["iterations"] == 1_000_000 and state["status"] == "done"
     assert (tmp_path / "run" / "asset.glb").exists()
     with pytest.raises(InputError, match="finish early"):
         jobs.finish_early(job)
@@ -74,14 +74,14 @@ def test_cancelled_reconstruction_goes_on_and_finishes_early(tmp_path):
 @POSIX
 def test_crash_is_told_with_the_last_words_and_can_be_resumed(tmp_path):
     job = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", reflective__iterations=1_000_000))
-    until(lambda: job.phase == "reflective" and job.step > 0)
+    until(lambda: job.phase == "first stage" and job.step > 0)
     os.kill(json.loads((job.notes / "worker.json").read_text())["pid"], signal.SIGKILL)
     until(lambda: job.finished)
     assert job.state == "failed" and "SIGKILL" in job.error and "\n" not in job.error
-    assert any("reflective" in line or "read pictures" in line for line in job.log_tail())
+    assert any("first stage" in line or "read images" in line for line in job.log_tail())
     assert job.resumable
     jobs.resume(job)  # the lock of the run folder is free again
-    until(lambda: job.phase == "reflective" and job.step > 0)
+    until(lambda: job.phase == "first stage" and job.step > 0)
     jobs.cancel(job)
     until(lambda: job.finished)
     assert job.state == "cancelled"
@@ -107,7 +107,7 @@ def test_disk_that_fills_up_is_one_line_and_loses_nothing(tmp_path, monkeypatch)
     assert run_state(tmp_path / "run")["status"] == "failed"
     monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
     jobs.resume(job)
-    until(lambda: job.phase == "transport" or job.finished)
+    until(lambda: job.phase == "second stage" or job.finished)
     assert job.state == "running", job.log_tail()
 
 
@@ -119,7 +119,7 @@ def test_engine_that_is_deleted_while_a_job_runs(tmp_path, monkeypatch):
     monkeypatch.setenv("IRGSPP_PYTHON", str(wrapper))
     first = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", reflective__iterations=1_000_000))
     second = jobs.start("render", "waits", None, ["render", str(tmp_path / "run")])
-    until(lambda: first.phase == "reflective" and first.step > 0)
+    until(lambda: first.phase == "first stage" and first.step > 0)
     wrapper.unlink()
     assert engine.status().state == "missing" and str(wrapper) in engine.status().text
     with pytest.raises(InputError, match="can't be started"):

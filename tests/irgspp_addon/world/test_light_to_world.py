@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from blender_side import read_picture, write_picture
+from blender_side import read_image, write_image
 from irgspp.core.scene.camera_files import load_cameras
 from irgspp.irgspp_addon.importer.cameras import look_through
 from irgspp.irgspp_addon.importer.scene_builder import import_run, show_as_photographed
@@ -33,8 +33,8 @@ def test_background_shows_the_texels_that_our_rays_meet(run_folder, tmp_path, in
     scene.render.filepath = str(tmp_path / "view.exr")
     bpy.ops.render.render(write_still=True)
     camera = load_cameras(run_folder / "cameras.json")[index].camera
-    expected = look_up(read_picture(run_folder / "environment.exr"), camera.rays().astype(float))
-    rendered = read_picture(tmp_path / "view.exr")
+    expected = look_up(read_image(run_folder / "environment.exr"), camera.rays().astype(float))
+    rendered = read_image(tmp_path / "view.exr")
     assert rendered.shape == expected.shape
     assert np.abs(rendered - expected).max() < 0.04  # texels differ by up to 0.03; a wrong axis makes 0.5
     assert np.abs(rendered - expected).mean() < 0.01
@@ -43,7 +43,7 @@ def test_background_shows_the_texels_that_our_rays_meet(run_folder, tmp_path, in
 def test_any_world_is_baked_in_our_convention(tmp_path):
     bpy.ops.wm.read_homefile(use_empty=True)
     light = (0.5 + 0.4 * map_directions(32, 64)).astype(np.float32)
-    write_picture(tmp_path / "light.exr", light)
+    write_image(tmp_path / "light.exr", light)
     world = bpy.context.scene.world = world_from_map(tmp_path / "light.exr")
     nodes = world.node_tree.nodes
     next(n for n in nodes if n.bl_idname == "ShaderNodeBackground").inputs["Strength"].default_value = 2.0
@@ -51,5 +51,5 @@ def test_any_world_is_baked_in_our_convention(tmp_path):
     bake_world(bpy.context.scene, tmp_path / "baked.exr", 32)
     d = map_directions(32, 64)
     turned = np.stack([-d[..., 1], d[..., 0], d[..., 2]], -1)  # the texel seen along +X is that of +Y
-    assert np.allclose(read_picture(tmp_path / "baked.exr"), 2 * (0.5 + 0.4 * turned), atol=0.01)
+    assert np.allclose(read_image(tmp_path / "baked.exr"), 2 * (0.5 + 0.4 * turned), atol=0.01)
     assert len(bpy.data.scenes) == 1

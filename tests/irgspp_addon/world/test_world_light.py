@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light of any World: read from its picture, rendered by another Blender, and both the same; Worlds without light in words."""
+"""The light of any World: read from its image, rendered by another Blender, and both the same; Worlds without light in words."""
 
 import bpy
 import numpy as np
 import pytest
-from blender_side import read_picture, write_picture
+from blender_side import read_image, write_image
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.scene.camera import Camera, look_at
-from irgspp.core.scene.environment_map import LightMap, reduced, texel_directions
+from irgspp.core.scene.environment_map import EnvironmentMap, reduced, texel_directions
 from irgspp.irgspp_addon.world import world_light as module
 from irgspp.irgspp_addon.world.fingerprint import fingerprint
 from irgspp.irgspp_addon.world.light_to_world import bake_world, node_tree, world_from_map
@@ -27,8 +27,8 @@ def empty_file():
 
 @pytest.fixture
 def world(tmp_path):
-    """A World of a smooth picture, its nodes by name of kind."""
-    world = bpy.context.scene.world = world_from_map(write_picture(tmp_path / "light.exr", axis_light(ROWS)))
+    """A World of a smooth image, its nodes by name of kind."""
+    world = bpy.context.scene.world = world_from_map(write_image(tmp_path / "light.exr", axis_light(ROWS)))
     return world
 
 
@@ -68,17 +68,17 @@ def test_plain_worlds_are_read_as_they_render(world, rotation, kind):
     node(world, "Background").inputs["Strength"].default_value = 1.7
     light = plain_light(world)
     assert light is not None
-    assert np.abs(light.picture(ROWS) - rendered(world)).max() < 1e-4
+    assert np.abs(light.image(ROWS) - rendered(world)).max() < 1e-4
 
 
 def test_a_mapping_of_90_degrees_shows_y_where_x_was(world):
     node(world, "Mapping").inputs["Rotation"].default_value = (0, 0, np.pi / 2)
-    picture, source = plain_light(world).picture(ROWS), axis_light(ROWS)
-    assert np.allclose(picture[:, ROWS], source[:, ROWS // 2], atol=0.02)  # +X in the middle sees the texel of +Y, a quarter from the left
+    image, source = plain_light(world).image(ROWS), axis_light(ROWS)
+    assert np.allclose(image[:, ROWS], source[:, ROWS // 2], atol=0.02)  # +X in the middle sees the texel of +Y, a quarter from the left
     assert np.allclose(plain_light(world).radiance(np.array([[1.0, 0, 0]])), source[ROWS // 2, ROWS // 2], atol=0.03)
 
 
-def test_eight_bit_pictures_are_decoded_as_cycles_does(tmp_path, world):
+def test_eight_bit_images_are_decoded_as_cycles_does(tmp_path, world):
     image = bpy.data.images.new("bytes", 2 * ROWS, ROWS)
     pixels = np.ones((ROWS, 2 * ROWS, 4), np.float32)
     pixels[..., :3] = np.clip(axis_light(ROWS), 0, 1)
@@ -86,20 +86,20 @@ def test_eight_bit_pictures_are_decoded_as_cycles_does(tmp_path, world):
     image.filepath_raw, image.file_format = str(tmp_path / "light.png"), "PNG"
     image.save()
     node(world, "TexEnvironment").image = bpy.data.images.load(str(tmp_path / "light.png"))
-    assert np.abs(plain_light(world).picture(ROWS) - rendered(world)).max() < 1e-4
+    assert np.abs(plain_light(world).image(ROWS) - rendered(world)).max() < 1e-4
 
 
-def test_packed_and_relative_pictures(tmp_path, world):
-    before = plain_light(world).picture(ROWS)
+def test_packed_and_relative_images(tmp_path, world):
+    before = plain_light(world).image(ROWS)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     image = node(world, "TexEnvironment").image
     image.filepath = "//light.exr"
     module.forget()
-    assert np.array_equal(plain_light(world).picture(ROWS), before)
+    assert np.array_equal(plain_light(world).image(ROWS), before)
     assert np.abs(rendered(world) - before).max() < 1e-4
     image.pack()
     (tmp_path / "light.exr").unlink()
-    assert np.array_equal(plain_light(world).picture(ROWS), before)
+    assert np.array_equal(plain_light(world).image(ROWS), before)
     assert np.abs(rendered(world) - before).max() < 1e-4
 
 
@@ -107,19 +107,19 @@ def test_colours_and_worlds_without_nodes(world):
     world.node_tree.links.remove(node(world, "Background").inputs["Color"].links[0])
     node(world, "Background").inputs["Color"].default_value = (0.2, 0.4, 0.8, 1)
     node(world, "Background").inputs["Strength"].default_value = 3
-    assert np.allclose(plain_light(world).picture(4), [0.6, 1.2, 2.4])
+    assert np.allclose(plain_light(world).image(4), [0.6, 1.2, 2.4])
     assert np.abs(rendered(world, 4) - [0.6, 1.2, 2.4]).max() < 1e-4
     if bpy.app.version < (5, 0, 0):
         world.use_nodes, world.color = False, (0.1, 0.2, 0.3)
-        assert np.allclose(plain_light(world).picture(4), [0.1, 0.2, 0.3])
+        assert np.allclose(plain_light(world).image(4), [0.1, 0.2, 0.3])
     world.node_tree.nodes.clear()
     if bpy.app.version < (5, 0, 0):
         world.use_nodes = True
-    assert not plain_light(world).picture(4).any() and not rendered(world, 4).any()
+    assert not plain_light(world).image(4).any() and not rendered(world, 4).any()
 
 
 def test_mixed_worlds_are_rendered(world):
-    """0.7 of the picture and 0.3 of a colour."""
+    """0.7 of the image and 0.3 of a colour."""
     nodes, links = world.node_tree.nodes, world.node_tree.links
     mix, colour = nodes.new("ShaderNodeMixShader"), nodes.new("ShaderNodeBackground")
     colour.inputs["Color"].default_value, mix.inputs[0].default_value = (0.2, 0.4, 0.8, 1), 0.3
@@ -137,14 +137,14 @@ def test_skies_are_rendered_as_a_camera_sees_them(tmp_path):
     scene = bpy.context.scene
     scene.world = sky_world()
     assert plain_light(scene.world) is None
-    light = LightMap(rendered(scene.world, 512))
+    light = EnvironmentMap(rendered(scene.world, 512))
     camera = Camera(24, 16, 30.0, 30.0, 12.0, 8.0, look_at((-1.0, 0.4, -0.9)))  # upwards: the horizon has an edge
     see_through(scene, camera, "up")
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.filter_width = 1, False, 0.01
     scene.render.filepath = str(tmp_path / "view.exr")
     bpy.ops.render.render(write_still=True)
-    seen = read_picture(tmp_path / "view.exr")
+    seen = read_image(tmp_path / "view.exr")
     assert seen.std() > 0.01
     assert np.abs(light.radiance(camera.rays()) - seen).max() < 1e-4 * seen.max()
 
@@ -202,7 +202,7 @@ def test_worlds_without_light_are_told(world, tmp_path):
     node(world, "TexEnvironment").image = None
     with pytest.raises(InputError, match="has no image"):
         world_light(world)
-    image = node(world, "TexEnvironment").image = bpy.data.images.load(str(write_picture(tmp_path / "gone.exr", axis_light(4))))
+    image = node(world, "TexEnvironment").image = bpy.data.images.load(str(write_image(tmp_path / "gone.exr", axis_light(4))))
     (tmp_path / "gone.exr").unlink()
     image.reload()
     with pytest.raises(InputError, match=r"gone.*can't be read"):
@@ -219,21 +219,21 @@ def test_a_render_that_fails_is_told(monkeypatch, tmp_path):
 
 
 def test_light_maps_as_files(tmp_path):
-    light = LightMap(axis_light(ROWS))
+    light = EnvironmentMap(axis_light(ROWS))
     save_light(light, tmp_path / "light.exr", ROWS)
     save_light(light, tmp_path / "light.npy", ROWS)
-    assert np.array_equal(read_picture(tmp_path / "light.exr"), axis_light(ROWS))
+    assert np.array_equal(read_image(tmp_path / "light.exr"), axis_light(ROWS))
     assert np.array_equal(np.load(tmp_path / "light.npy"), axis_light(ROWS))
     with pytest.raises(InputError, match=r"\.exr or \.npy"):
         save_light(light, tmp_path / "light.jpg", ROWS)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["light.exr", "light.npy"]
 
 
-def test_pictures_lose_no_light():
+def test_images_lose_no_light():
     texels = np.zeros((64, 128, 3), np.float32)
     texels[20, 77] = 1000  # a sun of one texel
-    turned = LightMap(texels, np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), 2.0)
+    turned = EnvironmentMap(texels, np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), 2.0)
     angle = [-np.diff(np.cos(np.arange(rows + 1) * np.pi / rows))[:, None, None] * np.pi / rows for rows in (16, 64)]
-    assert np.isclose((turned.picture(16) * angle[0]).sum(), 2 * (texels * angle[1]).sum(), rtol=1e-3)
-    assert np.array_equal(reduced(texels, 4), LightMap(texels).picture(16))
-    assert np.allclose(LightMap(texels).radiance(texel_directions(64)), texels, atol=1e-3)
+    assert np.isclose((turned.image(16) * angle[0]).sum(), 2 * (texels * angle[1]).sum(), rtol=1e-3)
+    assert np.array_equal(reduced(texels, 4), EnvironmentMap(texels).image(16))
+    assert np.allclose(EnvironmentMap(texels).radiance(texel_directions(64)), texels, atol=1e-3)

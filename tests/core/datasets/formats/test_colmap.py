@@ -55,7 +55,7 @@ def test_the_world_is_upright_and_the_object_at_its_origin(capture):
     np.testing.assert_allclose(np.linalg.svd(data.to_world[:3, :3])[1], 1, atol=1e-9)
 
 
-def test_up_survives_pictures_taken_on_edge(capture):
+def test_up_survives_images_taken_on_edge(capture):
     capture.transforms()
     cameras = [c for _, c in load_cameras(capture.folder, "all")[0]]
     turned = [c.to_world.copy() for c in cameras]
@@ -65,36 +65,36 @@ def test_up_survives_pictures_taken_on_edge(capture):
     assert up_of(tipped)[2] > 0.999
 
 
-def test_pictures_in_subfolders_with_masks(capture):
+def test_images_in_subfolders_with_masks(capture):
     names = [f"{'a' if i < 5 else 'b'}/{i % 5}.png" for i in range(10)]
     capture.colmap(True, names=names)
-    for name, picture in zip(names, capture.pictures, strict=True):
+    for name, image in zip(names, capture.images, strict=True):
         mask = capture.folder / "masks" / name
         mask.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(picture[..., 3]).save(mask)
+        Image.fromarray(image[..., 3]).save(mask)
     data = load_dataset(capture.folder, ALL)
     assert data.has_alpha and {v.name for v in data.train} == {f"{f}_{i}" for f in "ab" for i in range(5)}
-    for view, picture in zip(data.train, capture.pictures, strict=True):
-        np.testing.assert_array_equal(view.alpha, picture[..., 3] / np.float32(255))
+    for view, image in zip(data.train, capture.images, strict=True):
+        np.testing.assert_array_equal(view.alpha, image[..., 3] / np.float32(255))
 
 
-def test_downscaled_pictures_are_taken_where_they_suffice(capture):
+def test_downscaled_images_are_taken_where_they_suffice(capture):
     capture.colmap(False)
     for factor in (2, 4):
         folder = capture.folder / f"images_{factor}"
         folder.mkdir()
-        for i, picture in enumerate(capture.pictures):
-            Image.fromarray(picture[..., :3]).reduce(factor).save(folder / f"{i:03d}.png")
+        for i, image in enumerate(capture.images):
+            Image.fromarray(image[..., :3]).reduce(factor).save(folder / f"{i:03d}.png")
     for resolution, folder, width in ((800, "images", 60), (30, "images_2", 30), (20, "images_2", 20), (15, "images_4", 15)):
         view = load_dataset(capture.folder, DataSettings(resolution=resolution)).train[0]
         assert view.path.parent.name == folder and view.camera.width == width
         assert view.camera.fx == pytest.approx(capture.focal * width / 60)
 
 
-def test_only_downscaled_pictures(capture):
+def test_only_downscaled_images(capture):
     capture.colmap(True, images="images_2")
-    for i, picture in enumerate(capture.pictures):
-        Image.fromarray(picture[..., :3]).reduce(2).save(capture.folder / f"images_2/{i:03d}.png")
+    for i, image in enumerate(capture.images):
+        Image.fromarray(image[..., :3]).reduce(2).save(capture.folder / f"images_2/{i:03d}.png")
     data = load_dataset(capture.folder)
     assert data.train[0].camera.fx == pytest.approx(capture.focal / 2) and "30x24" in data.warnings[0]
 

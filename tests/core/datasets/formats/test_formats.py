@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from formats_scene import AXES, axes_light
-from irgspp.core.datasets.format_detection import read_capture
+from irgspp.core.datasets.format_detection import parse_dataset
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.datasets.summary import describe
 from irgspp.core.errors import InputError
@@ -29,9 +29,9 @@ LIGHTS = {
 }
 WRONG = 0.25  # what RIGHT is for the right light, for a turned or mirrored one; measured: 0.31 upwards over all views
 TINY = (
-    "materials=low-gloss", "reflective.iterations=60", "reflective.gaussians=2000", "reflective.light_height=8", "surface.voxels=44",
-    "transport.points=400", "transport.rows=4", "transport.iterations=2", "transport.pixels=32", "transport.samples=8",
-    "transport.pool=1000", "transport.radiance_iterations=4", "transport.light_height=8", "surface.triangles=400", "surface.texture=16",
+    "materials=low-gloss", "first.iterations=60", "first.gaussians=2000", "first.light_height=8", "surface.voxels=44",
+    "second.points=400", "second.rows=4", "second.iterations=2", "second.pixels=32", "second.samples=8",
+    "second.pool=1000", "second.radiance_iterations=4", "second.light_height=8", "surface.triangles=400", "surface.texture=16",
     "data.holdout=4",
 )  # fmt: skip
 
@@ -47,7 +47,7 @@ def all_frames(capture):
 
 def test_formats_are_told_by_their_content_and_shown(written):
     name, dataset = written
-    capture, data = read_capture(dataset.path, DataSettings()), load_dataset(dataset.path, SEVERAL)
+    capture, data = parse_dataset(dataset.path, DataSettings()), load_dataset(dataset.path, SEVERAL)
     assert capture.format == data.format == name and ["format", name] == describe(data).splitlines()[1].split()
     assert len(all_frames(capture)) == len(dataset.shots)
     assert len(data.train) >= 14 and len(data.test) >= 2
@@ -55,7 +55,7 @@ def test_formats_are_told_by_their_content_and_shown(written):
 
 def test_cameras_are_the_true_ones(written):
     name, dataset = written
-    capture = read_capture(dataset.path, DataSettings())
+    capture = parse_dataset(dataset.path, DataSettings())
     found = [dataset.shot_of(f.to_world, capture.to_world) for f in all_frames(capture)]
     assert max(error for _, error in found) < 1e-5
     assert len({id(shot) for shot, _ in found}) == len(dataset.shots)  # none twice
@@ -68,7 +68,7 @@ def test_cameras_are_the_true_ones(written):
         assert np.allclose((lens.fx, lens.fy, lens.cx, lens.cy), (focal, focal, width / 2, height / 2), rtol=1e-6) and not lens.distorted
 
 
-def test_pictures_and_masks_are_those_of_their_cameras(written):
+def test_images_and_masks_are_those_of_their_cameras(written):
     name, dataset = written
     data = load_dataset(dataset.path, SEVERAL)
     assert data.has_alpha == (name not in UNMASKED)
@@ -90,7 +90,7 @@ def test_pictures_and_masks_are_those_of_their_cameras(written):
 
 def test_the_declared_split_is_kept(written):
     _, dataset = written
-    capture = read_capture(dataset.path, DataSettings())
+    capture = parse_dataset(dataset.path, DataSettings())
     tests = {id(s) for s in dataset.source.test}
     learn, check = capture.split(DataSettings(holdout=8))
     assert {id(dataset.shot_of(f.to_world, capture.to_world)[0]) for f in check} <= tests and len(check) >= 2
@@ -121,9 +121,9 @@ def test_what_is_stated_of_views_is_true(name, every):
             if stated is not None:
                 assert np.abs(stated - layer)[inside].max() < tolerance, kind
                 kinds.add(kind)
-        for light, picture in truth.relit.items():
+        for light, image in truth.relit.items():
             own = shot.relit[LIGHTS[name][light]]
-            assert np.abs(picture - own[..., :3] / 255)[own[..., 3] == 255].max() < 1.1 / 255
+            assert np.abs(image - own[..., :3] / 255)[own[..., 3] == 255].max() < 1.1 / 255
     expected = {
         "tensoir": "albedo normal",
         "nerf-synthetic": "normal",
@@ -134,37 +134,37 @@ def test_what_is_stated_of_views_is_true(name, every):
 
 
 def explained(dataset, seen, to_world):
-    """Assert that the ball mirrors the light of each (camera, alpha, picture, light), and no light that is turned or mirrored."""
+    """Assert that the ball mirrors the light of each (camera, alpha, image, light), and no light that is turned or mirrored."""
     errors = [dataset.mirror_error(*one, to_world) for one in seen]
     assert max(errors) < RIGHT
     mistakes: dict[str, list[float]] = {}
-    for camera, alpha, picture, light in seen:
+    for camera, alpha, image, light in seen:
         for mistake, wrong in mirror_errors(light):
-            mistakes.setdefault(mistake, []).append(dataset.mirror_error(camera, alpha, picture, wrong, to_world))
+            mistakes.setdefault(mistake, []).append(dataset.mirror_error(camera, alpha, image, wrong, to_world))
     assert len(mistakes) == 7
     for mistake, wrong in mistakes.items():
         assert np.mean(wrong) > WRONG, mistake
 
 
 @pytest.mark.parametrize("name", sorted(LIGHTS))
-def test_lights_are_turned_as_the_pictures_show(name, every):
+def test_lights_are_turned_as_the_images_show(name, every):
     data, scene, truths = truths_of(every[name])
     by_light: dict[str, list] = {}
     for view, truth in truths:
-        shown = {**truth.relit, **({scene.train_light: truth.picture} if scene.train_light else {})}
+        shown = {**truth.relit, **({scene.train_light: truth.image} if scene.train_light else {})}
         if view.light is None and name == "stanford-orb":
-            shown["scene_scene001"] = truth.picture
-        for light, picture in shown.items():
+            shown["scene_scene001"] = truth.image
+        for light, image in shown.items():
             known = truth.lights.get(light, scene.lights.get(light))
-            by_light.setdefault(light, []).append((view.camera, truth.alpha, picture, known))
+            by_light.setdefault(light, []).append((view.camera, truth.alpha, image, known))
     assert set(by_light) == set(LIGHTS[name]) and set(LIGHTS[name].values()) <= set(AXES)
     for seen in by_light.values():
         assert len(seen) >= 2
         explained(every[name], seen, data.to_world)
 
 
-def test_the_world_is_turned_as_the_pictures_show(written):
-    """The scene's own light, taken where the file's axes say, is what the ball mirrors in every picture."""
+def test_the_world_is_turned_as_the_images_show(written):
+    """The scene's own light, taken where the file's axes say, is what the ball mirrors in every image."""
     _, dataset = written
     data = load_dataset(dataset.path, SEVERAL)
     light = turned(axes_light("axes"), data.to_world @ dataset.world)
@@ -173,7 +173,7 @@ def test_the_world_is_turned_as_the_pictures_show(written):
 
 def test_up_is_up(written):
     name, dataset = written
-    to_world = read_capture(dataset.path, DataSettings()).to_world
+    to_world = parse_dataset(dataset.path, DataSettings()).to_world
     up = (to_world @ dataset.world)[:3, 2]
     assert up[2] / np.linalg.norm(up) > (0.999 if name in ("metashape", "ref-real") else 1 - 1e-6)
 

@@ -2,7 +2,7 @@
 """Cameras of Metashape: sensors of every kind, and files that are hostile or damaged."""
 
 import pytest
-from irgspp.core.datasets.format_detection import read_capture
+from irgspp.core.datasets.format_detection import parse_dataset
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.settings.schema import DataSettings
 from refused import refused
@@ -36,9 +36,9 @@ def metashape(folder, doctype="", extra="", label="{i:03d}", pose=POSE):
     ],
 )
 def test_hostile_and_damaged_cameras_of_metashape(trapped, given, words):
-    trapped.save_pictures([f"images/{i:03d}.png" for i in range(10)])
+    trapped.save_images([f"images/{i:03d}.png" for i in range(10)])
     metashape(trapped.folder)
-    assert read_capture(trapped.folder, DataSettings()).format == "metashape"
+    assert parse_dataset(trapped.folder, DataSettings()).format == "metashape"
     given = {k: v.replace("{{outside}}", str(trapped.folder.parent)) for k, v in given.items()}
     metashape(trapped.folder, **given)
     with refused(*words):
@@ -47,7 +47,7 @@ def test_hostile_and_damaged_cameras_of_metashape(trapped, given, words):
 
 def test_sensors_of_metashape(trapped):
     """A fisheye and a frame camera, one sensor never calibrated, one camera switched off."""
-    trapped.save_pictures([f"images/{i:03d}.png" for i in range(10)])
+    trapped.save_images([f"images/{i:03d}.png" for i in range(10)])
     metashape(trapped.folder)
     file = trapped.folder / "cameras.xml"
     fisheye = """<sensor id="1" label="f" type="fisheye"><resolution width="60" height="48"/><calibration type="fisheye" class="initial">
@@ -56,7 +56,7 @@ def test_sensors_of_metashape(trapped):
     text = file.read_text().replace("</sensors>", fisheye)
     text = text.replace('id="3" sensor_id="0"', 'id="3" sensor_id="1"').replace('id="4" sensor_id="0"', 'id="4" sensor_id="2"')
     file.write_text(text.replace('id="5" sensor_id="0"', 'id="5" sensor_id="0" enabled="false"'))
-    capture = read_capture(trapped.folder, DataSettings())
+    capture = parse_dataset(trapped.folder, DataSettings())
     lenses = {f.listed: f.lens for f in capture.train}
     assert sorted(lenses) == [f"{i:03d}" for i in range(10) if i not in (4, 5)] and "2 cameras" in capture.warnings[0]
     one = lenses["003"]

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.format_detection import read_capture
+from irgspp.core.datasets.format_detection import parse_dataset
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.settings.schema import DataSettings
 from refused import refused
@@ -24,20 +24,20 @@ HEAD = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"
     ],
 )
 def test_hostile_and_damaged_cameras_of_realitycapture(trapped, row, words):
-    trapped.save_pictures([f"images/{i:03d}.png" for i in range(10)])
+    trapped.save_images([f"images/{i:03d}.png" for i in range(10)])
     rows = [f"{i:03d}.png,{i},0,0,{20 * i},40,0,40,0,0,0,0,0,0,0,0" for i in range(10)]
     file = trapped.folder / "cameras.csv"
     file.write_text("\n".join(["#cameras 10", HEAD, *rows]))
-    assert read_capture(trapped.folder, DataSettings()).format == "realitycapture"
+    assert parse_dataset(trapped.folder, DataSettings()).format == "realitycapture"
     file.write_text("\n".join([HEAD, *rows[:3], row, *rows[4:]]))
     with refused(*words):
         load_dataset(trapped.folder)
 
 
 def test_capture_of_realitycapture_with_a_semicolon(trapped):
-    trapped.save_pictures([f"{i:03d}.png" for i in range(10)])
-    rows = [f"{i:03d};{i};0;0;{20 * i};40;0;40;0.01;-0.02;0;0;0;0;0;0" for i in range(10)]  # names without extension, pictures beside
+    trapped.save_images([f"{i:03d}.png" for i in range(10)])
+    rows = [f"{i:03d};{i};0;0;{20 * i};40;0;40;0.01;-0.02;0;0;0;0;0;0" for i in range(10)]  # names without extension, images beside
     (trapped.folder / "cameras.csv").write_text("\n".join([HEAD.replace(",", ";"), *rows]))
-    capture = read_capture(trapped.folder, DataSettings())
+    capture = parse_dataset(trapped.folder, DataSettings())
     lens = capture.train[0].lens
     assert len(capture.train) == 10 and np.allclose((lens.fx, lens.cx, lens.cy), (40 / 36 * 60, 30.6, 22.8))

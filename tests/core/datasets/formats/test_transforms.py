@@ -16,7 +16,7 @@ ALL = DataSettings(holdout=0)
 
 
 def pixels(capture, index):
-    return capture.pictures[index].astype(np.float32) / 255
+    return capture.images[index].astype(np.float32) / 255
 
 
 def test_instant_ngp_gives_cameras_and_pixels_as_written(capture):
@@ -34,7 +34,7 @@ def test_nerf_synthetic_without_extensions_and_with_its_own_test_split(capture):
     listed = [f"./train/r_{i}" for i in range(10)]
     path = capture.transforms("transforms_train.json", listed, **capture.angle)
     (capture.folder / "test" / "r_0").mkdir(parents=True)
-    Image.fromarray(capture.pictures[0]).save(capture.folder / "test/r_0/rgba.png")
+    Image.fromarray(capture.images[0]).save(capture.folder / "test/r_0/rgba.png")
     content = json.loads(path.read_text())
     content["frames"] = [{**content["frames"][0], "file_path": "./test/r_0/rgba"}]
     (capture.folder / "transforms_test.json").write_text(json.dumps(content))
@@ -66,13 +66,13 @@ def test_a_frame_may_have_its_own_intrinsics(capture):
 @pytest.mark.parametrize("suffix", [".PNG", ".jpg", ".JPEG"])
 def test_extensions_are_found(capture, suffix):
     capture.transforms(names=[f"images/{i}" for i in range(10)])
-    for i, picture in enumerate(capture.pictures):
+    for i, image in enumerate(capture.images):
         (capture.folder / f"images/{i}.png").unlink()
         kind = "PNG" if suffix == ".PNG" else "JPEG"
-        Image.fromarray(picture[..., :3]).save(capture.folder / f"images/{i}{suffix}", kind, quality=95)
+        Image.fromarray(image[..., :3]).save(capture.folder / f"images/{i}{suffix}", kind, quality=95)
     data = load_dataset(capture.folder, ALL)
     assert data.train[0].path.suffix == suffix and data.train[0].alpha is None
-    inside = capture.pictures[0][8:40, 10:50, :3] / 255
+    inside = capture.images[0][8:40, 10:50, :3] / 255
     assert np.abs(data.train[0].colour[8:40, 10:50] - inside).mean() < 0.03
 
 
@@ -80,10 +80,10 @@ def test_extensions_are_found(capture, suffix):
 def test_masks_from_files(capture, place):
     names = [f"images/{i:03d}.jpg" for i in range(10)]
     path = capture.transforms(names=names, alpha=False)
-    for i, picture in enumerate(capture.pictures):
+    for i, image in enumerate(capture.images):
         file = capture.folder / ("elsewhere/{}.png" if place == "mask_path" else place).format(f"{i:03d}")
         file.parent.mkdir(exist_ok=True)
-        Image.fromarray(picture[..., 3]).save(file)
+        Image.fromarray(image[..., 3]).save(file)
         if place == "mask_path":
             capture.edit(path, lambda c, i=i: c["frames"][i].update(mask_path=f"elsewhere/{i:03d}.png"))
     data = load_dataset(capture.folder, ALL)
@@ -92,11 +92,11 @@ def test_masks_from_files(capture, place):
     assert not load_dataset(capture.folder, DataSettings(masks=False)).has_alpha
 
 
-def test_sixteen_bit_pictures_keep_their_depth(capture):
+def test_sixteen_bit_images_keep_their_depth(capture):
     import cv2
 
     capture.transforms()
-    wide = np.random.default_rng(0).integers(0, 65536, (10, *capture.pictures[0].shape), dtype=np.uint16)
+    wide = np.random.default_rng(0).integers(0, 65536, (10, *capture.images[0].shape), dtype=np.uint16)
     wide[:, :20, :, 3] = 65535
     for i in range(10):
         cv2.imwrite(str(capture.folder / f"images/{i:03d}.png"), cv2.cvtColor(wide[i], cv2.COLOR_RGBA2BGRA))
@@ -107,10 +107,10 @@ def test_sixteen_bit_pictures_keep_their_depth(capture):
 
 def test_exr_is_linear_and_premultiplied(capture):
     capture.transforms(names=[f"images/{i}" for i in range(10)])
-    for i, picture in enumerate(capture.pictures):
+    for i, image in enumerate(capture.images):
         (capture.folder / f"images/{i}.png").unlink()
-        alpha = picture[..., 3] / np.float32(255) * 0.5
-        linear = 3 * decode_srgb(picture[..., :3] / np.float32(255)) * alpha[..., None]
+        alpha = image[..., 3] / np.float32(255) * 0.5
+        linear = 3 * decode_srgb(image[..., :3] / np.float32(255)) * alpha[..., None]
         channels = {n: np.ascontiguousarray(c, np.float32) for n, c in zip("RGBA", [*np.moveaxis(linear, -1, 0), alpha], strict=True)}
         OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(
             str(capture.folder / f"images/{i}.exr")
@@ -121,7 +121,7 @@ def test_exr_is_linear_and_premultiplied(capture):
     assert view.colour.max() > 1 and set(np.unique(view.alpha)) == {0, 0.5}
 
 
-def test_missing_pictures_are_left_out_and_told(capture):
+def test_missing_images_are_left_out_and_told(capture):
     capture.transforms()
     (capture.folder / "images/002.png").unlink()
     data = load_dataset(capture.folder, ALL)
@@ -130,17 +130,17 @@ def test_missing_pictures_are_left_out_and_told(capture):
 
 
 def test_opaque_alpha_is_no_mask(capture):
-    for picture in capture.pictures:
-        picture[..., 3] = 255
+    for image in capture.images:
+        image[..., 3] = 255
     capture.transforms()
     assert not load_dataset(capture.folder).has_alpha
 
 
 def test_reduction_averages_linear_light_under_alpha(capture):
-    for picture in capture.pictures:
-        picture[:] = 0
-        picture[10:40, 10:50] = (255, 255, 255, 255)
-        picture[10:40, 11:50:2] = (0, 0, 0, 255)  # stripes of one pixel: half the light
+    for image in capture.images:
+        image[:] = 0
+        image[10:40, 10:50] = (255, 255, 255, 255)
+        image[10:40, 11:50:2] = (0, 0, 0, 255)  # stripes of one pixel: half the light
     capture.transforms()
     view = load_dataset(capture.folder, DataSettings(resolution=30, holdout=0)).train[0]
     assert view.colour.shape == (24, 30, 3) and (view.camera.width, view.camera.fx) == (30, capture.focal / 2)
@@ -155,7 +155,7 @@ def test_names_stay_unique(capture):
     assert len(set(found)) == 10 and found[0] == "right_0"
 
 
-def test_cameras_of_test_pictures_that_are_not_there(capture):
+def test_cameras_of_test_images_that_are_not_there(capture):
     path = capture.transforms("transforms_train.json", [f"train/{i}" for i in range(10)], **capture.angle)
     content = json.loads(path.read_text())
     content["frames"] = [{**f, "file_path": f"test/{i}/rgba"} for i, f in enumerate(content["frames"][:4])]
@@ -206,16 +206,16 @@ def test_exif_orientation_is_ignored(capture):
     capture.transforms(names=names, alpha=False)
     exif = Image.Exif()
     exif[0x0112] = 6  # rotate by a quarter turn
-    for name, picture in zip(names, capture.pictures, strict=True):
-        Image.fromarray(picture[..., :3]).save(capture.folder / name, quality=95, exif=exif)
+    for name, image in zip(names, capture.images, strict=True):
+        Image.fromarray(image[..., :3]).save(capture.folder / name, quality=95, exif=exif)
     assert load_dataset(capture.folder).train[0].colour.shape == (*capture.size[::-1], 3)
 
 
 @pytest.mark.parametrize("mode", ["L", "P", "LA", "1"])
-def test_grey_and_palette_pictures(capture, mode):
+def test_grey_and_palette_images(capture, mode):
     capture.transforms()
-    for i, picture in enumerate(capture.pictures):
-        image = Image.fromarray(picture).convert(mode) if mode in ("L", "LA") else Image.fromarray(picture[..., :3]).convert(mode)
+    for i, pixels in enumerate(capture.images):
+        image = Image.fromarray(pixels).convert(mode) if mode in ("L", "LA") else Image.fromarray(pixels[..., :3]).convert(mode)
         image.save(capture.folder / f"images/{i:03d}.png")
     view = load_dataset(capture.folder, ALL).train[0]
     assert view.colour.shape == (*capture.size[::-1], 3) and (view.alpha is not None) == (mode == "LA")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What single datasets of the field have besides: other layouts, further files, splits of their papers, missing pictures."""
+"""What single datasets of the field have besides: other layouts, further files, splits of their papers, missing images."""
 
 import json
 import pickle
@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.format_detection import read_capture
+from irgspp.core.datasets.format_detection import parse_dataset
 from irgspp.core.datasets.load import load_cameras, load_dataset, load_novel_views
 from irgspp.core.datasets.summary import describe
 from irgspp.core.evaluation.ground_truth import load_scene_truth, load_truth
@@ -27,7 +27,7 @@ def test_ldr_captures_of_stanford_orb(source, tmp_path):
     assert data.format == "stanford-orb" and data.train[0].path.suffix == ".png" and len(truths) == 3 * len(source.test)
     for view, truth in truths:
         (light,) = truth.lights.values()
-        assert dataset.mirror_error(view.camera, truth.alpha, truth.picture, light, data.to_world) < RIGHT
+        assert dataset.mirror_error(view.camera, truth.alpha, truth.image, light, data.to_world) < RIGHT
 
 
 def test_rolled_cameras_of_realitycapture(source, tmp_path):
@@ -35,7 +35,7 @@ def test_rolled_cameras_of_realitycapture(source, tmp_path):
     world = similarity((20.0, -35.0, 65.0), 1.2, (25.0, -12.0, 3.0))
     dataset = Written(*realitycapture.write(source, tmp_path, world), source)
     rolls = np.loadtxt(dataset.path / "cameras.csv", delimiter=",", skiprows=1, usecols=6)
-    capture = read_capture(dataset.path, DataSettings())
+    capture = parse_dataset(dataset.path, DataSettings())
     assert np.abs(rolls).max() > 20 and rolls.min() < 0 < rolls.max()
     assert max(dataset.shot_of(f.to_world, capture.to_world)[1] for f in capture.train) < 1e-5
 
@@ -57,7 +57,7 @@ def test_cached_cameras_of_glossy_real(every, tmp_path):
     """Where the COLMAP model is gone, what NeRO keeps of it will do."""
     scene = tmp_path / "scene"
     shutil.copytree(every["glossy-real"].path, scene)
-    model = read_capture(scene, DataSettings())
+    model = parse_dataset(scene, DataSettings())
     own = np.linalg.inv(model.to_world)
     poses, intrinsics, names = {}, {}, {}
     for number, frame in enumerate(model.train, 1):
@@ -69,7 +69,7 @@ def test_cached_cameras_of_glossy_real(every, tmp_path):
         names[number] = frame.listed
     shutil.rmtree(scene / "colmap")
     (scene / "cache.pkl").write_bytes(pickle.dumps([poses, intrinsics, names, list(names)]))
-    cached = read_capture(scene, DataSettings())
+    cached = parse_dataset(scene, DataSettings())
     assert cached.format == "glossy-real" and np.allclose(cached.to_world, model.to_world, atol=1e-5)
     for a, b in zip(cached.train, model.train, strict=True):
         assert a.listed == b.listed and np.allclose(a.to_world, b.to_world, atol=2e-5)
@@ -105,7 +105,7 @@ def test_views_under_other_lights_are_counted_and_named(every):
 def test_scenes_converted_for_other_methods(every, source, tmp_path):
     """GlossySynthetic and TensoIR as transforms files, as the Gaussian methods convert them."""
     glossy = every["glossy-synthetic"]
-    capture = read_capture(glossy.path, DataSettings())
+    capture = parse_dataset(glossy.path, DataSettings())
     own = np.linalg.inv(capture.to_world)
     width, height = source.size
     content = {"w": width, "h": height, "fl_x": source.focal, "fl_y": source.focal, "cx": width / 2, "cy": height / 2}
@@ -153,11 +153,11 @@ def test_captures_of_stanford_orb_as_colmap_models(every, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["tensoir", "glossy-synthetic", "metashape", "realitycapture"])
-def test_missing_pictures_are_left_out_and_told(name, every, tmp_path):
+def test_missing_images_are_left_out_and_told(name, every, tmp_path):
     scene = tmp_path / "scene"
     shutil.copytree(every[name].path, scene)
-    frame = read_capture(scene, DataSettings()).train[3]
-    frame.picture.unlink()
+    frame = parse_dataset(scene, DataSettings()).train[3]
+    frame.image.unlink()
     data = load_dataset(scene, SEVERAL)
     assert len(data.train) + len(data.test) == len(every[name].shots) - 1 and any("missing" in w for w in data.warnings)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tree over disks: nothing is lost, every box holds what it should."""
+"""The tree over surfels: nothing is lost, every box holds what it should."""
 
 import math
 
@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.kernels.constants import ALPHA_MIN, CUT
-from irgspp.core.kernels.cpu.bvh import LEAF, NODE, DiskTree
+from irgspp.core.kernels.cpu.bvh import LEAF, NODE, SurfelTree
 from irgspp.core.kernels.reference.harmonics import rotation_matrix
 
 
-def disks(n, seed=0, size=0.1):
+def surfels(n, seed=0, size=0.1):
     g = torch.Generator().manual_seed(seed)
     random = lambda *shape: torch.randn(*shape, generator=g)  # noqa: E731
     return [random(3, n), random(4, n), math.log(size) + 0.5 * random(2, n), 1.5 * random(n)]
@@ -33,7 +33,7 @@ def rims(parameters):
 
 
 def enclosed(tree, node, rim):
-    """Check every box below `node` against the disks' rims; returns the Gaussians found there."""
+    """Check every box below `node` against the surfels' rims; returns the Gaussians found there."""
     found = []
     for lane, child in enumerate(tree.child[node]):
         low, high = boxes(tree)[node, lane]
@@ -54,33 +54,33 @@ def enclosed(tree, node, rim):
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 9, 64, 65, 1000])
-def test_every_disk_lies_once_in_boxes_that_hold_it(n):
-    parameters = disks(n, n)
+def test_every_surfel_lies_once_in_boxes_that_hold_it(n):
+    parameters = surfels(n, n)
     parameters[3] = parameters[3].abs()
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     assert sorted(enclosed(tree, 0, rims(parameters))) == list(range(n))
 
 
 def test_boxes_are_tight():
-    parameters = disks(50, 2)
+    parameters = surfels(50, 2)
     parameters[3] = parameters[3].abs()
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     rim = rims(parameters)
     low, high = boxes(tree)[0, :, 0].min(0), boxes(tree)[0, :, 1].max(0)
     assert np.allclose(low, rim.min((0, 1)), atol=5e-3) and np.allclose(high, rim.max((0, 1)), atol=5e-3)
 
 
 def test_leaves_are_mostly_full_and_the_tree_is_shallow():
-    tree = DiskTree.build(*disks(5000))
+    tree = SurfelTree.build(*surfels(5000))
     assert (tree.index >= 0).mean() > 0.7
     assert tree.depth <= 6
 
 
 @pytest.mark.parametrize("n", [9, 500])
-def test_disks_all_in_one_place_still_split(n):
-    parameters = disks(n)
+def test_surfels_all_in_one_place_still_split(n):
+    parameters = surfels(n)
     parameters[0][:] = 0.25
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     assert np.unique(tree.index[tree.index >= 0]).size == (tree.record[:, CUT] >= 0).sum()
     assert tree.depth <= 5
 
@@ -99,27 +99,27 @@ def spoil(parameters, g, how):
 
 @pytest.mark.parametrize("how", ["invisible", "a point", "endless", "position", "quaternion", "log_scale", "opacity"])
 def test_what_cannot_be_seen_is_left_out(how):
-    parameters = disks(40)
+    parameters = surfels(40)
     parameters[3] = parameters[3].abs()
     spoil(parameters, 17, how)
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     assert sorted(tree.index[tree.index >= 0]) == [i for i in range(40) if i != 17]
     assert np.isfinite(tree.leaf).all()
     assert tree.matches(*parameters)
 
 
 def test_opacity_of_exactly_alpha_min_is_left_out():
-    parameters = disks(8)
+    parameters = surfels(8)
     parameters[3][:] = math.log(ALPHA_MIN / (1 - ALPHA_MIN)) - 1e-5
-    assert DiskTree.build(*parameters).depth == 0
+    assert SurfelTree.build(*parameters).depth == 0
     parameters[3] += 1e-3
-    assert DiskTree.build(*parameters).depth == 1
+    assert SurfelTree.build(*parameters).depth == 1
 
 
 def test_refit_holds_what_moved():
-    parameters = disks(300, 1)
+    parameters = surfels(300, 1)
     parameters[3] = parameters[3].abs()
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     moved = [p + 0.2 * torch.randn(p.shape, generator=torch.Generator().manual_seed(4)) for p in parameters]
     moved[3] = moved[3].abs()
     child = tree.child.copy()
@@ -130,32 +130,32 @@ def test_refit_holds_what_moved():
 
 
 def test_refit_with_the_same_numbers_changes_nothing():
-    parameters = disks(100)
-    tree, other = DiskTree.build(*parameters), DiskTree.build(*parameters)
+    parameters = surfels(100)
+    tree, other = SurfelTree.build(*parameters), SurfelTree.build(*parameters)
     tree.refit(*parameters)
     for name in ("record", "child", "node", "index", "leaf"):
         assert np.array_equal(getattr(tree, name), getattr(other, name))
 
 
 def test_refit_takes_in_what_has_appeared():
-    parameters = disks(100)
+    parameters = surfels(100)
     parameters[3][:50] = -20.0
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     shown = [*parameters[:3], torch.ones(100)]
     tree.refit(*shown)
     assert sorted(tree.index[tree.index >= 0]) == list(range(100))
 
 
 def test_refit_empties_what_has_vanished():
-    parameters = disks(20)
+    parameters = surfels(20)
     parameters[3] = parameters[3].abs()
-    tree = DiskTree.build(*parameters)
+    tree = SurfelTree.build(*parameters)
     tree.refit(*parameters[:3], torch.full((20,), -20.0))
     assert (tree.record[:, CUT] < 0).all()
     assert (boxes(tree)[:, :, 0] > boxes(tree)[:, :, 1]).all()
 
 
-def test_no_disks_make_an_empty_tree():
-    tree = DiskTree.build(torch.empty(3, 0), torch.empty(4, 0), torch.empty(2, 0), torch.empty(0))
+def test_no_surfels_make_an_empty_tree():
+    tree = SurfelTree.build(torch.empty(3, 0), torch.empty(4, 0), torch.empty(2, 0), torch.empty(0))
     assert tree.depth == 0 and not len(tree.index)
     assert len(tree.node) == len(tree.child) * NODE and len(tree.leaf) == len(tree.index) // 8 * LEAF

@@ -14,11 +14,11 @@ from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second import radiance_refit as radiance_fit
 from irgspp.core.stages.second import solve as transport
-from irgspp.core.stages.second.light_material_solver import Separation
+from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
 from irgspp.core.stages.second.refinement import Refinement
 
-SETTINGS = ["reflective.iterations=8", "reflective.gaussians=600", "reflective.light_height=16", "surface.voxels=32", "surface.texture=64"]
-SETTINGS += ["transport.points=300", "transport.rows=4", "transport.iterations=4", "transport.pool=2000", "transport.radiance_iterations=4"]
+SETTINGS = ["first.iterations=8", "first.gaussians=600", "first.light_height=16", "surface.voxels=32", "surface.texture=64"]
+SETTINGS += ["second.points=300", "second.rows=4", "second.iterations=4", "second.pool=2000", "second.radiance_iterations=4"]
 FAULT = 5  # the iteration that breaks
 COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
 
@@ -56,19 +56,19 @@ def breaking(monkeypatch):
         (bad_gradient, "position", f"position is not finite after iteration {FAULT}", "low-gloss"),
         (bad_gradient, "sh", f"sh_dc is not finite after iteration {FAULT}", "low-gloss"),
         (bad_value, "opacity", f"opacity is not finite after iteration {FAULT}", "low-gloss"),
-        (bad_value, "material", f"albedo is not finite after iteration {FAULT - 1}", "glossy"),  # the picture already shows it
+        (bad_value, "material", f"albedo is not finite after iteration {FAULT - 1}", "glossy"),  # the image already shows it
     ],
 )
 def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, name, told, materials):
     breaking(fault, name)
     run = tmp_path / "run"
-    arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", materials, "--set", "reflective.trial_iterations=1"]
+    arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", materials, "--set", "first.trial_iterations=1"]
     assert main(arguments) == 1
     lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
     assert len(lines) == 1 and told in lines[0]
     state = read_run(run)
     assert state["status"] == "failed" and told in state["error"]
-    saved = torch.load(run / "checkpoint" / "reflective.pt", weights_only=True)
+    saved = torch.load(run / "checkpoint" / "first_stage.pt", weights_only=True)
     assert saved["done"] == FAULT - 1
     assert all(torch.isfinite(v).all() for v in saved["optimizer"]["values"].values())
     assert not (run / "gaussians.ply").exists()
@@ -76,29 +76,29 @@ def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, nam
 
 def bad_light(monkeypatch):
     """The light becomes NaN in step 3 of the second stage."""
-    step = Separation._step
+    step = LightMaterialSolver._step
 
     def broken(self, done):
         step(self, done)
         if done == 2:
             self.light[11, 1] = math.nan
 
-    monkeypatch.setattr(Separation, "_step", broken)
+    monkeypatch.setattr(LightMaterialSolver, "_step", broken)
 
 
 def bad_roughness(monkeypatch):
     """Roughness comes out of the first search as infinity."""
-    search = Separation._search_materials
+    search = LightMaterialSolver._search_materials
 
     def broken(self):
         search(self)
         self.roughness[5] = math.inf
 
-    monkeypatch.setattr(Separation, "_search_materials", broken)
+    monkeypatch.setattr(LightMaterialSolver, "_search_materials", broken)
 
 
 def bad_tracing(monkeypatch):
-    trace = transport.trace_transfer
+    trace = transport.trace_radiance_transfer
 
     def broken(*args):
         transfer = trace(*args)
@@ -109,10 +109,10 @@ def bad_tracing(monkeypatch):
 
 
 def bad_painting(monkeypatch):
-    paint = transport.paint
+    assign_materials = transport.assign_materials
 
     def broken(*args):
-        materials = paint(*args)
+        materials = assign_materials(*args)
         materials[2, 9] = math.nan
         return materials
 
@@ -133,8 +133,8 @@ def bad_refinement(monkeypatch):
 
 
 def bad_radiance(monkeypatch):
-    """The pictures' loss becomes infinite."""
-    monkeypatch.setattr(radiance_fit, "photometric_loss", lambda picture, photograph: picture.sum() * math.inf)
+    """The images' loss becomes infinite."""
+    monkeypatch.setattr(radiance_fit, "photometric_loss", lambda image, photograph: image.sum() * math.inf)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def half_done(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Trainer, "test", lambda self: None)
         patch.setattr("irgspp.core.pipeline.solve_transport", lambda *_: (_ for _ in ()).throw(Cancelled("here")))
-        arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", "low-gloss", "--set", "reflective.iterations=40"]
+        arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", "low-gloss", "--set", "first.iterations=40"]
         assert main(arguments) == 130
     return run
 

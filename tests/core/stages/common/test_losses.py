@@ -27,10 +27,10 @@ def plane(camera):
 def sums(camera, rotation, alpha=0.8):
     """What the rasteriser would return of that plane."""
     rays, depth, normal = plane(camera)
-    picture = torch.rand(8, *depth.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    picture[3:6] = alpha * (rotation.T @ normal)[:, None, None]
-    picture[-2], picture[-1] = alpha * depth, alpha
-    return picture, rays
+    image = torch.rand(8, *depth.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    image[3:6] = alpha * (rotation.T @ normal)[:, None, None]
+    image[-2], image[-1] = alpha * depth, alpha
+    return image, rays
 
 
 def test_rays_are_the_cameras(camera, rotation):
@@ -56,30 +56,30 @@ def test_normals_of_a_sphere(camera):
 
 
 def test_plane_of_splats_costs_nothing(camera, rotation):
-    picture, rays = sums(camera, rotation)
-    assert abs(normal_consistency(picture, rays, rotation)) < 1e-9
-    picture[3:6] *= -1  # all the wrong way: 1 - cos = 2
+    image, rays = sums(camera, rotation)
+    assert abs(normal_consistency(image, rays, rotation)) < 1e-9
+    image[3:6] *= -1  # all the wrong way: 1 - cos = 2
     inner = (camera.width - 2) * (camera.height - 2) / (camera.width * camera.height)
-    assert normal_consistency(picture, rays, rotation).item() == pytest.approx(2 * 0.8 * inner, rel=1e-6)
+    assert normal_consistency(image, rays, rotation).item() == pytest.approx(2 * 0.8 * inner, rel=1e-6)
 
 
 def test_gradient_is_that_of_finite_differences(camera, rotation):
     whole, rays = sums(camera, rotation)
-    picture, rays = whole[:, 10:16, 8:14].clone(), rays[:, 10:16, 8:14]
+    image, rays = whole[:, 10:16, 8:14].clone(), rays[:, 10:16, 8:14]
     generator = torch.Generator().manual_seed(1)
-    picture += 0.02 * torch.randn(picture.shape, generator=generator, dtype=torch.float64)
-    weight = picture[-1].clone()  # the outer opacity is a constant to the gradient
+    image += 0.02 * torch.randn(image.shape, generator=generator, dtype=torch.float64)
+    weight = image[-1].clone()  # the outer opacity is a constant to the gradient
 
     def loss(changed):
         value = normal_consistency(changed, rays, rotation)
         return value - (changed[-1].detach() - weight)[1:-1, 1:-1].sum() / weight.numel()
 
-    leaf = picture.clone().requires_grad_()
+    leaf = image.clone().requires_grad_()
     loss(leaf).backward()
     assert leaf.grad is not None
     for channel in (3, 4, 5, 6, 7):
         for row, column in ((1, 1), (2, 4), (5, 3)):
-            shifted = [picture.clone() for _ in range(2)]
+            shifted = [image.clone() for _ in range(2)]
             for p, sign in zip(shifted, (1, -1), strict=True):
                 p[channel, row, column] += sign * 1e-6
             numeric = (loss(shifted[0]) - loss(shifted[1])) / 2e-6

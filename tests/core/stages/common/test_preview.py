@@ -11,20 +11,20 @@ from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.common.preview import albedo_picture, preview_camera
+from irgspp.core.stages.common.preview import albedo_image, preview_camera
 from irgspp.core.stages.first.train import train
 
-SMALL = ("reflective.iterations=12", "reflective.gaussians=400", "reflective.light_height=16", "materials=low-gloss")
+SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", "materials=low-gloss")
 
 
 class Looker(Silent):
-    """Draws every picture that is offered."""
+    """Draws every image that is offered."""
 
     def __init__(self):
-        self.pictures = []
+        self.images = []
 
-    def picture(self, draw):
-        self.pictures.append(draw())
+    def image(self, draw):
+        self.images.append(draw())
 
 
 def test_looking_does_not_change_the_fit(sphere_dataset, camera_ring):
@@ -32,13 +32,13 @@ def test_looking_does_not_change_the_fit(sphere_dataset, camera_ring):
     (alone, _), (watched, _) = train(dataset, settings), train(dataset, settings, looker)
     for name in ("position", "quaternion", "sh", "material", "opacity"):
         assert torch.equal(getattr(alone.gaussians, name), getattr(watched.gaussians, name))
-    assert len(looker.pictures) == 12
-    picture = looker.pictures[-1]
-    assert picture.shape == (32, 32, 3) and picture.dtype == np.uint8
+    assert len(looker.images) == 12
+    image = looker.images[-1]
+    assert image.shape == (32, 32, 3) and image.dtype == np.uint8
     view = dataset.train[0]
     inside, outside = view.alpha == 1, view.alpha == 0
-    assert np.abs(picture[inside] / 255 - view.colour[inside]).mean() < 0.15
-    assert picture[outside].mean() < 40
+    assert np.abs(image[inside] / 255 - view.colour[inside]).mean() < 0.15
+    assert image[outside].mean() < 40
 
 
 SIZES = [((1024, 512), (256, 128)), ((512, 1024), (128, 256)), ((100, 40), (100, 40)), ((4000, 3), (256, 1))]
@@ -57,7 +57,7 @@ def test_albedo_is_shown_encoded_on_black(splat_sphere, camera_ring):
     splats = splat_sphere(3000, opacity=0.999)
     splats.material[:3] = torch.logit(torch.tensor([0.5, 0.2, 0.05]))[:, None]
     reconstruction = Reconstruction(splats, torch.ones(8, 16, 3), Bound((0.0, 0.0, 0.0), 1.5), np.eye(4))
-    picture = albedo_picture(reconstruction, camera_ring(1, 64)[0])
-    assert picture.shape == (64, 64, 3)
-    np.testing.assert_allclose(picture[32, 32], [188, 124, 63], atol=2)  # sRGB of those
-    assert picture[0, 0].max() == 0
+    image = albedo_image(reconstruction, camera_ring(1, 64)[0])
+    assert image.shape == (64, 64, 3)
+    np.testing.assert_allclose(image[32, 32], [188, 124, 63], atol=2)  # sRGB of those
+    assert image[0, 0].max() == 0

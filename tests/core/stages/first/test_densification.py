@@ -70,7 +70,7 @@ def test_the_hardest_pulled_are_cloned_within_the_budget(gaussians, generator, r
     assert torch.equal(position[:, COUNT:], gaussians.position[:, COUNT - added :])
 
 
-def test_split_disks_stay_in_their_place_and_plane(gaussians, generator):
+def test_split_surfels_stay_in_their_place_and_plane(gaussians, generator):
     gaussians.log_scale = torch.tensor([[0.03], [0.05]]).log().repeat(1, COUNT)
     control, optimizer = DensityControl(10 * COUNT, 1.0, grow=1.0), GaussianOptimizer(gaussians, RATES)
     observed(control, torch.ones(COUNT))

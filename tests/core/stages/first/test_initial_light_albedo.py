@@ -9,7 +9,7 @@ from irgspp.core.scene.gaussians import ALBEDO
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.environment_lookup import lookup, texel_directions
 from irgspp.core.shading.split_sum import diffuse_light
-from irgspp.core.stages.first.initial_light_albedo import facing_radiance, separate_light
+from irgspp.core.stages.first.initial_light_albedo import estimate_light_albedo, facing_radiance
 
 DARK, BRIGHT = np.array([0.2, 0.3, 0.4]), np.array([0.6, 0.6, 0.6])
 COUNT = 3000
@@ -22,7 +22,7 @@ def smooth_light():
 
 @pytest.fixture(scope="module")
 def bright(splat_sphere):
-    """Which disks are bright: patches all around, that no smooth light explains."""
+    """Which surfels are bright: patches all around, that no smooth light explains."""
     x, y, z = splat_sphere(COUNT).position.numpy()
     return np.sin(3 * np.arctan2(y, x)) * np.sin(3.5 * z) > 0
 
@@ -43,7 +43,7 @@ def recovered(reconstruction, bright):
 
 
 def test_two_paints_keep_their_ratio(splat_sphere, bright):
-    result = separate_light(painted(splat_sphere, bright, metallic=1e-4), seed=0)
+    result = estimate_light_albedo(painted(splat_sphere, bright, metallic=1e-4), seed=0)
     light, dark = recovered(result, bright)
     assert np.allclose(light / dark, BRIGHT / DARK, rtol=0.12)
     assert result.environment.shape == (64, 128, 3) and result.environment.min() > 0
@@ -53,7 +53,7 @@ def test_two_paints_keep_their_ratio(splat_sphere, bright):
 def test_albedo_times_light_is_what_was_seen(splat_sphere, bright):
     given = painted(splat_sphere, bright)
     seen = facing_radiance(given.gaussians)
-    result = separate_light(given, seed=0)
+    result = estimate_light_albedo(given, seed=0)
     irradiance = lookup(diffuse_light(result.environment), result.gaussians.normals().T)
     share = 1 - result.gaussians.materials()[4][:, None]
     body = result.gaussians.materials()[ALBEDO].T - (1 - share) * 0.5
@@ -62,12 +62,12 @@ def test_albedo_times_light_is_what_was_seen(splat_sphere, bright):
 
 
 def test_known_light_gives_the_albedo_itself(splat_sphere, bright):
-    result = separate_light(painted(splat_sphere, bright, glossy=True, metallic=1e-4), seed=0)
+    result = estimate_light_albedo(painted(splat_sphere, bright, glossy=True, metallic=1e-4), seed=0)
     light, dark = recovered(result, bright)
     assert np.allclose(light, BRIGHT, atol=5e-3) and np.allclose(dark, DARK, atol=5e-3)
     assert torch.equal(result.environment, smooth_light())
 
 
 def test_same_seed_same_result(splat_sphere, bright):
-    first, second = (separate_light(painted(splat_sphere, bright), seed=4) for _ in range(2))
+    first, second = (estimate_light_albedo(painted(splat_sphere, bright), seed=4) for _ in range(2))
     assert torch.equal(first.gaussians.material, second.gaussians.material) and torch.equal(first.environment, second.environment)

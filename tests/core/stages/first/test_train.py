@@ -17,11 +17,11 @@ from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, preset
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, MOVES, candidates
-from irgspp.core.stages.first.material_class_selection import choose_kind, thinned_out
+from irgspp.core.stages.first.material_class_selection import select_material_class, thinned_out
 from irgspp.core.stages.first.train import train
 from irgspp.core.stages.first.trainer import MEANT_FOR, Trainer, border_radiance
 
-SMALL = ("reflective.iterations=12", "reflective.gaussians=400", "reflective.light_height=16")
+SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16")
 BOUND = Bound((0.0, 0.0, 0.0), 1.5)
 
 
@@ -73,7 +73,7 @@ def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, mater
     memory = Memory()
     with pytest.raises(Cancelled):
         train(dataset, chosen, StopAfter(5), memory)
-    assert memory["reflective"]["done"] == 5
+    assert memory["first"]["done"] == 5
     resumed, _ = train(dataset, chosen, checkpoint=memory)
     for name, value in whole.gaussians.tensors().items():
         assert torch.equal(value, resumed.gaussians.tensors()[name]), name
@@ -82,7 +82,7 @@ def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, mater
 
 @pytest.mark.parametrize("kind", [COATED, METAL])
 def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, kind):
-    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings().reflective
+    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings().first
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
     first, second = (Trainer(dataset, chosen, start, kind, 0, 9) for _ in range(2))
     for _ in range(12):
@@ -99,7 +99,7 @@ def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera
 
 
 def test_fit_gets_better_on_views_it_does_not_learn_from(sphere_dataset, camera_ring):
-    dataset, chosen = sphere_dataset(camera_ring(12, 32)), settings("reflective.iterations=60").reflective
+    dataset, chosen = sphere_dataset(camera_ring(12, 32)), settings("first.iterations=60").first
     trainer = Trainer(dataset, chosen, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 4)
     before = trainer.test()
     for _ in range(60):
@@ -113,23 +113,23 @@ def test_a_mirror_is_told_from_paint(sphere_dataset, camera_ring):
     cameras = camera_ring(24, 48)
     painted = sphere_dataset(cameras)
     mirror = mirror_photographs(cameras, [view.alpha for view in painted.train])
-    chosen = settings("reflective.trial_iterations=60", "reflective.trial_gaussians=1500", "reflective.gaussians=1500")
+    chosen = settings("first.trial_iterations=60", "first.trial_gaussians=1500", "first.gaussians=1500")
     start = initial_gaussians(painted, 1500, np.random.default_rng(0))
-    assert choose_kind(painted, chosen, start, Silent()) is LOW_GLOSS
-    assert choose_kind(mirror, chosen, start, Silent()).glossy
+    assert select_material_class(painted, chosen, start, Silent()) is LOW_GLOSS
+    assert select_material_class(mirror, chosen, start, Silent()).glossy
 
 
 def test_what_is_given_is_not_tried(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    assert choose_kind(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
+    assert select_material_class(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
     assert {k.glossy for k in candidates("glossy")} == {True}
     unmasked = sphere_dataset(camera_ring(9, 32), masked=False)
-    kind = choose_kind(unmasked, settings(), start, Silent())
+    kind = select_material_class(unmasked, settings(), start, Silent())
     assert (kind.name, kind.position) == (LOW_GLOSS.name, COATED.position)
 
 
-def test_thinned_out_disks_cover_the_same_area(splat_sphere):
+def test_thinned_out_surfels_cover_the_same_area(splat_sphere):
     many = splat_sphere(1000)
     few = thinned_out(many, 250, 0)
     assert few.count == 250
@@ -138,7 +138,7 @@ def test_thinned_out_disks_cover_the_same_area(splat_sphere):
 
 def test_background_starts_like_the_borders(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32), masked=False)
-    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 0)
+    trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 0)
     found = border_radiance(trainer.targets)
     assert found.tolist() == pytest.approx([((c + 0.055) / 1.055) ** 2.4 for c in (0.8, 0.5, 0.2)], rel=1e-4)
     assert trainer.test() is None
@@ -146,10 +146,10 @@ def test_background_starts_like_the_borders(sphere_dataset, camera_ring):
 
 def test_a_loss_that_is_not_finite_stops_the_fit(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
-    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 9)
+    trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 9)
     trainer.step()
     for target in trainer.targets:
-        target.picture.fill_(math.nan)
+        target.image.fill_(math.nan)
     with pytest.raises(IrgsppError, match="loss is not finite at iteration 2"):
         trainer.step()
 
@@ -161,11 +161,11 @@ def test_photographs_that_are_not_finite_are_told_by_what_they_would_start(spher
         train(replace(dataset, train=[view] * 9), settings("materials=low-gloss"))
 
 
-def test_a_cut_picture_teaches_the_same(sphere_dataset, camera_ring):
+def test_a_cut_image_teaches_the_same(sphere_dataset, camera_ring):
     dataset = sphere_dataset([Camera(96, 96, 60.0, 60.0, 48.0, 48.0, c.to_world) for c in camera_ring(3, 32)])
     start, gradients, losses = initial_gaussians(dataset, 4000, np.random.default_rng(0)), [], []
     for cut in (False, True):
-        trainer = Trainer(dataset, settings("reflective.iterations=60").reflective, start, LOW_GLOSS, 0, 0, cut=cut)
+        trainer = Trainer(dataset, settings("first.iterations=60").first, start, LOW_GLOSS, 0, 0, cut=cut)
         trainer.optimizer.step = lambda progress: None
         losses.append(trainer.step())
         gradients.append(trainer.optimizer.leaves["opacity"].grad)
@@ -184,29 +184,29 @@ def test_a_hopeless_kind_is_given_up_and_others_go_on(sphere_dataset, camera_rin
 
     monkeypatch.setattr(Trainer, "step", counted)
     monkeypatch.setattr(Trainer, "test", lambda self: {"low-gloss": 30.0, "glossy": 29.0, "metal": 20.0}[self.kind.name])
-    chosen = settings("reflective.trial_iterations=10", "reflective.trial_gaussians=100")
-    assert choose_kind(dataset, chosen, start, Silent()) is LOW_GLOSS
+    chosen = settings("first.trial_iterations=10", "first.trial_gaussians=100")
+    assert select_material_class(dataset, chosen, start, Silent()) is LOW_GLOSS
     assert steps == {"low-gloss": 10, "glossy": 10, "metal": 3}
     steps |= dict.fromkeys(steps, 0)
-    assert choose_kind(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent()) is LOW_GLOSS
+    assert select_material_class(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent()) is LOW_GLOSS
     assert set(steps.values()) == {10}
 
 
 def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camera_ring, monkeypatch):
     dataset, memory = sphere_dataset(camera_ring(9, 32)), Memory()
-    chosen = settings("materials=low-gloss", "reflective.iterations=20")
+    chosen = settings("materials=low-gloss", "first.iterations=20")
     monkeypatch.setattr("irgspp.core.stages.first.train.first_pace", lambda *_: 2.0)
     with pytest.raises(Cancelled):
         train(dataset, chosen, StopAfter(30), memory, ends=time.monotonic() + 60)
     assert train(dataset, chosen, checkpoint=memory, ends=time.monotonic() + 60)[1] == 2.0
-    assert memory["reflective"]["iterations"] == 40
+    assert memory["first"]["iterations"] == 40
 
 
 @pytest.mark.parametrize("own_steps", [400, 2000])
-def test_disks_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_dataset, camera_ring, own_steps):
+def test_surfels_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_dataset, camera_ring, own_steps):
     dataset = sphere_dataset(camera_ring(3, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    trainer = Trainer(dataset, settings(f"reflective.iterations={own_steps}").reflective, start, LOW_GLOSS, 0, 0)
+    trainer = Trainer(dataset, settings(f"first.iterations={own_steps}").first, start, LOW_GLOSS, 0, 0)
     own, meant = dict(trainer.optimizer.rates), max(own_steps, MEANT_FOR)
     for iterations, slower in ((4 * meant, 0.5), (9 * meant, 1 / 3), (meant // 2, 1.0), (meant, 1.0)):
         trainer.paced(iterations)
@@ -218,11 +218,11 @@ def test_disks_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_datase
 def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(3, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    trainer = Trainer(dataset, settings().reflective, start, LOW_GLOSS, 0, 0)
+    trainer = Trainer(dataset, settings().first, start, LOW_GLOSS, 0, 0)
     trainer.optimizer.rebuild(start.select(torch.arange(170)), torch.arange(170))
     trainer._check_hull()
     trainer.optimizer.rebuild(start.select(torch.arange(150)), torch.arange(150))
-    with pytest.raises(IrgsppError, match="only 150 of 400 disks"):
+    with pytest.raises(IrgsppError, match="only 150 of 400 surfels"):
         trainer._check_hull()
 
 
@@ -251,7 +251,7 @@ def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
 def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
     """Compiled code trusts shapes, and a checkpoint may come from anywhere."""
     dataset = sphere_dataset(camera_ring(9, 32))
-    trainer = Trainer(dataset, settings().reflective, initial_gaussians(dataset, 400, np.random.default_rng(0)), COATED, 0, 9)
+    trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), COATED, 0, 9)
     trainer.step()
     state = trainer.state()
     trainer.restore(state)
@@ -261,6 +261,6 @@ def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
 
 
 def test_state_of_a_kind_that_there_is_not_is_refused(sphere_dataset, camera_ring):
-    memory = Memory(reflective={"kind": "wood"})
+    memory = Memory(first_stage={"kind": "wood"})
     with pytest.raises(InputError, match="holds no state"):
         train(sphere_dataset(camera_ring(9, 32)), settings(), checkpoint=memory)

@@ -10,27 +10,27 @@ import pytest
 import torch
 import trimesh
 from irgspp.core.io.srgb import encode_srgb
-from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.kernels.trace import COLOUR, trace
-from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound, View
 from irgspp.core.scene.gaussians import METALLIC, SH_DC
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.shading.brdf import base_reflectance
-from irgspp.core.shading.specular_albedo import diffuse_share, specular_albedo
+from irgspp.core.shading.specular_albedo import diffuse_fraction, specular_albedo
 from irgspp.core.stages.second import gaussian_materials as painting
 from irgspp.core.stages.second.gaussian_materials import (
     EDGE,
+    assign_materials,
     either_metal_or_not,
     fitted_albedo,
     own_radiance,
-    paint,
     surface_normals,
     with_colour,
 )
-from irgspp.core.stages.second.multi_view_samples import Observations
-from irgspp.core.stages.second.radiance_transfer import trace_transfer
+from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
+from irgspp.core.stages.second.radiance_transfer import trace_radiance_transfer
 
 COUNT, INSIDE, HEIGHT = 3000, 40, 8
 SKY, ROUGHNESS = 0.7, 0.6
@@ -47,7 +47,7 @@ def shown(position, toward):
     albedo, metallic = materials(position)
     n_v = torch.from_numpy((position * toward).sum(-1).clip(1e-3, 1))
     rough = torch.full_like(n_v, ROUGHNESS)
-    body = (1 - metallic)[:, None] * albedo * diffuse_share(n_v, rough)[:, None]
+    body = (1 - metallic)[:, None] * albedo * diffuse_fraction(n_v, rough)[:, None]
     return SKY * (body + specular_albedo(n_v, rough, base_reflectance(albedo, metallic[:, None]))).numpy()
 
 
@@ -73,7 +73,7 @@ def surface():
 
 
 def reconstruction(splat_sphere, glossy):
-    """The sphere, and some disks inside it that no photograph shows. Its SH are what it shows towards the normal."""
+    """The sphere, and some surfels inside it that no photograph shows. Its SH are what it shows towards the normal."""
     sphere = splat_sphere(COUNT, opacity=0.99)
     position = sphere.position.T.double().numpy()
     sphere.sh[0] = (torch.from_numpy(shown(position, position)).float().T - 0.5) / SH_DC
@@ -95,13 +95,13 @@ def found(splat_sphere):
 
 def painted(scene, surface, views, found, seed=0):
     told = []
-    result = paint(scene, surface, views, Tracer(scene), found, seed, told.append)
+    result = assign_materials(scene, surface, views, SecondaryTracer(scene), found, seed, told.append)
     assert told == sorted(told) and told[-1] == 1.0
     return result
 
 
 @pytest.mark.parametrize("glossy", [False, True])
-def test_materials_are_found_and_hidden_disks_are_like_their_neighbours(splat_sphere, surface, views, found, glossy, monkeypatch):
+def test_materials_are_found_and_hidden_surfels_are_like_their_neighbours(splat_sphere, surface, views, found, glossy, monkeypatch):
     monkeypatch.setattr(painting, "BATCH", 700)
     scene = reconstruction(splat_sphere, glossy)
     result = painted(scene, surface, views, found)
@@ -115,7 +115,7 @@ def test_materials_are_found_and_hidden_disks_are_like_their_neighbours(splat_sp
     assert error.median() < limit and error.quantile(0.95) < 3 * limit
     np.testing.assert_allclose(result[3], ROUGHNESS, rtol=1e-5)
     np.testing.assert_allclose(result[4, :COUNT][inner], metallic[:COUNT][inner].clamp(EDGE, 1 - EDGE), rtol=1e-5)
-    above = torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE]  # the seen disks straight over the hidden ones
+    above = torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE]  # the seen surfels straight over the hidden ones
     same = (result[:, above] == result[:, COUNT:]).all(0)
     assert same.float().mean() > 0.9  # the others are nearer to another one
 
@@ -143,7 +143,7 @@ def test_normals_are_the_surface_s(surface):
     np.testing.assert_allclose(surface_normals(few, position[:2]), np.tile(surface.normals[:1], (2, 1)), atol=1e-6)
 
 
-def test_own_radiance_is_what_a_ray_at_the_disk_sees(some_gaussians):
+def test_own_radiance_is_what_a_ray_at_the_surfel_sees(some_gaussians):
     g = some_gaussians(30, 0)
     index = torch.tensor([3, 3, 29, 0, 17, 8])
     view = torch.nn.functional.normalize(torch.randn(6, 3, generator=torch.Generator().manual_seed(1)), dim=1)
@@ -153,7 +153,7 @@ def test_own_radiance_is_what_a_ray_at_the_disk_sees(some_gaussians):
         one = g.select(i[None])
         parameters = (one.position, one.quaternion, one.log_scale, torch.full((1,), 3.0))
         origin = one.position.T + 5 * view[k]
-        sums = trace(*parameters, one.sh, torch.zeros(0, 1), origin, -view[k : k + 1], DiskTree.build(*parameters))[0]
+        sums = trace(*parameters, one.sh, torch.zeros(0, 1), origin, -view[k : k + 1], SurfelTree.build(*parameters))[0]
         np.testing.assert_allclose(actual[k], sums[COLOUR] / sums[-1], atol=1e-5)
 
 
@@ -163,16 +163,16 @@ def lit(splat_sphere):
     scene = reconstruction(splat_sphere, False)
     random = torch.Generator().manual_seed(2)
     position = torch.nn.functional.normalize(torch.randn(50, 3, generator=random), dim=1)
-    transfer = trace_transfer(position, position.clone(), Tracer(scene), HEIGHT, 1, 0, True)
+    transfer = trace_radiance_transfer(position, position.clone(), SecondaryTracer(scene), HEIGHT, 1, 0, True)
     point = torch.arange(50).repeat_interleave(5)
     view = torch.nn.functional.normalize(position[point] + 0.6 * torch.randn(250, 3, generator=random).clamp(-1, 1), dim=1)
     light = 0.2 + torch.rand(2 * HEIGHT**2, 3, generator=random)
     albedo = 0.1 + 0.8 * torch.rand(50, 3, generator=random)
     roughness, metallic = 0.2 + 0.8 * torch.rand(50, generator=random), (torch.arange(50) % 3 == 0).float()
-    seen = Observations(position, position, point, view, torch.zeros(250, 3), torch.zeros(250, 3, dtype=torch.bool))
+    seen = MultiViewSamples(position, position, point, view, torch.zeros(250, 3), torch.zeros(250, 3, dtype=torch.bool))
     scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
     metal, a = metallic[point, None], albedo[point]
-    share = diffuse_share((position[point] * view).sum(1).clamp_min(1e-3), roughness[point])[:, None]
+    share = diffuse_fraction((position[point] * view).sum(1).clamp_min(1e-3), roughness[point])[:, None]
     body = (1 - metal) * a * share * (transfer.irradiance @ light + transfer.indirect)[point]
     colour = body + base_reflectance(a, metal) * (scaled @ light + rest_scaled) + added @ light + rest_added
     return with_colour(seen, colour), transfer, light, roughness, metallic, albedo
@@ -195,11 +195,11 @@ def test_clipped_views_are_lower_bounds(lit):
     seen, *problem, albedo = lit
     limit = 0.8 * seen.colour
     one = torch.arange(250)[:, None] % 5 == 2
-    clipped = Observations(seen.position, seen.normal, seen.point, seen.view, torch.where(one, limit, seen.colour), one.expand(-1, 3))
+    clipped = MultiViewSamples(seen.position, seen.normal, seen.point, seen.view, torch.where(one, limit, seen.colour), one.expand(-1, 3))
     np.testing.assert_allclose(fitted_albedo(clipped, *problem), albedo, rtol=1e-2, atol=1e-3)
 
 
-def test_disks_become_metal_or_not_as_those_around_them_are(splat_sphere):
+def test_surfels_become_metal_or_not_as_those_around_them_are(splat_sphere):
     sphere = splat_sphere(COUNT)
     top = sphere.position[2] > 0
     some = torch.rand(COUNT, generator=torch.Generator().manual_seed(0))

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second import light_material_solver as module
-from irgspp.core.stages.second.light_material_solver import STEPS, Separation
-from irgspp.core.stages.second.radiance_transfer import Transfer
+from irgspp.core.stages.second.light_material_solver import STEPS, LightMaterialSolver
+from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
 from sphere_on_floor import HEIGHT, TEXELS, make, start
 
 
@@ -23,9 +23,9 @@ def scene():
 
 
 def solved(seen, transfer, seed=0):
-    separation = start(seen, transfer, seed)
-    separation.run()
-    return separation
+    solver = start(seen, transfer, seed)
+    solver.run()
+    return solver
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +34,10 @@ def found(scene):
     return solved(seen, transfer)
 
 
-def rescaled(separation, truth):
+def rescaled(solver, truth):
     """Light and albedo with the one factor that photographs can't tell taken out."""
-    scale = (truth[1] / separation.albedo).median(0).values
-    return separation.light / scale, separation.albedo * scale, scale
+    scale = (truth[1] / solver.albedo).median(0).values
+    return solver.light / scale, solver.albedo * scale, scale
 
 
 def psnr(light, truth):
@@ -66,9 +66,9 @@ def test_gloss_is_found(scene, found):
 
 def test_metal_is_found_only_where_it_is_looked_for(scene):
     transfer, seen, _ = scene
-    separation = Separation(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, (0.0,))
-    separation.run(lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
-    assert (separation.metallic == 0).all() and separation.roughness.std() > 0.05
+    solver = LightMaterialSolver(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, (0.0,))
+    solver.run(lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
+    assert (solver.metallic == 0).all() and solver.roughness.std() > 0.05
 
 
 def test_photographs_are_explained(scene, found):
@@ -83,7 +83,7 @@ def test_without_knowing_what_is_in_the_way_albedo_is_wrong(scene, found):
     direction, angle, _, other = transfer.fixed
     everything = (seen.normal.numpy() @ direction > 0).astype(np.float32)
     irradiance = (np.maximum(seen.normal.numpy() @ direction, 0) * angle / math.pi).reshape(-1, 4, TEXELS).sum(1)
-    blind = Transfer(HEIGHT, (direction, angle, everything, 0 * other), torch.from_numpy(irradiance), 0 * transfer.indirect, False)
+    blind = RadianceTransfer(HEIGHT, (direction, angle, everything, 0 * other), torch.from_numpy(irradiance), 0 * transfer.indirect, False)
     errors = [(rescaled(s, truth)[1] / truth[1] - 1).abs().mean() for s in (found, solved(seen, blind))]
     assert errors[1] > 4 * errors[0]
 
@@ -119,8 +119,8 @@ def test_views_that_do_not_fit_lose_their_say(scene, found):
 def test_steps_are_told_and_can_end_the_work(scene):
     transfer, seen, _ = scene
     told = []
-    separation = start(seen, transfer)
-    separation.run(lambda done: told.append(done) or done == 2)
+    solver = start(seen, transfer)
+    solver.run(lambda done: told.append(done) or done == 2)
     assert told == [1, 2]
 
     def stop(done):

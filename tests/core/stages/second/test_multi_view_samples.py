@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
-from irgspp.core.kernels.cpu.bvh import DiskTree
+from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import View
 from irgspp.core.stages.common.training_view import SATURATED
-from irgspp.core.stages.first.initialization import disks
-from irgspp.core.stages.second.multi_view_samples import FACING, Observations, observe
+from irgspp.core.stages.first.initialization import surfels
+from irgspp.core.stages.second.multi_view_samples import FACING, MultiViewSamples, observe
 
 OFFSET, COUNT = 0.03, 400
 OCCLUDER, SIZE = np.array([0.0, -1.4, 1.2]), 0.6  # a ball in front of the sphere
@@ -25,14 +25,14 @@ def shown(position, camera):
     return 0.3 + 0.15 * position + 0.1 * toward
 
 
-def photograph(camera, picture=shown):
+def photograph(camera, image=shown):
     """The sphere on black, its mask unknown."""
     ray = camera.rays().astype(float)
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     along = ray @ camera.centre
     root = along**2 - camera.centre @ camera.centre + 1
     point = camera.centre + (-along - np.sqrt(np.maximum(root, 0)))[..., None] * ray
-    linear = np.where(root[..., None] >= 0, picture(point, camera), 0)
+    linear = np.where(root[..., None] >= 0, image(point, camera), 0)
     return View("a", camera, Path("a.png"), encode_srgb(linear).astype(np.float32), None)
 
 
@@ -40,13 +40,13 @@ def tree(*parts):
     first, *others = parts
     for other in others:
         first = first.joined(other)
-    return DiskTree.build(first.position, first.quaternion, first.log_scale, first.opacity)
+    return SurfelTree.build(first.position, first.quaternion, first.log_scale, first.opacity)
 
 
 def ball(centre, radius, count):
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
-    return disks(centre + radius * normal, normal, np.full((count, 3), 0.5), np.full(count, radius * np.sqrt(4 * np.pi / count)), 0.99)
+    return surfels(centre + radius * normal, normal, np.full((count, 3), 0.5), np.full(count, radius * np.sqrt(4 * np.pi / count)), 0.99)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_every_camera_that_faces_a_point_observes_it(points, cameras, sphere):
     count = np.bincount([p for p, _ in expected], minlength=COUNT)
     expected = {(p, c) for p, c in expected if count[p] >= 3}
     actual = pairs(seen, chosen, cameras)
-    assert actual <= expected and len(actual) > 0.98 * len(expected)  # rays that graze the disks may be stopped
+    assert actual <= expected and len(actual) > 0.98 * len(expected)  # rays that graze the surfels may be stopped
     assert len(actual) == len(seen.point)
 
 
@@ -134,7 +134,7 @@ def test_most_keeps_some_at_random_and_least_leaves_points_out(points, cameras, 
 
 
 def test_what_stands_in_the_way_hides(points, cameras):
-    """By exact intersection of the way to the camera with a ball; a rim where disks are half transparent counts neither way."""
+    """By exact intersection of the way to the camera with a ball; a rim where surfels are half transparent counts neither way."""
     both = tree(ball(np.zeros(3), 1.0, 5000), ball(OCCLUDER, SIZE, 2000))
     seen, chosen = look(points, [photograph(c) for c in cameras], both, least=1)
     actual = pairs(seen, chosen, cameras)
@@ -186,23 +186,23 @@ def test_masks_leave_out_what_mixes_with_the_background(points, cameras, sphere)
     assert pairs(seen, chosen, cameras) == expected and expected
 
 
-def test_points_behind_a_camera_or_beside_its_picture_are_not_seen(points, sphere):
+def test_points_behind_a_camera_or_beside_its_image_are_not_seen(points, sphere):
     away = Camera(96, 96, 125.0, 125.0, 48.0, 48.0, look_at(np.array([0.0, -4.0, 0.5]), np.array([0.0, -8.0, 0.5])))
     aside = Camera(96, 96, 125.0, 125.0, 48.0, 48.0, look_at(np.array([0.0, -4.0, 0.5]), np.array([8.0, -4.0, 0.5])))
     seen, chosen = look(points, [photograph(away), photograph(aside)], sphere, least=1)
     assert len(seen.position) == len(seen.point) == len(chosen) == 0
 
 
-def some_observations():
+def some_samples():
     random = np.random.default_rng(2)
     lengths = [3, 1, 4, 2]
     point = torch.tensor(np.repeat(np.arange(4), lengths))
     rows = lambda n: torch.from_numpy(random.random((n, 3)).astype(np.float32))  # noqa: E731
-    return Observations(rows(4), rows(4), point, rows(10), rows(10), rows(10) > 0.5)
+    return MultiViewSamples(rows(4), rows(4), point, rows(10), rows(10), rows(10) > 0.5)
 
 
 def test_sums_are_those_of_a_loop():
-    seen = some_observations()
+    seen = some_samples()
     for values in (seen.colour, seen.colour[:, 0], torch.rand(10, 2, 5)):
         expected = [values[[k for k in range(10) if seen.point[k] == p]].sum(0) for p in range(4)]
         np.testing.assert_allclose(seen.sums(values), torch.stack(expected), rtol=1e-6)
@@ -210,7 +210,7 @@ def test_sums_are_those_of_a_loop():
 
 @pytest.mark.parametrize(("begin", "end"), [(0, 4), (1, 3), (2, 2), (3, 4)])
 def test_parts_hold_their_points_and_their_views_only(begin, end):
-    seen = some_observations()
+    seen = some_samples()
     part, views = seen.part(begin, end), (seen.point >= begin) & (seen.point < end)
     assert torch.equal(part.position, seen.position[begin:end]) and torch.equal(part.normal, seen.normal[begin:end])
     assert torch.equal(part.point + begin, seen.point[views])

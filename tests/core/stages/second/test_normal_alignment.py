@@ -30,11 +30,11 @@ def test_the_shortest_turn_takes_one_vector_to_the_other():
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_disks_go_that_share_of_the_way_on_whichever_side_they_are(share):
+def test_surfels_go_that_share_of_the_way_on_whichever_side_they_are(share):
     grid = np.stack([*np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)), np.zeros((9, 9))], -1).reshape(-1, 3)
     surface = Surface(grid, np.tile([0.0, 0.0, 1.0], (81, 1)), np.array([[0, 1, 2]]), 0.1)
     tilt = torch.tensor([0.0, 10.0, 170.0, 60.0]).deg2rad()  # from +Z about X: beside, behind, and an edge
     quaternion = torch.stack([(tilt / 2).cos(), (tilt / 2).sin(), torch.zeros(4), torch.zeros(4)])
-    disks = Gaussians(torch.zeros(3, 4), quaternion, torch.zeros(2, 4), torch.zeros(4), torch.zeros(16, 3, 4), torch.zeros(5, 4))
-    angle = turned(disks, surface, share).normals()[2].acos().rad2deg()
+    surfels = Gaussians(torch.zeros(3, 4), quaternion, torch.zeros(2, 4), torch.zeros(4), torch.zeros(16, 3, 4), torch.zeros(5, 4))
+    angle = turned(surfels, surface, share).normals()[2].acos().rad2deg()
     assert torch.allclose(angle, torch.tensor([0.0, 10 * (1 - share), 180 - 10 * (1 - share), 60.0]), atol=0.1)

@@ -6,15 +6,15 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.environment_lookup import direction_to_uv
 from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import LightDistribution, draw
 from irgspp.core.stages.second import radiance_transfer as transfer_module
-from irgspp.core.stages.second.multi_view_samples import Observations
-from irgspp.core.stages.second.radiance_transfer import subdivided_directions, trace_transfer
+from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
+from irgspp.core.stages.second.radiance_transfer import subdivided_directions, trace_radiance_transfer
 
 HEIGHT = 8
 RADIANCE = np.array([0.6, 0.3, 0.1])  # of the sphere
@@ -24,7 +24,7 @@ RADIANCE = np.array([0.6, 0.3, 0.1])  # of the sphere
 def tracer(splat_sphere):
     """A unit sphere that shines."""
     sphere = splat_sphere(6000, np.tile(RADIANCE, (6000, 1)), 0.999)
-    return Tracer(Reconstruction(sphere, torch.ones(8, 16, 3), Bound((0, 0, 0), 1.0), np.eye(4)))
+    return SecondaryTracer(Reconstruction(sphere, torch.ones(8, 16, 3), Bound((0, 0, 0), 1.0), np.eye(4)))
 
 
 def points(*rows):
@@ -50,7 +50,7 @@ def test_directions_come_of_the_seed():
 
 def test_nothing_in_the_way_and_white_light_make_irradiance_one(tracer):
     position, normal = points((0, 0, 5, 0, 0, 1), (5, 0, 0, 3, 1, -2), (0, -4, 4, 0, -1, 1))
-    transfer = trace_transfer(position, normal, tracer, HEIGHT, 2, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 2, 0, True)
     np.testing.assert_allclose(transfer.irradiance.sum(1), 1, atol=5e-3)
     assert (transfer.indirect == 0).all()
     assert (transfer.fixed[2] == (normal.numpy() @ transfer.fixed[0] > 0)).all()
@@ -58,7 +58,7 @@ def test_nothing_in_the_way_and_white_light_make_irradiance_one(tracer):
 
 def test_each_texel_brings_what_its_cosine_lets_it(tracer):
     position, normal = points((0, 0, 5, 0, 0, 1))
-    transfer = trace_transfer(position, normal, tracer, HEIGHT, 4, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 4, 0, True)
     edge = np.cos(np.arange(HEIGHT + 1) * math.pi / HEIGHT)
     row = np.maximum(edge[:-1], 0) ** 2 - np.maximum(edge[1:], 0) ** 2  # exactly: integral of 2 cos over the row
     actual = transfer.irradiance.view(HEIGHT, -1)
@@ -69,7 +69,7 @@ def test_each_texel_brings_what_its_cosine_lets_it(tracer):
 @pytest.mark.parametrize("distance", [1.5, 2.0, 3.0])
 def test_a_sphere_ahead_takes_light_and_gives_its_own_by_its_form_factor(tracer, distance):
     position, normal = points((0, 0, -distance, 0, 0, 1))
-    transfer = trace_transfer(position, normal, tracer, 16, 3, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, 16, 3, 0, True)
     form = 1 / (distance - tracer.offset) ** 2  # of a unit sphere and a patch that faces it
     assert 1 - float(transfer.irradiance.sum()) == pytest.approx(form, rel=0.04)
     np.testing.assert_allclose(transfer.indirect[0], form * RADIANCE, rtol=0.04)
@@ -77,16 +77,16 @@ def test_a_sphere_ahead_takes_light_and_gives_its_own_by_its_form_factor(tracer,
 
 def test_own_light_can_be_left_out_and_shadows_stay(tracer):
     position, normal = points((0, 0, -1.5, 0, 0, 1))
-    both = [trace_transfer(position, normal, tracer, HEIGHT, 2, 0, bounces) for bounces in (True, False)]
+    both = [trace_radiance_transfer(position, normal, tracer, HEIGHT, 2, 0, bounces) for bounces in (True, False)]
     assert torch.equal(both[0].irradiance, both[1].irradiance)
     assert (both[0].indirect > 0.01).all() and (both[1].indirect == 0).all() and (both[1].fixed[3] == 0).all()
 
 
 def test_points_traced_a_few_at_a_time_are_the_same(tracer, monkeypatch):
     position, normal = points(*np.random.default_rng(0).normal(size=(9, 6)).tolist())
-    whole = trace_transfer(position, normal, tracer, 4, 2, 3, True)
+    whole = trace_radiance_transfer(position, normal, tracer, 4, 2, 3, True)
     monkeypatch.setattr(transfer_module, "RAYS", 128)
-    parts = trace_transfer(position, normal, tracer, 4, 2, 3, True)
+    parts = trace_radiance_transfer(position, normal, tracer, 4, 2, 3, True)
     assert torch.equal(whole.irradiance, parts.irradiance) and torch.equal(whole.indirect, parts.indirect)
     assert all(np.array_equal(a, b) for a, b in zip(whole.fixed, parts.fixed, strict=True))
 
@@ -98,9 +98,9 @@ def test_views_of_points_agree_with_monte_carlo(tracer):
     albedo = torch.tensor([[0.8, 0.4, 0.2]]).expand(3, 3)
     view = torch.nn.functional.normalize(normal + 0.7 * torch.tensor([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), dim=1)
     light = torch.rand(2 * HEIGHT**2, 3, generator=torch.Generator().manual_seed(0)) + 0.1
-    transfer = trace_transfer(position, normal, tracer, HEIGHT, 16, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 16, 0, True)
     nothing = torch.zeros(3, 3)
-    seen = Observations(position, normal, torch.arange(3), view, nothing, nothing.bool())
+    seen = MultiViewSamples(position, normal, torch.arange(3), view, nothing, nothing.bool())
     scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
     f0 = 0.04 * (1 - metallic[:, None]) + metallic[:, None] * albedo
     specular = f0 * (scaled @ light + rest_scaled) + added @ light + rest_added
@@ -126,9 +126,9 @@ def monte_carlo(tracer, position, view, normal, albedo, roughness, metallic, lig
 
 def test_sums_for_many_roughness_values_agree_with_rows(tracer):
     position, normal = points((0, 0, -1.6, 0.6, 0, 1), (1.5, 0, 0, -1, 0.5, 0.5))
-    transfer = trace_transfer(position, normal, tracer, HEIGHT, 2, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 2, 0, True)
     nothing = torch.zeros(2, 3)
-    seen = Observations(position, normal, torch.arange(2), normal, nothing, nothing.bool())
+    seen = MultiViewSamples(position, normal, torch.arange(2), normal, nothing, nothing.bool())
     light, knots = torch.rand(2 * HEIGHT**2, 3), torch.tensor([0.1, 0.4, 0.9])
     sums = transfer.sums(seen, knots, light)
     for j, knot in enumerate(knots):

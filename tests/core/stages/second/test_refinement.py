@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import METALLIC
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.settings.schema import TransportSettings
+from irgspp.core.settings.schema import SecondStageSettings
 from irgspp.core.stages.second.pixel_pool import pool_pixels
 from irgspp.core.stages.second.radiance_refit import refit_radiance
 from irgspp.core.stages.second.refinement import Refinement, split, variation
 
-SETTINGS = TransportSettings(iterations=40, pixels=64, samples=16, pool=4000, normal_rate=1e-4)
+SETTINGS = SecondStageSettings(iterations=40, pixels=64, samples=16, pool=4000, normal_rate=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +24,8 @@ def start(splat_sphere):
 
     def make(metallic=0.02):
         material = torch.tensor([0.5, 0.5, 0.5, 0.5, metallic])[:, None].expand(5, 3000)
-        disks = replace(splat_sphere(3000, opacity=0.999), material=torch.logit(material).contiguous())
-        return Reconstruction(disks, torch.ones(8, 16, 3), Bound((0.0, 0.0, 0.0), 1.5), np.eye(4))
+        surfels = replace(splat_sphere(3000, opacity=0.999), material=torch.logit(material).contiguous())
+        return Reconstruction(surfels, torch.ones(8, 16, 3), Bound((0.0, 0.0, 0.0), 1.5), np.eye(4))
 
     return make
 
@@ -36,7 +36,7 @@ def photographs(sphere_dataset, camera_ring):
 
 
 def refinement(reconstruction, views):
-    tracer = Tracer(reconstruction)
+    tracer = SecondaryTracer(reconstruction)
     pool = pool_pixels(views, tracer, SETTINGS.pool, np.random.default_rng(0))
     return Refinement(reconstruction, pool, tracer, SETTINGS, 0)
 
@@ -97,9 +97,9 @@ def test_radiance_is_fitted_and_nothing_else_moves(start, photographs):
     assert torch.equal(first.environment, fitted.environment)
 
 
-def test_drawn_views_and_known_disks_agree(start, photographs):
+def test_drawn_views_and_known_surfels_agree(start, photographs):
     first = start()
-    tracer = Tracer(first)
+    tracer = SecondaryTracer(first)
     pool = pool_pixels(photographs, tracer, SETTINGS.pool, np.random.default_rng(0))
     known = Refinement(first, pool, tracer, SETTINGS, 0)
     drawn = Refinement(first, pool, tracer, SETTINGS, 0, cameras=[view.camera for view in photographs])

@@ -9,7 +9,7 @@ import torch
 from irgspp.core.errors import IrgsppError
 from irgspp.core.kernels.trace import transmittance
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.rendering.secondary_rays import Tracer
+from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
@@ -19,7 +19,7 @@ from irgspp.core.stages.second import solve as transport
 from irgspp.core.stages.second.light_material_solver import METALLIC
 from scipy.spatial import ConvexHull
 
-SETTINGS = with_overrides(Settings(), ["transport.points=150", "transport.rows=4"])
+SETTINGS = with_overrides(Settings(), ["second.points=150", "second.rows=4"])
 SPHERE = Bound((0.0, 0.0, 0.0), 1.5)
 
 
@@ -55,11 +55,11 @@ def tried(monkeypatch):
         def __init__(self, metals):
             self.metallic = torch.full((10,), metals[-1])
 
-    def separation(reconstruction, seen, transfer, metals, seed, progress):
+    def solver(reconstruction, seen, transfer, metals, seed, progress):
         calls.append(tuple(metals))
         return Found(metals)
 
-    monkeypatch.setattr(transport, "_separation", separation)
+    monkeypatch.setattr(transport, "_separation", solver)
     return calls
 
 
@@ -75,7 +75,7 @@ def tried(monkeypatch):
 def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, glossy, expected):
     make, surface = sphere
     listener = Listener()
-    transport.separated(make(glossy), surface, sphere_dataset(camera_ring(12, size=48), masked), SETTINGS, listener)
+    transport.solve_light_materials(make(glossy), surface, sphere_dataset(camera_ring(12, size=48), masked), SETTINGS, listener)
     assert tried == expected
     assert sum("none of it metal" in text for text in listener.said) == len(expected) - 1
 
@@ -83,7 +83,7 @@ def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, g
 def test_too_few_views_are_one_clear_line(sphere, sphere_dataset, camera_ring):
     make, surface = sphere
     with pytest.raises(IrgsppError, match=r"only \d+ points .* three photographs") as error:
-        transport.separated(make(), surface, sphere_dataset(camera_ring(2, size=48)), SETTINGS, Silent())
+        transport.solve_light_materials(make(), surface, sphere_dataset(camera_ring(2, size=48)), SETTINGS, Silent())
     assert error.value.exit_status == 1 and "\n" not in str(error.value)
 
 
@@ -97,7 +97,7 @@ def test_a_backdrop_is_part_of_the_light_but_hides_what_is_behind(sphere):
     origin = torch.tensor([[0.0, 0.0, 1.1], [1.1, 0.0, 0.0]])
     direction = torch.nn.functional.normalize(origin, dim=1)
     for background, free in ((None, 0.0), (torch.ones(4, 8, 3), 1.0)):
-        tracer = Tracer(replace(make(), gaussians=both, background=background))
+        tracer = SecondaryTracer(replace(make(), gaussians=both, background=background))
         passed, radiance = tracer.look(origin, direction)
         assert torch.allclose(passed, torch.full((2,), free), atol=0.02)
         assert torch.allclose(radiance, torch.full((2, 3), 0.5 * (1 - free)), atol=0.02)

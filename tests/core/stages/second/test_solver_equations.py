@@ -13,45 +13,45 @@ from sphere_on_floor import TEXELS, make, start
 def halfway():
     """A small problem after some steps, and what one could solve for: weight, anchor, pull."""
     transfer, seen, _ = make(40, 15)
-    separation = start(seen, transfer)
-    separation.run(lambda step: step == 9)
-    separation.metallic[::3] = 0.5  # all terms at once
-    separation._trace_lobes()
+    solver = start(seen, transfer)
+    solver.run(lambda step: step == 9)
+    solver.metallic[::3] = 0.5  # all terms at once
+    solver._trace_lobes()
     random = torch.Generator().manual_seed(5)
     weight = torch.rand(seen.colour.shape, generator=random)
-    pull = 0.1 + torch.rand(separation.albedo.shape, generator=random)
-    return separation, weight, separation.albedo.clone(), pull
+    pull = 0.1 + torch.rand(solver.albedo.shape, generator=random)
+    return solver, weight, solver.albedo.clone(), pull
 
 
-def model(separation, light, channel):
+def model(solver, light, channel):
     """c and d (K,) of one channel, float64, differentiable in the light."""
-    transfer, point = separation.transfer, separation.seen.point
-    rows = [a.double() for a in transfer.rows(separation.seen, separation.roughness)]
+    transfer, point = solver.transfer, solver.seen.point
+    rows = [a.double() for a in transfer.rows(solver.seen, solver.roughness)]
     irradiance = (transfer.irradiance.double() @ light + transfer.indirect[:, channel].double())[point]
     lobe = [row @ light + own[:, channel] for row, own in zip(rows[:2], rows[2:], strict=True)]
-    return view_terms(separation.metallic[point].double(), separation.share[:, 0].double(), irradiance, *lobe)
+    return view_terms(solver.metallic[point].double(), solver.share[:, 0].double(), irradiance, *lobe)
 
 
-def eliminated(separation, log_light, weight, anchor, pull, channel):
+def eliminated(solver, log_light, weight, anchor, pull, channel):
     """Residuals of views and of albedo's prior, weighted, with the best albedo for a light, float64; that albedo, and c."""
-    point, y = separation.seen.point, separation.seen.colour[:, channel].double()
-    factor, rest = model(separation, log_light.exp(), channel)
+    point, y = solver.seen.point, solver.seen.colour[:, channel].double()
+    factor, rest = model(solver, log_light.exp(), channel)
     weight, anchor, pull = (t[:, channel].double() for t in (weight, anchor, pull))
     sums = lambda values: torch.zeros_like(pull).index_add(0, point, values)  # noqa: E731
     albedo = (sums(weight * factor * (y - rest)) + pull * anchor) / (sums(weight * factor**2) + pull)
     return torch.cat([weight.sqrt() * (albedo[point] * factor + rest - y), pull.sqrt() * (albedo - anchor)]), albedo, factor
 
 
-def equations(separation, weight, anchor, pull, channel):
+def equations(solver, weight, anchor, pull, channel):
     """What the module solves, by the logarithm of the light, and what it should: half the squared residuals per view."""
-    log_light = separation.light[:, channel].double().log().requires_grad_()
-    residuals, albedo, factor = eliminated(separation, log_light, weight, anchor, pull, channel)
-    separation.albedo[:, channel] = albedo.detach().float()
-    total = separation.seen.sums(weight[:, channel] * factor.detach().float() ** 2) + pull[:, channel]
-    views = len(separation.seen.point)
+    log_light = solver.light[:, channel].double().log().requires_grad_()
+    residuals, albedo, factor = eliminated(solver, log_light, weight, anchor, pull, channel)
+    solver.albedo[:, channel] = albedo.detach().float()
+    total = solver.seen.sums(weight[:, channel] * factor.detach().float() ** 2) + pull[:, channel]
+    views = len(solver.seen.point)
     error = (residuals[:views] / weight[:, channel].double().sqrt()).detach().float()
-    normal, slope = separation._equations(channel, weight[:, channel], factor.detach().float(), total, error)
-    light = separation.light[:, channel]
+    normal, slope = solver._equations(channel, weight[:, channel], factor.detach().float(), total, error)
+    light = solver.light[:, channel]
     return light[:, None] * normal * light, light * slope, log_light, residuals
 
 
@@ -65,19 +65,19 @@ def test_slope_is_the_derivative_of_the_error_with_albedo_eliminated(halfway, ch
 
 def test_curvature_is_that_of_gauss_and_newton_with_albedo_eliminated(halfway):
     """By the Jacobian of light and albedo together and its Schur complement, dense."""
-    separation, weight, anchor, pull = halfway
-    normal, _, log_light, _ = equations(separation, weight, anchor, pull, 1)
+    solver, weight, anchor, pull = halfway
+    normal, _, log_light, _ = equations(solver, weight, anchor, pull, 1)
 
     def residuals(unknowns):
         """Of light (its logarithm) and albedo as independent unknowns; the albedo's anchor makes no difference."""
         albedo = unknowns[TEXELS:]
-        factor, rest = model(separation, unknowns[:TEXELS].exp(), 1)
-        views = weight[:, 1].double().sqrt() * (albedo[separation.seen.point] * factor + rest)
+        factor, rest = model(solver, unknowns[:TEXELS].exp(), 1)
+        views = weight[:, 1].double().sqrt() * (albedo[solver.seen.point] * factor + rest)
         return torch.cat([views, pull[:, 1].double().sqrt() * albedo])
 
-    albedo = separation.albedo[:, 1].double()
+    albedo = solver.albedo[:, 1].double()
     jacobian = torch.autograd.functional.jacobian(residuals, torch.cat([log_light.detach(), albedo]), vectorize=True)
-    full = jacobian.T @ jacobian / len(separation.seen.point)
+    full = jacobian.T @ jacobian / len(solver.seen.point)
     by_light, mixed, by_albedo = full[:TEXELS, :TEXELS], full[:TEXELS, TEXELS:], full[TEXELS:, TEXELS:]
     expected = by_light - mixed @ torch.linalg.solve(by_albedo, mixed.T)
     np.testing.assert_allclose(normal, expected, atol=1e-5 * float(expected.abs().max()))

@@ -14,11 +14,11 @@ LOOK_EVERY = 0.5  # seconds between looks at a file: a panel may draw sixty time
 
 _previews: Any = None  # Blender's own collection of preview icons
 _looked: dict[str, float] = {}  # when each file was looked at last
-_written: dict[str, int] = {}  # when the picture that is shown was written, in ns
+_written: dict[str, int] = {}  # when the image that is shown was written, in ns
 
 
-def picture(layout: bpy.types.UILayout, path: Path, scale: float = 8.0) -> bool:
-    """Draw a picture file, `scale` rows of buttons high; False where there is none (yet)."""
+def image(layout: bpy.types.UILayout, path: Path, scale: float = 8.0) -> bool:
+    """Draw an image file, `scale` rows of buttons high; False where there is none (yet)."""
     key, now = str(path), time.monotonic()
     if _previews is None:
         return False
@@ -47,7 +47,7 @@ def _look(key: str) -> None:
 
 
 def register() -> None:
-    """Begin with no picture."""
+    """Begin with no image."""
     global _previews
     _previews = bpy.utils.previews.new()
 

@@ -18,14 +18,14 @@ def cloud(n, seed, extras=2, size=0.12, opacity=0.0):
 
 
 def rays(count, seed, spread=0.7):
-    """Origins in and around the cloud, so that many lie inside a disk's bound."""
+    """Origins in and around the cloud, so that many lie inside a surfel's bound."""
     g = torch.Generator().manual_seed(seed)
     direction = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
     return torch.randn(count, 3, generator=g) * spread, direction
 
 
 def stack(n, opacity, gap=1.0):
-    """n wide disks square across +Z, at gap, 2 gap, ..., shuffled, each of its own value; returns them with their order."""
+    """n wide surfels square across +Z, at gap, 2 gap, ..., shuffled, each of its own value; returns them with their order."""
     order = torch.randperm(n, generator=torch.Generator().manual_seed(n))
     position = torch.zeros(3, n)
     position[2] = (order + 1) * gap

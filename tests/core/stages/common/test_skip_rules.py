@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.progress.recorder import Journal
+from irgspp.core.progress.recorder import ProgressRecorder
 from irgspp.core.run_folder import RunFolder
 from irgspp.core.settings.schema import Settings, SkipSettings
-from irgspp.core.settings.skip_rules import decide
+from irgspp.core.stages.common.skip_rules import decide
 
 
 class Witness(Silent):
@@ -25,15 +25,15 @@ class Witness(Silent):
 )
 def test_evidence_decides_unless_the_settings_do(choice, found, on):
     witness = Witness()
-    assert decide(replace(SkipSettings(), outside=choice), "outside", found, "40 % black", witness) is on
+    assert decide(replace(SkipSettings(), background=choice), "background", found, "40 % black", witness) is on
     ((rule, told, evidence),) = witness.heard
-    assert (rule, told) == ("outside", on)
+    assert (rule, told) == ("background", on)
     assert ("as set" in evidence) == (choice != "auto") and "40 % black" in evidence
 
 
 def test_the_run_has_it_on_record(tmp_path):
     folder, witness = RunFolder.open(tmp_path / "run", Settings(), "photos"), Witness()
-    Journal(folder, witness).decided("trials", True, "metal fell behind")
+    ProgressRecorder(folder, witness).decided("trials", True, "metal fell behind")
     folder.close()
     assert json.loads((tmp_path / "run" / "run.json").read_text())["rules"] == {"trials": {"on": True, "evidence": "metal fell behind"}}
     assert "skip.trials on: metal fell behind" in (tmp_path / "run" / "log.txt").read_text()

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from ..progress.protocol import Progress
-from .schema import SkipSettings
+from ...progress.protocol import Progress
+from ...settings.schema import SkipSettings
 
 
 def decide(settings: SkipSettings, rule: str, found: bool, evidence: str, progress: Progress) -> bool:
