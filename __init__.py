@@ -34,13 +34,13 @@ def __dir__() -> list[str]:
 
 def register() -> None:
     """Called by Blender when the extension is enabled."""
-    from .irgspp_addon import registration
+    from .panels import registration
 
     registration.register()
 
 
 def unregister() -> None:
     """Called by Blender when the extension is disabled."""
-    from .irgspp_addon import registration
+    from .panels import registration
 
     registration.unregister()

@@ -66,8 +66,6 @@ class IRGSPP_Preferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, context: bpy.types.Context) -> None:
-        from ..preferences_page import draw_preferences  # it asks the engine, which asks the preferences
-
         draw_preferences(self, self.layout)
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tab "IRGS++" of the 3D View's sidebar, from photographs to a relit object."""
 
-from . import dataset, engine, images, jobs, reconstruct, relight, result
+from . import dataset, engine, jobs, reconstruct, relight, result
 
 CLASSES = (*engine.CLASSES, *dataset.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *relight.CLASSES, *jobs.CLASSES)
-
-register, unregister = images.register, images.unregister

@@ -39,7 +39,7 @@ def story() -> Iterator[float]:
 
 def time_everything() -> None:
     """Every panel's drawing, every operator's start, and what looks after the jobs."""
-    for cls in sys.modules[f"{MODULE}.irgspp_addon.registration"].CLASSES:
+    for cls in sys.modules[f"{MODULE}.panels.registration"].CLASSES:
         for name in ("draw", "invoke"):
             if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
                 hands.time_calls(cls, name, f"{cls.__name__}.{name}")

@@ -49,7 +49,7 @@ def time_everything() -> None:
     """Whatever Blender has to wait for while jobs and previews go on."""
     hands.time_calls(part("jobs"), "poll", "jobs.poll")
     hands.time_calls(part("relight_follow"), "beat", "relight_follow.beat")
-    for cls in part("registration").CLASSES:
+    for cls in sys.modules[f"{MODULE}.panels.registration"].CLASSES:
         if issubclass(cls, bpy.types.Panel) and "draw" in vars(cls):
             hands.time_calls(cls, "draw", f"{cls.__name__}.draw")
 

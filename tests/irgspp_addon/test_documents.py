@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from irgspp.irgspp_addon import registration
+from irgspp.panels import registration
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -9,10 +9,10 @@ import pytest
 from irgspp.core.relight.orbit import orbit
 from irgspp.core.scene.camera_files import load_cameras
 from irgspp.core.scene.dataset import Bound
-from irgspp.irgspp_addon import registration
 from irgspp.irgspp_addon.importer.scene_builder import import_run
 from irgspp.irgspp_addon.relight import live_image as relight_follow
 from irgspp.irgspp_addon.world.light_to_world import world_from_map
+from irgspp.panels import registration
 from relighting import lamp, see_through
 
 

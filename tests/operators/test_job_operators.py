@@ -11,11 +11,12 @@ from engine_jobs import counter as counter
 from engine_jobs import registry as registry
 from irgspp.core.errors import IrgsppError
 from irgspp.core.machine.version import VERSION
-from irgspp.irgspp_addon import properties, registration
+from irgspp.irgspp_addon import properties
 from irgspp.irgspp_addon.engine import managed as managed_engine
 from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.irgspp_addon.jobs import result_import
+from irgspp.panels import registration
 
 SETTINGS = " ".join(f"{key}={value}" for key, value in TINY.items())
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything that Blender is told of, in order, and taken back in reverse."""
+"""Registration of all classes, menus and handlers with Blender.
+
+This is the topmost module of the extension: it knows all rooms, and no room imports it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,15 @@ from typing import Any
 
 import bpy
 
-from .. import panels
+from ..irgspp_addon import properties
+from ..irgspp_addon.engine.process import run_engine
+from ..irgspp_addon.importer import materials
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs import timer as job_timer
+from ..irgspp_addon.preferences_page import IRGSPP_Preferences
+from ..irgspp_addon.relight import live_image as relight_follow
+from ..irgspp_addon.relight import render_engine
+from ..irgspp_addon.relight import session as relight_session
 from ..operators import engine as engine_operators
 from ..operators import import_dataset
 from ..operators import jobs as job_operators
@@ -16,15 +27,8 @@ from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
 from ..operators.look_through import IRGSPP_OT_look_through
 from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
-from . import properties
-from .engine.process import run_engine
-from .importer import materials
-from .jobs import queue as jobs
-from .jobs import timer as job_timer
-from .preferences_page import IRGSPP_Preferences
-from .relight import live_image as relight_follow
-from .relight import render_engine
-from .relight import session as relight_session
+from . import CLASSES as PANELS
+from . import images
 
 CLASSES = (
     IRGSPP_Preferences,
@@ -46,7 +50,7 @@ CLASSES = (
     *result_operators.CLASSES,
     *relight_operators.CLASSES,
     render_engine.IRGSPP_RenderEngine,
-    *panels.CLASSES,
+    *PANELS,
 )
 
 _commands: list[Any] = []  # handles that Blender wants back
@@ -60,7 +64,7 @@ def register() -> None:
     materials.register()
     jobs.CHANGED.append(properties.show_jobs)
     job_timer.register()
-    panels.register()
+    images.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     import_dataset.register()
     result_operators.register()
@@ -80,7 +84,7 @@ def unregister() -> None:
     result_operators.unregister()
     import_dataset.unregister()
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
-    panels.unregister()
+    images.unregister()
     job_timer.unregister()
     jobs.CHANGED.remove(properties.show_jobs)
     materials.unregister()
