@@ -87,7 +87,7 @@ def test_temporary_files_are_private():
     assert not calls("tempfile.mktemp", "os.tempnam")
     texts = [(f, n.value) for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     assert not [(f, text) for f, text in texts if text.startswith(("/tmp", "/var/tmp", "C:\\"))]
-    assert {f for f, _ in calls("tempfile.gettempdir")} <= {"core/kernels/cpu/jit.py"}  # which makes sure whose the folder is
+    assert {f for f, _ in calls("tempfile.gettempdir")} <= {"core/machine/cache_folder.py"}  # which makes sure whose the folder is
 
 
 def test_declared_permissions_are_those_that_are_used():

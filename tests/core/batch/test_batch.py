@@ -139,7 +139,7 @@ ROWS = [
 def test_rows_say_how_far_each_is():
     assert [row_line(*row).split(maxsplit=1)[1] for row in ROWS] == [
         "done      in 1:05",
-        "running   reflective  25%  1:15 left",
+        "running   first stage  25%  1:15 left",
         "failed    photos: no such folder",
         "waiting",
     ]

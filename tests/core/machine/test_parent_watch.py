@@ -9,8 +9,8 @@ import pytest
 WATCH = """
 import os, time
 {first}
-from irgspp.core.stdin_end import when_stdin_ends
-when_stdin_ends(lambda: os._exit(7))
+from irgspp.core.machine.parent_watch import on_parent_exit
+on_parent_exit(lambda: os._exit(7))
 print("watching", flush=True)
 time.sleep({seconds})
 """

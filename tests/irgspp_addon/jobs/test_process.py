@@ -80,7 +80,10 @@ import runpy
 runpy.run_path(sys.argv[1] + "/irgspp_addon/launch.py")["mount"](__import__("pathlib").Path(sys.argv[1]))
 import bpy
 from pathlib import Path
-from irgspp.irgspp_addon import jobs, session, user_folder, engine
+from irgspp.irgspp_addon import user_folder
+from irgspp.irgspp_addon.engine import process as engine
+from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs import session
 place = lambda name="": Path(sys.argv[2]) / name
 for module in (jobs, session, user_folder, engine):
     module.user_folder = place

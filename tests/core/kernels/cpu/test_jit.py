@@ -9,6 +9,7 @@ import tempfile
 import numba
 import pytest
 from irgspp.core.kernels.cpu import jit
+from irgspp.core.machine import cache_folder
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def test_cache_is_where_the_user_wants_it(tmp_path, monkeypatch, temporary):
 def test_cache_follows_xdg(tmp_path, monkeypatch):
     monkeypatch.delenv("IRGSPP_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert jit.cache_root() == tmp_path / "irgspp"
+    assert cache_folder.cache_root() == tmp_path / "irgspp"
 
 
 def test_unwritable_cache_falls_back_to_a_private_folder(tmp_path, monkeypatch, temporary):
@@ -69,14 +70,16 @@ def test_nowhere_to_write_says_what_to_do(tmp_path, monkeypatch):
 def test_name_changes_with_the_sources(tmp_path, monkeypatch):
     monkeypatch.setenv("IRGSPP_CACHE", str(tmp_path / "cache"))
     before = jit.cache_folder()
-    sources = tmp_path / "kernels"
-    sources.mkdir()
-    for name in ("jit.py", "simd.py"):
+    sources = tmp_path / "kernels" / "cpu"
+    sources.mkdir(parents=True)
+    for name in ("jit.py", "simd.py", "../constants.py"):
         (sources / name).write_text("x = 1\n")
     monkeypatch.setattr(jit, "__file__", str(sources / "jit.py"))
     first = jit.cache_folder()
     (sources / "simd.py").write_text("x = 2\n")
-    assert len({before, first, jit.cache_folder()}) == 3
+    second = jit.cache_folder()
+    (sources.parent / "constants.py").write_text("x = 2\n")
+    assert len({before, first, second, jit.cache_folder()}) == 4
 
 
 def test_processes_that_compile_at_once_keep_their_versions_apart(tmp_path, monkeypatch):

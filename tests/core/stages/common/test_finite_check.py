@@ -143,7 +143,7 @@ def half_done(tmp_path_factory):
     run = tmp_path_factory.mktemp("half") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Trainer, "test", lambda self: None)
-        patch.setattr("irgspp.core.pipeline.solve_transport", lambda *_: (_ for _ in ()).throw(Cancelled("here")))
+        patch.setattr("irgspp.core.pipeline.solve_second_stage", lambda *_: (_ for _ in ()).throw(Cancelled("here")))
         arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", "low-gloss", "--set", "first.iterations=40"]
         assert main(arguments) == 130
     return run
