@@ -16,7 +16,7 @@ from ..machine.devices import best
 from ..progress.protocol import Progress
 from ..rendering.gbuffer_cache import GBufferCache
 from ..run_folder import RunFolder, read_run
-from ..scene.camera_files import load_cameras
+from ..scene.camera_files import load_run_cameras
 from ..scene.edited_mesh import EditedMesh, load_edited_mesh
 from ..scene.glb import save_glb
 from ..scene.mesh import Mesh
@@ -81,7 +81,7 @@ def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: P
     reconstruction = Reconstruction.load(run).to(best())
     if given is not None and edited is not None:
         _check_place(given, reconstruction, edited)
-    cameras = [placed.camera for placed in load_cameras(run / "cameras.json") if placed.split == "train"]
+    cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]
     views, samples = GBufferCache(reconstruction, cameras), reconstruction.surface_samples()
     if triangles is not None:
         # The masks themselves may be gone; the Gaussians were fitted to them.

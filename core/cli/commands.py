@@ -31,7 +31,7 @@ def demo(args: argparse.Namespace, terminal: Terminal) -> int:
 def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
     """Print what was understood of a dataset."""
     from ..datasets.load import load_dataset
-    from ..datasets.summary import describe, facts
+    from ..datasets.summary import describe, summary
 
     settings = with_overrides(Settings(), args.set).data
     data = load_dataset(args.dataset, settings, terminal)
@@ -40,7 +40,7 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
 
         save_dataset(data, settings, args.export, terminal)
     terminal.end_line()
-    print(json.dumps(facts(data)) if args.json else describe(data))
+    print(json.dumps(summary(data)) if args.json else describe(data))
     return 0
 
 

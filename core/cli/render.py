@@ -83,14 +83,14 @@ def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: R
     """The views of a dataset, or an orbit with the lens of the first of them (of the run's own photographs where no dataset is named)."""
     from ..relight.orbit import orbit
     from ..relight.render_views import cameras_of
-    from ..scene.camera_files import load_cameras
+    from ..scene.camera_files import load_run_cameras
 
     if args.orbit is None and args.views is None:
         raise InputError("render", "needs to know which views", "add --views DATASET[:split] or --orbit N")
     if args.views is not None:
         cameras = cameras_of(args.views, settings, reconstruction.to_world)
     else:
-        cameras = [(placed.name, placed.camera) for placed in load_cameras(args.run / "cameras.json")]
+        cameras = [(placed.name, placed.camera) for placed in load_run_cameras(args.run / "cameras.json")]
     if args.orbit is not None:
         cameras = orbit(args.orbit, [camera for _, camera in cameras], reconstruction.bound)
     if args.frames is None:

@@ -17,14 +17,14 @@ from ..scene.camera_files import save_views
 from ..scene.dataset import Dataset, View
 from ..settings.schema import DataSettings
 from .load import full_size_views
-from .summary import facts
+from .summary import summary
 
 
 def save_dataset(dataset: Dataset, settings: DataSettings, folder: Path, progress: Progress) -> None:
     """Write cameras.json, points.npz (where there are points), and dataset.json last: with it the folder is complete.
 
     Cameras are those of the unreduced photographs; where these show lens distortion, undistorted copies are written to `photographs/`.
-    points.npz holds `position` (P, 3) float32 in our world and `colour` (P, 3) uint8 sRGB; dataset.json is `datasets.inspect.facts`.
+    points.npz holds `position` (P, 3) float32 in our world and `colour` (P, 3) uint8 sRGB; dataset.json is `summary.summary`.
     Raises InputError where the folder can't be written or a photograph has changed, Cancelled where the user stopped the work.
     """
     try:
@@ -36,7 +36,7 @@ def save_dataset(dataset: Dataset, settings: DataSettings, folder: Path, progres
             data = io.BytesIO()
             np.savez(data, position=dataset.points.position, colour=np.round(255 * np.clip(dataset.points.colour, 0, 1)).astype(np.uint8))
             write_atomic(folder / "points.npz", data.getvalue())
-        write_atomic(folder / "dataset.json", json.dumps(facts(dataset), indent=1).encode())
+        write_atomic(folder / "dataset.json", json.dumps(summary(dataset), indent=1).encode())
     except OSError as error:
         raise InputError(folder, f"can't be written ({error.strerror})") from error
 

@@ -68,7 +68,7 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     return Dataset(path, capture.format, views, checks, bound, capture.to_world, capture.points, warnings, lenses, dict(novel))
 
 
-def load_cameras(
+def load_dataset_cameras(
     path: Path,
     split: str | None = None,
     settings: DataSettings = DataSettings(),  # noqa: B008 (immutable)

@@ -18,7 +18,7 @@ def describe(dataset: Dataset) -> str:
     return "\n".join(f"{name:<10}{text}" for name, text in _rows(dataset))
 
 
-def facts(dataset: Dataset) -> dict[str, Any]:
+def summary(dataset: Dataset) -> dict[str, Any]:
     """The same as plain values for JSON.
 
     path, format; train, test: numbers of views; novel: of those under other lights, by light; sizes: [[width, height, images]], the most

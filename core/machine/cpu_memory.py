@@ -32,7 +32,7 @@ class Free:
     limit: str
 
 
-def bytes_needed(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> int:
+def estimate_memory(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> int:
     """Estimate the bytes of memory that a job on the CPU has in use at most, libraries included.
 
     Args:
@@ -52,9 +52,9 @@ def bytes_needed(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> int:
 def rays_that_fit(settings: Settings, pixels: int, free: Free | None = None) -> int:
     """How many rays may be at work at a time so that the job fits into memory. Raises InputError where it does not even with few."""
     room, taken, rays = free or free_memory(), resident(), MOST_RAYS
-    while bytes_needed(settings, pixels, rays) - taken > SHARE * room.size:
+    while estimate_memory(settings, pixels, rays) - taken > SHARE * room.size:
         if rays <= FEWEST_RAYS:
-            needed = f"{bytes_needed(settings, pixels, rays) / 2**30:.1f} GiB"
+            needed = f"{estimate_memory(settings, pixels, rays) / 2**30:.1f} GiB"
             there = f"{(room.size + taken) / 2**30:.1f} GiB can be had ({room.limit})"
             fix = "close other programs, or give --set data.resolution=..., first.gaussians=... or second.points=... less"
             raise InputError("memory", f"the job needs about {needed}, {there}", fix)

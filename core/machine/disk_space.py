@@ -19,7 +19,7 @@ PHOTOGRAPH = 0.6  # bytes of a pixel of an undistorted copy
 REST = 8 * MEGABYTE  # contact sheet, previews, light, events
 
 
-def bytes_needed(settings: Settings, undistorted: int) -> int:
+def estimate_disk_space(settings: Settings, undistorted: int) -> int:
     """Estimate the bytes that a run folder takes while its job works: more than is left in the end.
 
     Args:
@@ -39,7 +39,7 @@ def check_disk_space(run: Path, settings: Settings, undistorted: int) -> None:
     """Raise InputError where the disk that the run folder is on, or would be, has less free than the job needs."""
     place = next(p for p in (run, *run.absolute().parents) if p.exists())
     there = sum(file.stat().st_size for file in run.rglob("*") if file.is_file()) if run.is_dir() else 0
-    needed, free = bytes_needed(settings, undistorted) - there, shutil.disk_usage(place).free
+    needed, free = estimate_disk_space(settings, undistorted) - there, shutil.disk_usage(place).free
     if needed > free:
         what = f"the job needs about {_shown(needed)} of the disk, of which {_shown(free)} are free"
         raise InputError(run, what, "free some room, or name a folder on another disk")

@@ -36,7 +36,7 @@ class Plan:
     targets: bool
 
 
-def bytes_needed(settings: Settings, views: int, width: int, height: int, targets: bool) -> int:
+def estimate_gpu_memory(settings: Settings, views: int, width: int, height: int, targets: bool) -> int:
     """About how many bytes the largest step of a job takes."""
     pixels = width * height
     first = settings.first.gaussians * int(GAUSSIAN + ENTRIES * ENTRY) + pixels * PIXEL
@@ -51,7 +51,7 @@ def plan(settings: Settings, views: int, width: int, height: int, free: int) -> 
     """The layout that fits into `free` bytes of the GPU's memory. Raises InputError where none does."""
     needed = 0
     for targets in (True, False):
-        needed = bytes_needed(settings, views, width, height, targets)
+        needed = estimate_gpu_memory(settings, views, width, height, targets)
         if needed <= SHARE * free:
             return Plan(needed, targets)
     raise InputError(

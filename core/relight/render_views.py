@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..datasets.load import load_cameras
+from ..datasets.load import load_dataset_cameras
 from ..errors import Cancelled, InputError
 from ..io.exr import rgb_channels, write_exr
 from ..io.srgb import encode_srgb
@@ -130,7 +130,7 @@ def cameras_of(text: str, settings: DataSettings, run_to_world: np.ndarray) -> l
     Raises InputError where the cameras can't be read or the split has none.
     """
     path, split = split_of(text)
-    cameras, to_world = load_cameras(path, split, settings)
+    cameras, to_world = load_dataset_cameras(path, split, settings)
     move = run_to_world @ np.linalg.inv(to_world)  # read on its own, a dataset may be placed otherwise
     return [(name, camera.moved(move)) for name, camera in cameras]
 

@@ -42,7 +42,7 @@ def save_views(path: Path, views: Iterable[tuple[str, View]]) -> None:
     write_atomic(path, json.dumps(records, indent=1).encode())
 
 
-def load_cameras(path: Path) -> list[PlacedCamera]:
+def load_run_cameras(path: Path) -> list[PlacedCamera]:
     """Read what `save_cameras` wrote. Raises InputError where the file is missing or not of that form."""
     try:
         return [_placed(record, path.parent) for record in json.loads(path.read_text(encoding="utf-8"))]

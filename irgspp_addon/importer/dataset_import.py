@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.scene.camera_files import load_cameras
+from ...core.scene.camera_files import load_run_cameras
 from ..user_folder import user_folder
 from .cameras import place_cameras
 from .ownership import Owner
@@ -84,7 +84,7 @@ def build_dataset(
 
     Raises InputError where the folder does not hold it, before anything is made.
     """
-    facts, records, cloud = _facts(folder), load_cameras(folder / "cameras.json"), _points(folder) if points else None
+    facts, records, cloud = _facts(folder), load_run_cameras(folder / "cameras.json"), _points(folder) if points else None
     owner = Owner(dataset)
     name = dataset.stem or dataset.resolve().name
     collection = owner.kept(bpy.data.collections, "collection", name)

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.scene.camera_files import load_cameras
+from ...core.scene.camera_files import load_run_cameras
 from ..world.light_to_world import load_image, world_from_map
 from .cameras import look_through, place_cameras
 from .materials import SOURCES, TEXTURES, build_material
@@ -48,7 +48,7 @@ def import_run(
     puts textures and light into the .blend; without `placement` the run lies over its imported dataset, or as the engine found it.
     Raises InputError where the folder is not a finished run, before anything is made.
     """
-    cameras, elements = load_cameras(run / "cameras.json"), _read_mesh(run / "mesh.ply")
+    cameras, elements = load_run_cameras(run / "cameras.json"), _read_mesh(run / "mesh.ply")
     _check_files(run, source)
     to_world, centre = _frame(run)
     owner = Owner(run)

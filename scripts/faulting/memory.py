@@ -10,7 +10,7 @@ from pathlib import Path
 
 import psutil
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.machine.cpu_memory import bytes_needed
+from irgspp.core.machine.cpu_memory import estimate_memory
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
 from irgspp.core.settings.overrides import with_overrides
@@ -48,7 +48,7 @@ def peak(run: Path) -> int:
 
 def foreseen(measured: Measured, name: str, dataset: Path, how: Settings, run: Path) -> None:
     """Compare estimate and peak."""
-    estimate, found = bytes_needed(how, load_dataset(dataset, how.data).pixels()), peak(run)
+    estimate, found = estimate_memory(how, load_dataset(dataset, how.data).pixels()), peak(run)
     measured.at_most(f"{name}: {estimate / MIB:.0f} MB foreseen, {found / MIB:.0f} taken, off by", abs(estimate / found - 1), WITHIN)
 
 

@@ -18,7 +18,7 @@ from formats.source import load_source
 from irgspp.core.batch.jobs import read_jobs
 from irgspp.core.cli.parser import check_words
 from irgspp.core.datasets.formats.colmap_model import read_points as read_colmap_points
-from irgspp.core.datasets.load import load_cameras
+from irgspp.core.datasets.load import load_dataset_cameras
 from irgspp.core.datasets.sparse_points import read_points
 from irgspp.core.errors import InputError
 from irgspp.core.evaluation.surface_truth import rendered_points
@@ -95,7 +95,7 @@ def _converted(model: Path, text: bool) -> None:
 
 def read_dataset(folder: Path, file: Path) -> object:
     """What a command makes of a dataset before it decodes images: its description, and the cameras fitted to them."""
-    return load_cameras(folder, "all", DataSettings())
+    return load_dataset_cameras(folder, "all", DataSettings())
 
 
 def write_transforms(folder: Path) -> None:

@@ -15,7 +15,7 @@ import torch
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import IrgsppError
 from irgspp.core.run_folder import RunFolder, read_run
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.core.scene.reconstruction import Reflections
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import from_dict
@@ -81,4 +81,4 @@ def read_checkpoint(folder: Path, file: Path) -> object:
 
 def read_layer(folder: Path, file: Path) -> object:
     """What else a run folder has."""
-    return Reflections.load(file, 4) if file.suffix == ".npz" else load_cameras(file)
+    return Reflections.load(file, 4) if file.suffix == ".npz" else load_run_cameras(file)

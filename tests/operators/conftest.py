@@ -7,7 +7,7 @@ import blender_side
 import bpy
 import pytest
 from irgspp.core.relight.orbit import orbit
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.core.scene.dataset import Bound
 from irgspp.irgspp_addon.importer.scene_builder import import_run
 from irgspp.irgspp_addon.relight import live_image as relight_follow
@@ -42,7 +42,7 @@ def scene(warm, relightable, tmp_path):
     import_run(relightable)
     scene = bpy.context.scene
     scene.world = world_from_map(blender_side.write_image(tmp_path / "lamp.exr", lamp()))
-    ((_, camera),) = orbit(1, [placed.camera for placed in load_cameras(relightable / "cameras.json")], Bound((0, 0, 0), 1.3))
+    ((_, camera),) = orbit(1, [placed.camera for placed in load_run_cameras(relightable / "cameras.json")], Bound((0, 0, 0), 1.3))
     see_through(scene, camera, "eye")
     scene.render.image_settings.color_mode = "RGBA"
     yield scene

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from blender_side import read_image
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.irgspp_addon.engine.process import engine_command, engine_environment
 from irgspp.irgspp_addon.importer.run_frame import camera_of, frame_of, run_object, scene_camera
 from irgspp.irgspp_addon.relight import session as relight_session
@@ -123,7 +123,7 @@ def test_cameras_come_back_as_they_were(scene, relightable, index):
     """Intrinsics through Blender's own projection, pixels of any shape, and through the frame of a moved object."""
     from irgspp.irgspp_addon.importer.cameras import look_through
 
-    expected = load_cameras(relightable / "cameras.json")[index].camera
+    expected = load_run_cameras(relightable / "cameras.json")[index].camera
     cameras = sorted((o for o in scene.objects if o.type == "CAMERA" and o.name != "eye"), key=lambda o: o.name[-1])
     look_through(scene, cameras[index])
     thing = run_object(scene, relightable)

@@ -20,7 +20,7 @@ from irgspp.core.machine import devices
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.relighter import RelightSettings
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
@@ -126,7 +126,7 @@ def main(dataset: Path, run: Path, changes: list[str]) -> None:
         check_itself()
         pipeline.reconstruct(dataset, run, with_overrides(preset("balanced"), changes), overwrite=True)
         found = Reconstruction.load(run).to(GPU)
-        camera, sky = load_cameras(run / "cameras.json")[0].camera, prepare(sky_light(16, 32), GPU)
+        camera, sky = load_run_cameras(run / "cameras.json")[0].camera, prepare(sky_light(16, 32), GPU)
         ways = [("gaussian", {"samples": 8}), ("mesh", {"samples": 16, "error": 0.02}), ("mesh", {"samples": 8, "denoise": "off"})]
         for backend, how in ways:
             relighter = open_relighter(run, found, backend, RelightSettings(**how))

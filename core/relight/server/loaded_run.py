@@ -16,7 +16,7 @@ import torch
 from ...errors import InputError
 from ...machine.devices import best
 from ...scene.camera import Camera
-from ...scene.camera_files import load_cameras
+from ...scene.camera_files import load_run_cameras
 from ...scene.environment_files import repaired
 from ...scene.environment_map import EnvironmentMap
 from ...scene.mesh_ply import load_mesh_ply
@@ -144,7 +144,7 @@ class LoadedRun:
 
     def warm_up(self) -> None:
         """One small image, so that the first that is asked for finds every kernel compiled."""
-        cameras = load_cameras(self._run / "cameras.json")
+        cameras = load_run_cameras(self._run / "cameras.json")
         if cameras:
             first = cameras[0].camera
             scale = 64 / max(first.width, first.height)

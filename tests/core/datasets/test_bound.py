@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from irgspp.core.datasets.bound import focus_of
-from irgspp.core.datasets.load import load_cameras, load_dataset
+from irgspp.core.datasets.load import load_dataset, load_dataset_cameras
 from irgspp.core.datasets.parsed_dataset import view_names
 from irgspp.core.datasets.summary import describe
 from irgspp.core.datasets.up_direction import rotation_to_z
@@ -75,7 +75,7 @@ def test_cameras_that_look_outwards_are_told(capture):
 def test_focus_survives_a_stray_camera(capture):
     capture.poses[0][:3, 3] += capture.poses[0][:3, 0] * 2
     capture.transforms()
-    cameras = [c for _, c in load_cameras(capture.folder, "all")[0]]
+    cameras = [c for _, c in load_dataset_cameras(capture.folder, "all")[0]]
     focus = focus_of(cameras)
     assert focus.reliable and np.linalg.norm(focus.point - capture.centre) < 0.1
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from irgspp.core.datasets.formats.colmap_model import read_cameras, read_images, read_points
-from irgspp.core.datasets.load import load_cameras
+from irgspp.core.datasets.load import load_dataset_cameras
 from irgspp.core.errors import InputError
 from irgspp.core.io.image import read_image
 from PIL import Image
@@ -61,7 +61,7 @@ def test_damaged_transforms(capture, cut, edits, noise):
         SAMPLES["transforms.json"] = path.read_bytes()
     path.write_bytes(damage(SAMPLES["transforms.json"], cut, edits) + (noise if cut < 0.5 else b""))
     with contextlib.suppress(InputError):
-        load_cameras(capture.folder, "all")
+        load_dataset_cameras(capture.folder, "all")
 
 
 SAMPLES: dict[str, bytes] = {}

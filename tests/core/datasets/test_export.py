@@ -9,11 +9,11 @@ import pytest
 from irgspp.core.cli.main import main
 from irgspp.core.datasets.export import save_dataset
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.datasets.summary import describe, facts
+from irgspp.core.datasets.summary import describe, summary
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.core.settings.schema import DataSettings
 from PIL import Image
 
@@ -42,7 +42,7 @@ def bent(tmp_path):
 def test_cameras_are_those_of_the_unreduced_images(tmp_path):
     save_dataset(load_dataset(DEMO_DATA, SMALL), SMALL, tmp_path, Silent())
     full = load_dataset(DEMO_DATA, FULL)
-    placed = load_cameras(tmp_path / "cameras.json")
+    placed = load_run_cameras(tmp_path / "cameras.json")
     expected = [("train", v) for v in full.train] + [("test", v) for v in full.test]
     for record, (split, view) in zip(placed, expected, strict=True):
         assert (record.split, record.name, record.image) == (split, view.name, view.path.resolve())
@@ -56,7 +56,7 @@ def test_bent_photographs_are_straightened_at_full_size(bent, tmp_path_factory):
     save_dataset(load_dataset(bent, SMALL), SMALL, out, Silent())
     data = load_dataset(bent, FULL)
     views = [*data.train, *data.test]
-    placed = load_cameras(out / "cameras.json")
+    placed = load_run_cameras(out / "cameras.json")
     assert [p.name for p in placed] == [v.name for v in views] == list("12340")  # without the broken one
     for record, view in zip(placed, views, strict=True):
         assert record.image.is_relative_to(out) and (record.camera.fx, record.camera.width) == (view.camera.fx, 40)
@@ -102,4 +102,4 @@ def test_commands_words(bent, tmp_path_factory, capsys):
     assert told == json.loads((out / "dataset.json").read_text())
     assert told["distorted"] == 5 and told["masked"] == 0 and told["object_share"] is None
     assert any("5.png" in line for line in told["warnings"])
-    assert told["lenses"] and told == json.loads(json.dumps(facts(load_dataset(bent))))
+    assert told["lenses"] and told == json.loads(json.dumps(summary(load_dataset(bent))))

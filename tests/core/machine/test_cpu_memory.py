@@ -9,7 +9,7 @@ import torch
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
 from irgspp.core.machine import cpu_memory as host_memory
-from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, Free, bytes_needed, free_memory, rays_that_fit
+from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, Free, estimate_memory, free_memory, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.second import radiance_transfer as transfer
@@ -23,15 +23,15 @@ def data():
 
 
 def test_more_of_anything_needs_more(data):
-    sizes = [bytes_needed(preset(name), data.pixels()) for name in ("draft", "balanced", "paper")]
+    sizes = [estimate_memory(preset(name), data.pixels()) for name in ("draft", "balanced", "paper")]
     assert 900 * MIB < sizes[0] <= sizes[1] < sizes[2]
-    assert bytes_needed(preset("draft"), data.pixels(), FEWEST_RAYS) < sizes[0] - 200 * MIB
+    assert estimate_memory(preset("draft"), data.pixels(), FEWEST_RAYS) < sizes[0] - 200 * MIB
 
 
 def test_rays_are_as_many_as_fit(data, monkeypatch):
     how, taken = preset("draft"), 300 * MIB
     monkeypatch.setattr(host_memory, "resident", lambda: taken)  # the process of other tests may have taken more than the job needs
-    whole, least = (bytes_needed(how, data.pixels(), rays) - taken for rays in (MOST_RAYS, FEWEST_RAYS))
+    whole, least = (estimate_memory(how, data.pixels(), rays) - taken for rays in (MOST_RAYS, FEWEST_RAYS))
     assert rays_that_fit(how, data.pixels(), Free(2 * whole, "plenty")) == MOST_RAYS
     assert FEWEST_RAYS <= rays_that_fit(how, data.pixels(), Free((whole + least) // 2 + 60 * MIB, "some")) < MOST_RAYS
     with pytest.raises(InputError, match=r"memory: the job needs about \d\.\d GiB, .* can be had \(too little\); close other programs"):

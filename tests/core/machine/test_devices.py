@@ -11,7 +11,7 @@ from irgspp.core.machine import cuda
 from irgspp.core.machine.backend import by_warp
 from irgspp.core.machine.cuda import DeviceLost, Findings, faults, obstacle
 from irgspp.core.machine.devices import WARP_ON_CPU, choose, computing_on
-from irgspp.core.machine.gpu_memory import FEWEST, RAYS, bytes_needed, plan, rays_that_fit
+from irgspp.core.machine.gpu_memory import FEWEST, RAYS, estimate_gpu_memory, plan, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA, reconstruct
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
@@ -112,11 +112,11 @@ def test_a_job_that_cannot_fit_is_refused_before_it_starts():
 
 def test_more_of_anything_takes_more_memory():
     settings = preset("paper")
-    base = bytes_needed(settings, 100, 800, 800, True)
-    assert bytes_needed(settings, 101, 800, 800, True) > base
-    assert bytes_needed(settings, 100, 900, 800, True) > base
+    base = estimate_gpu_memory(settings, 100, 800, 800, True)
+    assert estimate_gpu_memory(settings, 101, 800, 800, True) > base
+    assert estimate_gpu_memory(settings, 100, 900, 800, True) > base
     more = replace(settings, first=replace(settings.first, gaussians=10_000_000))
-    assert bytes_needed(more, 100, 800, 800, True) > base
+    assert estimate_gpu_memory(more, 100, 800, 800, True) > base
 
 
 def test_a_lost_gpu_leaves_a_checkpoint(tmp_path, monkeypatch):

@@ -90,12 +90,12 @@ def test_job_on_a_full_disk_tells_its_own_error(tmp_path, monkeypatch):
 
 def test_room_is_looked_for_before_anything_is_written(tmp_path, monkeypatch):
     data, settings = load_dataset(DEMO_DATA), preset("balanced")
-    needed = room.bytes_needed(settings, data.pixels(distorted=True))
+    needed = room.estimate_disk_space(settings, data.pixels(distorted=True))
     assert 50e6 < needed < 500e6
     assert (
-        room.bytes_needed(preset("paper"), data.pixels(distorted=True))
+        room.estimate_disk_space(preset("paper"), data.pixels(distorted=True))
         > 2 * needed
-        > 2 * room.bytes_needed(preset("draft"), data.pixels(distorted=True))
+        > 2 * room.estimate_disk_space(preset("draft"), data.pixels(distorted=True))
     )
     room.check_disk_space(tmp_path / "a" / "run", settings, data.pixels(distorted=True))
     usage = type("Usage", (), {"free": 10**6})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from irgspp.core.errors import InputError
 from irgspp.core.scene.camera import Camera
-from irgspp.core.scene.camera_files import load_cameras, save_cameras
+from irgspp.core.scene.camera_files import load_run_cameras, save_cameras
 from irgspp.core.scene.dataset import Bound, Dataset, View
 from PIL import Image
 
@@ -31,7 +31,7 @@ def test_round_trip_is_exact(tmp_path):
     run.mkdir()
     dataset = make_dataset(tmp_path / "photographs" / "a b.png", run / "own.png", tmp_path / "ü.jpg")
     save_cameras(run / "cameras.json", dataset)
-    placed = load_cameras(run / "cameras.json")
+    placed = load_run_cameras(run / "cameras.json")
     assert [p.split for p in placed] == ["train", "train", "test"]
     for record, view in zip(placed, dataset.train + dataset.test, strict=True):
         assert record.name == view.name and record.image == view.path
@@ -44,7 +44,7 @@ def test_images_in_the_run_move_with_it(tmp_path):
     (tmp_path / "run").mkdir()
     save_cameras(tmp_path / "run" / "cameras.json", make_dataset(tmp_path / "run" / "own.png"))
     (tmp_path / "run").rename(tmp_path / "moved")
-    assert load_cameras(tmp_path / "moved" / "cameras.json")[0].image == tmp_path / "moved" / "own.png"
+    assert load_run_cameras(tmp_path / "moved" / "cameras.json")[0].image == tmp_path / "moved" / "own.png"
 
 
 def test_undistorted_copies_stand_in_for_distorted_photographs(tmp_path):
@@ -53,7 +53,7 @@ def test_undistorted_copies_stand_in_for_distorted_photographs(tmp_path):
     dataset.train[0] = replace(dataset.train[0], colour=colour, distorted=True)
     (tmp_path / "run").mkdir()
     save_cameras(tmp_path / "run" / "cameras.json", dataset)
-    copy, original = (p.image for p in load_cameras(tmp_path / "run" / "cameras.json"))
+    copy, original = (p.image for p in load_run_cameras(tmp_path / "run" / "cameras.json"))
     assert original == tmp_path / "b.png"
     assert copy == tmp_path / "run" / "photographs" / "train" / "v0.jpg"
     with Image.open(copy) as image:
@@ -65,9 +65,9 @@ def test_undistorted_copies_stand_in_for_distorted_photographs(tmp_path):
 def test_broken_file_is_bad_input(tmp_path, content):
     (tmp_path / "cameras.json").write_text(content)
     with pytest.raises(InputError, match=r"cameras\.json"):
-        load_cameras(tmp_path / "cameras.json")
+        load_run_cameras(tmp_path / "cameras.json")
 
 
 def test_missing_file_is_bad_input(tmp_path):
     with pytest.raises(InputError, match=r"cameras\.json"):
-        load_cameras(tmp_path / "cameras.json")
+        load_run_cameras(tmp_path / "cameras.json")

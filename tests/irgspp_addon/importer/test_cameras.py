@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.irgspp_addon.importer.cameras import look_through
 from irgspp.irgspp_addon.importer.scene_builder import import_run
 from mathutils import Vector
@@ -15,7 +15,7 @@ from mathutils import Vector
 def test_points_fall_on_the_same_pixel(run_folder, index):
     bpy.ops.wm.read_homefile(use_empty=True)
     placed = import_run(run_folder).cameras[index]
-    camera = load_cameras(run_folder / "cameras.json")[index].camera
+    camera = load_run_cameras(run_folder / "cameras.json")[index].camera
     scene = bpy.context.scene
     look_through(scene, placed)
     bpy.context.view_layer.update()
@@ -30,7 +30,7 @@ def test_points_fall_on_the_same_pixel(run_folder, index):
 def test_photographs_are_linked_behind_the_view(run_folder):
     bpy.ops.wm.read_homefile(use_empty=True)
     imported = import_run(run_folder)
-    for placed, record in zip(imported.cameras, load_cameras(run_folder / "cameras.json"), strict=True):
+    for placed, record in zip(imported.cameras, load_run_cameras(run_folder / "cameras.json"), strict=True):
         (background,) = placed.data.background_images
         assert bpy.path.abspath(background.image.filepath) == str(record.image)
         assert tuple(background.image.size) == (record.camera.width, record.camera.height)

@@ -11,7 +11,7 @@ import sphere_run
 from blender_side import write_sphere_run
 from cycles_layers import glowing_inputs
 from irgspp.core.errors import InputError
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.irgspp_addon.importer.materials import available_sources, source_of, use_source
 from irgspp.irgspp_addon.importer.placement import Placement
 from irgspp.irgspp_addon.importer.ply import read_ply
@@ -64,7 +64,7 @@ def test_cycles_reads_the_materials_values(run_folder, tmp_path, source):
     scene = bpy.context.scene
     show_as_photographed(scene, imported)
     layers = glowing_inputs(scene, imported.mesh.active_material, tmp_path)
-    camera = load_cameras(run_folder / "cameras.json")[0].camera
+    camera = load_run_cameras(run_folder / "cameras.json")[0].camera
     point, hit = first_hit(camera.centre, camera.rays().astype(float))
     inside = hit & (layers["Base Color"][..., 3] > 0.99)
     albedo, roughness, metallic = sphere_run.materials(point)

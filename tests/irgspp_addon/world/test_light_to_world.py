@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from blender_side import read_image, write_image
-from irgspp.core.scene.camera_files import load_cameras
+from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.irgspp_addon.importer.cameras import look_through
 from irgspp.irgspp_addon.importer.scene_builder import import_run, show_as_photographed
 from irgspp.irgspp_addon.world.light_to_world import bake_world, world_from_map
@@ -32,7 +32,7 @@ def test_background_shows_the_texels_that_our_rays_meet(run_folder, tmp_path, in
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.render.filepath = str(tmp_path / "view.exr")
     bpy.ops.render.render(write_still=True)
-    camera = load_cameras(run_folder / "cameras.json")[index].camera
+    camera = load_run_cameras(run_folder / "cameras.json")[index].camera
     expected = look_up(read_image(run_folder / "environment.exr"), camera.rays().astype(float))
     rendered = read_image(tmp_path / "view.exr")
     assert rendered.shape == expected.shape

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.load import load_cameras, load_dataset
+from irgspp.core.datasets.load import load_dataset, load_dataset_cameras
 from irgspp.core.datasets.up_direction import rotation_to_z, up_of
 from irgspp.core.settings.schema import DataSettings
 from PIL import Image
@@ -57,7 +57,7 @@ def test_the_world_is_upright_and_the_object_at_its_origin(capture):
 
 def test_up_survives_images_taken_on_edge(capture):
     capture.transforms()
-    cameras = [c for _, c in load_cameras(capture.folder, "all")[0]]
+    cameras = [c for _, c in load_dataset_cameras(capture.folder, "all")[0]]
     turned = [c.to_world.copy() for c in cameras]
     for pose in turned[:3]:
         pose[:3, 0], pose[:3, 1] = pose[:3, 1].copy(), -pose[:3, 0].copy()

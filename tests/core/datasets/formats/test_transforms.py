@@ -6,7 +6,7 @@ import json
 import numpy as np
 import OpenEXR
 import pytest
-from irgspp.core.datasets.load import load_cameras, load_dataset
+from irgspp.core.datasets.load import load_dataset, load_dataset_cameras
 from irgspp.core.errors import InputError
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.settings.schema import DataSettings
@@ -126,7 +126,7 @@ def test_missing_images_are_left_out_and_told(capture):
     (capture.folder / "images/002.png").unlink()
     data = load_dataset(capture.folder, ALL)
     assert len(data.train) == 9 and "002" in data.warnings[0] and "1 of 10" in data.warnings[0]
-    assert [n for n, _ in load_cameras(capture.folder, "all", ALL)[0]] == [v.name for v in data.train]
+    assert [n for n, _ in load_dataset_cameras(capture.folder, "all", ALL)[0]] == [v.name for v in data.train]
 
 
 def test_opaque_alpha_is_no_mask(capture):
@@ -160,7 +160,7 @@ def test_cameras_of_test_images_that_are_not_there(capture):
     content = json.loads(path.read_text())
     content["frames"] = [{**f, "file_path": f"test/{i}/rgba"} for i, f in enumerate(content["frames"][:4])]
     (capture.folder / "transforms_test.json").write_text(json.dumps(content))
-    named, to_world = load_cameras(capture.folder)
+    named, to_world = load_dataset_cameras(capture.folder)
     assert [n for n, _ in named] == ["0", "1", "2", "3"] and np.array_equal(to_world, np.eye(4))
     assert (named[0][1].width, named[0][1].height) == capture.size and named[0][1].fx == pytest.approx(capture.focal)
     assert not load_dataset(capture.folder).test
@@ -172,7 +172,7 @@ def test_cameras_are_those_of_the_dataset(capture, split):
     settings = DataSettings(resolution=40)
     data = load_dataset(capture.folder, settings)
     views = {"train": data.train, "test": data.test}.get(split) or [*data.train, *data.test]
-    named, _ = load_cameras(capture.folder, split, settings)
+    named, _ = load_dataset_cameras(capture.folder, split, settings)
     expected = {v.name: v.camera for v in views}
     assert {n for n, _ in named} == set(expected)
     for name, camera in named:
@@ -184,9 +184,9 @@ def test_cameras_are_those_of_the_dataset(capture, split):
 def test_no_such_split(capture):
     capture.transforms()
     with pytest.raises(InputError, match="split"):
-        load_cameras(capture.folder, "validation")
+        load_dataset_cameras(capture.folder, "validation")
     with pytest.raises(InputError, match="no test views"):
-        load_cameras(capture.folder, "test", ALL)
+        load_dataset_cameras(capture.folder, "test", ALL)
 
 
 def test_nerfstudio_points(capture):

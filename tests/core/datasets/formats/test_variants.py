@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 from irgspp.core.datasets.format_detection import parse_dataset
-from irgspp.core.datasets.load import load_cameras, load_dataset, load_novel_views
+from irgspp.core.datasets.load import load_dataset, load_dataset_cameras, load_novel_views
 from irgspp.core.datasets.summary import describe
 from irgspp.core.evaluation.ground_truth import load_scene_truth, load_truth
 from irgspp.core.io.exr import write_exr
@@ -49,7 +49,7 @@ def test_nero_split_file(every, tmp_path):
     content = [np.array([str(n) for n in tests]), [str(n) for n in range(count) if n not in tests]]
     (tmp_path / "synthetic_split_128.pkl").write_bytes(pickle.dumps(content))
     for choice, expected in (("auto", tests), ("published", tests), ("holdout", range(0, count, 8))):
-        named, _ = load_cameras(scene, "test", DataSettings(split=choice))
+        named, _ = load_dataset_cameras(scene, "test", DataSettings(split=choice))
         assert [n for n, _ in named] == [str(n) for n in expected]
 
 
