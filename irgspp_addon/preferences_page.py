@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension's page in Blender's preferences: which engine, whether it works, how to install one."""
+"""The extension's page in Blender's preferences: choice of the engine, its status, and its installation."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -8,89 +8,95 @@ import textwrap
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from .engine import managed as managed_engine
-from .engine import process as engine
+from .engine import managed
 from .engine.preferences import DEFAULT_KIND
-from .jobs import queue as jobs
+from .engine.process import status
+from .jobs.queue import all_jobs
 from .user_folder import EXTENSION
 
 KINDS = [
-    ("EXISTING", "Existing", "A Python environment that has the engine's libraries", 0),
-    ("MANAGED", "Managed", "An environment that this extension installs for itself", 1),
-    ("INTERPRETER", "Blender's Python", "The Python that Blender itself runs, where the libraries are installed for it", 2),
+    ("EXISTING", "Existing", "Use a Python environment that already has the engine's libraries", 0),
+    ("MANAGED", "Managed", "Use an environment that this extension installs for itself", 1),
+    ("INTERPRETER", "Blender's Python", "Use the Python that runs Blender, if the libraries are installed there", 2),
 ]
 DEVICES = [
-    ("cpu", "CPU", "What the processor needs", 0),
-    ("cuda", "CUDA", "What an NVIDIA graphics card needs as well; larger by some gigabytes", 1),
+    ("cpu", "CPU", "Install the libraries for the processor", 0),
+    ("cuda", "CUDA", "Also install the libraries for an NVIDIA graphics card; several gigabytes more", 1),
 ]
-LETTERS = 60  # on a line of the preferences, which are not wide
+LETTERS = 60  # characters on a line of the preferences, which are narrow
 ICONS = {"ok": "CHECKMARK", "unknown": "QUESTION", "missing": "ERROR", "broken": "ERROR", "version": "ERROR"}
 
 
-def _choose_existing(chosen: "IRGSPP_Preferences", context: bpy.types.Context) -> None:
-    if chosen.engine_python:
-        chosen.engine_kind = "EXISTING"
+def _choose_existing(preferences: "IRGSPP_Preferences", context: bpy.types.Context) -> None:
+    if preferences.engine_python:
+        preferences.engine_kind = "EXISTING"
 
 
 class IRGSPP_Preferences(bpy.types.AddonPreferences):
-    """Where the engine runs."""
+    """Preferences of the extension: the engine's Python, its installation, and jobs that outlive Blender."""
 
     bl_idname = EXTENSION
 
     engine_kind: EnumProperty(
         name="Engine",
-        description="What computes: a Python of its own, as its libraries must not enter Blender",
+        description="Python environment that computes, separate from Blender because its libraries can conflict with Blender's",
         items=KINDS,
         default=DEFAULT_KIND,
     )
     engine_python: StringProperty(
         name="Engine Python",
-        description="Python executable, or folder of a virtual environment, with the engine's libraries (torch and others)",
+        description="Python executable, or folder of a virtual environment, that has the engine's libraries (torch and others)",
         subtype="FILE_PATH",
         update=_choose_existing,
     )
-    install_device: EnumProperty(name="For", description="What the engine shall compute on", items=DEVICES)
+    install_device: EnumProperty(name="For", description="Hardware that the engine computes on", items=DEVICES)
     wheels_folder: StringProperty(
         name="Wheels",
-        description="Folder of Python wheels to install from without the network. Empty: download them",
+        description="Folder of Python wheels (*.whl) to install from without the network. Empty: download them",
         subtype="DIR_PATH",
     )
     package_index: StringProperty(
         name="Package Index",
-        description="Address of another index that pip looks in as well, such as that of torch for the CPU alone. Empty: pip's own",
+        description="Address of an additional package index for pip, such as the one with torch for CPU only. Empty: pip's default index",
     )
     keep_running: BoolProperty(
         name="Jobs Survive Blender",
-        description="Let jobs go on when Blender is closed; otherwise they save what they have and stop, and can be resumed",
+        description="Jobs continue when Blender is closed. Otherwise they save their progress and stop, and can be resumed",
         default=False,
     )
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the page."""
         draw_preferences(self, self.layout)
 
 
-def draw_preferences(chosen: bpy.types.AddonPreferences, layout: bpy.types.UILayout) -> None:
-    """Top to bottom: the choice, its status, what can be done about it."""
+def draw_preferences(preferences: bpy.types.AddonPreferences, layout: bpy.types.UILayout) -> None:
+    """Draw the choice of the engine, its status, and the buttons to check or install it.
+
+    Args:
+        preferences: the extension's preferences.
+        layout: layout to draw into.
+    """
     layout.use_property_split = True
-    layout.row().prop(chosen, "engine_kind", expand=True)
-    if chosen.engine_kind == "EXISTING":
-        layout.prop(chosen, "engine_python")
-    elif chosen.engine_kind == "MANAGED":
-        _draw_managed(chosen, layout)
-    found = engine.status()
+    layout.row().prop(preferences, "engine_kind", expand=True)
+    if preferences.engine_kind == "EXISTING":
+        layout.prop(preferences, "engine_python")
+    elif preferences.engine_kind == "MANAGED":
+        _draw_managed(preferences, layout)
+    engine = status()
     column = layout.column(align=True)
-    for number, line in enumerate(textwrap.wrap(found.text, LETTERS)):
-        column.label(text=line, icon=ICONS[found.state] if number == 0 else "BLANK1")
+    for number, line in enumerate(textwrap.wrap(engine.text, LETTERS)):
+        column.label(text=line, icon=ICONS[engine.state] if number == 0 else "BLANK1")
     layout.operator("irgspp.check_engine", text="Check", icon="FILE_REFRESH")
-    layout.prop(chosen, "keep_running")
+    layout.prop(preferences, "keep_running")
 
 
-def _draw_managed(chosen: bpy.types.AddonPreferences, layout: bpy.types.UILayout) -> None:
-    layout.row().prop(chosen, "install_device", expand=True)
-    layout.prop(chosen, "wheels_folder")
-    if not chosen.wheels_folder:
-        layout.prop(chosen, "package_index")
-    job = next((job for job in jobs.all_jobs() if job.kind == "install"), None)
+def _draw_managed(preferences: bpy.types.AddonPreferences, layout: bpy.types.UILayout) -> None:
+    layout.row().prop(preferences, "install_device", expand=True)
+    layout.prop(preferences, "wheels_folder")
+    if not preferences.wheels_folder:
+        layout.prop(preferences, "package_index")
+    job = next((job for job in all_jobs() if job.kind == "install"), None)
     if job is not None and not job.finished:
         row = layout.row()
         row.progress(factor=job.fraction, text=job.message or job.phase or "Waiting", type="BAR")
@@ -102,7 +108,7 @@ def _draw_managed(chosen: bpy.types.AddonPreferences, layout: bpy.types.UILayout
         row.label(text=job.error, icon="ERROR")
         row.operator("irgspp.job_log", text="Open Log").job = job.id
     row = layout.row()
-    installed = managed_engine.python().exists()
+    installed = managed.python().exists()
     row.operator("irgspp.install_engine", text="Install Again" if installed else "Install Engine", icon="IMPORT")
     row.operator("irgspp.open_engine_folder", icon="FILE_FOLDER")
     row.operator("irgspp.remove_engine", icon="TRASH")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The folder that belongs to this extension on this machine; Blender's extensions must not write beside their code."""
+"""Folder for the extension's own files: Blender's extensions must not write next to their code."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ EXTENSION = (__package__ or "").removesuffix(".irgspp_addon")
 
 
 def user_folder(name: str = "") -> Path:
-    """A folder of ours among the user's files, made where it is missing."""
+    """Return the extension's folder for user files, or its subfolder `name`; it is created if it does not exist."""
     try:
         return Path(bpy.utils.extension_path_user(EXTENSION, path=name, create=True))
     except ValueError:  # imported as a plain package, not installed as an extension

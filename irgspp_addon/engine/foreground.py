@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A command of the engine on this process's own terminal: what asks this process to end asks the engine too, and once at most."""
+"""Commands of the engine in the foreground: interrupts of this process are passed on to the engine, which can then stop in order."""
 
 from __future__ import annotations
 
@@ -18,18 +18,28 @@ WORKER = Path(__file__).with_name("worker.py")
 
 
 def run_here(command: Sequence[str], environment: Mapping[str, str]) -> int:
-    """Run `PYTHON SCRIPT ARGUMENTS` to its end and return its exit status: 130 where it was stopped, 1 where it crashed.
+    """Run a program in the foreground until it ends.
 
-    Blender swallows Ctrl-C in background mode and leaves its children alone when it is terminated. So the engine is asked through
-    a file, as often as one likes: a terminal sends the signal to both processes, `kill` to this one alone. A second request ends it
-    at once. It also stops when this process is killed without a word. Raises OSError where the program can't be started.
+    Blender ignores Ctrl-C in background mode and does not stop its children when it is terminated. The first interrupt therefore
+    requests a stop through a file (a terminal sends the signal to both processes, `kill` only to this one); the second interrupt
+    kills the program. The program also stops in order when this process is killed, because the file lock of its session is freed.
+
+    Args:
+        command: command line, PYTHON SCRIPT ARGUMENTS.
+        environment: environment variables of the program.
+
+    Returns:
+        Exit status of the program; 130 if it was stopped, 1 if it crashed.
+
+    Raises:
+        OSError: if the program can't be started.
     """
-    python, *words = command
+    python, *arguments = command
     with tempfile.TemporaryDirectory(prefix="irgspp-", ignore_cleanup_errors=True) as folder:
         session, cancel = Path(folder, "session"), Path(folder, "cancel")
         lock = FileLock(session)
         try:
-            process = subprocess.Popen([python, str(WORKER), folder, str(session), *words], env=dict(environment))
+            process = subprocess.Popen([python, str(WORKER), folder, str(session), *arguments], env=dict(environment))
             with on_interrupt(lambda: process.kill() if cancel.exists() else cancel.touch()):
                 status = process.wait()
         finally:

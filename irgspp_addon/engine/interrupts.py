@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ctrl-C and SIGTERM while a script waits for a job."""
+"""Handling of Ctrl-C and SIGTERM while a script waits for a job."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import bpy
 
 @contextmanager
 def on_interrupt(stop: Callable[[], object]) -> Iterator[None]:
-    """Within the block what asks this process to end calls `stop` instead, each time. In a window Blender's own handling stays."""
+    """Call `stop` for each SIGINT or SIGTERM within the block, instead of ending this process; in a window Blender's handling stays."""
     if not bpy.app.background or threading.current_thread() is not threading.main_thread():
         yield
         return
