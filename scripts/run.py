@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Set up the tool in .venv, run the demo or the tests: `python3 scripts/run.py setup|demo|test [arguments passed on]`.
+"""Set up the tool in .venv, run the demo or the tests, build the documentation.
+
+    python3 scripts/run.py setup|demo|test|docs [arguments passed on]
 
 Only the standard library is used, and nothing newer than Python 3.6 up to the version check, so that an old Python gets a clear line.
 """
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +20,8 @@ STAMP = VENV / "irgspp-setup.sha256"  # digest of what is installed; written las
 UNFINISHED = VENV / "irgspp-setup-unfinished"  # there while an installation runs
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 REQUIRED = (3, 11)
-COMMANDS = ("setup", "demo", "test")
+COMMANDS = ("setup", "demo", "test", "docs")
+DOCS_LOCK = ROOT / "docs" / "requirements.lock"
 
 
 def fail(reason: str) -> None:
@@ -43,7 +47,7 @@ def digest() -> str:
 
 def environment() -> dict:
     """Variables for the child: threads of torch sleep between kernels instead of spinning on the cores that numba's kernels use."""
-    return {"OMP_WAIT_POLICY": "PASSIVE", "PIP_DISABLE_PIP_VERSION_CHECK": "1", **os.environ}
+    return {"OMP_WAIT_POLICY": "PASSIVE", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "NO_MKDOCS_2_WARNING": "1", **os.environ}
 
 
 def call(*command: object) -> int:
@@ -108,15 +112,29 @@ def workers() -> list:
     return ["-n", str(min(cores, 4)), "--dist", "worksteal"] if cores > 1 else []
 
 
+def copy_package() -> None:
+    """Copy the package to build/docs/irgspp, as the documentation's tool wants a folder of the package's name."""
+    package = ROOT / "build" / "docs" / "irgspp"
+    shutil.rmtree(str(package), ignore_errors=True)
+    package.mkdir(parents=True)
+    shutil.copy(str(ROOT / "__init__.py"), str(package))
+    for room in ("core", "irgspp_addon", "operators", "panels"):
+        shutil.copytree(str(ROOT / room), str(package / room), ignore=shutil.ignore_patterns("__pycache__", "demo_data"))
+
+
 def main(arguments: list) -> int:
     """Do what the first word says; the exit status is that of the tool or of the tests."""
     if not arguments or arguments[0] not in COMMANDS:
-        fail("usage: python3 scripts/run.py setup|demo|test [arguments passed on]")
+        fail("usage: python3 scripts/run.py setup|demo|test|docs [arguments passed on]")
     check_python()
     command, rest = arguments[0], arguments[1:]
     setup()
     if command == "test":
         return call(PYTHON, "-m", "pytest", *workers(), *rest)
+    if command == "docs":
+        install("-q", "-r", DOCS_LOCK, reason="pip could not install docs/requirements.lock, its own lines above say why")
+        copy_package()
+        return call(PYTHON, "-m", "mkdocs", "build", "--strict", *rest)
     if command == "demo":
         return call(PYTHON, "-P", "-m", "irgspp", "demo", *([] if "-o" in rest else ["-o", "demo"]), *rest)
     return 0
