@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The views that an evaluation compares, and what is known of each, in the world of the run."""
+"""Views that an evaluation compares, with their cameras and ground truth in the world frame of the run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ from .ground_truth import SceneTruth, Truth, load_scene_truth, load_truth
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A view, its camera in the world of the run, and its truth."""
+    """View to compare, with its camera in the world frame of the run and its ground truth.
+
+    Attributes:
+        number: its index among the cases.
+    """
 
     number: int
     view: View
@@ -32,7 +36,18 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """First the `own` views under the dataset's light, of a split that has `of`, then some of the `novel` ones under other lights."""
+    """All views to compare: those under the dataset's light first, then those under other lights.
+
+    Attributes:
+        split: "test", or "train" where the dataset has no test views.
+        own: number of views under the dataset's light.
+        of: number of views that the split has.
+        novel: number of views under other lights that the dataset has.
+        views: to compare; the first `own` of them are under the dataset's light.
+        cameras: of the views, in the world frame of the run.
+        scene: ground truth of the scene.
+        to_world: (4, 4) from the dataset's frame to the run's world frame.
+    """
 
     split: str
     own: int
@@ -45,17 +60,17 @@ class Cases:
 
     @cached_property
     def names(self) -> list[str]:
-        """Of the views; with their light where one name is that of several."""
+        """Names of the views, preceded by their light where several views have the same name."""
         count = Counter(view.name for view in self.views)
         return [view.name if view.light is None or count[view.name] == 1 else f"{view.light}_{view.name}" for view in self.views]
 
     @property
     def unit(self) -> float:
-        """Lengths of the run's world that are one of the dataset's."""
+        """Length in the run's world frame of one unit of the dataset."""
         return float(np.cbrt(np.linalg.det(self.to_world[:3, :3])))
 
     def __iter__(self) -> Iterator[Case]:
-        """One view after the other: at full size, the truth of hundreds of views is more than fits in memory."""
+        """Yield one view after the other, since the full-size ground truth of hundreds of views does not fit in memory."""
         for number, (view, camera) in enumerate(zip(self.views, self.cameras, strict=True)):
             yield Case(number, view, camera, load_truth(view, self.scene, self.to_world))
 
@@ -65,32 +80,49 @@ def read_cases(
     dataset: Path,
     settings: DataSettings,
     progress: Progress,
-    relit: int | None = None,
-    wanted: int | None = None,
+    relit_limit: int | None = None,
+    limit: int | None = None,
 ) -> Cases:
-    """The test views of a dataset, or its training views where it has no others, and its views under other lights.
+    """Read the test views of a dataset (its training views where it has no others) and its views under other lights.
 
-    relit: the first so many under each other light; None: all. wanted: so many of each kind, evenly spread; None: all.
+    Args:
+        reconstruction: whose world frame the cameras and the ground truth are brought into.
+        dataset: folder or file.
+        settings: of reading the dataset.
+        progress: reporter of reading.
+        relit_limit: only so many of the first views under each other light; None: all.
+        limit: only so many views of each kind, evenly spread; None: all.
     """
     data = load_dataset(dataset, settings, progress)
     split, every = ("test", data.test) if data.test else ("train", data.train)
     by_light: dict[str | None, list[View]] = {}
     for view in load_novel_views(data, settings, progress):
         by_light.setdefault(view.light, []).append(view)
-    chosen = spread_views(every, wanted)
-    views = [*chosen, *(view for views in by_light.values() for view in spread_views(views[:relit], wanted))]
-    same = reconstruction.to_world @ np.linalg.inv(data.to_world)  # read on its own, a dataset may be placed otherwise
-    cameras = [view.camera.moved(same) for view in views]
+    chosen = spread_views(every, limit)
+    views = [*chosen, *(view for views in by_light.values() for view in spread_views(views[:relit_limit], limit))]
+    # Read on its own, a dataset may be normalised to another world frame.
+    to_run = reconstruction.to_world @ np.linalg.inv(data.to_world)
+    cameras = [view.camera.moved(to_run) for view in views]
     scene = load_scene_truth(dataset, reconstruction.to_world)
     novel = sum(len(views) for views in by_light.values())
     return Cases(split, len(chosen), len(every), novel, views, cameras, scene, reconstruction.to_world)
 
 
-def spread_views(views: list[View], wanted: int | None) -> list[View]:
-    """At most `wanted` of the views, evenly apart; None: all."""
-    return views if wanted is None else [views[i] for i in spread(len(views), wanted)]
+def spread_views(views: list[View], limit: int | None) -> list[View]:
+    """Return some of the views, evenly spread.
+
+    Args:
+        views: to choose from.
+        limit: how many at most; None: all.
+    """
+    return views if limit is None else [views[i] for i in spread(len(views), limit)]
 
 
-def spread(count: int, wanted: int) -> list[int]:
-    """At most `wanted` of the numbers below `count`, evenly apart."""
-    return sorted({round(i) for i in np.linspace(0, count - 1, min(wanted, count))}) if wanted and count else []
+def spread(count: int, limit: int) -> list[int]:
+    """Return indices below `count`, evenly spread.
+
+    Args:
+        count: of all elements.
+        limit: number of indices at most.
+    """
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(limit, count))}) if limit and count else []

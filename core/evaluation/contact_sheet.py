@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One image that shows a whole reconstruction: what went in, what came out, and the object under other lights."""
+"""Contact sheet: one PNG with photographs, the reconstruction's layers, and the object under its own and other lights."""
 
 from __future__ import annotations
 
@@ -24,15 +24,23 @@ COLUMNS = ("photograph", "radiance", "recovered light", "albedo", "roughness", "
 LIGHT_SIZE = (64, 128)
 TILE, GAP, HEADER = 224, 6, 40
 PAPER, INK = (24, 25, 28), (226, 226, 222)
-# Dark like the black that masked photographs are fitted on: the outermost pixels may be too bright and too transparent at once, which
-# cancels there and would be a bright fringe on a light ground.
+# Dark like the black background that masked photographs are fitted on: the outermost pixels may be too bright and too transparent at
+# once, which cancels on black and would be a bright fringe on a light background.
 CHECKER = (0.14, 0.18)
 
 
 def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: Progress, rows: int = 4) -> None:
-    """Write a PNG with up to `rows` views, test views where there are any, one below the other; see COLUMNS for what stands beside.
+    """Write the contact sheet as a PNG: one row per view, with the columns of COLUMNS.
 
-    Raises Cancelled between two rows.
+    Args:
+        dataset: whose test views are shown, training views where it has none.
+        relighter: of the reconstruction.
+        path: of the PNG.
+        progress: asked between two rows whether to stop.
+        rows: number of views at most, evenly spread.
+
+    Raises:
+        Cancelled: when the user stops the work.
     """
     lights = relighter.reconstruction.environment_map(), studio_light(*LIGHT_SIZE), sunset_light(*LIGHT_SIZE)
     prepared, tiles = [prepare(light) for light in lights], []
@@ -49,9 +57,15 @@ def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: 
 
 
 def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) -> list[np.ndarray]:
-    """The images of one row, each (H, W, 4) as in `images`; the first light is the recovered one."""
+    """Render the images (H, W, 4) of one row, sRGB-encoded with straight alpha, in the order of COLUMNS.
+
+    Args:
+        view: whose photograph and camera are taken.
+        relighter: of the reconstruction.
+        lights: the recovered light, then the others.
+    """
     camera, (width, height) = view.camera, fitted(view.camera.width, view.camera.height, TILE)
-    if width < camera.width:  # a tile shows no more pixels; but never more than were learnt from
+    if width < camera.width:  # a tile shows no more pixels, and views are never enlarged beyond what was trained on
         camera = camera.resized(width, height)
     buffers, surface = render_gbuffer(relighter.reconstruction, camera), relighter.surface(camera)
     own, *others = (visualisation.shaded(relighter.relit(surface, light).numpy()) for light in lights)
@@ -69,7 +83,12 @@ def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) 
 
 
 def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Image.Image:
-    """Rows of images as one image, each in a tile on a faint checkerboard, the columns named above."""
+    """Lay out rows of images (H, W, 4) as one image, each in a tile on a faint checkerboard.
+
+    Args:
+        rows: of as many images as there are columns.
+        columns: names written above them.
+    """
     heights = [max(fitted(p.shape[1], p.shape[0], TILE)[1] for p in row) for row in rows]
     width = GAP + len(columns) * (TILE + GAP)
     sheet = Image.new("RGB", (width, HEADER + sum(height + GAP for height in heights)), PAPER)
@@ -85,17 +104,23 @@ def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Ima
 
 
 def fitted(width: int, height: int, side: int) -> tuple[int, int]:
-    """The size with the same shape whose width is at most `side` and whose height at most 1.5 times that."""
+    """Return the width and height of the largest tile of the same aspect ratio.
+
+    Args:
+        width: of the image, in pixels.
+        height: of the image, in pixels.
+        side: largest width; the height is at most 1.5 times that.
+    """
     scale = min(side / width, 1.5 * side / height)
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def _tile(image: np.ndarray, height: int) -> Image.Image:
-    """(TILE, height) pixels with the image in the middle."""
+    """Draw an image (H, W, 4) in the middle of a tile of TILE x height pixels."""
     size = fitted(image.shape[1], image.shape[0], TILE)
     premultiplied = np.concatenate([image[..., :3] * image[..., 3:], image[..., 3:]], -1)
     channels = [Image.fromarray(np.ascontiguousarray(premultiplied[..., i], np.float32)) for i in range(4)]
-    # Unlike bicubic, this filter has no negative lobes: no bright rim where the object ends.
+    # Unlike bicubic, this filter has no negative lobes, which would draw a bright rim around the object.
     scaled = np.clip(np.stack([np.asarray(c.resize(size, Image.Resampling.HAMMING)) for c in channels], -1), 0, 1)
     canvas = np.zeros((height, TILE, 4))
     top, left = (height - size[1]) // 2, (TILE - size[0]) // 2

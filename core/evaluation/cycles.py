@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The exported asset in Blender's path tracer: what Cycles makes of our mesh, materials and light."""
+"""Comparison with Cycles: the exported mesh, materials and light rendered by Blender's path tracer."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ..relight.relighter import Relighter
 from ..scene.camera import Camera
 from .metrics import on_black, psnr
 
-SAMPLES = 256  # of Cycles in a comparison, denoised
+SAMPLES = 256  # per pixel, by Cycles in a comparison, denoised
 
 
 @dataclass(frozen=True)
 class CyclesPass:
-    """How often an image's pixels are sampled, and whether OpenImageDenoise goes over it."""
+    """Samples per pixel of an image, and whether OpenImageDenoise denoises it."""
 
     samples: int
     denoise: bool
@@ -33,7 +33,13 @@ class CyclesPass:
 
 @dataclass(frozen=True, eq=False)
 class CyclesImage:
-    """(H, W, 4) linear premultiplied RGBA, and the seconds it took to render with the scene loaded; CPU seconds are of all threads."""
+    """Image rendered by Cycles, with its rendering time.
+
+    Attributes:
+        rgba: (H, W, 4) linear, premultiplied.
+        seconds: of rendering, with the scene loaded.
+        cpu_seconds: the same, summed over all threads.
+    """
 
     rgba: np.ndarray
     seconds: float
@@ -42,7 +48,14 @@ class CyclesImage:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The same view under the same light, encoded on black (H, W, 3): our image of the Gaussians, and Cycles' of the exported mesh."""
+    """Two images of one view under one light, encoded on black.
+
+    Attributes:
+        view: its name.
+        light: its name.
+        ours: (H, W, 3), our image of the Gaussians.
+        theirs: (H, W, 3), Cycles' image of the exported mesh.
+    """
 
     view: str
     light: str
@@ -50,8 +63,8 @@ class Comparison:
     theirs: np.ndarray
 
     @property
-    def figures(self) -> dict[str, float]:
-        """Mean absolute difference of encoded values where either shows something, and PSNR over the image."""
+    def metrics(self) -> dict[str, float]:
+        """Mean absolute difference of encoded values where either image shows something, and PSNR over the whole image."""
         seen = (self.ours.max(-1) > 0) | (self.theirs.max(-1) > 0)
         difference = np.abs(self.ours - self.theirs)[seen]
         return {"cycles_difference": float(difference.mean()) if seen.any() else 0.0, "cycles_psnr": psnr(self.ours, self.theirs)}
@@ -60,7 +73,20 @@ class Comparison:
 def compare(
     relighter: Relighter, run: Path, cameras: Mapping[str, Camera], lights: Mapping[str, np.ndarray], progress: Progress
 ) -> list[Comparison]:
-    """Every view under every light by us and by Cycles, with all the light's bounces, as an artist will see it. See `cycles_pictures`."""
+    """Render every view under every light by our relighter and by Cycles, with all bounces of light, as an artist will see it.
+
+    Args:
+        relighter: of the run.
+        run: folder of the finished run.
+        cameras: by name of the view, in the world frame of the run.
+        lights: by name, lat-long maps (H, W, 3), linear.
+        progress: reporter; asked whether to stop.
+
+    Raises:
+        NoBlender: when no Blender is found.
+        Cancelled: when the user stops the work.
+        IrgsppError: when Blender fails.
+    """
     progress.phase("cycles", len(cameras) * len(lights))
     rendered = cycles_images(run, cameras, lights, [CyclesPass(SAMPLES, True)], progress)
     prepared, comparisons = {name: prepare(light) for name, light in lights.items()}, []
@@ -81,14 +107,23 @@ def cycles_images(
     progress: Progress,
     source: str = "textures",
 ) -> dict[tuple[str, str], list[CyclesImage]]:
-    """Render views of a finished run by Cycles, all bounces, in a Blender of its own.
+    """Render views of a finished run by Cycles, with all bounces of light, in a separate Blender process.
 
     Args:
-        cameras: by view, in the frame of the run. lights: by name, (H, W, 3) linear lat-long. passes: each made of every view and light.
+        run: folder of the finished run.
+        cameras: by name of the view, in the world frame of the run.
+        lights: by name, lat-long maps (H, W, 3), linear.
+        passes: each is rendered of every view and light.
+        progress: asked whether to stop.
         source: what the material reads, "textures" or "attributes".
 
     Returns:
-        By view and light, an image for each pass. Raises NoBlender, Cancelled, or IrgsppError where Blender fails.
+        By view and light, an image (H, W, 4) for each pass.
+
+    Raises:
+        NoBlender: when no Blender is found.
+        Cancelled: when the user stops the work.
+        IrgsppError: when Blender fails.
     """
     with tempfile.TemporaryDirectory(prefix="irgspp-cycles-") as name:
         folder = Path(name)
@@ -104,9 +139,9 @@ def cycles_images(
         }
         (folder / "request.json").write_text(json.dumps(request), encoding="utf-8")
         paths = [str(folder / name) for name in ("request.json", "answer.json")]
-        status, said = run_in_blender("irgspp_addon.relight.cycles_views", paths, lambda: progress.cancelled)
+        status, last_line = run_in_blender("irgspp_addon.relight.cycles_views", paths, lambda: progress.cancelled)
         if status:
-            raise IrgsppError(f"{run}: Cycles did not render it: Blender ended with status {status}: {said}")
+            raise IrgsppError(f"{run}: Cycles did not render it: Blender ended with status {status}: {last_line}")
         seconds = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
 
         def image_of(view: str, light: str, number: int) -> CyclesImage:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ground truth that lies beside the images of a rendered dataset, brought into the world of a run."""
+"""Ground truth stored next to the images of a rendered dataset, brought into the world frame of a run."""
 
 from __future__ import annotations
 
@@ -25,16 +25,20 @@ from .surface_truth import rendered_points, surface_points
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is known of one view; None or missing where nothing is.
+    """Ground truth of one view; what is not known is None or missing.
 
     Attributes:
-        image: (H, W, 3) encoded, times alpha, above 1 where the file is HDR; `alpha` (H, W), ones where the dataset has none.
-        albedo: (H, W, 3) linear; normal: (H, W, 3) unit, in the world of the run; depth: (H, W) planar, 0 = nothing there.
-        roughness, metallic: (H, W).
+        image: (H, W, 3) encoded, times alpha, above 1 where the file is HDR.
+        alpha: (H, W), ones where the dataset has none.
+        albedo: (H, W, 3) linear.
+        normal: (H, W, 3) unit, in the world frame of the run.
+        depth: (H, W) planar, in the run's units, 0 where no surface is.
+        roughness: (H, W).
+        metallic: (H, W).
         relit: light name -> (H, W, 3) encoded, times that image's alpha, above 1 where the file is HDR. Of a view that was taken under
             another light than the dataset's (`View.light`), the image itself.
-        lights: light name -> (H', W', 3) linear lat-long map in the world of the run, where the light is known view by view; it goes
-            before the scene's of the same name. Lights that are in neither can't be relit under.
+        lights: light name -> (H', W', 3) linear lat-long map in the world frame of the run, where the light is known view by view; it
+            takes precedence over the scene's of the same name. No image is relit under lights that neither of the two has.
     """
 
     image: np.ndarray
@@ -49,29 +53,39 @@ class Truth:
 
     @property
     def object(self) -> np.ndarray:
-        """(H, W) pixels that are inside the object for certain."""
+        """(H, W) bool: pixels that are inside the object for certain."""
         inside = self.alpha > 0.99
         return inside if self.depth is None else inside & (self.depth > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneTruth:
-    """What a dataset says of the whole scene: lights by name (the training light's name apart), constants, surface samples.
+    """Ground truth of the whole scene.
 
-    `format` is the dataset's, which says where the truth of a view is found.
+    Attributes:
+        train_light: name of the light of the training views.
+        lights: name -> (H, W, 3) linear lat-long map in the world frame of the run.
+        constants: roughness and metallic of a scene of a single uniform material.
+        points: samples of the surface, positions (N, 3) and unit normals (N, 3).
+        format: of the dataset, which decides where the ground truth of a view is found.
     """
 
     train_light: str | None = None
     lights: dict[str, np.ndarray] = field(default_factory=dict)
-    constants: tuple[float, float] | None = None  # roughness, metallic of a scene of one plain material
-    points: tuple[np.ndarray, np.ndarray] | None = None  # positions and normals
+    constants: tuple[float, float] | None = None
+    points: tuple[np.ndarray, np.ndarray] | None = None
     format: str = "transforms"
 
 
 def load_scene_truth(dataset: Path, to_world: np.ndarray) -> SceneTruth:
-    """What the files of a dataset say of its scene, as far as they are there; `to_world` leads to the run's world.
+    """Read the ground truth of a dataset's scene, as far as the files exist; lights without relit images are left out.
 
-    Lights are those of images that are there too. Raises InputError where a file is damaged.
+    Args:
+        dataset: folder or file.
+        to_world: (4, 4) similarity from the dataset's frame to the run's world frame.
+
+    Raises:
+        InputError: when a file is damaged.
     """
     folder = dataset if dataset.is_dir() else dataset.parent
     if (folder / "meta.json").is_file():
@@ -79,7 +93,7 @@ def load_scene_truth(dataset: Path, to_world: np.ndarray) -> SceneTruth:
     try:
         capture = parse_dataset(dataset, DataSettings())
     except InputError:
-        return SceneTruth()  # whoever reads its views is told why
+        return SceneTruth()  # reading its views reports the error
     relit = sorted({name for frame in (capture.test or [])[:1] if frame.image for name in relit_names(capture.format, frame.image)})
     train, files = light_files(capture.format, folder, relit)
     lights = {name: _light(file, to_world) for name, file in files.items()}
@@ -87,14 +101,14 @@ def load_scene_truth(dataset: Path, to_world: np.ndarray) -> SceneTruth:
 
 
 def _rendered_scene(folder: Path, to_world: np.ndarray) -> SceneTruth:
-    """meta.json, envs/ and surface_points.npz of a dataset that scripts/render_dataset.py wrote."""
+    """Read meta.json, envs/ and surface_points.npz of a dataset that scripts/render_dataset.py wrote."""
     file = folder / "meta.json"
     try:
         meta = json.loads(file.read_text(encoding="utf-8"))
         train, relights = meta.get("train_light"), list(meta.get("relights", []))
         materials = [m for m in dict(meta.get("materials", {})).values() if isinstance(m, dict)]
     except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise InputError(file, f"is not the description of a rendered dataset ({error})") from error
+        raise InputError(file, f"is not the description of a rendered dataset ({error})", "render the dataset again") from error
     files = {name: inside(folder / "envs" / f"{name}.exr", folder) for name in [train, *relights] if name}
     lights = {name: turned(read_exr_rgb(path), to_world) for name, path in files.items() if path.is_file()}
     plain = len(materials) == 1 and not meta.get("has_material_maps") and all(k in materials[0] for k in ("roughness", "metallic"))
@@ -103,7 +117,16 @@ def _rendered_scene(folder: Path, to_world: np.ndarray) -> SceneTruth:
 
 
 def load_truth(view: View, scene: SceneTruth, to_world: np.ndarray) -> Truth:
-    """The image of a view, and what stands beside its file, reduced to its size. Raises InputError where that is no reduction."""
+    """Read the ground truth of a view and resize it to the view's size.
+
+    Args:
+        view: whose image is taken, and next to whose file the ground truth is looked for.
+        scene: ground truth of the scene.
+        to_world: (4, 4) similarity from the dataset's frame to the run's world frame.
+
+    Raises:
+        InputError: when a file is damaged, or the view's size is not that of the file reduced.
+    """
     alpha = np.ones(view.colour.shape[:2], np.float32) if view.alpha is None else view.alpha
     image = np.maximum(view.colour, 0) * alpha[..., None]
     rotation, size = _rotation_and_size(to_world)
@@ -126,7 +149,7 @@ def load_truth(view: View, scene: SceneTruth, to_world: np.ndarray) -> Truth:
 
 
 def _rendered_layers(view: View, scene: SceneTruth) -> tuple[dict[str, np.ndarray | None], dict[str, Path]]:
-    """Layers and relit images beside a test image that scripts/render_dataset.py wrote."""
+    """Read the layers and list the relit images next to a test image that scripts/render_dataset.py wrote."""
     folder = view.path.parent
     if view.path.stem != "rgba" or not (folder / "depth.exr").is_file():
         return {}, {}
@@ -148,7 +171,7 @@ def _rendered_layers(view: View, scene: SceneTruth) -> tuple[dict[str, np.ndarra
 
 
 def _light(file: MapFile, to_world: np.ndarray) -> np.ndarray:
-    """A light map in the world of the run."""
+    """Read a light map (H, W, 3) and turn it into the world frame of the run."""
     light, _ = read_environment(file.path)
     whole = np.eye(4)
     whole[:3, :3] = to_world[:3, :3] @ file.turn
@@ -156,7 +179,15 @@ def _light(file: MapFile, to_world: np.ndarray) -> np.ndarray:
 
 
 def turned(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
-    """A lat-long map (H, W, 3) of a dataset's frame in the world that `to_world` leads to."""
+    """Rotate a lat-long map into another frame.
+
+    Args:
+        light: (H, W, 3), in the dataset's frame.
+        to_world: (4, 4) similarity to the other frame.
+
+    Returns:
+        (H, W, 3), in the other frame.
+    """
     rotation, _ = _rotation_and_size(to_world)
     if np.allclose(rotation, np.eye(3), atol=1e-7):
         return light
@@ -165,7 +196,7 @@ def turned(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
 
 
 def _moved_points(points: tuple[np.ndarray, np.ndarray] | None, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Positions and normals of the dataset's frame in the world that `to_world` leads to."""
+    """Transform positions (N, 3) and normals (N, 3) by the similarity `to_world` (4, 4)."""
     if points is None:
         return None
     position, normal = (a.astype(np.float64) for a in points)
@@ -173,5 +204,6 @@ def _moved_points(points: tuple[np.ndarray, np.ndarray] | None, to_world: np.nda
 
 
 def _rotation_and_size(similarity: np.ndarray) -> tuple[np.ndarray, float]:
+    """Split a similarity (4, 4) into its rotation (3, 3) and its scale."""
     size = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     return similarity[:3, :3] / size, size

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report as one HTML file: figures, and what was rendered beside what is true."""
+"""HTML page of an evaluation: its metrics, and rendered images next to the ground truth, in one self-contained file."""
 
 from __future__ import annotations
 
 import base64
 import io
 from collections.abc import Mapping, Sequence
-from html import escape
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import jinja2
 import numpy as np
 from PIL import Image
 
@@ -19,10 +21,11 @@ from .ground_truth import Truth
 from .prediction import Prediction
 from .protocols import PLAIN, Protocol
 
-SHOWN = 12  # views with images; figures are of all
+TEMPLATE = "report.html.jinja"  # next to this module
+SHOWN = 12  # views with images; the metrics are of all views
 SIDE = 320  # pixels of an image's longest side at most
-BEST = ("nvs_psnr", "nvs_psnr_ldr", "radiance_psnr", "normal_mae", "albedo_psnr")
-BACKDROP = 0.16  # dark for the reason that the contact sheet's is
+HEADLINE = ("nvs_psnr", "nvs_psnr_ldr", "radiance_psnr", "normal_mae", "albedo_psnr")  # metrics in a view's subtitle
+BACKDROP = 0.16  # dark for the same reason as the contact sheet's checkerboard
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1500px; padding: 0 1rem; background: #18191c; color: #e2e2de }
 h1 { font-size: 1.5rem } h2 { font-size: 1.1rem; margin: 2.2rem 0 .5rem } p { color: #a9a9a4 }
@@ -33,101 +36,134 @@ figure img { width: 100%; display: block; border-radius: 3px } figcaption { font
 """
 
 
+@dataclass(frozen=True)
+class Tile:
+    """Captioned image of the page: the JPEG file, base64-encoded."""
+
+    caption: str
+    jpeg: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """Part of the page: title, one line of text, and rows of images."""
+
+    title: str
+    text: str
+    rows: Sequence[Sequence[Tile]]
+
+
 def page(
-    report: dict[str, Any], shown: Mapping[str, tuple[Prediction, Truth]], how: Protocol = PLAIN, asset: Sequence[Comparison] = ()
+    report: dict[str, Any], shown: Mapping[str, tuple[Prediction, Truth]], protocol: Protocol = PLAIN, asset: Sequence[Comparison] = ()
 ) -> str:
-    """The whole page, images of the `shown` views inside; `asset`: what Cycles makes of the exported object."""
+    """Render the page as HTML text with all images inside.
+
+    Args:
+        report: the evaluation's JSON, see `evaluate` in report.py.
+        shown: by name, prediction and ground truth of the views that are shown with images.
+        protocol: how images are prepared for their comparison.
+        asset: images of the exported mesh by Cycles next to ours; none: no such section.
+    """
     scale = np.array(report["albedo_scale"] or (1.0, 1.0, 1.0))
-    shown_views = [_section(name, report["views"][name], *pair, scale, how) for name, pair in shown.items()]
-    sections = "".join([*shown_views, _asset_section(asset)])
-    rows = [f"<tr><th>{escape(name)}</th><td>{metrics.shown(value)}</td></tr>" for name, value in report["figures"].items()]
-    if report["albedo_scale"]:
-        rows.append(f"<tr><th>albedo_scale</th><td>{' '.join(f'{s:.3f}' for s in scale)}</td></tr>")
-    views = f"{len(report['views']) - report['novel']} {escape(report['split'])} views"
+    views = f"{len(report['views']) - report['novel']} {report['split']} views"
     views += f" and {report['novel']} under other lights" if report["novel"] else ""
-    about = f"{escape(str(report['run']))} against the {views} of {escape(str(report['dataset']))}."
-    if report["albedo_scale"]:
-        about += " Albedo is shown after the scale per channel that the figures use."
-    return (
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Evaluation</title><style>{STYLE}</style>"
-        f"<h1>Evaluation</h1><p>{about} PSNR in dB, angles in degrees, lengths in scene units; means over the views. "
-        "Heat: dark is exact.</p>"
-        f"<table>{''.join(rows)}</table><p>{'<br>'.join(escape(line) for line in report['protocol'])}</p>{sections}</html>\n"
+    rows = [(name, metrics.format_metric(value)) for name, value in report["figures"].items()]
+    rows += [("albedo_scale", " ".join(f"{s:.3f}" for s in scale))] if report["albedo_scale"] else []
+    sections = [_view_section(name, report["views"][name], *pair, scale, protocol) for name, pair in shown.items()]
+    sections += [_asset_section(asset)] if asset else []
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(TEMPLATE).render(
+        style=STYLE,
+        run=report["run"],
+        dataset=report["dataset"],
+        views=views,
+        albedo_scaled=bool(report["albedo_scale"]),
+        metrics=rows,
+        protocol=report["protocol"],
+        sections=sections,
     )
 
 
-def _section(name: str, figures: dict[str, float], prediction: Prediction, truth: Truth, scale: np.ndarray, how: Protocol) -> str:
-    rows = [_image_row(prediction, truth, how), *_layer_rows(prediction, truth, scale), _relit_row(prediction, truth, how)]
-    best = ", ".join(f"{key} {figures[key]:.2f}" for key in BEST if key in figures)
-    return f"<h2>{escape(name)}</h2><p>{best}</p>" + "".join(f"<div class='row'>{''.join(row)}</div>" for row in rows)
+def _view_section(
+    name: str, values: dict[str, float], prediction: Prediction, truth: Truth, scale: np.ndarray, protocol: Protocol
+) -> Section:
+    text = ", ".join(f"{key} {values[key]:.2f}" for key in HEADLINE if key in values)
+    rows = [_image_row(prediction, truth, protocol), *_layer_rows(prediction, truth, scale), _relit_row(prediction, truth, protocol)]
+    return Section(name, text, rows)
 
 
-def _asset_section(asset: Sequence[Comparison]) -> str:
-    if not asset:
-        return ""
+def _asset_section(asset: Sequence[Comparison]) -> Section:
     rows = [
         [
-            _figure(f"{one.view} under {one.light}", _opaque(one.ours)),
-            _figure("the asset in Cycles", _opaque(one.theirs)),
-            _figure("difference, to 0.2", visualisation.heat(np.abs(one.ours - one.theirs).max(-1), 0.2)),
+            _tile(f"{one.view} under {one.light}", _opaque(one.ours)),
+            _tile("the asset in Cycles", _opaque(one.theirs)),
+            _tile("difference, to 0.2", visualisation.heat(np.abs(one.ours - one.theirs).max(-1), 0.2)),
         ]
         for one in asset
     ]
-    about = "Our image of the Gaussians beside what Blender's path tracer makes of the mesh, its textures and the same light."
-    return f"<h2>The asset in Cycles</h2><p>{about}</p>" + "".join(f"<div class='row'>{''.join(row)}</div>" for row in rows)
+    text = "Our image of the Gaussians next to what Blender's path tracer renders of the mesh and its textures under the same light."
+    return Section("The asset in Cycles", text, rows)
 
 
-def _image_row(prediction: Prediction, truth: Truth, how: Protocol) -> list[str]:
+def _image_row(prediction: Prediction, truth: Truth, protocol: Protocol) -> list[Tile]:
     if prediction.shaded is None:
         return []
-    photograph = similarity.shown_truth(truth.image, truth, how)
-    shaded = similarity.shown("nvs", prediction.shaded, truth, how)
-    radiance = similarity.shown("radiance", prediction.buffers.image, truth, how)
+    photograph = similarity.prepare_truth(truth.image, truth, protocol)
+    shaded = similarity.prepare_image("nvs", prediction.shaded, truth, protocol)
+    radiance = similarity.prepare_image("radiance", prediction.buffers.image, truth, protocol)
     return [
-        _figure("photograph", _opaque(photograph)),
-        _figure("rendered by its light", _opaque(shaded)),
-        _figure("error, to 0.2", visualisation.heat(np.abs(shaded - photograph).max(-1), 0.2)),
-        _figure("radiance", _opaque(radiance)),
-        _figure("error, to 0.2", visualisation.heat(np.abs(radiance - photograph).max(-1), 0.2)),
+        _tile("photograph", _opaque(photograph)),
+        _tile("rendered by its light", _opaque(shaded)),
+        _tile("error, to 0.2", visualisation.heat(np.abs(shaded - photograph).max(-1), 0.2)),
+        _tile("radiance", _opaque(radiance)),
+        _tile("error, to 0.2", visualisation.heat(np.abs(radiance - photograph).max(-1), 0.2)),
     ]
 
 
-def _layer_rows(prediction: Prediction, truth: Truth, scale: np.ndarray) -> list[list[str]]:
-    """Each layer, beside the true one and its error where that is known."""
+def _layer_rows(prediction: Prediction, truth: Truth, scale: np.ndarray) -> list[list[Tile]]:
+    """Show each layer of the G-buffer, next to the true one and its error where that is known."""
     alpha, inside = prediction.buffers.alpha, truth.object
     albedo, normal = prediction.layer("albedo") * scale, prediction.layer("normal")
-    rows = [[_figure("albedo", visualisation.colour(albedo, alpha))], [_figure("normal", visualisation.normal(normal, alpha))]]
+    rows = [[_tile("albedo", visualisation.colour(albedo, alpha))], [_tile("normal", visualisation.normal(normal, alpha))]]
     if truth.albedo is not None:
         error = np.where(inside, np.abs(albedo - truth.albedo).max(-1), 0)
         rows[0] += [
-            _figure("true albedo", visualisation.colour(truth.albedo, truth.alpha)),
-            _figure("error, to 0.2", visualisation.heat(error, 0.2)),
+            _tile("true albedo", visualisation.colour(truth.albedo, truth.alpha)),
+            _tile("error, to 0.2", visualisation.heat(error, 0.2)),
         ]
     if truth.normal is not None:
         error = np.where(inside, metrics.normal_angles(normal, truth.normal), 0)
         rows[1] += [
-            _figure("true normal", visualisation.normal(truth.normal, truth.alpha)),
-            _figure("error, to 20°", visualisation.heat(error, 20)),
+            _tile("true normal", visualisation.normal(truth.normal, truth.alpha)),
+            _tile("error, to 20°", visualisation.heat(error, 20)),
         ]
     for name in ("roughness", "metallic"):
-        row, true = [_figure(name, visualisation.grey(prediction.layer(name), alpha))], getattr(truth, name)
+        row, true = [_tile(name, visualisation.grey(prediction.layer(name), alpha))], getattr(truth, name)
         if true is not None:
             error = np.where(inside, np.abs(prediction.layer(name) - true), 0)
             row += [
-                _figure(f"true {name}", visualisation.grey(true, truth.alpha)),
-                _figure("error, to 0.5", visualisation.heat(error, 0.5)),
+                _tile(f"true {name}", visualisation.grey(true, truth.alpha)),
+                _tile("error, to 0.5", visualisation.heat(error, 0.5)),
             ]
         rows.append(row)
     return [rows[0] + rows[1], rows[2] + rows[3]]
 
 
-def _relit_row(prediction: Prediction, truth: Truth, how: Protocol) -> list[str]:
+def _relit_row(prediction: Prediction, truth: Truth, protocol: Protocol) -> list[Tile]:
     row = []
     for name in (light for light in truth.relit if light in prediction.relit):
-        relit, true = similarity.shown("relight", prediction.relit[name], truth, how), similarity.shown_truth(truth.relit[name], truth, how)
+        relit = similarity.prepare_image("relight", prediction.relit[name], truth, protocol)
+        true = similarity.prepare_truth(truth.relit[name], truth, protocol)
         error = np.abs(relit - true).max(-1)
-        row += [_figure(f"true, {name}", _opaque(true)), _figure(f"relit by {name}", _opaque(relit))]
-        row.append(_figure("error, to 0.2", visualisation.heat(error, 0.2)))
+        row += [_tile(f"true, {name}", _opaque(true)), _tile(f"relit by {name}", _opaque(relit))]
+        row.append(_tile("error, to 0.2", visualisation.heat(error, 0.2)))
     return row
 
 
@@ -135,11 +171,10 @@ def _opaque(rgb: np.ndarray) -> np.ndarray:
     return visualisation.with_alpha(rgb, np.ones(rgb.shape[:2]))
 
 
-def _figure(caption: str, pixels: np.ndarray) -> str:
-    """An <img> with its bytes inside."""
+def _tile(caption: str, pixels: np.ndarray) -> Tile:
+    """Encode an image (H, W, 4) as JPEG, SIDE pixels along its longest side at most."""
     image = Image.fromarray(visualisation.over(pixels, BACKDROP))
     image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
     data = io.BytesIO()
     image.save(data, "JPEG", quality=92, subsampling=0)
-    source = base64.b64encode(data.getvalue()).decode()
-    return f"<figure><img alt='{escape(caption)}' src='data:image/jpeg;base64,{source}'><figcaption>{escape(caption)}</figcaption></figure>"
+    return Tile(caption, base64.b64encode(data.getvalue()).decode())

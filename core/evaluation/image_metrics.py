@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How close two images of one view are, as a protocol has it."""
+"""Image metrics of one view: PSNR, SSIM and LPIPS, with the background, silhouette and encoding that a protocol prescribes."""
 
 from __future__ import annotations
 
@@ -13,62 +13,85 @@ from .ground_truth import Truth
 from .lpips import Lpips
 from .protocols import Protocol
 
-Metrics = Mapping[str, Lpips]  # suffix of the figure's name ("", "_alex") -> the perceptual distance
-HDR_PEAK = 4.0
+LpipsBySuffix = Mapping[str, Lpips]  # suffix of the metric's name ("", "_alex") -> perceptual distance
+HDR_PEAK = 4.0  # linear values are clipped to it
 
 
-def image_figures(kind: str, rgba: np.ndarray, true: np.ndarray, truth: Truth, how: Protocol, lpips: Metrics) -> dict[str, float]:
-    """Figures of an image (H, W, 4), linear premultiplied, against the true one (H, W, 3), encoded and times its alpha, of that view.
+def image_metrics(
+    kind: str, rgba: np.ndarray, true: np.ndarray, truth: Truth, protocol: Protocol, lpips: LpipsBySuffix
+) -> dict[str, float]:
+    """Return the metrics of one image of a view.
 
-    `kind`: "nvs", "radiance" or "relight", see `Protocol.cut`.
+    Args:
+        kind: of image, "nvs", "radiance" or "relight", see `Protocol.cut`.
+        rgba: (H, W, 4), estimated, linear premultiplied.
+        true: (H, W, 3), encoded, times its alpha.
+        truth: of the view.
+        protocol: how images are compared.
+        lpips: perceptual distances.
     """
-    if how.radiance:
-        return _radiance_figures(rgba, true, truth, lpips)
-    ours, true = shown(kind, rgba, truth, how), shown_truth(true, truth, how)
-    figures = _alike(ours, true, lpips)
+    if protocol.radiance:
+        return _radiance_metrics(rgba, true, truth, lpips)
+    ours, true = prepare_image(kind, rgba, truth, protocol), prepare_truth(true, truth, protocol)
+    values = _similarity(ours, true, lpips)
     if truth.object.any():
-        figures["psnr_object"] = metrics.psnr(ours, true, truth.object)
-    if how.fitted:
-        scaled = _alike(ours * metrics.fitted_scale(ours, true), true, lpips)
-        figures |= {f"{name}_scaled": value for name, value in scaled.items()}
-    return figures
+        values["psnr_object"] = metrics.psnr(ours, true, truth.object)
+    if protocol.fitted:
+        scaled = _similarity(ours * metrics.fitted_scale(ours, true), true, lpips)
+        values |= {f"{name}_scaled": value for name, value in scaled.items()}
+    return values
 
 
-def shown(kind: str, rgba: np.ndarray, truth: Truth, how: Protocol) -> np.ndarray:
-    """(H, W, 3) encoded: our linear premultiplied image of some kind on the protocol's background."""
-    if how.radiance:
+def prepare_image(kind: str, rgba: np.ndarray, truth: Truth, protocol: Protocol) -> np.ndarray:
+    """Return our image as the protocol compares it: (H, W, 3), sRGB-encoded, on its background, with its silhouette.
+
+    Args:
+        kind: of image, "nvs", "radiance" or "relight", see `Protocol.cut`.
+        rgba: (H, W, 4), linear premultiplied.
+        truth: of the view.
+        protocol: its background, silhouette and bit depth are applied.
+    """
+    if protocol.radiance:
         return metrics.on_black(rgba)
     alpha = np.clip(np.nan_to_num(rgba[..., 3:].astype(np.float64)), 0, 1)
-    ours, silhouette = metrics.on_black(rgba), how.silhouette if kind in how.cut else "own"
+    ours, silhouette = metrics.on_black(rgba), protocol.silhouette if kind in protocol.cut else "own"
     if silhouette == "hard":
-        ours = np.where(alpha > 0.5, ours / np.maximum(alpha, 0.5), how.background)
+        ours = np.where(alpha > 0.5, ours / np.maximum(alpha, 0.5), protocol.background)
     else:
-        ours = ours + how.background * (1 - alpha)
+        ours = ours + protocol.background * (1 - alpha)
     if silhouette == "true":
         ours = ours * truth.alpha[..., None]
-    return _rounded(ours) if how.eight_bit else ours
+    return _rounded(ours) if protocol.eight_bit else ours
 
 
-def shown_truth(true: np.ndarray, truth: Truth, how: Protocol) -> np.ndarray:
-    """(H, W, 3) encoded: the true image, on black, on the protocol's background."""
-    background = 0.0 if how.radiance else how.background
+def prepare_truth(true: np.ndarray, truth: Truth, protocol: Protocol) -> np.ndarray:
+    """Return the true image as the protocol compares it: (H, W, 3), sRGB-encoded, on its background.
+
+    Args:
+        true: (H, W, 3), encoded, times its alpha.
+        truth: of the view.
+        protocol: its background and bit depth are applied.
+    """
+    background = 0.0 if protocol.radiance else protocol.background
     true = np.clip(true.astype(np.float64), 0, 1) + background * (1 - truth.alpha[..., None])
-    return _rounded(true) if how.eight_bit else true
+    return _rounded(true) if protocol.eight_bit else true
 
 
 def _rounded(image: np.ndarray) -> np.ndarray:
     return np.round(image * 255) / 255
 
 
-def _alike(ours: np.ndarray, true: np.ndarray, lpips: Metrics) -> dict[str, float]:
-    figures = {"psnr": metrics.psnr(ours, true), "ssim": metrics.ssim(ours, true)}
-    return figures | {f"lpips{suffix}": distance(np.clip(ours, 0, 1), np.clip(true, 0, 1)) for suffix, distance in lpips.items()}
+def _similarity(ours: np.ndarray, true: np.ndarray, lpips: LpipsBySuffix) -> dict[str, float]:
+    """Return PSNR, SSIM and LPIPS of two encoded images (H, W, 3)."""
+    values = {"psnr": metrics.psnr(ours, true), "ssim": metrics.ssim(ours, true)}
+    return values | {f"lpips{suffix}": distance(np.clip(ours, 0, 1), np.clip(true, 0, 1)) for suffix, distance in lpips.items()}
 
 
 # --- Stanford-ORB
 
 
-def _radiance_figures(rgba: np.ndarray, true: np.ndarray, truth: Truth, lpips: Metrics) -> dict[str, float]:
+def _radiance_metrics(rgba: np.ndarray, true: np.ndarray, truth: Truth, lpips: LpipsBySuffix) -> dict[str, float]:
+    """Compare linear radiance inside the eroded true mask, after a least-squares scale per channel (Stanford-ORB)."""
     inside = metrics.eroded(truth.alpha > 0.5)
     alpha = np.maximum(truth.alpha, 1e-6)[..., None]
     linear = decode_srgb(true.astype(np.float64) / alpha) * inside[..., None]
@@ -77,21 +100,27 @@ def _radiance_figures(rgba: np.ndarray, true: np.ndarray, truth: Truth, lpips: M
     brightness = _brightness(linear)
     bright, true_bright = (np.clip(brightness * image, 0, HDR_PEAK) for image in (ours, linear))
     low, true_low = (encode_srgb(np.clip(image, 0, 1)) for image in (ours, linear))
-    figures = {
+    values = {
         "psnr_hdr": floored_psnr(bright, true_bright, inside),
         "psnr_ldr": floored_psnr(low, true_low, inside),
         "ssim": metrics.ssim(low, true_low, 3),
     }
-    return figures | {f"lpips{suffix}": distance(encode_srgb(low), encode_srgb(true_low)) for suffix, distance in lpips.items()}
+    return values | {f"lpips{suffix}": distance(encode_srgb(low), encode_srgb(true_low)) for suffix, distance in lpips.items()}
 
 
 def _brightness(linear: np.ndarray) -> float:
-    """How much brighter the sRGB curve makes an image on average."""
+    """Return the factor by which the sRGB curve brightens a linear image (H, W, 3) on average."""
     mean = np.clip(linear, 0, 1).mean()
     return float(encode_srgb(np.clip(linear, 0, 1)).mean() / mean) if mean > 1e-8 else 1.0
 
 
 def floored_psnr(ours: np.ndarray, true: np.ndarray, inside: np.ndarray) -> float:
-    """PSNR over the whole image, not below that of a middle grey on the object."""
+    """Return the PSNR in dB over the whole image, at least that of a middle grey on the object (Stanford-ORB).
+
+    Args:
+        ours: (H, W, 3).
+        true: (H, W, 3).
+        inside: (H, W) bool, pixels of the object.
+    """
     grey = np.repeat(0.5 * inside[..., None], 3, -1)
     return max(metrics.psnr(ours, true), metrics.psnr(grey, true))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The perceptual distance LPIPS, where its weights are on this machine."""
+"""LPIPS, a learned perceptual distance of images, where its weights are installed."""
 
 # pyright: reportMissingImports=false
 # (the package lpips is an option)
@@ -17,37 +17,46 @@ import torch
 from ..errors import InputError
 
 NO_LPIPS = (
-    "LPIPS is not given: neither the package lpips with its weights nor a TorchScript file (--lpips FILE) was there. "
-    "Its weights can't be had without a download."
+    "LPIPS is missing: install the package lpips with its weights, or give the network as a TorchScript file (--lpips FILE). "
+    "This program downloads no weights."
 )
 
 
 class Lpips:
-    """Distance of two images.
+    """Perceptual distance of two images.
 
     Args:
-        name: what it is made of. distance: of two (1, 3, H, W) in -1..1, as one number in a tensor.
+        name: of the network or its file, for the report.
+        distance: function of two images (1, 3, H, W) in -1..1 that returns a tensor of one number.
     """
 
     def __init__(self, name: str, distance: Callable[[torch.Tensor, torch.Tensor], torch.Tensor]) -> None:
         self.name, self._distance = name, distance
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Of (H, W, 3) images in 0..1; 0 where they are equal."""
+        """Return the distance of two images (H, W, 3) in 0..1; 0 where they are equal."""
         with torch.no_grad():
             return float(self._distance(*(torch.from_numpy(p.astype(np.float32)).permute(2, 0, 1)[None] * 2 - 1 for p in (a, b))))
 
 
 def find_lpips(file: Path | None, network: str = "alex") -> Lpips | None:
-    """From a TorchScript file, or else from the package lpips with that network (alex, vgg); None where there is neither.
+    """Load LPIPS from a TorchScript file, or else from the package lpips.
 
-    Raises InputError for a file that is none.
+    Args:
+        file: TorchScript module; None: use the package.
+        network: of the package, "alex" or "vgg".
+
+    Returns:
+        None where neither a file is given nor the package with its weights is installed.
+
+    Raises:
+        InputError: when the file is not a TorchScript module.
     """
     if file is not None:
         try:
             return Lpips(file.name, torch.jit.load(str(file), map_location="cpu").eval())
         except (RuntimeError, ValueError, OSError) as error:
-            raise InputError(file, f"is no TorchScript module ({' '.join(str(error).split())[:80]})") from error
+            raise InputError(file, f"is not a TorchScript module ({' '.join(str(error).split())[:80]})") from error
     if importlib.util.find_spec("lpips") is None:
         return None
     import lpips

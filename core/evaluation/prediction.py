@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a reconstruction shows of one view."""
+"""Predictions: G-buffer and rendered images of a reconstruction from one view."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from ..scene.gbuffer import NOTHING, GBuffer
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """One view of a reconstruction: its layers, and images (H, W, 4) linear premultiplied under its own and under other lights.
+    """Reconstruction rendered from one view.
 
-    `shaded` is None where the photograph was taken under another light than the reconstruction's.
+    Attributes:
+        buffers: its G-buffer.
+        shaded: (H, W, 4), linear premultiplied, under the recovered light; None where the photograph was taken under another light.
+        relit: the same under other lights, by their names.
     """
 
     buffers: GBuffer
@@ -22,6 +25,6 @@ class Prediction:
     relit: dict[str, np.ndarray] = field(default_factory=dict)
 
     def layer(self, name: str) -> np.ndarray:
-        """A layer of the buffers, 0 where nothing is."""
-        values, there = getattr(self.buffers, name), self.buffers.alpha > NOTHING
-        return np.nan_to_num(np.where(there if values.ndim == 2 else there[..., None], values, 0))
+        """Return a layer of the G-buffer, (H, W) or (H, W, 3), 0 where no Gaussian is."""
+        values, covered = getattr(self.buffers, name), self.buffers.alpha > NOTHING
+        return np.nan_to_num(np.where(covered if values.ndim == 2 else covered[..., None], values, 0))

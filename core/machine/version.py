@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The version of this package, and the libraries that its engine needs."""
+"""Version of this package, and the libraries that its engine requires."""
 
 VERSION = "0.1.0"
 
-# Module to import: (name of the distribution, oldest version that serves).
+# Module to import: (name of the distribution, oldest supported version).
 LIBRARIES = {
     "cv2": ("opencv-python-headless", "4.10"),
     "embreex": ("embreex", "4.4"),
     "fast_simplification": ("fast-simplification", "0.2"),
+    "jinja2": ("jinja2", "3.1"),
     "numba": ("numba", "0.61"),
     "numpy": ("numpy", "1.26"),
     "OpenEXR": ("OpenEXR", "3.3"),
@@ -20,11 +21,11 @@ LIBRARIES = {
     "trimesh": ("trimesh", "4"),
     "xatlas": ("xatlas", "0.0.9"),
 }
-NEWER = "or newer is needed"  # by which callers know complaints about a version
+NEWER = "or newer is needed"  # by which callers recognise complaints about a version
 
 
 def problems() -> list[str]:
-    """What this Python lacks to run the engine, a line each; imports nothing heavy."""
+    """List the libraries that this Python lacks to run the engine, a line each; none of them is imported."""
     from importlib import metadata, util
 
     found = []
@@ -35,14 +36,14 @@ def problems() -> list[str]:
         try:
             version = metadata.version(name)
         except metadata.PackageNotFoundError:
-            continue  # put there by other means: a distribution's own package, a build of its own
+            continue  # installed without metadata: by the system's package manager, or built from source
         if numbers(version) < numbers(oldest):
             found.append(f"{name} is {version}, {oldest} {NEWER}")
     return found
 
 
 def numbers(version: str) -> tuple[int, ...]:
-    """The leading numbers of a version: "2.13.0+cpu" is (2, 13, 0)."""
+    """Parse the leading numbers of a version: "2.13.0+cpu" gives (2, 13, 0)."""
     parts: list[int] = []
     for part in version.split("+")[0].split("."):
         if not part.isdigit():

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from irgspp.core.evaluation import metrics, visualisation
 from irgspp.core.evaluation.prediction import Prediction
-from irgspp.core.evaluation.view_metrics import albedo_figures, averages, view_figures
+from irgspp.core.evaluation.view_metrics import albedo_metrics, averages, view_metrics
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.scene.camera import Camera
@@ -52,10 +52,10 @@ class State:
     light: np.ndarray
 
 
-def descend(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[float], **changes) -> list[State]:
+def optimise(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[float], **changes) -> list[State]:
     """States after each of the budgets in seconds. metal: what the first stage takes the object for, where it starts."""
-    thing = mitsuba_peer.welded(run)
-    count = len(thing["vertices"])
+    asset = mitsuba_peer.welded(run)
+    count = len(asset["vertices"])
     pixels = pool(views)
     mean = float(decode_srgb(pixels["pixel_colour"]).mean())
     start = {
@@ -65,19 +65,19 @@ def descend(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[flo
         "light": np.full((ROWS, 2 * ROWS, 3), 2 * mean, np.float32),
     }
     request = {"pixels": PIXELS, "samples": SAMPLES, "bounces": BOUNCES, "rates": RATES, "light_smoothness": 5e-4}
-    answer, found = _survived(request | {"budgets": list(budgets), **changes}, {**thing, **pixels, **start})
+    answer, found = _run_with_seeds(request | {"budgets": list(budgets), **changes}, {**asset, **pixels, **start})
     return [_state(i, about, found) for i, about in enumerate(answer["states"])]
 
 
-def _survived(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _run_with_seeds(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The answer with the first of SEEDS that it comes to; raises Crashed where none does.
 
     Mitsuba crashes now and then after some hundred updates of a scene (its issues 642 and 662); other pixels, and it goes on.
     """
     for seed in SEEDS[:-1]:
         with contextlib.suppress(mitsuba_peer.Crashed):
-            return mitsuba_peer.ask("mitsuba_inverse", {**request, "seed": seed}, arrays)
-    return mitsuba_peer.ask("mitsuba_inverse", {**request, "seed": SEEDS[-1]}, arrays)
+            return mitsuba_peer.run_child("mitsuba_inverse", {**request, "seed": seed}, arrays)
+    return mitsuba_peer.run_child("mitsuba_inverse", {**request, "seed": SEEDS[-1]}, arrays)
 
 
 def _state(number: int, about: dict[str, float], found: dict[str, np.ndarray]) -> State:
@@ -121,7 +121,7 @@ def tasks(bench: Bench, scene: Scene) -> Iterator[Task]:
     def states() -> list[State]:
         made = bench.run(scene, bench.balanced())
         seconds = made.phase_seconds()["second stage"]
-        return descend(made.path, scene.data.train, Reconstruction.load(made.path).glossy, [n * seconds for n in times])
+        return optimise(made.path, scene.data.train, Reconstruction.load(made.path).glossy, [n * seconds for n in times])
 
     yield Task(f"{PREFIX}{OURS}", partial(_ours, bench, scene), 20.0, run)
     for number, times_ours in enumerate(times):
@@ -153,26 +153,26 @@ def _ours(bench: Bench, scene: Scene) -> Measurement:
 def _theirs(bench: Bench, scene: Scene, states, number: int) -> Measurement:
     """A state of Mitsuba's descent as Mitsuba shows it; the figures are ours' own functions."""
     state: State = states()[number]
-    thing = mitsuba_peer.welded(bench.run(scene, bench.balanced()).path)
+    asset = mitsuba_peer.welded(bench.run(scene, bench.balanced()).path)
     cameras, shaded = {view.name: view.camera for view in scene.views}, _shaded_views(scene)
     truths = [scene.view_truth(view) for view in scene.views]
-    seen = mitsuba_peer.images(thing | state.materials, cameras, {"found": state.light}, [], layers=LAYER_SAMPLES)
+    seen = mitsuba_peer.images(asset | state.materials, cameras, {"found": state.light}, [], layers=LAYER_SAMPLES)
     predictions = [_prediction(cameras[name], seen[name, "found"].layers) for name in cameras]
-    rows, scale = albedo_figures(predictions, truths)
+    rows, scale = albedo_metrics(predictions, truths)
     assert scale is not None
     scaled = {**state.materials, "vertex_albedo": state.materials["vertex_albedo"] * scale.astype(np.float32)}
     few = {view.name: view.camera for view in shaded}
-    nvs = mitsuba_peer.images(thing | state.materials, few, {"found": state.light}, [SHADED_SAMPLES])
-    relit = mitsuba_peer.images(thing | scaled, few, {name: scene.truth.lights[name] for name in scene.relights}, [SHADED_SAMPLES])
+    nvs = mitsuba_peer.images(asset | state.materials, few, {"found": state.light}, [SHADED_SAMPLES])
+    relit = mitsuba_peer.images(asset | scaled, few, {name: scene.truth.lights[name] for name in scene.relights}, [SHADED_SAMPLES])
     for view, prediction, truth, row in zip(scene.views, predictions, truths, rows, strict=True):
         if view.name in few:
             images_of = {light: relit[view.name, light].frames[0].rgba for light in scene.relights}
-            row |= view_figures(replace(prediction, shaded=nvs[view.name, "found"].frames[0].rgba, relit=images_of), truth)
+            row |= view_metrics(replace(prediction, shaded=nvs[view.name, "found"].frames[0].rgba, relit=images_of), truth)
         else:
-            materials = view_figures(prediction, truth)
+            materials = view_metrics(prediction, truth)
             row |= {name: materials[name] for name in ("roughness_mae", "metallic_mae") if name in materials}
     figures = averages(rows, scene.relights)
-    figures |= metrics.environment_figures(state.light, scene.truth.lights[str(scene.truth.train_light)])
+    figures |= metrics.environment_metrics(state.light, scene.truth.lights[str(scene.truth.train_light)])
     first = next(i for i, view in enumerate(scene.views) if view.name == shaded[0].name)
     shown = {"albedo": _albedo(predictions[first].buffers.albedo, scale, truths[first].alpha), "light": _map(state.light)}
     return Measurement(

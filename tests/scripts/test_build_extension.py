@@ -53,7 +53,7 @@ def test_zip_is_small_and_holds_no_libraries_tests_or_documents(archive):
     assert not top & {"tests", "scripts", "typings", "docs", "dist", "demo", "wheels", "README.md"}
     assert not [name for name in names if any(part.startswith(".") for part in Path(name).parts)]
     kinds = {Path(name).suffix for name in names if not name.endswith("/")}
-    assert kinds <= {".py", ".toml", ".lock", ".sha256", ".json", ".npz", ".png", ".exr", ".md", ""}
+    assert kinds <= {".py", ".toml", ".lock", ".sha256", ".json", ".npz", ".png", ".exr", ".md", ".jinja", ""}
 
 
 def test_manifest_names_no_wheels_and_asks_for_no_more_than_is_used():
@@ -66,6 +66,10 @@ def test_manifest_names_no_wheels_and_asks_for_no_more_than_is_used():
 def test_zip_holds_what_the_managed_engine_is_installed_from(archive):
     names = zipfile.ZipFile(archive).namelist()
     assert {"requirements.lock", "pyproject.toml", "__main__.py", "core/cli/main.py", "irgspp_addon/launch.py"} <= set(names)
+
+
+def test_zip_holds_the_template_of_the_report(archive):
+    assert "core/evaluation/report.html.jinja" in zipfile.ZipFile(archive).namelist()
 
 
 def test_every_module_that_is_imported_is_in_the_zip(archive):

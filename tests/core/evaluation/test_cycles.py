@@ -71,8 +71,8 @@ def test_views_and_lights_are_told_apart(run, monkeypatch):
         assert np.abs(one.ours - one.theirs)[inside].mean() < 0.02
         apart = np.abs(one.ours - one.theirs)
         shown = (one.ours.max(-1) > 0) | (one.theirs.max(-1) > 0)
-        assert one.figures["cycles_difference"] == pytest.approx(apart.sum() / shown.sum() / 3)
-        assert one.figures["cycles_psnr"] == pytest.approx(-10 * np.log10((apart**2).mean()))
+        assert one.metrics["cycles_difference"] == pytest.approx(apart.sum() / shown.sum() / 3)
+        assert one.metrics["cycles_psnr"] == pytest.approx(-10 * np.log10((apart**2).mean()))
 
 
 def test_a_run_that_is_not_finished_is_one_line(tmp_path):

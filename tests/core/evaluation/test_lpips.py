@@ -19,5 +19,5 @@ def test_lpips_comes_from_a_file_or_not_at_all(tmp_path):
     assert lpips(image, image) == 0
     assert lpips(np.zeros((8, 8, 3)), np.full((8, 8, 3), 0.25)) == pytest.approx(0.25)  # 0..1 is shown to it as -1..1
     (tmp_path / "text.pt").write_text("no module")
-    with pytest.raises(InputError, match="is no TorchScript module"):
+    with pytest.raises(InputError, match="is not a TorchScript module"):
         find_lpips(tmp_path / "text.pt")

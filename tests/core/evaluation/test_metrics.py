@@ -91,21 +91,21 @@ def test_albedo_scale_is_found_in_spite_of_outliers():
 
 def test_environment_is_compared_up_to_a_scale_per_channel():
     truth = RANDOM.uniform(0, 1, (16, 32, 3))
-    tinted = metrics.environment_figures(truth * np.array([2.0, 0.1, 7.0]), truth)
+    tinted = metrics.environment_metrics(truth * np.array([2.0, 0.1, 7.0]), truth)
     assert tinted["environment_psnr"] == pytest.approx(100) and tinted["environment_ssim"] == pytest.approx(1)
     assert tinted["environment_psnr_unscaled"] < 20
-    turned = metrics.environment_figures(np.roll(truth, 5, 1), truth)
+    turned = metrics.environment_metrics(np.roll(truth, 5, 1), truth)
     assert turned["environment_psnr"] < 15 and turned["environment_ssim"] < 0.9
-    other = metrics.environment_figures(sky_light(64, 128), sky_light(16, 32))
+    other = metrics.environment_metrics(sky_light(64, 128), sky_light(16, 32))
     assert other["environment_psnr"] > 27  # its own resolution doesn't matter
-    assert "environment_ssim" not in metrics.environment_figures(truth[:4, :8], truth[:4, :8])  # too small for the window
+    assert "environment_ssim" not in metrics.environment_metrics(truth[:4, :8], truth[:4, :8])  # too small for the window
 
 
 def test_environment_on_a_grid_of_its_own():
     truth = np.repeat(np.repeat(RANDOM.uniform(0, 1, (8, 16, 3)), 4, 0), 4, 1)
-    coarse = metrics.environment_figures(truth * 3, truth, (16, 32))
+    coarse = metrics.environment_metrics(truth * 3, truth, (16, 32))
     assert coarse["environment_psnr"] == pytest.approx(100)
-    assert metrics.environment_figures(truth * 3, truth, (16, 32))["environment_psnr_unscaled"] < 15
+    assert metrics.environment_metrics(truth * 3, truth, (16, 32))["environment_psnr_unscaled"] < 15
 
 
 def globe(radius: float, rows: int = 60) -> Mesh:
@@ -130,10 +130,10 @@ def globe(radius: float, rows: int = 60) -> Mesh:
 def test_mesh_distances_are_those_of_concentric_spheres():
     points = RANDOM.normal(size=(3000, 3))
     points /= np.linalg.norm(points, axis=-1, keepdims=True)
-    figures = metrics.mesh_distances(globe(1.03), points, points, samples=50_000)
+    measured = metrics.mesh_distances(globe(1.03), points, points, samples=50_000)
     for name in ("mesh_completeness", "mesh_accuracy", "mesh_chamfer"):
-        assert figures[name] == pytest.approx(0.03, abs=0.002)
-    assert figures["mesh_stray"] < 0.005 and figures["mesh_triangles"] == len(globe(1.03).faces)
+        assert measured[name] == pytest.approx(0.03, abs=0.002)
+    assert measured["mesh_stray"] < 0.005 and measured["mesh_triangles"] == len(globe(1.03).faces)
     half = points[points[:, 2] > 0]
     assert metrics.mesh_distances(globe(1.03), half, half, samples=50_000)["mesh_stray"] == pytest.approx(0.47, abs=0.04)
     assert metrics.mesh_distances(globe(2.0), points, points, samples=1000)["mesh_stray"] == 1

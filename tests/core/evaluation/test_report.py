@@ -4,7 +4,6 @@
 import json
 import re
 from dataclasses import replace
-from html import escape
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from irgspp.core.evaluation import contact_sheet as sheet
 from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips
 from irgspp.core.evaluation.protocols import PROTOCOLS, described
 from irgspp.core.progress.protocol import Silent
+from markupsafe import escape
 from PIL import Image
 
 EDGES = {"tensoir": 27, "irgs": 33}  # dB that half-covered pixels leave, as these papers don't show them half covered
@@ -72,9 +72,9 @@ def known(demo, monkeypatch):
 
 def test_report_of_a_perfect_run(demo, known, tmp_path):
     found = report.evaluate(tmp_path / "run", demo[0], tmp_path / "out")
-    figures = found["figures"]
-    assert figures["nvs_psnr"] > 90 and figures["relight_psnr"] > 50 and figures["normal_mae"] < 0.1
-    assert figures["albedo_psnr"] == figures["environment_psnr"] == 100
+    measured = found["figures"]
+    assert measured["nvs_psnr"] > 90 and measured["relight_psnr"] > 50 and measured["normal_mae"] < 0.1
+    assert measured["albedo_psnr"] == measured["environment_psnr"] == 100
     assert np.allclose(found["albedo_scale"], 1) and len(found["views"]) == 6 and found["split"] == "test"
     assert json.loads((tmp_path / "out" / "report.json").read_text()) == found
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
@@ -104,17 +104,17 @@ def test_page_escapes_names(demo, known, tmp_path):
 @pytest.mark.parametrize("name", [name for name in PROTOCOLS if name != "plain"])
 def test_report_of_a_perfect_run_by_each_protocol(demo, known, tmp_path, name):
     found = report.evaluate(tmp_path / "run", demo[0], tmp_path / "out", protocol=name, views=3, samples=8)
-    figures, how = found["figures"], PROTOCOLS[name]
+    measured, how = found["figures"], PROTOCOLS[name]
     assert list(found["views"]) == [demo[1].test[i].name for i in (0, 2, 5)]
     psnr = "psnr_ldr" if how.radiance else "psnr"
     least = EDGES.get(name, 45)
-    assert figures[f"nvs_{psnr}"] > least and figures["normal_mae"] < 0.1 and figures["albedo_psnr"] > 90
+    assert measured[f"nvs_{psnr}"] > least and measured["normal_mae"] < 0.1 and measured["albedo_psnr"] > 90
     if how.relit_scaled:
-        assert figures[f"relight_{psnr}"] > least  # the renderer of these tests is too dark where no scale is taken
+        assert measured[f"relight_{psnr}"] > least  # the renderer of these tests is too dark where no scale is taken
     else:
-        assert "relight_psnr_scaled" in figures or how.radiance
+        assert "relight_psnr_scaled" in measured or how.radiance
     if how.scale_free:
-        assert figures["normal_cosine"] < 1e-5 and figures["depth_si_mse"] < 1e-12
+        assert measured["normal_cosine"] < 1e-5 and measured["depth_si_mse"] < 1e-12
         assert found["albedo_scale"] is None
     shown = report.table(found)
     html = (tmp_path / "out" / "report.html").read_text()

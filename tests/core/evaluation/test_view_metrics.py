@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Figures of views: perfect where everything is right, and as expected where one thing is wrong."""
+"""Metrics of views: perfect where everything is right, and as expected where one thing is wrong."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from irgspp.core.evaluation.ground_truth import Truth
-from irgspp.core.evaluation.view_metrics import albedo_figures, averages, view_figures
+from irgspp.core.evaluation.view_metrics import albedo_metrics, averages, view_metrics
 
 
 def test_the_truth_itself_is_perfect(demo):
     _, _, _, truths, predictions = demo
-    figures = view_figures(predictions[0], truths[0])
+    measured = view_metrics(predictions[0], truths[0])
     for name in ("nvs", "radiance", "relight_studio", "relight_sunset"):
         # Edge pixels of a relit image have their own rounding of alpha.
-        assert figures[f"{name}_psnr"] > (60 if name.startswith("relight") else 90)
-        assert figures[f"{name}_ssim"] == pytest.approx(1, abs=1e-3)
-    assert figures["normal_mae"] == pytest.approx(0, abs=0.05)
-    assert [figures[f"{name}_mae"] for name in ("depth", "roughness", "metallic")] == [0, 0, 0]
-    rows, scale = albedo_figures(predictions, truths)
+        assert measured[f"{name}_psnr"] > (60 if name.startswith("relight") else 90)
+        assert measured[f"{name}_ssim"] == pytest.approx(1, abs=1e-3)
+    assert measured["normal_mae"] == pytest.approx(0, abs=0.05)
+    assert [measured[f"{name}_mae"] for name in ("depth", "roughness", "metallic")] == [0, 0, 0]
+    rows, scale = albedo_metrics(predictions, truths)
     assert np.allclose(scale, 1) and all(row["albedo_psnr"] == 100 for row in rows)
 
 
@@ -26,11 +26,11 @@ def test_each_figure_sees_its_own_fault(demo):
     _, _, _, truths, predictions = demo
     b = predictions[0].buffers
     wrong = replace(predictions[0], buffers=replace(b, depth=b.depth + 0.25, roughness=b.roughness + 0.1, metallic=1 - b.metallic))
-    figures = view_figures(wrong, truths[0])
-    assert figures["depth_mae"] == pytest.approx(0.25, abs=1e-5)
-    assert figures["roughness_mae"] == pytest.approx(0.1, abs=1e-5)
-    assert figures["metallic_mae"] > 0.9
-    flipped = view_figures(replace(predictions[0], buffers=replace(b, normal=-b.normal)), truths[0])
+    measured = view_metrics(wrong, truths[0])
+    assert measured["depth_mae"] == pytest.approx(0.25, abs=1e-5)
+    assert measured["roughness_mae"] == pytest.approx(0.1, abs=1e-5)
+    assert measured["metallic_mae"] > 0.9
+    flipped = view_metrics(replace(predictions[0], buffers=replace(b, normal=-b.normal)), truths[0])
     assert flipped["normal_mae"] == pytest.approx(180, abs=0.1)
     covered = (truths[0].depth > 0).mean()  # the background counts as no error there
     assert flipped["normal_mae_full"] == pytest.approx(180 * covered, abs=0.5)
@@ -40,15 +40,15 @@ def test_a_view_without_anything_counts_as_missing_normals(demo):
     _, _, _, truths, predictions = demo
     b = predictions[0].buffers
     empty = replace(predictions[0], buffers=replace(b, alpha=np.zeros_like(b.alpha)))
-    figures = view_figures(empty, truths[0])
-    assert figures["normal_mae"] == 90
-    assert figures["radiance_psnr"] < 20 < figures["nvs_psnr"]
+    measured = view_metrics(empty, truths[0])
+    assert measured["normal_mae"] == 90
+    assert measured["radiance_psnr"] < 20 < measured["nvs_psnr"]
 
 
 def test_one_albedo_scale_serves_all_views(demo):
     _, _, _, truths, predictions = demo
     dim = [replace(p, buffers=replace(p.buffers, albedo=p.buffers.albedo * np.array([0.5, 1.0, 2.0], np.float32))) for p in predictions]
-    rows, scale = albedo_figures(dim, truths)
+    rows, scale = albedo_metrics(dim, truths)
     assert np.allclose(scale, [2, 1, 0.5], rtol=1e-4)
     assert all(row["albedo_psnr"] > 80 and row["albedo_psnr_unscaled"] < 25 for row in rows)
 
@@ -56,8 +56,8 @@ def test_one_albedo_scale_serves_all_views(demo):
 def test_without_truth_there_are_only_images(demo):
     _, _, _, truths, predictions = demo
     bare = Truth(truths[0].image, truths[0].alpha)
-    assert {name.split("_")[0] for name in view_figures(predictions[0], bare)} == {"nvs", "radiance"}
-    assert albedo_figures(predictions[:1], [bare]) == ([{}], None)
+    assert {name.split("_")[0] for name in view_metrics(predictions[0], bare)} == {"nvs", "radiance"}
+    assert albedo_metrics(predictions[:1], [bare]) == ([{}], None)
 
 
 def test_means_are_over_the_views_that_have_the_figure():
