@@ -27,7 +27,6 @@ POSIX_CALLS |= {
     "setitimer",
 }
 GUARDS = ("sys.platform", "os.name", "hasattr(")  # one of them in the function, or around it, chooses the twin
-TESTED_ELSEWHERE = {"core/machine/peak_memory.py"}  # reads /proc where it is there, else asks `resource` or Windows
 BLENDERS_PYTHONS = ((3, 11), (3, 12), (3, 13))
 
 
@@ -57,7 +56,7 @@ def posix_uses(file):
 def test_calls_of_posix_have_a_twin():
     found = [(f.relative_to(ROOT).as_posix(), node.lineno, fine) for f in SOURCES for node, fine in posix_uses(f)]
     assert len(found) > 3  # the search finds them
-    assert not [(file, line) for file, line, fine in found if not fine and file not in TESTED_ELSEWHERE]
+    assert not [(file, line) for file, line, fine in found if not fine]
 
 
 def test_a_bare_call_of_posix_is_found(tmp_path):

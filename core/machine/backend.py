@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which kernels work on a tensor: numba's on the CPU, warp's on a GPU, and in tests warp's on the CPU."""
+"""Choice of the kernels by a tensor's device: numba on the CPU, warp on a GPU, and in tests warp on the CPU."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ _forced: list[bool] = []
 
 
 def by_warp(tensor: torch.Tensor) -> bool:
-    """True where the device's kernels are to do the work."""
+    """Return True where warp's kernels are to process a tensor (...,) of any shape, False where numba's are."""
     return tensor.device.type != "cpu" or (bool(_forced) and _forced[-1])
 
 
 def wait_for(device: torch.device) -> None:
-    """Until a GPU has done all that it was given, as who measures time has to."""
+    """Wait until a GPU has finished all queued work, which measuring time requires; return at once for the CPU."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 
 
 def incomplete_images() -> int:
-    """Pictures of optimisations that lacked some splats so far, as more came into view at once than there was room for on the device."""
-    module = sys.modules.get(__package__.rpartition(".")[0] + ".kernels.warp.rasterize")  # not loaded: nothing was drawn by it
-    return sum(room.overflowed for room in module.ROOMS.values()) if module else 0
+    """Count the images rendered by warp so far that lack some splats, because more were visible than its buffers on the device hold."""
+    module = sys.modules.get(__package__.rpartition(".")[0] + ".kernels.warp.rasterize")  # not loaded: it has rendered nothing
+    return sum(buffers.overflowed for buffers in module.ROOMS.values()) if module else 0
 
 
 @contextmanager
-def warp_on_cpu(wanted: bool = True) -> Iterator[None]:
-    """Within it, warp's CPU device stands in for numba, where `wanted`: the way to test the device's kernels without a GPU. It is slow."""
-    _forced.append(wanted)
+def warp_on_cpu(enabled: bool = True) -> Iterator[None]:
+    """Use warp's CPU device in place of numba within the block if `enabled`: it tests the GPU's kernels without a GPU, slowly."""
+    _forced.append(enabled)
     try:
         yield
     finally:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Blender of its own for what only Blender can do: the engine can't share a process with one."""
+"""Blender as a child process, for what only Blender can do: the engine can't share a process with it."""
 
 from __future__ import annotations
 
@@ -20,33 +20,46 @@ BLENDER = "IRGSPP_BLENDER"  # the environment variable that names a Blender exec
 
 
 class NoBlender(IrgsppError):
-    """There is no Blender to be run."""
+    """No Blender was found that can be run."""
 
 
 def blender_command() -> list[str]:
-    """What runs launch.py in a Blender: the executable that $IRGSPP_BLENDER names, or this Python where it has the module bpy.
+    """Return the command line that runs launch.py in Blender: the executable named by $IRGSPP_BLENDER, or this Python if it has bpy.
 
-    The named one goes first: a .blend is then of the version that its user has. Raises NoBlender where there is neither.
+    The named executable has precedence, so that a .blend is written by the version that its user has.
+
+    Raises:
+        NoBlender: if there is neither.
     """
     named = os.environ.get(BLENDER, "")
     if named:
         executable = shutil.which(named)
         if executable is None:
-            raise NoBlender(f"${BLENDER} names {named}, which is no program")
+            raise NoBlender(f"${BLENDER} names {named}, which is not a program; set it to Blender's executable")
         return [executable, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(LAUNCHER), "--"]
     if importlib.util.find_spec("bpy") is None:
-        raise NoBlender(f"Blender's Python module (bpy) is not installed, and ${BLENDER} names no Blender")
+        raise NoBlender(f"the Python module bpy is not installed, and ${BLENDER} is not set; set it to Blender's executable")
     return [sys.executable, str(LAUNCHER)]
 
 
 def run_in_blender(module: str, arguments: Sequence[str], cancelled: Callable[[], bool]) -> tuple[int, str]:
-    """Run a module of this package in a Blender to its end; its exit status and the last line of what it said on stderr.
+    """Run a module of this package in Blender and wait until it ends.
 
-    Raises Cancelled (the Blender is ended), or NoBlender.
+    Args:
+        module: name of the module below the package, such as "irgspp_addon.importer.write_blend".
+        arguments: its command-line arguments.
+        cancelled: asked five times a second; Blender is terminated once it returns True.
+
+    Returns:
+        Blender's exit status, and the last line that it wrote to stderr.
+
+    Raises:
+        Cancelled: if `cancelled` returned True.
+        NoBlender: if there is no Blender.
     """
     command = [*blender_command(), module, *arguments]
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-        # Its stdin ends when this process does, however it does: then it must not go on writing beside the next one.
+        # Its stdin ends with this process, however this ends: a Blender left behind would write to the same files as the next one.
         child = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors, env={**os.environ, PARENT_WATCH: "1"}
         )
@@ -56,8 +69,8 @@ def run_in_blender(module: str, arguments: Sequence[str], cancelled: Callable[[]
             assert child.stdin is not None
             child.stdin.close()
         errors.seek(0)
-        said = [line.strip() for line in errors if line.strip() and "not freed memory" not in line.lower()]
-    return status, said[-1] if said else "no message"
+        lines = [line.strip() for line in errors if line.strip() and "not freed memory" not in line.lower()]
+    return status, lines[-1] if lines else "no message"
 
 
 def _wait(child: subprocess.Popen, cancelled: Callable[[], bool]) -> int:

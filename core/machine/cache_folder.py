@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The user's folder for compiled kernels: writable by this user alone."""
+"""Cache folder for compiled kernels, writable by this user alone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def cache_root() -> Path:
-    """The user's cache folder for compiled kernels ($IRGSPP_CACHE wins)."""
+    """Return the user's cache folder for compiled kernels: $IRGSPP_CACHE if it is set, else the system's usual place."""
     if "IRGSPP_CACHE" in os.environ:
         return Path(os.environ["IRGSPP_CACHE"])
     if sys.platform == "win32":
@@ -21,15 +21,19 @@ def cache_root() -> Path:
 
 
 def _claim(folder: Path) -> None:
-    """Make a folder that only this user can write to; compiled code out of somebody else's would be theirs to choose."""
+    """Create a folder that only this user can write to; whoever else could write to it could have this user run their code."""
     folder.mkdir(exist_ok=True, mode=0o700)
     about = folder.lstat()
     if hasattr(os, "getuid") and (about.st_uid != os.getuid() or about.st_mode & 0o022):
-        raise PermissionError(f"{folder} is open to others")
+        raise PermissionError(f"{folder} belongs to another user or can be written by others")
 
 
 def private_folder(name: str) -> Path:
-    """A writable folder of that name in the cache, or else in one of the user's own among the temporary files."""
+    """Create and return a writable folder of that name in the cache folder, or else in the user's own folder of temporary files.
+
+    Raises:
+        OSError: if neither can be written.
+    """
     fallback = Path(tempfile.gettempdir()) / f"irgspp-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
     for root in (cache_root(), fallback):
         try:

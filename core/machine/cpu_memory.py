@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a job takes of the machine's memory, estimated before it starts, compared with what it may take, and made to fit."""
+"""Main memory of a job: estimated before the job starts, and made to fit into the free memory by tracing fewer rays at once."""
 
 from __future__ import annotations
 
@@ -12,84 +12,99 @@ from ..settings.schema import Settings
 
 MIB = 1 << 20
 # Measured with scripts/faults.py --only memory.
-LIBRARIES = 420 * MIB  # torch, numba, their code and the kernels' once all are loaded
-PHOTOGRAPH = 129  # bytes of a pixel: colour and alpha, the same as a target of the first stage, layers rendered for the surface
-GAUSSIAN = 4 * 63 * 4 + 500  # parameters, gradients, two moments; place in lists
-TRACING = 400 * MIB  # what rays at work meet, for MOST_RAYS of them
-TEXEL = 64  # bytes while textures are made
-MOST_RAYS, FEWEST_RAYS = 1 << 18, 1 << 14
-SHARE = 0.95  # of what is free that is counted on
+LIBRARIES = 420 * MIB  # torch, numba, their code and that of the compiled kernels
+PHOTOGRAPH = 129  # bytes per pixel: colour and alpha, the same again as a target of the first stage, G-buffer for the surface
+GAUSSIAN = 4 * 63 * 4 + 500  # bytes: parameters, gradients, two moments; entries in tile lists
+TRACING = 400 * MIB  # hits of MOST_RAYS rays
+TEXEL = 64  # bytes while textures are baked
+MOST_RAYS, FEWEST_RAYS = 1 << 18, 1 << 14  # traced at once
+USABLE = 0.95  # fraction of the free memory that a job may plan with
 CGROUPS = (("memory.max", "memory.current"), ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"))
 CGROUP = Path("/sys/fs/cgroup")
 UNLIMITED = 1 << 60
 
 
 @dataclass(frozen=True)
-class Free:
-    """Bytes that this process may take beyond what it has, and what sets the limit, in words."""
+class FreeMemory:
+    """Memory that this process may still allocate.
+
+    Attributes:
+        size: bytes beyond those already in use.
+        limit: what sets the limit, in words for the user.
+    """
 
     size: int
     limit: str
 
 
 def estimate_memory(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> int:
-    """Estimate the bytes of memory that a job on the CPU has in use at most, libraries included.
+    """Estimate the peak memory in bytes of a job on the CPU, libraries included.
 
     Args:
-        settings: of the job.
-        pixels: of all photographs together.
-        rays: at work at a time.
+        settings: settings of the job.
+        pixels: number of pixels of all photographs together.
+        rays: number of rays traced at once.
     """
     second = settings.second
     texels = 2 * second.rows**2
-    views = second.points * second.views * texels * 4 * 5  # rows of light of each view, and the equations' of the same size
-    points = second.points * 4 * texels * 4 * 6  # what shines on each point from all around
-    kept = pixels * PHOTOGRAPH + settings.first.gaussians * GAUSSIAN
+    views = second.points * second.views * texels * 4 * 5  # light rows of each view, and equations of the same size
+    points = second.points * 4 * texels * 4 * 6  # incoming radiance of each point from all directions
+    stored = pixels * PHOTOGRAPH + settings.first.gaussians * GAUSSIAN
     work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texture**2 * TEXEL)
-    return LIBRARIES + kept + work
+    return LIBRARIES + stored + work
 
 
-def rays_that_fit(settings: Settings, pixels: int, free: Free | None = None) -> int:
-    """How many rays may be at work at a time so that the job fits into memory. Raises InputError where it does not even with few."""
-    room, taken, rays = free or free_memory(), resident(), MOST_RAYS
-    while estimate_memory(settings, pixels, rays) - taken > SHARE * room.size:
+def rays_that_fit(settings: Settings, pixels: int, free: FreeMemory | None = None) -> int:
+    """Return how many rays may be traced at once so that the job fits into memory.
+
+    Args:
+        settings: settings of the job.
+        pixels: number of pixels of all photographs together.
+        free: the memory to fit into; None measures it.
+
+    Raises:
+        InputError: if the job does not fit even with FEWEST_RAYS.
+    """
+    available, used, rays = free or free_memory(), resident_memory(), MOST_RAYS
+    while estimate_memory(settings, pixels, rays) - used > USABLE * available.size:
         if rays <= FEWEST_RAYS:
             needed = f"{estimate_memory(settings, pixels, rays) / 2**30:.1f} GiB"
-            there = f"{(room.size + taken) / 2**30:.1f} GiB can be had ({room.limit})"
-            fix = "close other programs, or give --set data.resolution=..., first.gaussians=... or second.points=... less"
-            raise InputError("memory", f"the job needs about {needed}, {there}", fix)
+            usable = f"but only {(available.size + used) / 2**30:.1f} GiB are available ({available.limit})"
+            fix = "close other programs, or lower data.resolution, first.gaussians or second.points with --set"
+            raise InputError("memory", f"the job needs about {needed}, {usable}", fix)
         rays //= 2
     return rays
 
 
-def free_memory() -> Free:
-    """The tightest of what the system has free, a limit of this process (ulimit -v), and that of its group (cgroup)."""
+def free_memory() -> FreeMemory:
+    """Return the smallest of the system's free memory and what the limits of this process (ulimit -v) and of its cgroup leave."""
     import psutil
 
-    found = [Free(psutil.virtual_memory().available, "free on this machine")]
-    found += [*_of_group(), *_of_process()]
-    return min(found, key=lambda one: one.size)
+    limits = [FreeMemory(psutil.virtual_memory().available, "free on this machine")]
+    limits += [*_left_by_cgroup(), *_left_by_process_limit()]
+    return min(limits, key=lambda one: one.size)
 
 
-def resident() -> int:
-    """Bytes that this process has in use."""
+def resident_memory() -> int:
+    """Return the bytes of physical memory that this process uses."""
     import psutil
 
     return psutil.Process().memory_info().rss
 
 
-def _of_group() -> list[Free]:
-    """What is left of a cgroup's limit, of either version."""
+def _left_by_cgroup() -> list[FreeMemory]:
+    """Return what the limit of the cgroup leaves (version 2 or 1); empty where there is no limit."""
     for limit, usage in CGROUPS:
         try:
             most, used = int((CGROUP / limit).read_text()), int((CGROUP / usage).read_text())
         except (OSError, ValueError):  # no such file, or the word max
             continue
-        return [Free(max(most - used, 0), "the limit of its cgroup")] if most < UNLIMITED else []
+        return [FreeMemory(max(most - used, 0), "the limit of its cgroup")] if most < UNLIMITED else []
     return []
 
 
-def _of_process() -> list[Free]:
+def _left_by_process_limit() -> list[FreeMemory]:
+    """Return what `ulimit -v` leaves; empty where there is no limit."""
     if sys.platform == "win32":
         return []
     import resource
@@ -99,4 +114,4 @@ def _of_process() -> list[Free]:
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit in (resource.RLIM_INFINITY, -1):
         return []
-    return [Free(max(limit - psutil.Process().memory_info().vms, 0), "the limit of this process, ulimit -v")]
+    return [FreeMemory(max(limit - psutil.Process().memory_info().vms, 0), "the limit of this process, ulimit -v")]

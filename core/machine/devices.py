@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What this machine offers to compute on."""
+"""Compute devices of this machine: listing them, and choosing the one that a job runs on."""
 
 from __future__ import annotations
 
@@ -23,22 +23,25 @@ SIMD = ("avx512f", "avx2", "fma", "neon", "sve", "sse4.2")
 
 
 def devices() -> dict[str, Any]:
-    """What can be used, ready for JSON.
+    """List the devices that can be used, as plain values for JSON.
 
-    {"irgspp": version, "python": version, "cpu": {name, threads, cores, simd}, "cuda": [{index, name, memory}], "notes": [lines]}
+    Returns:
+        {"irgspp": version, "python": version, "cpu": {name, threads, cores, simd}, "cuda": [{index, name, memory}], "notes": [lines]},
+        with the memory in bytes.
 
-    Raises IrgsppError where a library is missing or too old.
+    Raises:
+        IrgsppError: if a library is missing or too old.
     """
-    if lacking := problems():
-        raise IrgsppError(f"this Python ({sys.executable}) can't run the engine: {'; '.join(lacking)}")
+    if missing := problems():
+        raise IrgsppError(f"this Python ({sys.executable}) can't run the engine: {'; '.join(missing)}")
     import llvmlite.binding as llvm
     import torch
 
     from .thread_pool import thread_count
 
     features = llvm.get_host_cpu_features()
-    hindered = cuda.obstacle(cuda.probe())
-    notes = ["cuda can be used"] if hindered is None else [f"cuda can't be used: {'; '.join(hindered)}"]
+    obstacle = cuda.obstacle(cuda.probe())
+    notes = ["cuda can be used"] if obstacle is None else [f"cuda can't be used: {'; '.join(obstacle)}"]
     return {
         "irgspp": VERSION,
         "python": platform.python_version(),
@@ -55,45 +58,62 @@ def devices() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Chosen:
-    """What a job computes on: a device of torch's, and why it is this one."""
+    """Device that a job computes on.
+
+    Attributes:
+        device: torch's device.
+        why: reason for the choice, in words for the user.
+        warp: warp's kernels are used, whatever the device.
+        free: free bytes of the GPU's memory.
+    """
 
     device: torch.device
     why: str
-    warp: bool = False  # the GPU's kernels work, whatever the device
-    free: int = 0  # bytes of the GPU's memory
+    warp: bool = False
+    free: int = 0
 
 
-def choose(name: str, probe: Callable[[], cuda.Findings] = cuda.probe) -> Chosen:
-    """The device of the name auto, cpu or cuda: auto is a GPU that will do, else the CPU.
+def choose(name: str, probe: Callable[[], cuda.CudaInfo] = cuda.probe) -> Chosen:
+    """Choose the device that a job computes on.
 
-    Raises InputError where cuda is asked for and can't be used.
+    Args:
+        name: "auto" (a GPU if one can be used, else the CPU), "cpu", "cuda", or "warp-cpu" (for tests).
+        probe: detects CUDA.
+
+    Raises:
+        InputError: if cuda is requested and can't be used.
     """
     import torch
 
     if name == WARP_ON_CPU:
-        return Chosen(torch.device("cpu"), "asked for, for a test", True)
+        return Chosen(torch.device("cpu"), "requested, for a test", True)
     if name == "cpu":
-        return Chosen(torch.device("cpu"), "asked for")
+        return Chosen(torch.device("cpu"), "requested")
     found = probe()
-    hindered = cuda.obstacle(found)
-    if hindered is None:
-        return Chosen(torch.device("cuda", 0), "asked for" if name == "cuda" else "a GPU that will do", True, found.free)
+    obstacle = cuda.obstacle(found)
+    if obstacle is None:
+        return Chosen(torch.device("cuda", 0), "requested" if name == "cuda" else "a suitable GPU was found", True, found.free)
     if name == "cuda":
-        raise InputError("--device cuda", *hindered)
-    return Chosen(torch.device("cpu"), f"cuda can't be used: {hindered[0]}")
+        raise InputError("--device cuda", *obstacle)
+    return Chosen(torch.device("cpu"), f"cuda can't be used: {obstacle[0]}")
 
 
 def best() -> torch.device:
-    """A GPU that will do, else the CPU."""
+    """Return the GPU if one can be used, else the CPU."""
     return choose("auto").device
 
 
 @contextmanager
 def computing_on(chosen: Chosen, resumable: bool = False) -> Iterator[None]:
-    """Within it, the chosen device's kernels do the work, and its errors are told in one line."""
+    """Use the chosen device's kernels within the block, and translate the GPU's errors into one line each.
+
+    Args:
+        chosen: the device.
+        resumable: checkpoints hold the work done so far (see `cuda.translate_gpu_errors`).
+    """
     from .backend import warp_on_cpu
 
-    with warp_on_cpu(chosen.warp), cuda.faults(resumable):
+    with warp_on_cpu(chosen.warp), cuda.translate_gpu_errors(resumable):
         yield
 
 
@@ -105,9 +125,9 @@ def _cuda(index: int) -> dict[str, Any]:
 
 
 def describe(found: dict[str, Any]) -> str:
-    """`devices()` as text for a person."""
+    """Format the result of `devices()` as text for the user."""
     cpu = found["cpu"]
-    lines = [f"cpu     {cpu['name']}, {cpu['threads']} threads of {cpu['cores']} cores, {' '.join(cpu['simd']) or 'no SIMD known'}"]
+    lines = [f"cpu     {cpu['name']}, {cpu['threads']} threads of {cpu['cores']} cores, {' '.join(cpu['simd']) or 'no known SIMD'}"]
     lines += [f"cuda:{d['index']}  {d['name']}, {d['memory'] / 2**30:.1f} GiB" for d in found["cuda"]]
     if not found["cuda"]:
         lines.append("cuda    none found")

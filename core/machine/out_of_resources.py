@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the machine ran out of, disk or memory, told in one line whichever library met it."""
+"""Errors of a full disk or of exhausted memory, translated into one line whichever library raised them."""
 
 from __future__ import annotations
 
@@ -17,20 +17,24 @@ DISK = {
     errno.EDQUOT: "the quota of the disk is used up",
     errno.EFBIG: "a file has become larger than this system allows",
     errno.EROFS: "the disk can only be read",
-    errno.EIO: "the disk fails",
+    errno.EIO: "the disk failed to read or write",
 }
-FULL = 1 << 16  # bytes; libraries that don't say why they can't write met a disk with less than that
+FULL = 1 << 16  # bytes; a disk with less free space counts as full where a library does not say why it could not write
 MEMORY = ("can't allocate memory", "not enough memory", "cannot allocate memory", "bad alloc", "out of memory")
-GO_ON = "what was finished is kept: go on with --resume"
+RESUME = "the finished work is saved: continue with --resume"
 
 
 class OutOfResources(IrgsppError):
-    """The machine lacks something that can be made free; what is done so far is kept."""
+    """Disk space or memory ran out, which the user can free; the work done so far is saved."""
 
 
 @contextmanager
 def translate_errors(folder: Path) -> Iterator[None]:
-    """Within the block, turn errors that a full disk or memory is behind into a Shortage. folder: where the block writes."""
+    """Translate errors caused by a full disk or by exhausted memory into OutOfResources within the block.
+
+    Args:
+        folder: folder that the block writes to.
+    """
     try:
         yield
     except Exception as error:
@@ -41,7 +45,13 @@ def translate_errors(folder: Path) -> Iterator[None]:
 
 
 def as_out_of_resources(error: BaseException, folder: Path, resumable: bool = True) -> OutOfResources | None:
-    """What was lacking where an error came from that; None where it came from something else. resumable: --resume goes on."""
+    """Return the OutOfResources that an error, or one that caused it, amounts to; None for any other error.
+
+    Args:
+        error: the error.
+        folder: folder that was being written to.
+        resumable: the message says that --resume continues the job.
+    """
     if isinstance(error, OutOfResources):
         return error
     if isinstance(error, (InputError, Cancelled)):
@@ -49,26 +59,28 @@ def as_out_of_resources(error: BaseException, folder: Path, resumable: bool = Tr
     chain = [error]
     while (before := chain[-1].__cause__ or chain[-1].__context__) is not None and before not in chain:
         chain.append(before)
-    if any(_of_memory(e) for e in chain):
-        less = f" or give --set data.resolution=... less; {GO_ON}" if resumable else ""
-        return OutOfResources(f"{folder}: memory ran out; close other programs{less}")
-    what = next((DISK[code] for e in chain if (code := _code(e)) in DISK), None) or (_is_full(folder) and DISK[errno.ENOSPC])
-    return OutOfResources(f"{_place(chain) or folder}: {what}; free some room{f', and {GO_ON}' if resumable else ''}") if what else None
+    if any(_is_out_of_memory(e) for e in chain):
+        advice = f" or lower data.resolution with --set; {RESUME}" if resumable else ""
+        return OutOfResources(f"{folder}: memory ran out; close other programs{advice}")
+    what = next((DISK[code] for e in chain if (code := _error_number(e)) in DISK), None) or (_is_full(folder) and DISK[errno.ENOSPC])
+    if not what:
+        return None
+    return OutOfResources(f"{_file_name(chain) or folder}: {what}; free some disk space{f'; {RESUME}' if resumable else ''}")
 
 
-def _of_memory(error: BaseException) -> bool:
+def _is_out_of_memory(error: BaseException) -> bool:
     known = isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
     return known or (isinstance(error, (RuntimeError, SystemError)) and any(text in str(error).lower() for text in MEMORY))
 
 
-def _code(error: BaseException) -> int | None:
-    """The system's number of an error, of libraries that only pass its text on as well."""
+def _error_number(error: BaseException) -> int | None:
+    """Return the system's number (errno) of an error, found by its text where a library passes on nothing else."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     return next((code for code in DISK if os.strerror(code) in str(error)), None)
 
 
-def _place(chain: list[BaseException]) -> str | None:
+def _file_name(chain: list[BaseException]) -> str | None:
     return next((str(e.filename) for e in chain if isinstance(e, OSError) and e.filename), None)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a process notices that the one that started it wants it to end, or is gone: its stdin, whose other end that one held, ends."""
+"""Watch of the parent process: stdin, whose other end the parent holds, ends when the parent closes it or ends."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import os
 import threading
 from collections.abc import Callable
 
-PARENT_WATCH = "IRGSPP_TIED"  # variable of the environment: launch.py is to end its process then
+PARENT_WATCH = "IRGSPP_TIED"  # environment variable that tells launch.py to end its process with the parent
 
 
 def on_parent_exit(then: Callable[[], object]) -> None:
-    """Call `then` in a thread of its own once stdin has ended; never where there is none."""
+    """Call `then` in a thread of its own once stdin has ended; never where there is no stdin."""
 
     def watch() -> None:
         try:
             while os.read(0, 1 << 16):  # not sys.stdin, whose lock would be held when the process ends
                 continue
         except OSError:
-            return  # there never was one
+            return  # there is no stdin
         then()
 
     threading.Thread(target=watch, daemon=True, name="stdin").start()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Peak memory of this process."""
+"""Peak physical memory of this process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def reset_peak_memory() -> bool:
-    """Start measuring anew. False where the system can't (then the peak is that since the process began)."""
+    """Restart the measurement; return False where the system can't, and the peak is that since the process began."""
     try:
         CLEAR.write_text("5", encoding="ascii")
     except OSError:
@@ -19,9 +19,11 @@ def reset_peak_memory() -> bool:
 
 
 def peak_memory() -> int:
-    """Bytes of physical memory at most in use since the last reset."""
+    """Return the peak of physical memory in use since the last reset, in bytes."""
     if sys.platform == "win32":
-        return _windows_peak()
+        import psutil
+
+        return psutil.Process().memory_info().peak_wset
     if STATUS.exists():
         line = next((line for line in STATUS.read_text("utf-8").splitlines() if line.startswith("VmHWM")), None)
         if line:
@@ -29,26 +31,3 @@ def peak_memory() -> int:
     import resource
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-
-
-def _windows_peak() -> int:
-    import ctypes
-    from ctypes import wintypes
-
-    class Counters(ctypes.Structure):
-        _fields_ = (
-            ("cb", wintypes.DWORD),
-            ("PageFaultCount", wintypes.DWORD),
-            *((name, ctypes.c_size_t) for name in ("PeakWorkingSetSize", "WorkingSetSize")),
-            *((f"quota{i}", ctypes.c_size_t) for i in range(4)),
-            *((name, ctypes.c_size_t) for name in ("PagefileUsage", "PeakPagefileUsage")),
-        )
-
-    counters = Counters(cb=ctypes.sizeof(Counters))
-    windll = getattr(ctypes, "windll")  # noqa: B009  (there on Windows alone)
-    windll.kernel32.GetCurrentProcess.restype = wintypes.HANDLE
-    query = windll.kernel32.K32GetProcessMemoryInfo
-    query.argtypes = (wintypes.HANDLE, ctypes.POINTER(Counters), wintypes.DWORD)
-    if not query(windll.kernel32.GetCurrentProcess(), ctypes.byref(counters), counters.cb):
-        return 0
-    return counters.PeakWorkingSetSize

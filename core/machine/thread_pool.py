@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Threads for range kernels: numba's prange changes its layer with bpy loaded and aborts after fork, plain threads don't."""
+"""Thread pool for kernels over ranges: numba's prange changes its threading layer with bpy loaded and aborts after fork, threads don't."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import numpy as np
 
 
 def thread_count() -> int:
-    """Threads to use: $IRGSPP_THREADS, or the cores this process may run on."""
+    """Return the number of threads to use: $IRGSPP_THREADS, or the cores that this process may run on."""
     if "IRGSPP_THREADS" in os.environ:
         return max(1, int(os.environ["IRGSPP_THREADS"]))
     return cores()
 
 
 def cores() -> int:
-    """Those that this process may run on."""
+    """Count the cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -31,13 +31,29 @@ def _executor(threads: int) -> ThreadPoolExecutor:
 
 
 def even_ranges(count: int, parts: int) -> list[tuple[int, int]]:
-    """`count` items in at most `parts` contiguous non-empty ranges."""
+    """Split items into contiguous non-empty ranges of about equal size.
+
+    Args:
+        count: number of items.
+        parts: largest number of ranges.
+
+    Returns:
+        (begin, end) of each range, in order.
+    """
     edges = np.linspace(0, count, max(1, min(parts, count)) + 1).astype(int)
     return [(int(a), int(b)) for a, b in itertools.pairwise(edges) if b > a]
 
 
 def balanced_ranges(cost: np.ndarray, parts: int) -> list[tuple[int, int]]:
-    """Contiguous ranges over (N,) items of about equal summed cost, the same for the same input."""
+    """Split items into contiguous non-empty ranges of about equal summed cost, always the same for the same input.
+
+    Args:
+        cost: (N,) cost of each item, >= 0.
+        parts: largest number of ranges.
+
+    Returns:
+        (begin, end) of each range, in order.
+    """
     total = np.cumsum(cost, dtype=np.float64)
     if not len(cost) or total[-1] <= 0:
         return even_ranges(len(cost), parts)
@@ -47,7 +63,17 @@ def balanced_ranges(cost: np.ndarray, parts: int) -> list[tuple[int, int]]:
 
 
 def run_ranges(kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], *args: object, numbered: bool = False) -> list[Any]:
-    """Call `kernel(begin, end, *args)` for every range on the pool, results in order; `numbered` puts the range's index first."""
+    """Call a kernel for every range on the thread pool.
+
+    Args:
+        kernel: called as `kernel(begin, end, *args)`.
+        ranges: (begin, end) of each range; a single range is computed in the calling thread.
+        args: further arguments of each call.
+        numbered: pass the index of the range as the kernel's first argument.
+
+    Returns:
+        The kernel's results in the order of the ranges.
+    """
     calls = [((i, a, b) if numbered else (a, b)) for i, (a, b) in enumerate(ranges)]
     if len(calls) == 1:
         return [kernel(*calls[0], *args)]

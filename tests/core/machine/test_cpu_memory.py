@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Memory that a job needs against memory that there is: fewer rays at a time, or one line; the results are the same."""
+"""Estimated memory of a job against the free memory: fewer rays at once, or an error of one line; the results are the same."""
 
 import sys
 
@@ -8,8 +8,8 @@ import pytest
 import torch
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
-from irgspp.core.machine import cpu_memory as host_memory
-from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, Free, estimate_memory, free_memory, rays_that_fit
+from irgspp.core.machine import cpu_memory
+from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, FreeMemory, estimate_memory, free_memory, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.second import radiance_transfer as transfer
@@ -29,23 +29,23 @@ def test_more_of_anything_needs_more(data):
 
 
 def test_rays_are_as_many_as_fit(data, monkeypatch):
-    how, taken = preset("draft"), 300 * MIB
-    monkeypatch.setattr(host_memory, "resident", lambda: taken)  # the process of other tests may have taken more than the job needs
-    whole, least = (estimate_memory(how, data.pixels(), rays) - taken for rays in (MOST_RAYS, FEWEST_RAYS))
-    assert rays_that_fit(how, data.pixels(), Free(2 * whole, "plenty")) == MOST_RAYS
-    assert FEWEST_RAYS <= rays_that_fit(how, data.pixels(), Free((whole + least) // 2 + 60 * MIB, "some")) < MOST_RAYS
-    with pytest.raises(InputError, match=r"memory: the job needs about \d\.\d GiB, .* can be had \(too little\); close other programs"):
-        rays_that_fit(how, data.pixels(), Free(1, "too little"))
+    settings, used = preset("draft"), 300 * MIB
+    monkeypatch.setattr(cpu_memory, "resident_memory", lambda: used)  # the process of other tests may use more than the job needs
+    most, least = (estimate_memory(settings, data.pixels(), rays) - used for rays in (MOST_RAYS, FEWEST_RAYS))
+    assert rays_that_fit(settings, data.pixels(), FreeMemory(2 * most, "plenty")) == MOST_RAYS
+    assert FEWEST_RAYS <= rays_that_fit(settings, data.pixels(), FreeMemory((most + least) // 2 + 60 * MIB, "some")) < MOST_RAYS
+    with pytest.raises(InputError, match=r"memory: the job needs about \d\.\d GiB, but .* available \(too little\); close other programs"):
+        rays_that_fit(settings, data.pixels(), FreeMemory(1, "too little"))
 
 
 @pytest.mark.parametrize("version", [0, 1])
 def test_limits_of_cgroups_are_known(tmp_path, monkeypatch, version):
-    monkeypatch.setattr(host_memory, "CGROUP", tmp_path)
-    limit, usage = (tmp_path / name for name in host_memory.CGROUPS[version])
+    monkeypatch.setattr(cpu_memory, "CGROUP", tmp_path)
+    limit, usage = (tmp_path / name for name in cpu_memory.CGROUPS[version])
     limit.parent.mkdir(exist_ok=True)
     limit.write_text(f"{3 * MIB}\n")
     usage.write_text(f"{MIB}\n")
-    assert free_memory() == Free(2 * MIB, "the limit of its cgroup")
+    assert free_memory() == FreeMemory(2 * MIB, "the limit of its cgroup")
     limit.write_text("max\n" if version == 0 else f"{(1 << 63) - 4096}\n")
     assert "cgroup" not in free_memory().limit
 
@@ -55,7 +55,7 @@ def test_limits_of_the_process_are_known(monkeypatch):
     import resource
 
     monkeypatch.setattr(resource, "getrlimit", lambda kind: (1 << 20, 1 << 20) if kind == resource.RLIMIT_AS else (-1, -1))
-    assert free_memory() == Free(0, "the limit of this process, ulimit -v")
+    assert free_memory() == FreeMemory(0, "the limit of this process, ulimit -v")
 
 
 def test_fewer_rays_at_a_time_see_the_same(monkeypatch):

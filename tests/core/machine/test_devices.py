@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which device a job gets, whatever machine the tests run on: what is found of CUDA is made up."""
+"""Choice of a job's device, whatever machine the tests run on: the detected CUDA is made up."""
 
 import json
 from dataclasses import replace
@@ -9,7 +9,7 @@ import torch
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.machine import cuda
 from irgspp.core.machine.backend import by_warp
-from irgspp.core.machine.cuda import DeviceLost, Findings, faults, obstacle
+from irgspp.core.machine.cuda import CudaInfo, DeviceLost, obstacle, translate_gpu_errors
 from irgspp.core.machine.devices import WARP_ON_CPU, choose, computing_on
 from irgspp.core.machine.gpu_memory import FEWEST, RAYS, estimate_gpu_memory, plan, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA, reconstruct
@@ -19,8 +19,8 @@ from irgspp.core.stages.first import trainer as trainers
 from irgspp.core.stages.first.trainer import Trainer
 
 GIB = 1 << 30
-GOOD = Findings((13, 0), "13.0", True, True, (9, 0), 20 * GIB)
-HINDERED = {
+GOOD = CudaInfo((13, 0), "13.0", True, True, (9, 0), 20 * GIB)
+OBSTACLES = {
     "no driver": (replace(GOOD, driver=None), "no NVIDIA driver"),
     "old driver": (replace(GOOD, driver=(12, 4)), "580 or newer"),
     "torch for the CPU": (replace(GOOD, torch_cuda=None, torch_sees=False), "CPU alone"),
@@ -30,16 +30,16 @@ HINDERED = {
 }
 
 
-def test_a_gpu_that_will_do_is_taken():
+def test_a_suitable_gpu_is_chosen():
     for name in ("auto", "cuda"):
         chosen = choose(name, lambda: GOOD)
         assert chosen.device == torch.device("cuda", 0) and chosen.warp and chosen.free == 20 * GIB
     assert obstacle(GOOD) is None and obstacle(replace(GOOD, driver=(13, 2), capability=(7, 5))) is None
 
 
-@pytest.mark.parametrize(("found", "said"), HINDERED.values(), ids=HINDERED)
-def test_what_hinders_is_told_in_one_line_and_auto_takes_the_cpu(found, said):
-    with pytest.raises(InputError, match=said.replace("[", r"\[")) as caught:
+@pytest.mark.parametrize(("found", "words"), OBSTACLES.values(), ids=OBSTACLES)
+def test_an_obstacle_is_reported_in_one_line_and_auto_takes_the_cpu(found, words):
+    with pytest.raises(InputError, match=words.replace("[", r"\[")) as caught:
         choose("cuda", lambda: found)
     assert "\n" not in str(caught.value) and "--device cuda" in str(caught.value)
     chosen = choose("auto", lambda: found)
@@ -64,27 +64,27 @@ def test_probing_this_machine_does_not_fail():
     assert found.torch_sees == torch.cuda.is_available()
 
 
-@pytest.mark.parametrize("said", ["CUDA error: an illegal memory access was encountered\nCUDA kernel errors might be ...",
+@pytest.mark.parametrize("text", ["CUDA error: an illegal memory access was encountered\nCUDA kernel errors might be ...",
                                   "Warp CUDA error 719: unspecified launch failure", "CUDA driver error: device lost"])  # fmt: skip
-def test_a_gpu_that_fails_is_told_in_one_line(said):
-    with pytest.raises(DeviceLost) as caught, faults(resumable=True):
-        raise RuntimeError(said)
+def test_a_failed_gpu_is_reported_in_one_line(text):
+    with pytest.raises(DeviceLost) as caught, translate_gpu_errors(resumable=True):
+        raise RuntimeError(text)
     assert "\n" not in str(caught.value) and "--resume" in str(caught.value) and caught.value.exit_status == 1
 
 
 @pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nmore"),
                                    RuntimeError("Failed to allocate 1024 bytes on device 'cuda:0'")])  # fmt: skip
-def test_memory_that_ran_out_is_told_in_one_line(error):
-    with pytest.raises(IrgsppError, match=r"memory ran out.*--resume") as caught, faults(resumable=True):
+def test_exhausted_gpu_memory_is_reported_in_one_line(error):
+    with pytest.raises(IrgsppError, match=r"memory ran out.*--resume") as caught, translate_gpu_errors(resumable=True):
         raise error
     assert "\n" not in str(caught.value)
 
 
 def test_other_errors_stay_what_they_are():
-    with pytest.raises(RuntimeError, match="shape") as caught, faults():
+    with pytest.raises(RuntimeError, match="shape") as caught, translate_gpu_errors():
         raise RuntimeError("shape mismatch")
     assert not isinstance(caught.value, IrgsppError)
-    with pytest.raises(InputError), faults():
+    with pytest.raises(InputError), translate_gpu_errors():
         raise InputError("here", "is wrong")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A whole job by the GPU's kernels on an emulated GPU: no tensor is left on the CPU or taken for numpy; and it finds what numba finds."""
+"""A whole job with the GPU kernels on an emulated GPU: no tensor stays on the CPU or is passed to numpy; the result agrees with numba."""
 
 import json
 import os
@@ -23,8 +23,8 @@ TINY = [
 
 
 @pytest.mark.long
-def test_a_whole_job_runs_and_finds_what_numba_finds(tmp_path, monkeypatch):
-    """In a process of its own, as torch keeps the emulated GPU for good."""
+def test_a_whole_job_runs_and_agrees_with_numba(tmp_path, monkeypatch):
+    """In a process of its own, as torch can't remove the emulated GPU again."""
     pytest.importorskip("warp")
     words = [sys.executable, str(EMULATED), str(DEMO_DATA), str(tmp_path / "gpu"), *TINY]
     done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Disks without room and little memory are told in one line, whatever library met them; other errors pass as they are."""
+"""Full disks and exhausted memory are reported in one line, whatever library met them; other errors pass as they are."""
 
 import errno
 import os
@@ -10,7 +10,7 @@ from irgspp.core.cli import commands
 from irgspp.core.cli import main as cli
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
-from irgspp.core.machine import disk_space as room
+from irgspp.core.machine import disk_space
 from irgspp.core.machine.out_of_resources import OutOfResources, as_out_of_resources, translate_errors
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import RunFolder, read_run
@@ -30,14 +30,14 @@ from irgspp.core.settings.schema import Settings, preset
         (OSError(errno.ENOMEM, "Cannot allocate memory"), "memory ran out"),
     ],
 )
-def test_shortages_are_told(tmp_path, error, words):
+def test_exhausted_resources_are_reported(tmp_path, error, words):
     with pytest.raises(OutOfResources, match=r"--resume$") as found, translate_errors(tmp_path):
         raise error
     assert words in str(found.value) and "\n" not in str(found.value)
     assert found.value.exit_status == 1
 
 
-def test_shortage_behind_another_error_is_found(tmp_path):
+def test_full_disk_behind_another_error_is_found(tmp_path):
     with pytest.raises(OutOfResources, match="the disk is full"), translate_errors(tmp_path):
         try:
             raise OSError(errno.ENOSPC, "x")
@@ -45,7 +45,7 @@ def test_shortage_behind_another_error_is_found(tmp_path):
             raise RuntimeError("PytorchStreamWriter failed") from None
 
 
-def test_what_cannot_be_resumed_is_not_told_to_be(tmp_path):
+def test_resuming_is_not_advised_where_it_is_impossible(tmp_path):
     assert str(as_out_of_resources(MemoryError(), tmp_path, resumable=False)) == f"{tmp_path}: memory ran out; close other programs"
 
 
@@ -72,10 +72,10 @@ def test_disk_that_is_too_full_for_the_log_too(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cli.tempfile, "mkstemp", full)
     assert cli.main(["devices"]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("irgspp: ") and line.endswith("the disk is full; free some room")  # nothing of it can be resumed
+    assert line.startswith("irgspp: ") and line.endswith("the disk is full; free some disk space")  # nothing of it can be resumed
 
 
-def test_job_on_a_full_disk_tells_its_own_error(tmp_path, monkeypatch):
+def test_job_on_a_full_disk_reports_the_disk(tmp_path, monkeypatch):
     folder = RunFolder.open(tmp_path / "run", Settings(), "photos")
 
     def full(*_):
@@ -88,18 +88,18 @@ def test_job_on_a_full_disk_tells_its_own_error(tmp_path, monkeypatch):
     assert read_run(tmp_path / "run")["status"] == "running"  # as after a kill
 
 
-def test_room_is_looked_for_before_anything_is_written(tmp_path, monkeypatch):
+def test_disk_space_is_checked_before_anything_is_written(tmp_path, monkeypatch):
     data, settings = load_dataset(DEMO_DATA), preset("balanced")
-    needed = room.estimate_disk_space(settings, data.pixels(distorted=True))
+    needed = disk_space.estimate_disk_space(settings, data.pixels(distorted=True))
     assert 50e6 < needed < 500e6
     assert (
-        room.estimate_disk_space(preset("paper"), data.pixels(distorted=True))
+        disk_space.estimate_disk_space(preset("paper"), data.pixels(distorted=True))
         > 2 * needed
-        > 2 * room.estimate_disk_space(preset("draft"), data.pixels(distorted=True))
+        > 2 * disk_space.estimate_disk_space(preset("draft"), data.pixels(distorted=True))
     )
-    room.check_disk_space(tmp_path / "a" / "run", settings, data.pixels(distorted=True))
+    disk_space.check_disk_space(tmp_path / "a" / "run", settings, data.pixels(distorted=True))
     usage = type("Usage", (), {"free": 10**6})
-    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: usage)
-    with pytest.raises(InputError, match=r"run: the job needs about \d+ MB of the disk, of which 1 MB are free; free some room"):
-        room.check_disk_space(tmp_path / "a" / "run", settings, data.pixels(distorted=True))
+    monkeypatch.setattr(disk_space.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(InputError, match=r"run: the job needs about \d+ MB of disk space, of which 1 MB are free; free some disk space"):
+        disk_space.check_disk_space(tmp_path / "a" / "run", settings, data.pixels(distorted=True))
     assert not list(tmp_path.iterdir())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process notices the end of its stdin, however much came before, and misses none that it never had."""
+"""The watch calls back at the end of stdin, not at data before it, and never in a process without stdin."""
 
 import subprocess
 import sys

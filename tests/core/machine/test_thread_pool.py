@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work is handed out once, evenly, and always the same way."""
+"""The thread pool distributes every item once, evenly, and always the same way."""
 
 import threading
 

@@ -74,7 +74,7 @@ def test_neither_executable_nor_module(run_folder, tmp_path, monkeypatch):
 def test_named_blender_that_is_none(tmp_path, monkeypatch):
     """A wrong name is told, and not passed over for the module."""
     monkeypatch.setenv(BLENDER, str(tmp_path / "no blender"))
-    with pytest.raises(NoBlender, match="no blender, which is no program"):
+    with pytest.raises(NoBlender, match="no blender, which is not a program"):
         blender_command()
 
 
