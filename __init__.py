@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""IRGS++ for Blender: photographs in, a relightable Blender object out.
+"""Inverse rendering with 2D Gaussians for Blender: photographs in, a relightable object out.
 
     import irgspp
     dataset = irgspp.load_dataset(folder)
@@ -11,8 +11,8 @@ This folder is both the Python package and the Blender extension; importing it l
 from importlib import import_module
 from typing import Any
 
-# What scripts use, and where it is; loaded when it is asked for.
-_FACE = {
+# Public interface of the package for scripts: name -> module, imported at first use.
+_PUBLIC = {
     "Settings": ".core.settings.schema",
     "preset": ".core.settings.schema",
     "load_dataset": ".core.datasets.load",
@@ -23,24 +23,24 @@ _FACE = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _FACE:
+    if name not in _PUBLIC:
         raise AttributeError(f"module {__name__} has no attribute {name}")
-    return getattr(import_module(_FACE[name], __name__), name)
+    return getattr(import_module(_PUBLIC[name], __name__), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_FACE})
+    return sorted({*globals(), *_PUBLIC})
 
 
 def register() -> None:
-    """Called by Blender when the extension is enabled."""
+    """Register the extension; called by Blender when it is enabled."""
     from .panels import registration
 
     registration.register()
 
 
 def unregister() -> None:
-    """Called by Blender when the extension is disabled."""
+    """Unregister the extension; called by Blender when it is disabled."""
     from .panels import registration
 
     registration.unregister()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`python -m irgspp`: the command line."""
+"""Command line of the package: `python -m irgspp`."""
 
 import sys
 

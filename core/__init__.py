@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine: photographs to Gaussians to a mesh with materials. Never imports bpy."""
+"""Engine of the reconstruction: images to 2D Gaussians to a mesh with materials. It never imports bpy."""
 
 import os
 

@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ways a command can end badly, each with its exit status."""
+"""Errors that are reported to the user in one line, each with the exit status of the command."""
 
 
 class IrgsppError(Exception):
-    """A failure that is told to the user in one line (exit status 1)."""
+    """Failure that is reported to the user in one line (exit status 1)."""
 
     exit_status = 1
 
 
 class InputError(IrgsppError):
-    """Bad input or usage (exit status 2): where it is, what is wrong, what to do about it."""
+    """Bad input or usage (exit status 2), reported as "where: what; fix".
+
+    Args:
+        where: file, folder, option or setting that is wrong; at most 1000 characters are kept.
+        what: what is wrong with it; at most 800 characters are kept.
+        fix: what the user can do about it; empty where that is plain.
+    """
 
     exit_status = 2
 
@@ -19,11 +25,11 @@ class InputError(IrgsppError):
 
 
 def _short(text: str, most: int) -> str:
-    """The text without its middle where it is longer: what stands in a damaged file may be endless."""
+    """Cut the middle out of a text longer than `most` characters: a value read from a damaged file may be very long."""
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 3 :]}"
 
 
 class Cancelled(IrgsppError):
-    """The user stopped the work; what is done so far has been saved (exit status 130)."""
+    """Stop that the user asked for; everything finished so far has been saved (exit status 130)."""
 
     exit_status = 130

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The folder of one job: run.json, events.jsonl, log.txt, checkpoints and results; nothing in it is ever half-written."""
+"""Run folder of one job: run.json, events.jsonl, log.txt, checkpoints and results, every file written atomically."""
 
 from __future__ import annotations
 
@@ -8,74 +8,64 @@ import os
 import shutil
 import time
 import traceback
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from .errors import Cancelled, InputError
-from .io.atomic import atomic_file, write_atomic
+from .errors import Cancelled, InputError, IrgsppError
+from .io.atomic import write_atomic
+from .io.checkpoint import load_checkpoint, save_checkpoint
 from .io.file_lock import FileLock
+from .io.run_json import read_run
 from .machine.out_of_resources import translate_errors
 from .machine.peak_memory import peak_memory, reset_peak_memory
 from .progress.event_log import EventLog
+from .progress.protocol import Progress
 from .settings.overrides import differences, from_dict, to_dict
 from .settings.schema import Settings
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
 RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
 FOLDERS = ("checkpoint", "textures", "evaluation", "photographs", "previews")
-NOTES = ("events.jsonl", "log.txt", "cancel", "finish")
+LOGS = ("events.jsonl", "log.txt", "cancel", "finish")
 LOCK = ".lock"
-PHASES_BEFORE = {"reflective": "first stage", "transport": "second stage"}  # names of phases in version 0.1 -> now
-CHECKPOINT_BEFORE, CHECKPOINT = "reflective.pt", "first_stage.pt"  # of the first stage, in version 0.1 and now
-BEGUN = (LOCK, ".run.part.json")  # all there is of a run that was killed right at its beginning
-
-
-def read_run(path: Path) -> dict[str, Any]:
-    """run.json of a run folder. Raises InputError where there is none or it is broken."""
-    file = path / "run.json"
-    if not file.is_file():
-        raise InputError(path, "is not a run folder (no run.json in it)")
-    try:
-        state = json.loads(file.read_text("utf-8"))
-        phases = {PHASES_BEFORE.get(name, name): _phase(phase) for name, phase in state["phases"].items()}
-        state |= {"phases": phases, "settings": dict(state["settings"])}
-        json.dumps(state, allow_nan=False)  # what can't be written again is no state
-        return state
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(file, f"is broken ({error})", "start the run anew with --overwrite") from error
-
-
-def _phase(entry: dict[str, Any]) -> dict[str, Any]:
-    return {"seconds": float(entry["seconds"]), "peak_memory": int(entry["peak_memory"]), "finished": bool(entry["finished"])}
+OLD_CHECKPOINT, CHECKPOINT = "reflective.pt", "first_stage.pt"  # of the first stage, in version 0.1 and now
+UNSTARTED = (LOCK, ".run.part.json")  # all files of a run that was killed before it wrote run.json
 
 
 def check_claim(path: Path, resume: bool, overwrite: bool) -> None:
-    """Raise InputError where a run can't be made in `path`: a file, not writable, in use, or holding something else."""
+    """Check that a run can be written to a folder.
+
+    Args:
+        path: run folder; it need not exist.
+        resume: a run in it is to be continued.
+        overwrite: a run in it is to be replaced.
+
+    Raises:
+        InputError: `path` is a file, is not writable, or holds something else or a run that is neither resumed nor replaced.
+    """
     parent = next(p for p in (path, *path.absolute().parents) if p.exists())
     if not parent.is_dir():
         raise InputError(path, f"can't be made, {parent} is a file" if parent != path else "is a file, not a folder")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(path, "is not writable")
-    if not path.exists() or not any(p.name not in BEGUN for p in path.iterdir()):
+    if not path.exists() or not any(p.name not in UNSTARTED for p in path.iterdir()):
         return
     if not (path / "run.json").is_file():
         raise InputError(path, "is not empty and not a run folder", "name another folder")
     if not resume and not overwrite:
-        raise InputError(path, "holds another run", "go on with it by --resume, replace it by --overwrite, or name another folder")
+        raise InputError(path, "holds another run", "resume it with --resume, replace it with --overwrite, or name another folder")
 
 
 class RunFolder(EventLog):
-    """One run on disk; also the `Checkpoint` of its stages. Open it by `RunFolder.open`, which holds a lock until `close`.
+    """Run folder on disk; also the `Checkpoint` of its stages. Open it with `RunFolder.open`, which holds a lock until `close`.
 
-    `state` is what run.json holds: status ("running", "done", "failed", "cancelled"), error, replaces (True while files of the run
-    before are being removed), versions, dataset, settings, seed, computed_on {device, why}, phases {name: {seconds, peak_memory,
-    finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace {stage: times the settings' schedules that its own were},
-    training {figure: value}.
+    Attributes:
+        state: content of run.json: status ("running", "done", "failed", "cancelled"), error, replaces (True while files of the
+            previous run are being removed), versions, dataset, settings, seed, computed_on {device, why}, phases {name: {seconds,
+            peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace {stage: schedule scale, as a multiple
+            of the settings' schedule}, training {metric: value}.
     """
 
     def __init__(self, path: Path, state: dict[str, Any], lock: FileLock) -> None:
@@ -84,9 +74,17 @@ class RunFolder(EventLog):
 
     @classmethod
     def open(cls, path: Path, settings: Settings, dataset: str, *, resume: bool = False, overwrite: bool = False) -> RunFolder:
-        """Make the folder, or go on with the run in it (`resume`), or replace that run (`overwrite`, after which nothing of it is left).
+        """Make a run folder, or open one to resume or replace its run.
 
-        Raises InputError where that is not possible, and where the run to go on with had other settings or another dataset.
+        Args:
+            path: run folder.
+            settings: of the run; those of the run in the folder where it is resumed.
+            dataset: path of the dataset as run.json records it.
+            resume: continue the run in the folder.
+            overwrite: replace the run in the folder; none of its files is left afterwards.
+
+        Raises:
+            InputError: `check_claim` refuses the folder, another process uses it, or its run had other settings or another dataset.
         """
         check_claim(path, resume, overwrite)
         try:
@@ -104,7 +102,7 @@ class RunFolder(EventLog):
 
     def _started(self) -> RunFolder:
         self.state.update(status="running", error=None)
-        self.write()  # before anything else: only with it the folder is a run's
+        self.write()  # before anything else: only with run.json the folder counts as a run folder
         if self.state.get("replaces"):
             clear(self.path)
             del self.state["replaces"]
@@ -115,44 +113,58 @@ class RunFolder(EventLog):
         return self
 
     def close(self) -> None:
-        """Give the folder free for other processes."""
+        """Release the lock, so that other processes may use the folder."""
         self._lock.release()
 
     def write(self) -> None:
-        """Bring run.json up to date."""
+        """Write `state` to run.json."""
         write_atomic(self.path / "run.json", (json.dumps(self.state, indent=2, allow_nan=False) + "\n").encode())
 
-    # --- what happened
-
     def skip(self, what: str, why: str) -> None:
-        """Note that a part of the job was left out."""
+        """Record in run.json and log.txt that a part of the job was skipped.
+
+        Args:
+            what: the skipped part, such as a file's name.
+            why: the reason, in one line.
+        """
         self.state["skipped"] = [s for s in self.state["skipped"] if s["what"] != what] + [{"what": what, "why": why}]
         self.write()
         self.log(f"skipped {what}: {why}")
 
     def rule(self, name: str, on: bool, evidence: str) -> None:
-        """Note whether a rule that leaves work out is in force, in run.json as well."""
+        """Record the decision on a skip rule in log.txt and run.json.
+
+        Args:
+            name: of the setting, without "skip.".
+            on: True where the rule is in force.
+            evidence: reason, in one line.
+        """
         super().rule(name, on, evidence)
         self.state.setdefault("rules", {})[name] = {"on": on, "evidence": evidence}
         self.write()
 
-    # --- phases
-
     def finished(self, phase: str) -> bool:
-        """True where an earlier start of this run has done the phase."""
+        """Return True where an earlier start of this run has finished the phase."""
         return bool(self.state["phases"].get(phase, {}).get("finished"))
 
     def seconds(self, phase: str) -> float:
-        """What a phase has taken so far; 0 before it has begun."""
+        """Return the seconds that a phase has taken so far, in all starts; 0 before it has begun."""
         return float(self.state["phases"].get(phase, {}).get("seconds", 0.0))
 
     @property
     def spent(self) -> float:
-        """Seconds that all phases have taken so far, in earlier starts too."""
+        """Seconds that all phases have taken so far, in all starts."""
         return sum(self.seconds(phase) for phase in self.state["phases"])
 
     def record(self, phase: str, seconds: float, peak: int, finished: bool) -> None:
-        """Put a phase into run.json; the seconds of interrupted starts add up."""
+        """Record a phase in run.json; the seconds of interrupted starts add up.
+
+        Args:
+            phase: its name.
+            seconds: that it took in this start.
+            peak: largest memory in use in this start, bytes.
+            finished: True where it is complete.
+        """
         before = self.state["phases"].get(phase, {"seconds": 0.0, "peak_memory": 0})
         self.state["phases"][phase] = {
             "seconds": round(before["seconds"] + seconds, 3),
@@ -163,7 +175,7 @@ class RunFolder(EventLog):
 
     @contextmanager
     def timed(self, phase: str) -> Iterator[None]:
-        """Measure a phase: seconds and peak memory (bytes, of this process); finished only where the block ends well."""
+        """Measure the block as a phase: seconds and peak memory (bytes, of this process); finished unless the block raises."""
         reset_peak_memory()
         began, finished = time.monotonic(), False
         try:
@@ -172,14 +184,35 @@ class RunFolder(EventLog):
         finally:
             self.record(phase, time.monotonic() - began, peak_memory(), finished)
 
+    def run_phase(self, name: str, work: Callable[[], None], progress: Progress) -> None:
+        """Run and measure a phase unless an earlier start has finished it; raise Cancelled where the user stopped the job.
+
+        Args:
+            name: of the phase in run.json.
+            work: does the phase.
+            progress: its `cancelled` is read before and, where `work` fails, afterwards.
+        """
+        if self.finished(name):
+            progress.message(f"{name}: finished before")
+            return
+        if progress.cancelled:
+            raise Cancelled(f"stopped before the phase {name}")
+        try:
+            with self.timed(name):
+                work()
+        except IrgsppError as error:
+            if progress.cancelled and not isinstance(error, Cancelled):  # Ctrl-C also ends child processes
+                raise Cancelled(f"stopped in the phase {name}") from error
+            raise
+
     @contextmanager
     def job(self) -> Iterator[None]:
-        """Run the block as this folder's job: its end becomes the status, an error is logged with its traceback."""
+        """Run the block as this folder's job: record its outcome as the status, log an error with its traceback."""
         try:
             with translate_errors(self.path):
                 yield
         except BaseException as error:
-            with suppress(OSError):  # a full disk, which the error itself tells; run.json is then as after a kill
+            with suppress(OSError):  # a full disk, which the error itself reports; run.json is then as after a kill
                 self._ended(error)
             raise
         self.state.update(status="done", error=None)
@@ -192,46 +225,33 @@ class RunFolder(EventLog):
         self.write()
         self.log("cancelled" if stopped else "".join(traceback.format_exception(error)).rstrip())
 
-    # --- Checkpoint
-
     def save(self, name: str, state: dict[str, Any]) -> None:
-        """Keep the state of a stage: nested dicts, lists and tuples of tensors, arrays (come back as tensors), numbers and strings."""
-        import torch
+        """Write the state of a stage, atomically.
 
-        folder = self.path / "checkpoint"
-        folder.mkdir(exist_ok=True)
-        # Given a path, torch doesn't say why it could not be written.
-        with atomic_file(folder / f"{name}.pt") as partial, partial.open("wb") as file:
-            torch.save(_as_tensors(state), file)
+        Args:
+            name: of the file in checkpoint/, without suffix.
+            state: see `save_checkpoint`.
+        """
+        save_checkpoint(self.path / "checkpoint" / f"{name}.pt", state)
 
     def load(self, name: str, restored: Callable[[dict[str, Any]], Any] = dict) -> Any:
-        """What `restored` makes of what `save` kept under a name, on the CPU; None without. Raises InputError where the file is damaged."""
-        import torch
+        """Return `restored(state)` of a checkpoint, its tensors on the CPU; None where there is none.
 
-        path = self.path / "checkpoint" / f"{name}.pt"
-        if not path.exists():
-            return None
-        try:
-            with zipfile.ZipFile(path) as archive:
-                if sum(entry.file_size for entry in archive.infolist()) > path.stat().st_size:
-                    raise ValueError("its parts claim to be larger than it is")  # torch compresses nothing
-                if archive.testzip() is not None:  # torch reads on where the disk has lost a bit
-                    raise ValueError("a checksum differs")
-            return restored(torch.load(path, map_location="cpu", weights_only=True))
-        except MemoryError:
-            raise
-        except Exception as error:  # a damaged file raises nearly anything
-            raise InputError(path, "the checkpoint can't be read", "delete it, or start anew with --overwrite") from error
+        Args:
+            name: of the file in checkpoint/, without suffix.
+            restored: see `load_checkpoint`.
+        """
+        return load_checkpoint(self.path / "checkpoint" / f"{name}.pt", restored)
 
 
 def _state(path: Path, settings: Settings, dataset: str, resume: bool, overwrite: bool) -> dict[str, Any]:
-    """The state to start with: that of the run to go on with, or a new one."""
-    there = (path / "run.json").is_file()
-    if there and resume:
+    """Return the state to start with: that of the run to resume, or a new one."""
+    exists = (path / "run.json").is_file()
+    if exists and resume:
         return _resumed(path, settings, dataset)
     return {
         "status": "running",
-        **({"replaces": True} if there else {}),
+        **({"replaces": True} if exists else {}),
         "error": None,
         "versions": versions(),
         "dataset": dataset,
@@ -250,42 +270,28 @@ def _resumed(path: Path, settings: Settings, dataset: str) -> dict[str, Any]:
     if state.get("dataset") != dataset:
         other.append(f"dataset: {state.get('dataset')} -> {dataset}")
     if other:
-        raise InputError(path, f"was started otherwise ({'; '.join(other)})", "give --resume the same options or none")
-    before = path / "checkpoint" / CHECKPOINT_BEFORE
-    if before.is_file():
-        before.replace(before.with_name(CHECKPOINT))
+        raise InputError(path, f"was started with other options ({'; '.join(other)})", "give --resume the same options or none")
+    old = path / "checkpoint" / OLD_CHECKPOINT
+    if old.is_file():
+        old.replace(old.with_name(CHECKPOINT))
     return state
 
 
 def clear(path: Path) -> None:
-    """Remove a run's own files from its folder and nothing else; run.json, without which the folder would be no run's, stays."""
+    """Remove a run's own files from its folder and nothing else; run.json stays, since it marks the folder as a run folder."""
     for name in FOLDERS:
         shutil.rmtree(path / name, ignore_errors=True)
-    for name in (*RESULTS, *NOTES):
+    for name in (*RESULTS, *LOGS):
         (path / name).unlink(missing_ok=True)
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the result depends on; packages that are not installed are left out."""
+    """Return the versions of everything that the result depends on, without packages that are not installed."""
     import platform
     from importlib import metadata
 
     found = {"python": platform.python_version(), "platform": platform.platform()}
     for name in ("irgspp", "torch", "numba", "numpy", "scipy", "scikit-image", "xatlas", "embreex", "bpy", "warp-lang"):
-        try:
+        with suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return found
-
-
-def _as_tensors(value: Any) -> Any:
-    import torch
-
-    if isinstance(value, dict):
-        return {k: _as_tensors(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return type(value)(_as_tensors(v) for v in value)
-    if isinstance(value, np.ndarray):
-        return torch.from_numpy(np.ascontiguousarray(value))
-    return value.item() if isinstance(value, np.generic) else value

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What long work tells and asks: an interface, so that stages know neither terminals nor run folders."""
+"""Interfaces between stages and their callers: progress and checkpoints, so that stages depend on neither terminals nor run folders."""
 
 from __future__ import annotations
 
@@ -9,75 +9,116 @@ from typing import Any, Protocol
 
 import numpy as np
 
-Draw = Callable[[], np.ndarray]  # makes an image, (H, W, 3) or (H, W, 4) uint8
+Draw = Callable[[], np.ndarray]  # draws an image, (H, W, 3) or (H, W, 4) uint8
 
 
 class Progress(Protocol):
-    """Receives the progress of a job.
-
-    `phase` opens a phase of a known number of steps; `step` reports the number of steps done, with figures such as `loss` and
-    `psnr`; `message` is one line for a person; `decided` says whether a rule that leaves work out is in force, and why; `image`
-    offers an image of what is there, drawn only where one is wanted.
-    `cancelled` turns True when the user wants the work to stop: the worker saves what it has and raises `errors.Cancelled`.
-    `finish_early` turns True when the user is content with what is there: an iterative phase stops and the work goes on with
-    the next one.
-    """
+    """Receiver of a job's progress, which can also stop the job."""
 
     @property
-    def cancelled(self) -> bool: ...
+    def cancelled(self) -> bool:
+        """True once the user stops the job: the stage writes a checkpoint and raises `errors.Cancelled`."""
+        ...
 
     @property
-    def finish_early(self) -> bool: ...
+    def finish_early(self) -> bool:
+        """True once the user accepts the present result: an iterative phase ends, and the job continues with the next."""
+        ...
 
-    def phase(self, name: str, steps: int) -> None: ...
+    def phase(self, name: str, steps: int) -> None:
+        """Begin a phase.
 
-    def step(self, done: int, **figures: float) -> None: ...
+        Args:
+            name: of the phase.
+            steps: that it has; 0 where unknown.
+        """
 
-    def message(self, text: str) -> None: ...
+    def step(self, done: int, **metrics: float) -> None:
+        """Report finished steps of the phase.
 
-    def decided(self, rule: str, on: bool, evidence: str) -> None: ...
+        Args:
+            done: their number.
+            **metrics: such as `loss` and `psnr`.
+        """
 
-    def image(self, draw: Draw) -> None: ...
+    def message(self, text: str) -> None:
+        """Report one line for the user."""
+
+    def decided(self, rule: str, on: bool, evidence: str) -> None:
+        """Report the decision on a skip rule.
+
+        Args:
+            rule: name of the setting, without "skip.".
+            on: True where the rule is in force.
+            evidence: reason, in one line.
+        """
+
+    def image(self, draw: Draw) -> None:
+        """Offer a preview, which is drawn only where the receiver wants one."""
 
 
 class Silent:
-    """Progress that nobody watches."""
+    """Progress that is discarded."""
 
     cancelled = False
     finish_early = False
 
     def phase(self, name: str, steps: int) -> None:
-        """Ignored."""
+        """Discard the beginning of a phase.
 
-    def step(self, done: int, **figures: float) -> None:
-        """Ignored."""
+        Args:
+            name: of the phase.
+            steps: of the phase.
+        """
+
+    def step(self, done: int, **metrics: float) -> None:
+        """Discard the number of finished steps.
+
+        Args:
+            done: finished steps.
+            **metrics: such as `loss`.
+        """
 
     def message(self, text: str) -> None:
-        """Ignored."""
+        """Discard a message."""
 
     def decided(self, rule: str, on: bool, evidence: str) -> None:
-        """Ignored."""
+        """Discard the decision on a skip rule.
+
+        Args:
+            rule: its name.
+            on: True where it is in force.
+            evidence: reason, in one line.
+        """
 
     def image(self, draw: Draw) -> None:
-        """Not drawn."""
+        """Discard a preview without drawing it."""
 
 
 class Checkpoint(Protocol):
-    """Where a stage keeps enough to go on: a dict of tensors, arrays, numbers and strings (nested dicts allowed) under a name."""
+    """Store of a stage's state, from which the stage can be resumed."""
 
-    def save(self, name: str, state: dict[str, Any]) -> None: ...
+    def save(self, name: str, state: dict[str, Any]) -> None:
+        """Write a state.
 
-    def load(self, name: str) -> dict[str, Any] | None: ...
+        Args:
+            name: of the checkpoint.
+            state: tensors, arrays, numbers and strings; nested dicts are allowed.
+        """
+
+    def load(self, name: str) -> dict[str, Any] | None:
+        """Return the state of a checkpoint; None where there is none."""
+        ...
 
 
 class TimeLeft:
-    """Estimates the seconds left in a phase from its recent speed (the first steps of a phase are often the slow ones)."""
+    """Estimate of the seconds left in a phase from its recent speed, since the first steps of a phase are often slow."""
 
     def __init__(self, steps: int) -> None:
         self.steps, self._began, self._marks = steps, time.monotonic(), [(time.monotonic(), 0)]
 
     def after(self, done: int) -> float | None:
-        """Seconds left after `done` steps, or None while nothing is known."""
+        """Return the seconds left after `done` steps; None before the first step."""
         now = time.monotonic()
         if now - self._marks[-1][0] >= 0.5 and done > self._marks[-1][1]:
             self._marks = [*self._marks[-20:], (now, done)]

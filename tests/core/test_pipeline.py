@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The order of the main job, what it leaves after every kind of end, and what a resumed one does again (stages replaced by quick ones)."""
+"""Phases of the reconstruction in order, the run folder after every outcome, and resumed runs, with quick stand-ins for the stages."""
 
 import json
 import os
@@ -12,11 +12,12 @@ from irgspp.core import pipeline
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.machine.blender_process import NoBlender
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.rendering import gbuffer_cache as rendered_views
+from irgspp.core.rendering import gbuffer_cache
 from irgspp.core.rendering.gbuffer_cache import GBufferCache
 from irgspp.core.run_folder import read_run
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound, Dataset, View
+from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
@@ -35,7 +36,7 @@ TRIANGLE = Surface(np.eye(3) / 3, np.eye(3), np.array([[0, 1, 2]]), 0.1)
 
 
 class Result:
-    """Stands for a reconstruction: what is in its file says which stage it is of."""
+    """Stand-in for a reconstruction: its file names the stage that made it."""
 
     bound = Bound((0, 0, 0), 1.0)
 
@@ -54,37 +55,35 @@ class Result:
 
 
 class Stages:
-    """Stand-ins for the stages: note that they ran, write a file; `stop` names one that is interrupted, `fail` one that breaks."""
+    """Stand-ins for the stages: they record their name and write a file; `stop` names one that is cancelled, `fail` one that fails."""
 
     def __init__(self, monkeypatch):
         self.ran, self.stop, self.fail = [], None, None
         monkeypatch.setattr(pipeline, "load_dataset", small_dataset)
         monkeypatch.setattr(pipeline, "train", self.train)
         monkeypatch.setattr(pipeline, "extract_geometry", self.extract)
-        monkeypatch.setattr(pipeline, "solve_second_stage", self.transport)
+        monkeypatch.setattr(pipeline, "solve_second_stage", self.second_stage)
         monkeypatch.setattr(pipeline, "textured_mesh", self.texture)
         monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
-        monkeypatch.setattr(pipeline.Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
-        monkeypatch.setattr(pipeline, "save_mesh_ply", lambda mesh, path: path.write_text("mesh"))
-        monkeypatch.setattr(pipeline, "save_glb", lambda mesh, path: path.write_text("glb"))
-        monkeypatch.setattr(pipeline, "save_textures", lambda textures, folder: folder.mkdir(exist_ok=True))
+        monkeypatch.setattr(Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
+        monkeypatch.setattr(pipeline, "save_mesh_files", lambda mesh, run: (run / "mesh.ply").write_text("mesh"))
         monkeypatch.setattr(pipeline, "write_blend", self.blend)
         monkeypatch.setattr(pipeline, "contact_sheet", self.sheet)
 
-    def note(self, name):
+    def record(self, name):
         self.ran.append(name)
         if name == self.stop:
             raise Cancelled("asked")
         if name == self.fail:
             raise IrgsppError("no surface")
 
-    def train(self, dataset, settings, progress, checkpoint, ends, device, resident):
-        assert (ends is None) == (settings.time is None)
+    def train(self, dataset, settings, progress, checkpoint, deadline, device, resident):
+        assert (deadline is None) == (settings.time is None)
         progress.phase("first stage", 2)
         progress.step(1, loss=0.5, psnr=20.0)
         begun = checkpoint.load("first_stage")
         checkpoint.save("first_stage", {"step": 1})
-        self.note("train" if begun is None else "train again")
+        self.record("train" if begun is None else "train again")
         progress.step(2, loss=0.25, psnr=30.0)
         return Result("first"), 0.5
 
@@ -92,29 +91,29 @@ class Stages:
         assert len(views) == 3
         assert samples == "first"
         assert masks is None  # the images have no alpha
-        self.note("geometry")
+        self.record("geometry")
         return TRIANGLE
 
-    def transport(self, first, surface, dataset, settings, progress, ends):
+    def second_stage(self, first, surface, dataset, settings, progress, deadline):
         assert first.stage == "first"
-        assert settings == Settings() and ends is None  # no time was set
-        self.given(surface)
-        self.note("second stage")
+        assert settings == Settings() and deadline is None  # no time was set
+        self.check(surface)
+        self.record("second stage")
         return Result("second"), 1.0
 
     def texture(self, surface, views, samples, settings, progress):
         assert samples == "second"
         assert len(views) == 3
-        self.given(surface)
-        self.note("surface")
+        self.check(surface)
+        self.record("surface")
         return SimpleNamespace(textures={})
 
     def sheet(self, dataset, relighter, path, progress):
         assert relighter == "second"
-        self.note("contact sheet")
+        self.record("contact sheet")
 
-    def given(self, surface):
-        """The very numbers of TRIANGLE."""
+    def check(self, surface):
+        """Assert that the surface has exactly the numbers of TRIANGLE."""
         for name in ("vertices", "normals", "faces"):
             np.testing.assert_array_equal(getattr(surface, name), getattr(TRIANGLE, name), strict=True)
         assert surface.voxel == TRIANGLE.voxel
@@ -123,7 +122,7 @@ class Stages:
         assert (run / "mesh.ply").exists()
         assert (run / "cameras.json").exists()
         assert material == "textures"
-        self.note("scene")
+        self.record("scene")
 
 
 @pytest.fixture
@@ -134,7 +133,7 @@ def stages(monkeypatch):
 ALL = ["train", "geometry", "second stage", "surface", "scene", "contact sheet"]
 
 
-def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
+def test_phases_run_in_order_and_are_recorded(tmp_path, stages):
     run = pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
     assert stages.ran == ALL
     state = read_run(run)
@@ -148,7 +147,7 @@ def test_phases_in_order_and_the_record_of_them(tmp_path, stages):
 
 
 @pytest.mark.parametrize(("stop", "again"), [("train", ["train again", *ALL[1:]]), *((ALL[i], ALL[i:]) for i in range(1, len(ALL)))])
-def test_cancelled_run_goes_on_where_it_was(tmp_path, stages, stop, again):
+def test_cancelled_run_resumes_where_it_stopped(tmp_path, stages, stop, again):
     stages.stop = stop
     with pytest.raises(Cancelled):
         pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
@@ -159,8 +158,8 @@ def test_cancelled_run_goes_on_where_it_was(tmp_path, stages, stop, again):
     assert read_run(tmp_path / "run")["status"] == "done"
 
 
-def test_stop_among_the_files_of_the_second_stage_leaves_those_of_the_first(tmp_path, stages, monkeypatch):
-    """The new file is there, the others are not yet: what the second stage starts from must not be that file."""
+def test_kill_between_the_files_of_the_second_stage_keeps_those_of_the_first(tmp_path, stages, monkeypatch):
+    """The new file is written, the others are not yet: the second stage must not start from that file."""
     save = Result.save
 
     def killed(self, folder):
@@ -175,11 +174,11 @@ def test_stop_among_the_files_of_the_second_stage_leaves_those_of_the_first(tmp_
     assert not read_run(tmp_path / "run")["phases"]["second stage"]["finished"]
     monkeypatch.setattr(Result, "save", save)
     stages.ran[:] = []
-    pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)  # the stand-in looks at what it is given
+    pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)  # the stand-in checks its input
     assert stages.ran == ALL[2:]
 
 
-def test_checkpoint_that_is_gone_is_one_clear_line(tmp_path, stages):
+def test_missing_checkpoint_is_an_input_error(tmp_path, stages):
     stages.stop = "second stage"
     with pytest.raises(Cancelled):
         pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings())
@@ -197,7 +196,7 @@ def test_failure_is_recorded(tmp_path, stages):
     assert not state["phases"]["surface"]["finished"]
 
 
-def test_error_of_a_child_process_that_was_cancelled_too_is_a_cancel(tmp_path, stages, monkeypatch):
+def test_error_of_a_child_process_after_a_cancel_is_a_cancel(tmp_path, stages, monkeypatch):
     progress = Silent()
 
     def killed(*_):
@@ -217,7 +216,7 @@ def test_cancel_between_phases(tmp_path, stages):
     assert stages.ran == []
 
 
-def test_without_blender_the_scene_is_skipped_and_said(tmp_path, stages, monkeypatch):
+def test_without_blender_the_scene_is_skipped_with_a_reason(tmp_path, stages, monkeypatch):
     def missing(*_):
         raise NoBlender("no Blender here")
 
@@ -228,7 +227,7 @@ def test_without_blender_the_scene_is_skipped_and_said(tmp_path, stages, monkeyp
     assert stages.ran[-1] == "contact sheet"
 
 
-def test_bad_dataset_leaves_nothing_and_keeps_the_old_run(tmp_path, stages, monkeypatch):
+def test_bad_dataset_writes_nothing_and_keeps_the_old_run(tmp_path, stages, monkeypatch):
     pipeline.reconstruct(Path("photos"), tmp_path / "old", Settings())
     before = sorted(p.name for p in (tmp_path / "old").iterdir())
 
@@ -250,9 +249,9 @@ def test_settings_are_checked_before_anything_else(tmp_path, stages):
     assert not (tmp_path / "run").exists()
 
 
-def test_rendered_views_keeps_what_fits(monkeypatch):
+def test_gbuffer_cache_keeps_the_views_that_fit(monkeypatch):
     rendered = []
-    monkeypatch.setattr(rendered_views, "render_gbuffer", lambda _, camera: rendered.append(camera.width) or camera.width)
+    monkeypatch.setattr(gbuffer_cache, "render_gbuffer", lambda _, camera: rendered.append(camera.width) or camera.width)
     views = GBufferCache(None, [camera(w) for w in (4, 5, 6)], memory=4 * 4 * 13 * 4)
     assert list(views) == [4, 5, 6]
     assert list(views) == [4, 5, 6]

@@ -52,7 +52,7 @@ def test_events_are_complete_but_rare(tmp_path, monkeypatch):
     assert 30 < len(noted) < 50
     assert (noted[-2]["step"], noted[-2]["psnr"]) == (1000, None)
     assert noted[-1]["message"] == "done"
-    assert told.figures["loss"] == pytest.approx(1e-3)
+    assert told.metrics["loss"] == pytest.approx(1e-3)
 
 
 def test_images_cost_next_to_nothing(tmp_path, monkeypatch):
