@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that appear whole or not at all, whatever ends the process or the machine, and while other processes read the old ones."""
+"""Atomic writing of files: a reader finds the old or the new file complete, even after a crash or a loss of power."""
 
 import os
 import sys
@@ -11,16 +11,19 @@ from pathlib import Path
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path`, with its suffix, for the block to write to.
+    """Yield a temporary path for the block to write to, in the folder of `path` and with its suffix.
 
-    After the block the file is flushed to the disk and takes the place of `path`; where anything fails it is removed, which gives its
-    room back, and `path` is as it was.
+    After the block, the temporary file is flushed to the disk and replaces `path`. If anything fails, it is removed, which frees its disk
+    space, and `path` is unchanged.
+
+    Args:
+        path: the file to write.
     """
     partial = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
         yield partial
         with partial.open("rb+") as file:
-            os.fsync(file.fileno())  # else a loss of power could leave the new name with nothing in it
+            os.fsync(file.fileno())  # otherwise a loss of power could leave an empty file under the new name
         replace(partial, path)
     except BaseException:
         with suppress(OSError):
@@ -30,13 +33,26 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file at once, as `whole` does."""
+    """Write a file atomically (see `atomic_file`).
+
+    Args:
+        path: the file to write.
+        data: its content.
+    """
     with atomic_file(path) as partial:
         partial.write_bytes(data)
 
 
 def replace(partial: Path, path: Path) -> None:
-    """Put a file in the place of another. Windows refuses while somebody reads the old one, so it is tried again for a while."""
+    """Replace a file by another, with retries for up to 0.2 seconds, since Windows refuses while another process reads the old one.
+
+    Args:
+        partial: the new file, which is renamed.
+        path: the file that it replaces.
+
+    Raises:
+        PermissionError: if the last attempt fails too.
+    """
     for _ in range(100):
         try:
             return os.replace(partial, path)
@@ -46,7 +62,7 @@ def replace(partial: Path, path: Path) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    """So that the new name is on the disk before anything is told that it is. Windows can't, and needs not."""
+    """Flush a folder's entries, so that a renamed file survives a loss of power; Windows can't, and does not need to."""
     if sys.platform == "win32":
         return
     descriptor = os.open(folder, os.O_RDONLY)

@@ -12,12 +12,16 @@ from ..errors import InputError
 from .atomic import atomic_file
 
 MAX_PIXELS = 178_000_000  # beyond any camera (Pillow's own limit): a header that claims more is damaged or hostile
-RATIO = 4000  # pixels that a byte of an EXR can stand for at most
+RATIO = 4000  # largest number of pixels that a byte of an EXR can encode
 SLACK = 1 << 16
 
 
 def exr_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header alone. Raises InputError where it can't be read, or claims more than MAX_PIXELS."""
+    """Return (width, height) in pixels from the header alone.
+
+    Raises:
+        InputError: if the header can't be read, or claims more pixels than MAX_PIXELS or than the file can hold.
+    """
     try:
         low, high = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
         width, height = int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
@@ -29,19 +33,41 @@ def exr_size(path: Path) -> tuple[int, int]:
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
-    """Raises InputError where an image claims more than MAX_PIXELS."""
+    """Check the number of pixels that an image's header claims.
+
+    Args:
+        path: the image, for the message.
+        width: in pixels.
+        height: in pixels.
+
+    Raises:
+        InputError: if there are more than MAX_PIXELS.
+    """
     if width * height > MAX_PIXELS:
         raise InputError(path, f"claims {width}x{height} pixels, more than the {MAX_PIXELS // 10**6} million allowed")
 
 
 def check_filled(path: Path, claimed: int, possible: int) -> None:
-    """Raises InputError where an image claims more than a file of its size can hold: decoders take memory for all of it first."""
+    """Check what an image's header claims against the size of its file, since decoders allocate memory for all of it first.
+
+    Args:
+        path: the image, for the message.
+        claimed: number of pixels (or bytes) that the header claims.
+        possible: largest number of them that a file of this size can hold.
+
+    Raises:
+        InputError: if more is claimed than possible.
+    """
     if claimed > possible + SLACK:
-        raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or made to do harm")
+        raise InputError(path, "claims far more pixels than a file of its size can hold: it is damaged or malicious")
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:
-    """Channels of a single-part EXR by name, each (H, W) float32. Raises InputError where it can't be read, or claims to be enormous."""
+    """Read the channels of a single-part EXR by name, each (H, W) float32.
+
+    Raises:
+        InputError: if the file can't be read, or claims more pixels than allowed.
+    """
     exr_size(path)
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
@@ -51,7 +77,11 @@ def read_exr(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_exr_rgb(path: Path) -> np.ndarray:
-    """(H, W, 3) float32 colour of an EXR; a grey one (Y, or a single channel) is repeated."""
+    """Read the colour (H, W, 3) float32 of an EXR; a grey image (Y, or a single channel) is repeated.
+
+    Raises:
+        InputError: if the file can't be read, or has neither R, G, B nor a grey channel.
+    """
     channels = read_exr(path)
     if {"R", "G", "B"} <= channels.keys():
         return np.stack([channels["R"], channels["G"], channels["B"]], -1)
@@ -61,7 +91,13 @@ def read_exr_rgb(path: Path) -> np.ndarray:
 
 
 def write_exr(path: Path, channels: dict[str, np.ndarray], half: bool = False) -> None:
-    """Write (H, W) arrays as float channels, 32 or 16 bits, ZIP-compressed, through a temporary file so that none is left half-written."""
+    """Write an EXR atomically, ZIP-compressed.
+
+    Args:
+        path: the file to write.
+        channels: channel name -> (H, W) array.
+        half: store 16-bit instead of 32-bit floats.
+    """
     pixels = {name: np.ascontiguousarray(c, np.float16 if half else np.float32) for name, c in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic_file(path) as partial, OpenEXR.File(header, pixels) as file:
@@ -69,5 +105,5 @@ def write_exr(path: Path, channels: dict[str, np.ndarray], half: bool = False) -
 
 
 def rgb_channels(image: np.ndarray) -> dict[str, np.ndarray]:
-    """(H, W, 3) or (H, W, 4) as channels R, G, B (, A)."""
+    """Split an image (H, W, 3) or (H, W, 4) into channels R, G, B and A, each (H, W)."""
     return {name: image[..., i] for i, name in enumerate("RGBA"[: image.shape[-1]])}

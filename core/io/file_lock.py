@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A lock between processes that the operating system frees when its holder dies."""
+"""Lock file between processes, which the operating system frees when the process that holds it ends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 class FileLock:
-    """Holds a file's lock from construction to `release`. Raises BlockingIOError where another process holds it."""
+    """Lock of a file, held from construction until `release`; construction raises BlockingIOError if another process holds it."""
 
     def __init__(self, path: Path) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -20,7 +20,7 @@ class FileLock:
             raise BlockingIOError(str(path)) from error
 
     def release(self) -> None:
-        """Free the lock; again does nothing."""
+        """Free the lock; a second call has no effect."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1

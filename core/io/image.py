@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Decoding of photographs and masks, and their reduction to a smaller size."""
+"""Images: decoding of photographs and masks (PNG, JPEG, EXR), and their reduction to a smaller size."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from ..errors import InputError
 from .exr import check_filled, check_pixels, exr_size, read_exr
 from .srgb import decode_srgb, encode_srgb
 
-BAND = 256  # rows that are linear floats at a time: a 50-megapixel photograph would take gigabytes as a whole
+BAND = 256  # rows held as linear floats at a time: a whole 50-megapixel photograph would take gigabytes
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by kind of colour
+PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by PNG's colour type
 EXR_SIGNATURE = b"\x76\x2f\x31\x01"
 
 
 @dataclass(frozen=True, eq=False)
 class DecodedImage:
-    """Decoded pixels, sRGB-encoded and straight.
+    """Decoded image with sRGB-encoded, straight (not premultiplied) colour.
 
     Attributes:
-        colour: (H, W, 3) float32 0..1, above where the file is HDR; or uint8, uint16 as read, until `reduce_picture`.
-        alpha: (H, W) of the same kind, or None.
+        colour: (H, W, 3) float32 in 0..1, above 1 in HDR files; uint8 or uint16 as read, until `reduce_image`.
+        alpha: (H, W) of the same dtype, or None.
     """
 
     colour: np.ndarray
@@ -35,12 +35,16 @@ class DecodedImage:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Size as (width, height) in pixels."""
         return self.colour.shape[1], self.colour.shape[0]
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header alone. Raises InputError where it is no PNG, JPEG or EXR, or claims to be enormous."""
+    """Return (width, height) in pixels from the header alone.
+
+    Raises:
+        InputError: if the file is not a PNG, JPEG or EXR, or claims more pixels than allowed or than it can hold.
+    """
     try:
         with path.open("rb") as file:
             head, size = file.read(26), path.stat().st_size
@@ -51,7 +55,7 @@ def image_size(path: Path) -> tuple[int, int]:
     if head[:8] == PNG_SIGNATURE and head[12:16] == b"IHDR":
         sides = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
         check_pixels(path, *sides)
-        # A byte of a PNG can't stand for more than 1032 of its pixels' bytes (deflate), one of a JPEG for no more than 341 pixels.
+        # A byte of a PNG can't encode more than 1032 bytes of pixels (deflate), a byte of a JPEG no more than 341 pixels.
         bits = head[24] * PNG_CHANNELS.get(head[25], 1) if len(head) == 26 else 1
         check_filled(path, sides[0] * sides[1] * bits // 8, 1032 * size)
     width, height = _raster_size(path)
@@ -70,10 +74,12 @@ def _raster_size(path: Path) -> tuple[int, int]:
 
 
 def read_image(path: Path) -> DecodedImage:
-    """Decode a PNG (8 or 16 bit), JPEG or EXR (linear, premultiplied), integers as they are stored.
+    """Decode a PNG (8 or 16 bit), JPEG or EXR (linear, premultiplied); integers stay as they are stored.
 
     The EXIF orientation is never applied: cameras are solved for the pixels as stored.
-    Raises InputError where the file is unreadable, truncated or has pixels that are not finite.
+
+    Raises:
+        InputError: if the file is unreadable, truncated or has pixels that are not finite.
     """
     image_size(path)
     data = path.read_bytes()
@@ -85,19 +91,31 @@ def read_image(path: Path) -> DecodedImage:
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """(H, W) float32 in 0..1, 1 on the object: a grey or colour image's brightness, or the alpha of one that has any."""
+    """Read a mask (H, W) float32 in 0..1, 1 on the object: the alpha channel of the image if it is not opaque, else its largest channel.
+
+    Raises:
+        InputError: if the file can't be decoded.
+    """
     image = read_image(path)
     alpha = None if image.alpha is None else unit(image.alpha)
     return alpha if alpha is not None and alpha.min() < 1 else np.clip(unit(image.colour.max(-1)), 0, 1)
 
 
 def read_depth_mask(path: Path, far: float) -> np.ndarray:
-    """(H, W) float32, 1 where a depth map, whose integers span 0..1, is nearer than `far`."""
+    """Read a mask (H, W) float32 from a depth map: 1 where the depth is less than `far`, else 0.
+
+    Args:
+        path: the depth map, whose integers span 0..1.
+        far: depth of the background in 0..1.
+
+    Raises:
+        InputError: if the file can't be decoded.
+    """
     return (unit(read_image(path).colour[..., 0]) < far).astype(np.float32)
 
 
 def _decode(path: Path, data: bytes) -> np.ndarray:
-    """(H, W, 1..4) uint8 or uint16. Pillow judges every file, since OpenCV hands out half an image where a file is truncated."""
+    """Decode to (H, W, 1..4) uint8 or uint16. Pillow checks every file, since OpenCV returns half an image of a truncated file."""
     try:
         with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
             image.load()
@@ -115,7 +133,7 @@ def _eight_bit(image: Image.Image) -> Image.Image:
 
 
 def _decode_deep(data: bytes) -> np.ndarray:
-    """16-bit PNG through OpenCV, since Pillow keeps only 8 bits of its colours."""
+    """Decode a 16-bit PNG with OpenCV to (H, W) or (H, W, 1..4) uint16, since Pillow keeps only 8 bits of its colours."""
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ValueError("not decodable")
@@ -128,7 +146,7 @@ def _read_exr(path: Path) -> DecodedImage:
     grey = channels.get("Y", next(iter(channels.values()))) if len(channels) == 1 or "Y" in channels else None
     missing = [c for c in "RGB" if c not in channels]
     if grey is None and missing:
-        raise InputError(path, f"has channels {', '.join(channels)} but not {', '.join(missing)}")
+        raise InputError(path, f"has the channels {', '.join(channels)} but not {', '.join(missing)}")
     linear = np.stack([channels[c] if grey is None else grey for c in "RGB"], -1)
     alpha = channels.get("A")
     if not np.isfinite(linear).all() or (alpha is not None and not np.isfinite(alpha).all()):
@@ -140,15 +158,21 @@ def _read_exr(path: Path) -> DecodedImage:
 
 
 def unit(pixels: np.ndarray) -> np.ndarray:
-    """Integers as float32 in 0..1; floats as they are."""
+    """Convert integers of an array (...,) to float32 in 0..1; return floats unchanged."""
     return pixels.astype(np.float32) / np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else pixels
 
 
 def reduce_image(image: DecodedImage, width: int, height: int) -> DecodedImage:
-    """Float pixels at another size by area averaging in linear light, colour weighted by alpha; unchanged where it has that size."""
+    """Reduce an image to float pixels of another size by area averaging in linear light, with colour weighted by alpha.
+
+    Args:
+        image: the image; only converted to floats if it has that size already.
+        width: of the result in pixels.
+        height: of the result in pixels.
+    """
     if image.size == (width, height):
         return DecodedImage(unit(image.colour), None if image.alpha is None else unit(image.alpha))
-    # Area averaging is separable: rows are narrowed band by band, then the narrow image is made lower.
+    # Area averaging is separable: first the width is reduced band by band, then the height.
     starts = range(0, image.size[1], BAND)
     narrow = np.concatenate([_narrow_band(image, slice(i, i + BAND), width) for i in starts])
     small = _area(narrow, width, height)
@@ -158,7 +182,7 @@ def reduce_image(image: DecodedImage, width: int, height: int) -> DecodedImage:
 
 
 def _narrow_band(image: DecodedImage, rows: slice, width: int) -> np.ndarray:
-    """(rows, width, 3 or 4) linear, premultiplied where there is alpha."""
+    """Reduce the width of some rows; return (rows, width, 3 or 4) linear, premultiplied where there is alpha."""
     linear = decode_srgb(unit(image.colour[rows]))
     if image.alpha is not None:
         alpha = unit(image.alpha[rows])[..., None]
@@ -167,12 +191,18 @@ def _narrow_band(image: DecodedImage, rows: slice, width: int) -> np.ndarray:
 
 
 def reduce_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    """(H, W) float32 mask at another size by area averaging."""
+    """Reduce a mask to another size by area averaging.
+
+    Args:
+        mask: (H, W) float32 in 0..1; returned as it is if it has that size already.
+        width: of the result in pixels.
+        height: of the result in pixels.
+    """
     return mask if mask.shape == (height, width) else _area(mask, width, height)
 
 
 def on_black(image: DecodedImage) -> DecodedImage:
-    """The float image without its alpha, composited over black in linear light."""
+    """Composite a float image over black in linear light; the result has no alpha."""
     if image.alpha is None:
         return image
     return DecodedImage(encode_srgb(decode_srgb(image.colour) * image.alpha[..., None]), None)

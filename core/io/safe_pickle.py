@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pickled numpy arrays from elsewhere, read without running any code they name."""
+"""Safe reading of pickled numpy arrays from untrusted files, without running any code that they name."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ import numpy as np
 from ..errors import InputError
 
 LARGEST = 64 << 20  # bytes; cameras of thousands of images take less
-VALUES = 200_000  # that a pickle may hold, each counted as often as it is named
+VALUES = 200_000  # largest number of values in a pickle, each counted as often as it is referenced
 OPERATIONS = 10 * VALUES
 NUMBERS = re.compile(r"[biufU]\d+")
 
 
 def read_pickle(path: Path) -> Any:
-    """What a pickle of numpy arrays, numbers, strings, lists, tuples and dictionaries holds.
+    """Read a pickle of numpy arrays, numbers, strings, lists, tuples and dictionaries.
 
-    Raises InputError where it is damaged, too large, or names anything else: nothing of the file is ever called, since even the arrays
-    are put together here.
+    Nothing that the file names is ever called: even the arrays are built here.
+
+    Raises:
+        InputError: if the file is damaged, too large, or holds anything else.
     """
     try:
         if path.stat().st_size > LARGEST:
@@ -42,16 +44,16 @@ def read_pickle(path: Path) -> Any:
 
 
 def _check_operations(data: bytes) -> None:
-    """Raise UnpicklingError where an operation asks for more room than the file can fill: lengths, or a place far out in the memo."""
+    """Raise UnpicklingError if an operation would allocate more memory than the file can fill, or if there are too many operations."""
     for number, (operation, argument, _) in enumerate(pickletools.genops(data)):
         if "PUT" in operation.name and isinstance(argument, int) and argument > len(data):
-            raise pickle.UnpicklingError(f"it numbers a value {argument}")
+            raise pickle.UnpicklingError(f"it gives a value the number {argument}")
         if number > OPERATIONS:
-            raise pickle.UnpicklingError(f"it takes more than {OPERATIONS} operations")
+            raise pickle.UnpicklingError(f"it has more than {OPERATIONS} operations")
 
 
 class _Dtype:
-    """Stands for numpy.dtype."""
+    """Stand-in for numpy.dtype."""
 
     def __init__(self, code: str, *_: object) -> None:
         if not isinstance(code, str) or not NUMBERS.fullmatch(code):
@@ -66,7 +68,7 @@ class _Dtype:
 
 
 class _Array:
-    """Stands for numpy.ndarray: keeps what it is told, and becomes an array once all is read."""
+    """Stand-in for numpy.ndarray: stores its pickled state, and is replaced by an array once the whole pickle is read."""
 
     value: np.ndarray | None = None
 
@@ -116,19 +118,19 @@ for _core in ("numpy.core", "numpy._core"):
 class _Arrays(pickle.Unpickler):
     def find_class(self, module_name: str, global_name: str) -> Any:
         if (module_name, global_name) not in KNOWN:
-            raise pickle.UnpicklingError(f"it names {module_name[:60]}.{global_name[:60]}, which may run code")
+            raise pickle.UnpicklingError(f"it names {module_name[:60]}.{global_name[:60]}, which could run code")
         return KNOWN[module_name, global_name]
 
 
 class _Finish:
-    """Puts arrays in place of what stands for them. Raises UnpicklingError for any other kind of value, and for too many."""
+    """Replacement of the stand-ins by arrays; raises UnpicklingError for any other type of value, and for too many values."""
 
     def __init__(self) -> None:
         self.left = VALUES
 
     def __call__(self, value: Any) -> Any:
         self.left -= 1
-        if self.left < 0:  # a list that holds one list many times, which does the same, and so on
+        if self.left < 0:  # nested lists that each hold one list many times
             raise pickle.UnpicklingError(f"it holds more than {VALUES} values")
         if isinstance(value, (list, tuple)):
             return type(value)(self(v) for v in value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sRGB curve, once for numpy and torch."""
+"""sRGB transfer curve and luminance, for numpy arrays and torch tensors."""
 
 from __future__ import annotations
 
@@ -15,27 +15,31 @@ Array = TypeVar("Array", np.ndarray, "torch.Tensor")
 
 
 def _library(array: Any) -> Any:
-    """numpy or torch. Whoever has a tensor has loaded torch, which takes longer than reading a dataset does without."""
+    """Return numpy or torch; torch is not imported for it, since that takes longer than reading a dataset."""
     torch = sys.modules.get("torch")
     return torch if torch is not None and isinstance(array, torch.Tensor) else np
 
 
 def encode_srgb(linear: Array) -> Array:
-    """Linear Rec.709 (>= 0, negative counts as 0) to sRGB-encoded, any shape; above 1 the curve goes on (IEC 61966-2-1)."""
+    """Encode linear Rec.709 values (...,) of any shape by the sRGB curve (IEC 61966-2-1).
+
+    Args:
+        linear: (...,) values; negative ones count as 0, and the curve is extended above 1.
+    """
     xp = _library(linear)
-    # The clip inside the power keeps its slope finite where the linear toe is chosen.
+    # The clip inside the power keeps its gradient finite where the linear segment is selected.
     power = 1.055 * xp.clip(linear, 0.0031308, None) ** (1 / 2.4) - 0.055
     return xp.where(linear <= 0.0031308, 12.92 * xp.clip(linear, 0.0, None), power)
 
 
 def decode_srgb(encoded: Array) -> Array:
-    """sRGB-encoded (>= 0) to linear Rec.709, any shape; inverse of `encode_srgb`."""
+    """Decode sRGB-encoded values (...,) >= 0 of any shape to linear Rec.709; inverse of `encode_srgb`."""
     xp = _library(encoded)
     power = ((xp.clip(encoded, 0.04045, None) + 0.055) / 1.055) ** 2.4
     return xp.where(encoded <= 0.04045, encoded / 12.92, power)
 
 
 def luminance(linear: Array) -> Array:
-    """(..., 3) linear Rec.709 to (...) luminance."""
+    """Return the luminance (...,) of linear Rec.709 colours (..., 3)."""
     channels: Any = linear  # numpy's and torch's operators have no common type
     return 0.2126 * channels[..., 0] + 0.7152 * channels[..., 1] + 0.0722 * channels[..., 2]

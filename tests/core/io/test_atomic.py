@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that appear whole or not at all."""
+"""Atomic writing: a file is replaced completely or not at all."""
 
 import pytest
 from irgspp.core.io.atomic import atomic_file, write_atomic
 
 
-def test_file_is_there_after_the_block_and_not_before(tmp_path):
+def test_file_appears_after_the_block_and_not_before(tmp_path):
     with atomic_file(tmp_path / "a.png") as partial:
         partial.write_bytes(b"new")
         assert partial.suffix == ".png" and not (tmp_path / "a.png").exists()
@@ -14,7 +14,7 @@ def test_file_is_there_after_the_block_and_not_before(tmp_path):
 
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_failure_keeps_the_old_file_and_gives_the_room_back(tmp_path, failure):
+def test_failure_keeps_the_old_file_and_frees_the_disk_space(tmp_path, failure):
     write_atomic(tmp_path / "a", b"old")
     with pytest.raises(type(failure)), atomic_file(tmp_path / "a") as partial:
         partial.write_bytes(b"half")
@@ -23,13 +23,13 @@ def test_failure_keeps_the_old_file_and_gives_the_room_back(tmp_path, failure):
     assert (tmp_path / "a").read_bytes() == b"old"
 
 
-def test_content_and_name_are_on_the_disk_in_that_order(tmp_path, monkeypatch):
-    """A loss of power can't be had in a test, the order of what protects from it can."""
-    from irgspp.core.io import atomic as replacing
+def test_content_is_flushed_before_the_name_is_replaced(tmp_path, monkeypatch):
+    """A test can't cut the power, but it can check the order of the calls that protect against its loss."""
+    from irgspp.core.io import atomic
 
     done = []
     for name in ("fsync", "replace"):
-        real = getattr(replacing.os, name)
-        monkeypatch.setattr(replacing.os, name, lambda *words, name=name, real=real: (done.append(name), real(*words)))
+        real = getattr(atomic.os, name)
+        monkeypatch.setattr(atomic.os, name, lambda *words, name=name, real=real: (done.append(name), real(*words)))
     write_atomic(tmp_path / "a", b"new")
     assert done[:2] == ["fsync", "replace"]
