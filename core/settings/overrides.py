@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings as text and as JSON: `key=value` overrides checked against the annotations of core/settings/schema.py."""
+"""Settings as text and as JSON: `key=value` overrides, checked against the annotations of core/settings/schema.py."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no":
 
 
 def with_overrides(settings: Settings, overrides: Iterable[str], notify: Callable[[str], None] | None = None) -> Settings:
-    """Return settings changed by texts such as `first.iterations=600` or `data.centre=0,0,1`; `none` empties an optional one.
+    """Return settings with overrides such as `first.iterations=600` or `data.centre=0,0,1` applied.
 
     Args:
-        settings: what to start from.
-        overrides: `key=value` texts. A key's name of an earlier version is accepted.
+        settings: to start from.
+        overrides: `key=value` texts; the value `none` clears an optional setting. A key's name of an earlier version is accepted.
         notify: called with one line for each key that has a new name; None prints the line to stderr.
 
     Raises:
-        InputError: an unknown key (the error names similar ones), a value of the wrong type, or one out of range.
+        InputError: a key is unknown (the error names similar ones), or a value is of the wrong type or out of range.
     """
     for text in overrides:
         key, equals, value = text.partition("=")
         if not equals:
-            raise InputError(f"--set {text}", "is not of the form key=value")
+            raise InputError(f"--set {text}", "is not of the form key=value", "write such as --set first.iterations=600")
         old, key = key.strip(), current_key(key.strip())
         if key != old:
             (notify or _warn)(f"--set {old} is now --set {key}")
@@ -45,27 +45,40 @@ def _warn(line: str) -> None:
 
 
 def check(settings: Settings) -> Settings:
-    """The same settings. Raises InputError where a value is not of its annotated type or range."""
+    """Return the same settings; raise InputError where a value is not of its annotated type or out of its range."""
     for key, annotation, value in _leaves(settings):
         _check_value(key, annotation, value)
     return settings
 
 
 def to_dict(settings: Settings) -> dict[str, Any]:
-    """Plain nested dictionaries, lists, numbers and strings, ready for JSON."""
+    """Return the settings as nested dictionaries of lists, numbers and strings, ready for JSON."""
     return dataclasses.asdict(settings, dict_factory=lambda items: {k: list(v) if isinstance(v, tuple) else v for k, v in items})
 
 
 def from_dict(data: dict[str, Any], where: object = "settings") -> Settings:
-    """The inverse of `to_dict`; missing keys keep their defaults. Raises InputError for unknown keys and wrong values, naming `where`."""
+    """Return settings from the dictionaries of `to_dict`.
+
+    Args:
+        data: nested dictionaries; missing keys keep their defaults, names of earlier versions are accepted.
+        where: file that an error names.
+
+    Raises:
+        InputError: a key is unknown, or a value is of the wrong type or out of range.
+    """
     try:
         return check(_build(Settings, current_names(data)))
     except TypeError as error:
-        raise InputError(where, f"settings of another version of this tool ({error})") from error
+        raise InputError(where, f"has settings of another version of irgspp ({error})", "open it with that version, or reconstruct again") from error
 
 
 def differences(a: Settings, b: Settings) -> list[str]:
-    """Lines `key: value in a -> value in b` for every setting that differs."""
+    """Return a line `key: value in a -> value in b` for every setting that differs.
+
+    Args:
+        a: settings.
+        b: settings.
+    """
     old, new = ({key: value for key, _, value in _leaves(s)} for s in (a, b))
     return [f"{key}: {old[key]} -> {new[key]}" for key in old if old[key] != new[key]]
 
@@ -83,7 +96,7 @@ def _build(cls: type, data: dict[str, Any]) -> Any:
 
 
 def _leaves(group: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Key, annotation and value of every setting."""
+    """Yield key, annotation and value of every setting."""
     hints = get_type_hints(type(group), include_extras=True)
     for entry in dataclasses.fields(group):
         value = getattr(group, entry.name)
@@ -105,7 +118,7 @@ def _replaced(settings: Settings, key: str, text: str) -> Settings:
 
 
 def _similar(key: str, keys: list[str]) -> list[str]:
-    """Keys that look alike, as a whole or in their last part; all of them where none does."""
+    """Return the keys that resemble `key`, as a whole or in their last part; all keys where none does."""
     last = {k: k.rpartition(".")[2] for k in keys}
     near = difflib.get_close_matches(key, keys, 3, 0.6)
     near += [k for k in keys if difflib.get_close_matches(key.rpartition(".")[2], [last[k]], 1, 0.7) and k not in near]
@@ -113,7 +126,7 @@ def _similar(key: str, keys: list[str]) -> list[str]:
 
 
 def _strip(annotation: Any) -> tuple[Any, Range | None, bool]:
-    """The bare type, its range, and whether None is allowed."""
+    """Return the type without annotations, its range, and True where None is allowed."""
     limits = None
     if get_origin(annotation) is Annotated:
         annotation, *extras = get_args(annotation)
@@ -135,7 +148,7 @@ def _parse(key: str, annotation: Any, text: str) -> Any:
 
 
 def _parse_plain(kind: Any, text: str) -> Any:
-    """Text as a number, truth value, text or tuple of those."""
+    """Convert a text to a number, truth value, string or tuple of those; ValueError or KeyError where that fails."""
     if get_origin(kind) is tuple:
         parts, kinds = text.strip("()[] ").split(","), get_args(kind)
         if len(parts) != len(kinds):
@@ -155,14 +168,14 @@ def _describe(kind: Any) -> str:
 
 
 def _fits(kind: Any, value: Any) -> bool:
-    """True where a value is of an annotated type; an int is a float, a bool is no int."""
+    """Return True where a value is of an annotated type; an int passes for a float, a bool does not pass for an int."""
     if get_origin(kind) is tuple:
         return isinstance(value, tuple) and len(value) == len(get_args(kind)) and all(map(_fits, get_args(kind), value))
     if get_origin(kind) is Literal:
         return value in get_args(kind)
     if kind in (int, float):
-        known = isinstance(value, int if kind is int else (int, float)) and not isinstance(value, bool)
-        return known and abs(value) <= sys.float_info.max  # false for NaN, too
+        number = isinstance(value, int if kind is int else (int, float)) and not isinstance(value, bool)
+        return number and abs(value) <= sys.float_info.max  # False for NaN, too
     return isinstance(value, kind)
 
 
@@ -176,4 +189,4 @@ def _check_value(key: str, annotation: Any, value: Any) -> None:
         above = f" and at most {limits.high:g}" if math.isfinite(limits.high) else ""
         raise InputError(f"setting {key}", f"{value!r} is out of range", f"must be at least {limits.low:g}{above}")
     if limits and limits.multiple and value % limits.multiple:
-        raise InputError(f"setting {key}", f"{value!r} is no multiple of {limits.multiple}")
+        raise InputError(f"setting {key}", f"{value!r} is not a multiple of {limits.multiple}")

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Names that settings had in earlier versions, so that old commands, job lists and run folders keep working."""
+"""Names of settings in earlier versions, so that old commands, job lists and run folders keep working."""
 
 from __future__ import annotations
 
 from typing import Any
 
-GROUPS = {"reflective": "first", "transport": "second"}  # version 0.1 -> now
-KEYS = {
+GROUPS = {"reflective": "first", "transport": "second"}  # groups of settings: version 0.1 -> now
+KEYS = {  # single settings: version 0.1 -> now
     "skip.outside": "skip.background",
     "skip.constants": "skip.cache_hits",
     "skip.open": "skip.reuse_visibility",
@@ -15,14 +15,14 @@ KEYS = {
 
 
 def current_key(key: str) -> str:
-    """Return today's name of a setting such as `reflective.iterations`; a name that is not an old one comes back as it is."""
+    """Return today's name of a setting such as `reflective.iterations`; any other name is returned unchanged."""
     group, dot, name = key.partition(".")
     key = GROUPS.get(group, group) + dot + name
     return KEYS.get(key, key)
 
 
 def current_names(data: dict[str, Any]) -> dict[str, Any]:
-    """Return settings as nested dictionaries (see `to_dict`) with today's names in place of old ones; `data` stays as it is."""
+    """Return a copy of settings as nested dictionaries (see `to_dict`) with today's names in place of old ones."""
     renamed: dict[str, Any] = {}
     for name, value in data.items():
         group = GROUPS.get(name, name)

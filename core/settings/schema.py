@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every setting of the main job and the presets; `Annotated[..., Range]` and `Literal` say what is allowed."""
+"""Schema of all settings and presets; `Annotated[..., Range]` and `Literal` state the allowed values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..errors import InputError
 
 
 class Range(NamedTuple):
-    """Smallest and largest allowed value of a setting, both included, and what it must be a multiple of (0: of nothing)."""
+    """Range of a setting: smallest and largest allowed value, both included, and the number it must be a multiple of (0: any)."""
 
     low: float
     high: float = float("inf")
@@ -19,75 +19,75 @@ class Range(NamedTuple):
 
 @dataclass(frozen=True)
 class DataSettings:
-    """How photographs are read."""
+    """Reading of the dataset."""
 
-    resolution: Annotated[int, Range(16, 16384)] = 640  # longest side in pixels; larger images are reduced
+    resolution: Annotated[int, Range(16, 16384)] = 640  # longest side of an image, pixels; larger images are reduced
     masks: bool = True  # use alpha channels and mask files
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
-    split: Literal["auto", "holdout", "published"] = "auto"  # test views: the files', every n-th, the paper's
-    centre: tuple[float, float, float] | None = None  # object bound in the dataset's own frame; None = estimated
-    radius: Annotated[float | None, Range(1e-6)] = None
+    split: Literal["auto", "holdout", "published"] = "auto"  # test views: the dataset's own, every n-th, or the published benchmark's
+    centre: tuple[float, float, float] | None = None  # centre of the object's bounding sphere, dataset units; None: estimated
+    radius: Annotated[float | None, Range(1e-6)] = None  # radius of the object's bounding sphere, dataset units; None: estimated
 
 
 @dataclass(frozen=True)
 class FirstStageSettings:
-    """First stage."""
+    """First stage: fit 2D Gaussians, their radiance, and initial materials and light to the images."""
 
-    iterations: Annotated[int, Range(1, 10_000_000)] = 1500
-    gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # of the start; with masks there are never more
-    normal_weight: Annotated[float, Range(0)] = 0.2  # agreement of splatted normals with those of the depth
-    mask_weight: Annotated[float, Range(0)] = 0.5
-    sh_growth: Annotated[float, Range(0, 1)] = 0.6  # share of the schedule after which all SH degrees are in use
-    light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map
-    light_smoothness: Annotated[float, Range(0)] = 1e-3
-    trial_iterations: Annotated[int, Range(1)] = 250  # of each fit that decides between low-gloss and glossy
-    trial_gaussians: Annotated[int, Range(16)] = 8_000
-    trial_resolution: Annotated[int, Range(16)] = 100  # pixels along the longest side
-    trial_margin: Annotated[float, Range(0)] = 0.5  # dB by which a more reflecting kind must explain held-back views better
+    iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
+    gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # number at the start; with masks also the largest number
+    normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
+    mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
+    sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use
+    light_height: Annotated[int, Range(4, 512)] = 64  # rows of the environment map
+    light_smoothness: Annotated[float, Range(0)] = 1e-3  # loss weight: differences between neighbouring texels of the light
+    trial_iterations: Annotated[int, Range(1)] = 250  # of each trial fit that decides between low-gloss and glossy
+    trial_gaussians: Annotated[int, Range(16)] = 8_000  # of each trial fit
+    trial_resolution: Annotated[int, Range(16)] = 100  # longest side of an image in a trial fit, pixels
+    trial_margin: Annotated[float, Range(0)] = 0.5  # dB of PSNR on held-out views by which a glossier material class must be better
 
 
 @dataclass(frozen=True)
 class SecondStageSettings:
-    """Second stage: light and materials told apart, with shadows and what the object reflects onto itself."""
+    """Second stage: solve the rendering equation for light and materials, with shadows and interreflections."""
 
-    points: Annotated[int, Range(100, 1_000_000)] = 2500  # of the surface, which the light is found from
-    views: Annotated[int, Range(3, 1000)] = 8  # photographs of each point, at most
-    rows: Annotated[int, Range(4, 32, 2)] = 16  # of the light while it is told from the albedo
-    light_height: Annotated[int, Range(4, 512)] = 64  # rows of the light map that comes out
-    indirect: bool = True  # what the object reflects onto itself; it always casts shadows
-    iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement pixel by pixel
-    pixels: Annotated[int, Range(1, 1_000_000)] = 256  # shaded in each
-    samples: Annotated[int, Range(3, 65536)] = 128  # of light at each pixel
-    sampling: Literal["mis", "stratified"] = "mis"  # how they are drawn; plain strata of the hemisphere are for comparison
-    radiance_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # that fit the radiance to the normals again
-    mesh_normals: Annotated[float, Range(0, 1)] = 0.5  # how far disks are turned to the mesh, whose normals are smoother, beforehand
-    pool: Annotated[int, Range(1000)] = 100_000  # pixels that are kept at hand
-    normal_rate: Annotated[float, Range(0)] = 5e-4  # how fast disks turn, except a metal's; 0 = not at all
-    albedo_smoothness: Annotated[float, Range(0)] = 0.02  # among neighbours of like albedo
-    roughness_smoothness: Annotated[float, Range(0)] = 0.05
-    metallic_smoothness: Annotated[float, Range(0)] = 0.05
-    light_smoothness: Annotated[float, Range(0)] = 5e-4
-    white_balance: Annotated[float, Range(0)] = 0.0  # how much coloured light is mistrusted: gloss shows its colour, so not at all
+    points: Annotated[int, Range(100, 1_000_000)] = 2500  # surface points from which light and materials are solved
+    views: Annotated[int, Range(3, 1000)] = 8  # images sampled per point, at most
+    rows: Annotated[int, Range(4, 32, 2)] = 16  # rows of the environment map in that solve
+    light_height: Annotated[int, Range(4, 512)] = 64  # rows of the resulting environment map
+    indirect: bool = True  # trace interreflections of the object; its shadows are always traced
+    iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement per pixel
+    pixels: Annotated[int, Range(1, 1_000_000)] = 256  # shaded in each iteration of the refinement
+    samples: Annotated[int, Range(3, 65536)] = 128  # light samples per shaded pixel
+    sampling: Literal["mis", "stratified"] = "mis"  # of these: multiple importance sampling, or strata of the hemisphere for comparison
+    radiance_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # of the fit of the radiance to the aligned normals at the end
+    mesh_normals: Annotated[float, Range(0, 1)] = 0.5  # fraction by which surfels are first aligned with the mesh's smoother normals
+    pool: Annotated[int, Range(1000)] = 100_000  # pixels kept in memory, from which iterations draw
+    normal_rate: Annotated[float, Range(0)] = 5e-4  # learning rate of surfels' rotations, except a metal's; 0: fixed
+    albedo_smoothness: Annotated[float, Range(0)] = 0.02  # loss weight: differences between neighbours of similar albedo
+    roughness_smoothness: Annotated[float, Range(0)] = 0.05  # loss weight, likewise
+    metallic_smoothness: Annotated[float, Range(0)] = 0.05  # loss weight, likewise
+    light_smoothness: Annotated[float, Range(0)] = 5e-4  # loss weight: differences between neighbouring texels of the light
+    white_balance: Annotated[float, Range(0)] = 0.0  # loss weight: tint of the mean light; 0, since highlights show the light's colour
 
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """From rendered depth to a mesh with textures."""
+    """Surface extraction: from rendered depth to a textured mesh."""
 
-    voxels: Annotated[int, Range(16, 2048)] = 192  # along the longest side of the object
+    voxels: Annotated[int, Range(16, 2048)] = 192  # grid cells along the longest side of the object
     smoothing: Annotated[int, Range(0, 1000)] = 10  # smoothing passes before decimation
-    normal_averages: Annotated[int, Range(0, 100)] = 5  # how often vertex normals are averaged with their neighbours
-    fragment: Annotated[float, Range(0, 1)] = 0.03  # components with less than this share of the largest one's area are dropped
-    detail: Annotated[float, Range(0, 1)] = 1.0  # how much of the views' normals, where they stand out of their noise, is kept
-    triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # budget after decimation
-    texture: Annotated[int, Range(16, 16384)] = 1024  # texels along a side
+    normal_averages: Annotated[int, Range(0, 100)] = 5  # passes that average vertex normals with their neighbours
+    fragment: Annotated[float, Range(0, 1)] = 0.03  # components below this fraction of the largest one's area are removed
+    detail: Annotated[float, Range(0, 1)] = 1.0  # fraction of the detail of the views' normals, above their noise, in the normal map
+    triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # largest number after decimation
+    texture: Annotated[int, Range(16, 16384)] = 1024  # texels along a side of each texture
 
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """What the Blender material reads."""
+    """Export to Blender."""
 
-    material: Literal["textures", "attributes"] = "textures"
+    material: Literal["textures", "attributes"] = "textures"  # source of the material's values in scene.blend
 
 
 Choice = Literal["auto", "on", "off"]
@@ -95,24 +95,24 @@ Choice = Literal["auto", "on", "off"]
 
 @dataclass(frozen=True)
 class SkipSettings:
-    """What a scene may not need, rule by rule: "auto" decides by what is found on the scene; run.json has it for a reconstruction's."""
+    """Skip rules: work that a scene may not need. "auto" decides by measurements on the scene, which run.json records."""
 
-    background: Choice = "auto"  # pixels where no photograph shows the object, while its shape is found
-    trials: Choice = "auto"  # the rest of a trial of a kind of material that has fallen behind
-    cache_hits: Choice = "auto"  # what frozen geometry leaves the same in each step of the refinement: the disks of a pixel, their layout
-    reuse_visibility: Choice = "auto"  # in relighting: rays towards the light where others of the same patch met nothing
-    cache_rays: Choice = "auto"  # in relighting: what rays met and how pixels are filtered, for the next light on an unmoved camera
+    background: Choice = "auto"  # first stage: pixels that show the object in no image
+    trials: Choice = "auto"  # first stage: the rest of a trial fit whose material class has fallen behind
+    cache_hits: Choice = "auto"  # refinement: compute each pixel's surfels and their layout once, since geometry is frozen
+    reuse_visibility: Choice = "auto"  # relighting: shadow rays where others of the same patch met nothing
+    cache_rays: Choice = "auto"  # relighting: keep ray hits and the pixel filter for the next light while the camera stays
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings of one job; `preset` names the starting point."""
+    """All settings of one job."""
 
-    preset: Literal["draft", "balanced", "paper"] = "balanced"
-    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
-    device: Literal["auto", "cpu", "cuda", "warp-cpu"] = "auto"  # the last is for tests: the GPU's kernels on the CPU, slowly
-    materials: Literal["auto", "low-gloss", "glossy"] = "auto"
-    time: Annotated[float | None, Range(1)] = None  # seconds the job may take; schedules are as short as that asks, or as long as helps
+    preset: Literal["draft", "balanced", "paper"] = "balanced"  # preset that the settings started from
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0  # of every random number generator
+    device: Literal["auto", "cpu", "cuda", "warp-cpu"] = "auto"  # warp-cpu is for tests: the GPU's kernels on the CPU, slowly
+    materials: Literal["auto", "low-gloss", "glossy"] = "auto"  # material class of the object; auto: decided by trial fits
+    time: Annotated[float | None, Range(1)] = None  # time budget, seconds: scales the schedules down, or up as far as that helps
     data: DataSettings = field(default_factory=DataSettings)
     first: FirstStageSettings = field(default_factory=FirstStageSettings)
     second: SecondStageSettings = field(default_factory=SecondStageSettings)
@@ -122,7 +122,7 @@ class Settings:
 
 
 PRESETS: dict[str, Settings] = {
-    "draft": Settings(  # a look
+    "draft": Settings(  # a quick look
         preset="draft",
         data=replace(DataSettings(), resolution=320),
         first=replace(FirstStageSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
@@ -134,7 +134,7 @@ PRESETS: dict[str, Settings] = {
         preset="paper",
         data=replace(DataSettings(), resolution=800),
         first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000),
-        # 2^18 rays an iteration, as many from each pixel as in relighting of high quality
+        # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(
             SecondStageSettings(),
             points=6000,
@@ -152,7 +152,7 @@ PRESETS: dict[str, Settings] = {
 
 
 def preset(name: str) -> Settings:
-    """The settings of a preset. Raises InputError for an unknown name."""
+    """Return the settings of a preset; raise InputError for an unknown name."""
     if name not in PRESETS:
-        raise InputError(f"preset {name}", "there is none of that name", f"use {', '.join(PRESETS)}")
+        raise InputError(f"preset {name}", "unknown preset", f"use {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The run folder: who may use it, what stands in it after every way a job can end, checkpoints that survive."""
+"""Run folder: its lock, its content after every outcome of a job, checkpoints, and folders of version 0.1."""
 
 import json
 import subprocess
@@ -15,6 +15,7 @@ from irgspp.core.machine.peak_memory import peak_memory, reset_peak_memory
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.progress.recorder import ProgressRecorder
 from irgspp.core.run_folder import RunFolder, read_run, write_atomic
+from irgspp.core.settings.overrides import to_dict
 from irgspp.core.settings.schema import Settings, preset
 
 
@@ -25,16 +26,16 @@ def run(tmp_path):
     folder.close()
 
 
-def reopen(folder, settings=None, dataset="photos", **how):
+def reopen(folder, settings=None, dataset="photos", **options):
     folder.close()
-    return RunFolder.open(folder.path, settings or Settings(), dataset, **how)
+    return RunFolder.open(folder.path, settings or Settings(), dataset, **options)
 
 
 def events(folder):
     return [json.loads(line) for line in (folder.path / "events.jsonl").read_text().splitlines()]
 
 
-def test_new_run_says_what_it_is(run):
+def test_new_run_records_settings_and_versions(run):
     state = read_run(run.path)
     assert state["status"] == "running"
     assert state["settings"]["data"]["resolution"] == Settings().data.resolution
@@ -81,7 +82,7 @@ def test_not_writable(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
-def test_disk_that_refuses_is_told_as_input_error(tmp_path, monkeypatch):
+def test_folder_that_can_not_be_made_is_an_input_error(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(13, "Permission denied")
 
@@ -103,7 +104,7 @@ def test_run_in_use_by_another_process_is_refused(run):
     FileLock(run.path / ".lock").release()
 
 
-def test_resume_keeps_what_was_done(run):
+def test_resume_keeps_finished_phases(run):
     with run.timed("first stage"):
         pass
     run.skip("scene.blend", "no bpy")
@@ -129,7 +130,7 @@ def test_broken_run_json(run):
         reopen(run, resume=True)
 
 
-def test_ways_to_end(run):
+def test_every_outcome_becomes_the_status(run):
     with run.job():
         pass
     assert read_run(run.path)["status"] == "done"
@@ -168,7 +169,7 @@ def test_checkpoint_round_trip(run):
     assert [p.name for p in (run.path / "checkpoint").iterdir()] == ["first_stage.pt"]
 
 
-def test_damaged_checkpoint_is_told(run):
+def test_damaged_checkpoint_is_an_input_error(run):
     assert run.load("first_stage") is None
     run.save("first_stage", {"x": torch.zeros(1000)})
     path = run.path / "checkpoint" / "first_stage.pt"
@@ -189,18 +190,18 @@ def test_interrupted_save_leaves_the_old_checkpoint(run, monkeypatch):
     assert read_run(run.path)["status"] == "running"
 
 
-def test_journal_writes_events_and_hears_the_files(run):
-    journal = ProgressRecorder(run, Silent())
-    journal.phase("first stage", 2)
-    assert not journal.cancelled
+def test_recorder_writes_events_and_obeys_the_files(run):
+    recorder = ProgressRecorder(run, Silent())
+    recorder.phase("first stage", 2)
+    assert not recorder.cancelled
     (run.path / "finish").touch()
-    assert journal.finish_early
-    journal.step(2, loss=0.5, psnr=float("inf"))
-    journal.message("hello")
-    journal.phase("surface", 1)
-    assert not journal.finish_early
+    assert recorder.finish_early
+    recorder.step(2, loss=0.5, psnr=float("inf"))
+    recorder.message("hello")
+    recorder.phase("surface", 1)
+    assert not recorder.finish_early
     (run.path / "cancel").touch()
-    assert journal.cancelled
+    assert recorder.cancelled
     first, last, message, second = events(run)
     assert (first["phase"], first["step"], first["of"]) == ("first stage", 0, 2)
     assert (last["step"], last["loss"], last["psnr"]) == (2, 0.5, None)
@@ -225,18 +226,18 @@ def test_peak_memory_sees_an_allocation_and_forgets_it():
 
 
 def test_killed_before_run_json_was_written(tmp_path):
-    """Nothing stands in the folder but the lock and half a run.json: a new run may be made there."""
+    """The folder has only the lock and half a run.json: a new run may be made in it."""
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / ".lock").touch()
     (tmp_path / "run" / ".run.part.json").write_text('{"sta')
-    for how in ({}, {"resume": True}, {"overwrite": True}):
-        run_folder.check_claim(tmp_path / "run", how.get("resume", False), how.get("overwrite", False))
+    for resume, overwrite in ((False, False), (True, False), (False, True)):
+        run_folder.check_claim(tmp_path / "run", resume, overwrite)
     RunFolder.open(tmp_path / "run", Settings(), "photos", resume=True).close()
 
 
 @pytest.mark.parametrize("cut", ["rmtree", "unlink"])
 def test_killed_while_another_run_was_being_replaced(run, monkeypatch, cut):
-    """What is left of the old run must not pass for the new one's: it was finished, and its checkpoint is of other settings."""
+    """Files left of the old run must not pass for the new one's: it was finished, and its checkpoint is of other settings."""
     run.save("first_stage", {"step": 1})
     run.record("first stage", 1.0, 1, finished=True)
     (run.path / "mesh.ply").write_text("old")
@@ -252,3 +253,51 @@ def test_killed_while_another_run_was_being_replaced(run, monkeypatch, cut):
     assert not again.finished("first stage") and again.load("first_stage") is None
     assert not (run.path / "mesh.ply").exists() and "replaces" not in read_run(run.path)
     again.close()
+
+
+@pytest.fixture
+def old_run(tmp_path):
+    """A run of version 0.1 that was killed in its second stage, with the phases and settings of that version in run.json."""
+    path = tmp_path / "old"
+    (path / "checkpoint").mkdir(parents=True)
+    settings = to_dict(Settings())
+    settings["reflective"], settings["transport"] = settings.pop("first"), settings.pop("second")
+    settings["skip"] = {"outside": "auto", "trials": "auto", "constants": "auto", "open": "auto", "kept": "auto"}
+    phases = {
+        name: {"seconds": 2.0, "peak_memory": 1 << 20, "finished": finished}
+        for name, finished in (("read", True), ("reflective", True), ("geometry", True), ("transport", False))
+    }
+    state = {"status": "running", "error": None, "versions": {}, "dataset": "photos", "settings": settings, "seed": 0}
+    state |= {"phases": phases, "pace": {"first": 1.0}, "skipped": [], "training": {"psnr": 30.0}}
+    (path / "run.json").write_text(json.dumps(state))
+    torch.save({"step": 4}, path / "checkpoint" / "reflective.pt")
+    return path
+
+
+def test_old_run_is_read_with_the_phase_names_of_today(old_run):
+    phases = read_run(old_run)["phases"]
+    finished = {name: phase["finished"] for name, phase in phases.items()}
+    assert finished == {"read": True, "first stage": True, "geometry": True, "second stage": False}
+    assert phases["first stage"] == {"seconds": 2.0, "peak_memory": 1 << 20, "finished": True}
+
+
+def test_old_run_resumes(old_run):
+    folder = RunFolder.open(old_run, Settings(), "photos", resume=True)
+    assert folder.finished("first stage") and folder.finished("geometry") and not folder.finished("second stage")
+    assert folder.spent == 8.0
+    assert [path.name for path in (old_run / "checkpoint").iterdir()] == ["first_stage.pt"]
+    assert folder.load("first_stage") == {"step": 4}
+    ran = []
+    for name in ("first stage", "second stage"):
+        folder.run_phase(name, lambda name=name: ran.append(name), Silent())
+    assert ran == ["second stage"] and read_run(old_run)["phases"]["second stage"]["finished"]
+    folder.close()
+    RunFolder.open(old_run, Settings(), "photos", resume=True).close()  # and again, from what it has written
+
+
+def test_old_run_with_other_settings_is_refused_and_stays_as_it_is(old_run):
+    before = (old_run / "run.json").read_bytes()
+    with pytest.raises(InputError, match=r"first\.iterations"):
+        RunFolder.open(old_run, preset("draft"), "photos", resume=True)
+    assert (old_run / "run.json").read_bytes() == before
+    assert (old_run / "checkpoint" / "reflective.pt").is_file()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings: overrides are typed by the annotations, unknown keys name similar ones, JSON round trip."""
+"""Settings: overrides are typed by the annotations, errors name similar keys, JSON round trip."""
 
 import json
 
@@ -52,7 +52,7 @@ def test_override_is_typed(text, read, expected):
         ("device=gpu", "auto, cpu, cuda"),
     ],
 )
-def test_bad_override_is_told_in_one_line(text, words):
+def test_bad_override_is_reported_in_one_line(text, words):
     with pytest.raises(InputError) as error:
         with_overrides(Settings(), [text])
     assert words in str(error.value)
@@ -66,7 +66,7 @@ def test_presets_are_valid_and_survive_json(name):
     assert from_dict(json.loads(json.dumps(to_dict(check(settings))))) == settings
 
 
-def test_the_papers_schedule():
+def test_schedule_of_the_paper():
     paper = preset("paper")
     assert paper.data.resolution == 800
     assert (paper.first.iterations, paper.first.gaussians) == (50_000, 100_000)
