@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A pinhole camera: Blender's axes outside, OpenCV's inside the kernels."""
+"""Pinhole camera with Blender's axes; the kernels use OpenCV's."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ Point = Sequence[float] | np.ndarray
 
 
 def look_at(eye: Point, target: Point = (0.0, 0.0, 0.0), up: Point = (0.0, 0.0, 1.0)) -> np.ndarray:
-    """(4, 4) camera to world at `eye`, with `target` in the middle and `up` upwards; looking along `up`, an axis lies to the right."""
+    """Return the pose (4, 4), camera to world, of a camera that looks at a point.
+
+    Args:
+        eye: (3,) position of the camera.
+        target: (3,) point in the middle of the image.
+        up: (3,) direction that points upwards in the image; a camera that looks along it has a world axis to its right instead.
+    """
     back = np.subtract(eye, target)
     back = back / np.linalg.norm(back)
     right = np.cross(up, back)
@@ -28,13 +34,13 @@ def look_at(eye: Point, target: Point = (0.0, 0.0, 0.0), up: Point = (0.0, 0.0, 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """An undistorted camera.
+    """Pinhole camera without lens distortion.
 
     Attributes:
         width, height: image size in pixels.
         fx, fy: focal lengths in pixels.
         cx, cy: principal point in pixels; the centre of pixel (row i, column j) is at (j + 0.5, i + 0.5).
-        to_world: (4, 4) float64, rigid, camera to world; the camera looks along its -Z, +Y up, +X right.
+        to_world: (4, 4) float64, rigid, camera to world; the camera looks along its -Z axis, +Y is up, +X right.
     """
 
     width: int
@@ -47,21 +53,21 @@ class Camera:
 
     @property
     def centre(self) -> np.ndarray:
-        """(3,) position in the world."""
+        """Position (3,) in the world."""
         return self.to_world[:3, 3]
 
     @property
     def forward(self) -> np.ndarray:
-        """(3,) unit viewing direction in the world."""
+        """Unit viewing direction (3,) in the world."""
         return -self.to_world[:3, 2]
 
     @property
     def world_to_cv(self) -> np.ndarray:
-        """(4, 4) world to camera in OpenCV's axes: +X right, +Y down, +Z into the scene."""
+        """World to camera (4, 4) in OpenCV's axes: +X right, +Y down, +Z into the scene."""
         return GL_TO_CV @ np.linalg.inv(self.to_world)
 
     def rays(self) -> np.ndarray:
-        """(H, W, 3) float32 world directions through the pixel centres; origin + depth * ray is the point at planar depth."""
+        """Return the rays (H, W, 3) float32 through the pixel centres in the world; centre + depth * ray is the point at a planar depth."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         x, y = np.meshgrid(x, y)
@@ -69,19 +75,28 @@ class Camera:
         return (local @ self.to_world[:3, :3].T).astype(np.float32)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World points (N, 3) to pixel coordinates (N, 2), pixel centres at .5, and planar depth (N,); only depth > 0 is in front."""
+        """Project world points (N, 3).
+
+        Returns:
+            Pixel coordinates (N, 2) as (x, y), with pixel centres at .5, and planar depths (N,), > 0 in front of the camera.
+        """
         p = points @ self.world_to_cv[:3, :3].T + self.world_to_cv[:3, 3]
         depth = p[:, 2]
         z = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
         return np.stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy], -1), depth
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for an image of another size."""
+        """Return the same camera for an image of another size.
+
+        Args:
+            width: in pixels.
+            height: in pixels.
+        """
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
     def moved(self, similarity: np.ndarray) -> Camera:
-        """The same camera after a similarity (4, 4) of the world: it sees the same image, depths grow with the world."""
+        """Return the camera after a similarity (4, 4) of the world: its image is the same, and depths scale with the world."""
         to_world = similarity @ self.to_world
         to_world[:3, :3] /= np.cbrt(np.linalg.det(to_world[:3, :3]))
         return replace(self, to_world=to_world)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cameras of a run and where their photographs are, as JSON that needs no library to read."""
+"""File cameras.json of a run: its cameras and the paths of their photographs, as JSON that needs no library to read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,14 @@ from .dataset import Dataset, View
 
 @dataclass(frozen=True, eq=False)
 class PlacedCamera:
-    """A camera of a run: the frame's `name`, its `split` ("train" or "test"), the camera in the world, the photograph's file."""
+    """Camera of a run with its photograph.
+
+    Attributes:
+        name: of the view.
+        split: "train" or "test".
+        camera: the camera in the world.
+        image: the photograph's file.
+    """
 
     name: str
     split: str
@@ -28,22 +35,36 @@ class PlacedCamera:
 
 
 def save_cameras(path: Path, dataset: Dataset) -> None:
-    """Write the cameras of both splits; images inside the run folder are named relative to it, others absolutely.
+    """Write the cameras of both splits of a dataset.
 
-    Photographs with lens distortion don't fit their cameras: undistorted copies are written to `photographs/` beside `path`.
+    Images inside the run folder are stored with relative paths, others with absolute ones. Photographs with lens distortion don't match
+    their pinhole cameras: undistorted copies are written to `photographs/` next to `path`.
+
+    Args:
+        path: the cameras.json to write, in the run folder.
+        dataset: the dataset of the run.
     """
     save_views(path, [("train", view) for view in dataset.train] + [("test", view) for view in dataset.test])
 
 
 def save_views(path: Path, views: Iterable[tuple[str, View]]) -> None:
-    """The same for (split, view) pairs, which are taken one by one."""
+    """Write the cameras of views, as `save_cameras` does.
+
+    Args:
+        path: the cameras.json to write, in the run folder.
+        views: (split, view) pairs, which are consumed one by one.
+    """
     folder = path.parent.resolve()
     records = [_record(split, view, folder) for split, view in views]
     write_atomic(path, json.dumps(records, indent=1).encode())
 
 
 def load_run_cameras(path: Path) -> list[PlacedCamera]:
-    """Read what `save_cameras` wrote. Raises InputError where the file is missing or not of that form."""
+    """Read the cameras that `save_cameras` wrote.
+
+    Raises:
+        InputError: if the file is missing or is not such a list.
+    """
     try:
         return [_placed(record, path.parent) for record in json.loads(path.read_text(encoding="utf-8"))]
     except OSError as error:
@@ -82,7 +103,7 @@ def _placed(record: dict, folder: Path) -> PlacedCamera:
 
 
 def _save_undistorted(view: View, target: Path) -> None:
-    from PIL import Image  # not there inside Blender, which only reads
+    from PIL import Image  # not available inside Blender, which only reads
 
     target.parent.mkdir(parents=True, exist_ok=True)
     data = io.BytesIO()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every reader returns: photographs with cameras, in the world of the tool."""
+"""Dataset that every reader returns: photographs with cameras, in the world with +Z up."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from .camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photograph.
+    """Photograph with its camera.
 
     Attributes:
-        name: the frame's file name without folders, extension or a final `rgba` part; unique in its dataset split.
-        camera: pinhole camera of this image (already undistorted and resized).
+        name: file name without folders, extension or a final `rgba` part; unique in its dataset split.
+        camera: pinhole camera of the image (already undistorted and resized).
         path: the image's file.
-        colour: (H, W, 3) float32, sRGB-encoded straight colour, 0..1 (above 1 only where the file is HDR).
-        alpha: (H, W) float32 in 0..1, or None where nothing tells object from background.
-        distorted: the file shows a lens distortion that colour and camera are free of.
-        light: name of the light the image was taken under, where that is not the dataset's; else None.
+        colour: (H, W, 3) float32, sRGB-encoded straight colour, 0..1 (above 1 only in HDR files).
+        alpha: (H, W) float32 in 0..1, or None where there is neither a mask nor an alpha channel.
+        distorted: the file has a lens distortion, which was removed from `colour` and `camera`.
+        light: name of the light that the image was taken under, if it is not the dataset's own; else None.
     """
 
     name: str
@@ -36,7 +36,7 @@ class View:
 
 @dataclass(frozen=True)
 class Bound:
-    """A sphere around the object, world units."""
+    """Bounding sphere of the object, in world units."""
 
     centre: tuple[float, float, float]
     radius: float
@@ -44,7 +44,7 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points of the capture: position (P, 3) float32 in the world, colour (P, 3) float32 sRGB-encoded 0..1."""
+    """Sparse points of a dataset: position (P, 3) float32 in the world, colour (P, 3) float32 sRGB-encoded in 0..1."""
 
     position: np.ndarray
     colour: np.ndarray
@@ -56,14 +56,14 @@ class Dataset:
 
     Attributes:
         path: the folder (or file) that was read.
-        format: its short name: "transforms", "colmap", "tensoir", ...; see docs/datasets.md.
+        format: short name of the format: "transforms", "colmap", "tensoir", ...; see docs/datasets.md.
         train, test: views by split.
-        bound: sphere around the object.
-        to_world: (4, 4) float64 similarity from the dataset's own frame to ours (+Z up).
+        bound: bounding sphere of the object.
+        to_world: (4, 4) float64 similarity from the dataset's own frame to the world (+Z up).
         points: sparse points, or None.
-        warnings: lines worth telling the user.
+        warnings: warnings for the user, one line each.
         lenses: the real cameras as the dataset states them, one line each (the views' cameras are undistorted).
-        novel: how many views there are besides under other lights, by light; `load.load_novel_views` reads them.
+        novel: number of further views under other lights, by light; `load.load_novel_views` reads them.
     """
 
     path: Path
@@ -79,7 +79,7 @@ class Dataset:
 
     @property
     def has_alpha(self) -> bool:
-        """True where every training view tells object from background."""
+        """True if every training view has an alpha channel that separates object and background."""
         return bool(self.train) and all(v.alpha is not None for v in self.train)
 
     def pixels(self, distorted: bool = False) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh that comes back from a modelling program: a PLY of any polygons, with or without UVs and normals."""
+"""Mesh edited in a modelling program: a PLY of any polygons, with or without UVs and normals."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))  # as Blender an
 
 @dataclass(frozen=True, eq=False)
 class EditedMesh:
-    """Triangles in the world of a run.
+    """Triangle mesh in the world of a run.
 
     Attributes:
-        vertices: (V, 3) float64. faces: (F, 3) int64, counter-clockwise seen from outside.
-        uvs: (V, 2) float32 in 0..1, v = 0 at the bottom, or None. normals: (V, 3) float64 unit, or None.
+        vertices: (V, 3) float64.
+        faces: (F, 3) int64, counter-clockwise seen from outside.
+        uvs: (V, 2) float32 in 0..1, v = 0 at the bottom, or None.
+        normals: (V, 3) float64 unit, or None.
     """
 
     vertices: np.ndarray
@@ -30,9 +32,10 @@ class EditedMesh:
 
 
 def load_edited_mesh(path: Path) -> EditedMesh:
-    """Read a PLY; polygons are cut into triangles, vertices that agree in everything become one.
+    """Read a PLY; polygons are split into triangles, and vertices with equal position, UV and normal are merged.
 
-    Raises InputError where the file is missing or broken, has no faces, or UVs that leave the square.
+    Raises:
+        InputError: if the file is missing or broken, has no faces, or has UVs outside of 0..1.
     """
     vertex, polygons = _read(path)
     names = vertex.dtype.names or ()
@@ -47,14 +50,14 @@ def load_edited_mesh(path: Path) -> EditedMesh:
     if {"nx", "ny", "nz"} <= set(names):
         parts.append(_columns(vertex, ("nx", "ny", "nz"), path))
     faces = _triangles(polygons, len(vertex), path)
-    # A program that writes each face's corners separately tears the surface apart: sew it together again.
+    # A program that writes each face's corners separately leaves the faces unconnected: merge equal vertices.
     rows, welded = np.unique(np.concatenate(parts, -1).astype(np.float32), axis=0, return_inverse=True)
     faces = welded.reshape(-1)[faces]
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     if not len(faces):
         raise InputError(path, "has no faces")
-    kept, faces = np.unique(faces, return_inverse=True)
-    columns = np.split(rows[kept], np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
+    used, faces = np.unique(faces, return_inverse=True)
+    columns = np.split(rows[used], np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
     normals = _unit(columns[-1]) if len(parts) == 2 + bool(uv_names) else None
     return EditedMesh(columns[0].astype(np.float64), faces.reshape(-1, 3), columns[1] if uv_names else None, normals)
 
@@ -76,12 +79,12 @@ def _columns(vertex: np.ndarray, names: tuple[str, ...], path: Path) -> np.ndarr
         raise InputError(path, f"its vertices lack {', '.join(missing)}")
     values = np.stack([vertex[name] for name in names], -1).astype(np.float64)
     if not len(values) or not np.isfinite(values).all():
-        raise InputError(path, "has no vertices, or such that are not finite")
+        raise InputError(path, "has no vertices, or vertices that are not finite")
     return values
 
 
 def _triangles(polygons: np.ndarray, vertices: int, path: Path) -> np.ndarray:
-    """(F, 3) the polygons as fans."""
+    """Return the polygons split into fans of triangles (F, 3)."""
     by_corners: dict[int, list[np.ndarray]] = {}
     for polygon in polygons:
         by_corners.setdefault(len(polygon), []).append(np.asarray(polygon, np.int64))
@@ -92,11 +95,11 @@ def _triangles(polygons: np.ndarray, vertices: int, path: Path) -> np.ndarray:
     ]
     faces = np.concatenate(fans) if fans else np.empty((0, 3), np.int64)
     if len(faces) and (faces.min() < 0 or faces.max() >= vertices):
-        raise InputError(path, f"has faces with vertices beyond the {vertices} there are")
+        raise InputError(path, f"has faces that refer to vertices beyond the {vertices} of the file")
     return faces
 
 
 def _unit(normals: np.ndarray) -> np.ndarray | None:
-    """Unit normals; None where one has no length, as nothing is known of it then."""
+    """Normalise normals (V, 3); return None if one of them has length zero, since its direction is unknown."""
     length = np.linalg.norm(normals.astype(np.float64), axis=-1, keepdims=True)
     return normals / length if (length > 1e-6).all() else None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A distant light as Blender and the engine both see it: a lat-long image, looked up after a rotation.
+"""Environment map: distant light as a rotated lat-long image, in the same convention in Blender and in the engine.
 
-Row 0 is +Z; u = 0.5 - atan2(y, x) / 2 pi, v = acos(z) / pi, texel centres at +0.5. numpy alone: it runs in Blender's
-process as well.
+Row 0 is +Z; u = 0.5 - atan2(y, x) / 2 pi, v = acos(z) / pi, texel centres at +0.5. Only numpy is used: the module also runs in
+Blender's process.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ class EnvironmentMap:
     """Radiance from every direction of a world.
 
     Attributes:
-        texels: (H, W, 3) float32 linear radiance, finite and >= 0; (1, 1, 3) is one colour all around.
-        turn: (3, 3) rotation; direction d sees the texel of turn @ d.
-        strength: factor of it all, >= 0.
+        texels: (H, W, 3) float32 linear radiance, finite and >= 0; (1, 1, 3) is a uniform colour.
+        turn: (3, 3) rotation; direction d looks up the texel of turn @ d.
+        strength: factor of the radiance, >= 0.
     """
 
     texels: np.ndarray
@@ -27,18 +27,21 @@ class EnvironmentMap:
     strength: float = 1.0
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
-        """(..., 3) bilinear radiance along (..., 3) directions of any length but 0."""
+        """Return the bilinearly interpolated radiance (..., 3) along directions (..., 3) of any length but 0."""
         if self.texels.shape[:2] == (1, 1):
             return np.broadcast_to(self.texels[0, 0] * np.float32(self.strength), directions.shape).copy()
         seen = _bilinear(self.texels, directions.reshape(-1, 3) @ self.turn.T)
         return (seen * np.float32(self.strength)).reshape(directions.shape)
 
     def turned(self, rotation: np.ndarray) -> EnvironmentMap:
-        """What a frame sees whose directions become the world's by `rotation` (3, 3)."""
+        """Return the map in another frame, whose directions `rotation` (3, 3) takes to the world's."""
         return replace(self, turn=self.turn @ rotation)
 
     def image(self, height: int) -> np.ndarray:
-        """(height, 2 height, 3) float32 in our convention, no rotation left; means over texels, so that no light is lost."""
+        """Resample the map to a lat-long image (height, 2 height, 3) float32, with rotation and strength applied.
+
+        Texels are averaged by their solid angle, so that no light is lost.
+        """
         if self.texels.shape[:2] == (1, 1):
             return np.broadcast_to(self.texels[0, 0] * np.float32(self.strength), (height, 2 * height, 3)).copy()
         small = replace(self, texels=reduced(self.texels, self.texels.shape[0] // (2 * height)))
@@ -50,7 +53,15 @@ class EnvironmentMap:
 
 
 def reduced(texels: np.ndarray, factor: int) -> np.ndarray:
-    """(H, W, C) as means of factor x factor texels by their solid angle, float32; as it is where the size is no multiple."""
+    """Reduce a lat-long image by averaging blocks of texels, weighted by their solid angle.
+
+    Args:
+        texels: (H, W, C).
+        factor: side of a block in texels.
+
+    Returns:
+        (H / factor, W / factor, C) float32; unchanged (H, W, C) where H or W is not a multiple of the factor.
+    """
     height, width, channels = texels.shape
     if factor <= 1 or height % factor or width % factor:
         return np.ascontiguousarray(texels, np.float32)
@@ -61,7 +72,7 @@ def reduced(texels: np.ndarray, factor: int) -> np.ndarray:
 
 
 def texel_directions(height: int) -> np.ndarray:
-    """(height, 2 height, 3) unit directions of the texel centres."""
+    """Return the unit directions (height, 2 height, 3) of the texel centres."""
     theta = (np.arange(height) + 0.5) * (np.pi / height)
     phi = np.pi - (np.arange(2 * height) + 0.5) * (np.pi / height)
     sine = np.sin(theta)[:, None]
@@ -70,7 +81,7 @@ def texel_directions(height: int) -> np.ndarray:
 
 
 def _bilinear(texels: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(N, 3) between texel centres, wrapped around both ways, as Cycles does it; directions: (N, 3)."""
+    """Interpolate texels (H, W, 3) along directions (N, 3) to (N, 3), wrapped around in both axes as in Cycles."""
     height, width = texels.shape[:2]
     x, y, z = directions.T
     u = 0.5 - np.arctan2(y, x) / (2 * np.pi)

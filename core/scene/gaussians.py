@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""2D Gaussians: oriented surfels with radiance and materials, what the stages optimise."""
+"""2D Gaussians: oriented surfels with radiance and materials, the parameters that the stages optimise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALBEDO, ROUGHNESS, METALLIC = slice(0, 3), 3, 4  # rows of `material`
 
 
 def _ply_columns() -> list[str]:
-    """3DGS's column names with two scales, then our materials."""
+    """Return the column names of 3DGS with two scales, then those of the materials."""
     sh_rest = [f"f_rest_{i}" for i in range(3 * (SH_COEFFICIENTS - 1))]
     geometry = ["opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2", "rot_3"]
     materials = ["albedo_r", "albedo_g", "albedo_b", "roughness", "metallic"]
@@ -29,11 +29,11 @@ def _ply_columns() -> list[str]:
 
 @dataclass
 class Gaussians:
-    """N surfels as structure-of-arrays, float32, in raw (unconstrained) form.
+    """N surfels as a structure of arrays, float32, as raw (unconstrained) parameters.
 
     Attributes:
         position: (3, N) world.
-        quaternion: (4, N) w x y z of any length; columns of its rotation are two tangents and the normal.
+        quaternion: (4, N) w x y z of any length; the columns of its rotation are two tangents and the normal.
         log_scale: (2, N) log of the standard deviations, world units.
         opacity: (N,) logits.
         sh: (16, 3, N) linear radiance max(0.5 + SH, 0) in the direction from the camera.
@@ -49,43 +49,43 @@ class Gaussians:
 
     @property
     def count(self) -> int:
-        """N."""
+        """Number of surfels, N."""
         return self.position.shape[1]
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """The parameters by name."""
+        """Return the parameters by name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def to(self, device: torch.device | str) -> Gaussians:
-        """The same surfels on a device."""
+        """Return the surfels on a device."""
         return Gaussians(**{k: v.to(device) for k, v in self.tensors().items()})
 
     def select(self, index: torch.Tensor) -> Gaussians:
-        """The surfels at `index` (indices or a mask), detached copies."""
+        """Return detached copies of the surfels at `index`: indices (M,) or a mask (N,)."""
         return Gaussians(**{k: v.detach()[..., index].clone() for k, v in self.tensors().items()})
 
     def joined(self, other: Gaussians) -> Gaussians:
-        """Both sets, detached."""
-        theirs = other.tensors()
-        return Gaussians(**{k: torch.cat([v.detach(), theirs[k].detach()], -1) for k, v in self.tensors().items()})
+        """Concatenate the surfels with those of another set, detached."""
+        others = other.tensors()
+        return Gaussians(**{k: torch.cat([v.detach(), others[k].detach()], -1) for k, v in self.tensors().items()})
 
     def normals(self) -> torch.Tensor:
-        """(3, N) unit normals, side undefined."""
+        """Return the unit normals (3, N); their side is undefined."""
         w, x, y, z = torch.nn.functional.normalize(self.quaternion, dim=0)
         return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
     def tangents(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """(3, N) unit directions in the plane of each disk, along its first and its second scale."""
+        """Return the two unit tangents (3, N) of each surfel, along its first and its second scale."""
         w, x, y, z = torch.nn.functional.normalize(self.quaternion, dim=0)
         first = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
         return first, torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
 
     def materials(self) -> torch.Tensor:
-        """(5, N) albedo, roughness, metallic in 0..1."""
+        """Return the materials (5, N): albedo, roughness, metallic in 0..1."""
         return self.material.sigmoid()
 
     def samples(self) -> SurfaceSamples:
-        """The surfels as surface points with materials, numpy."""
+        """Return the surfels as surface points with materials, in numpy."""
         with torch.no_grad():
             m = self.materials()
             parts = self.position.T, self.normals().T, self.opacity.sigmoid(), m[ALBEDO].T, m[ROUGHNESS], m[METALLIC]
@@ -93,7 +93,7 @@ class Gaussians:
 
 
 def quaternion_to(normal: torch.Tensor) -> torch.Tensor:
-    """(3, N) unit vectors to (4, N) quaternions that turn +Z to them, the shortest way."""
+    """Return the quaternions (4, N) of the shortest rotations from +Z to unit normals (3, N)."""
     w = 1 + normal[2]
     flipped = w < 1e-6  # straight down: half a turn about x
     axis = torch.stack([-normal[1], normal[0], torch.zeros_like(w)])
@@ -102,7 +102,12 @@ def quaternion_to(normal: torch.Tensor) -> torch.Tensor:
 
 
 def save_gaussians(gaussians: Gaussians, path: Path) -> None:
-    """Write a binary PLY in 3DGS's columns (raw values) with albedo, roughness, metallic in 0..1 (linear); replaced in one step."""
+    """Write a binary PLY atomically, with 3DGS's columns (raw values) and albedo, roughness, metallic in 0..1 (linear).
+
+    Args:
+        gaussians: the surfels.
+        path: the PLY to write.
+    """
     with torch.no_grad():
         g = gaussians
         rest = g.sh[1:].permute(1, 0, 2).reshape(-1, g.count)  # channel by channel, as 3DGS writes them
@@ -118,7 +123,11 @@ def save_gaussians(gaussians: Gaussians, path: Path) -> None:
 
 
 def load_gaussians(path: Path) -> Gaussians:
-    """Read what `save_gaussians` wrote. Raises InputError where the file is missing, broken or lacks a column."""
+    """Read the surfels that `save_gaussians` wrote.
+
+    Raises:
+        InputError: if the file is missing, broken or lacks a column.
+    """
     try:
         vertex = PlyData.read(str(path))["vertex"]
         rows = torch.from_numpy(np.stack([np.asarray(vertex[name], np.float32) for name in _ply_columns()]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a reconstruction hands on: the layers of one view, and its Gaussians as surface samples."""
+"""G-buffer of a view, and the Gaussians of a reconstruction as surface samples."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy as np
 
 from .camera import Camera
 
-NOTHING = 0.5 / 255  # below this alpha a pixel shows nothing, and its layers are noise divided by almost zero
+NOTHING = 0.5 / 255  # below this alpha a pixel is empty, and its layers are noise divided by almost zero
 
 
 @dataclass(frozen=True, eq=False)
 class GBuffer:
-    """What a camera sees of the reconstruction; float32, divided by accumulated alpha, 0 where alpha is 0.
+    """G-buffer of a reconstruction seen by a camera; float32, divided by accumulated alpha, 0 where alpha is 0.
 
     Attributes:
-        camera: the camera, images are (H, W).
+        camera: the camera; images are (H, W).
         alpha: (H, W) opacity in 0..1.
         depth: (H, W) planar depth, world units.
-        normal: (H, W, 3) unit world normal, turned to the camera.
+        normal: (H, W, 3) unit world normal, facing the camera.
         radiance: (H, W, 3) linear Rec.709.
         albedo: (H, W, 3) linear 0..1 (F0 where metallic).
         roughness, metallic: (H, W) in 0..1.
-        background: (H, W, 3) linear radiance behind it all, or None where the photographs were masked.
+        background: (H, W, 3) linear radiance behind the object, or None where the photographs were masked.
     """
 
     camera: Camera
@@ -39,7 +39,7 @@ class GBuffer:
 
     @property
     def image(self) -> np.ndarray:
-        """(H, W, 4) what the photograph would show by the own radiance, linear premultiplied; opaque where a background is known."""
+        """Image (H, W, 4) of the Gaussians' own radiance, linear premultiplied; opaque where a background is known."""
         alpha = self.alpha[..., None]
         if self.background is None:
             return np.concatenate([self.radiance * alpha, alpha], -1)
@@ -48,11 +48,11 @@ class GBuffer:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """The Gaussians as points of a surface, for what no view sees; float32.
+    """Gaussians as points of a surface, used where no view sees it; float32.
 
     Attributes:
         position: (N, 3) world.
-        normal: (N, 3) unit world; the side is not defined.
+        normal: (N, 3) unit world; the side is undefined.
         opacity: (N,) in 0..1.
         albedo: (N, 3) linear 0..1.
         roughness, metallic: (N,) in 0..1.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh as a glTF binary: +Y up, PBR material, ORM packed."""
+"""Mesh as a binary glTF file: +Y up, PBR material, occlusion, roughness and metallic packed into one texture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,12 @@ from .textures import occlusion_roughness_metallic
 
 
 def save_glb(mesh: Mesh, path: Path) -> None:
-    """Write the mesh, whole or not at all, with its textures where there are any, else with the albedo at its vertices."""
+    """Write the mesh atomically, with its textures if it has any, else with the albedo of its vertices.
+
+    Args:
+        mesh: the mesh.
+        path: the .glb to write.
+    """
     body = trimesh.Trimesh(_y_up(mesh.vertices), mesh.faces, vertex_normals=_y_up(mesh.normals), process=False, validate=False)
     if mesh.textures:
         body.visual = TextureVisuals(uv=mesh.uvs.astype(np.float64), material=_textured(mesh.textures))
@@ -30,7 +35,7 @@ def save_glb(mesh: Mesh, path: Path) -> None:
 
 
 def _y_up(vectors: np.ndarray) -> np.ndarray:
-    """World vectors (V, 3) in glTF's axes: x, z, -y."""
+    """Convert world vectors (V, 3) to glTF's axes: x, z, -y."""
     return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], -1)
 
 
@@ -47,7 +52,7 @@ def _textured(textures: dict[str, np.ndarray]) -> PBRMaterial:
 
 
 def _colour_vertices(body: trimesh.Trimesh, mesh: Mesh) -> None:
-    """Vertex colours are linear in glTF; roughness and metallic can only be one value each: their mean."""
+    """Set the vertex colours, linear in glTF; roughness and metallic can only be one value each, their mean."""
     body.visual = TextureVisuals(
         uv=mesh.uvs.astype(np.float64),
         material=PBRMaterial(name="material", metallicFactor=float(mesh.metallic.mean()), roughnessFactor=float(mesh.roughness.mean())),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface that comes out: triangles with materials, and its textures."""
+"""Final mesh of a reconstruction: triangles with materials and textures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh in the world, vertices split along UV seams.
+    """Triangle mesh in the world, with vertices split along UV seams.
 
     Attributes:
         vertices: (V, 3) float32.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh as a PLY file that other viewers open too."""
+"""Mesh as a PLY file, which other viewers open too."""
 
 from __future__ import annotations
 
@@ -21,11 +21,16 @@ COLUMNS = {
     "roughness": ("roughness",),
     "metallic": ("metallic",),
 }
-COLOUR = ("red", "green", "blue")  # the albedo once more, 8-bit sRGB, for viewers that know nothing of ours
+COLOUR = ("red", "green", "blue")  # the albedo once more, 8-bit sRGB, for viewers that don't know the columns above
 
 
 def save_mesh_ply(mesh: Mesh, path: Path) -> None:
-    """Write geometry, UVs and vertex materials (not the textures) as a binary PLY, atomic_file or not at all."""
+    """Write geometry, UVs and vertex materials (not the textures) as a binary PLY, atomically.
+
+    Args:
+        mesh: the mesh.
+        path: the PLY to write.
+    """
     floats = [(name, "f4") for names in COLUMNS.values() for name in names]
     vertex = np.empty(len(mesh.vertices), [*floats, *((name, "u1") for name in COLOUR)])
     for field, names in COLUMNS.items():
@@ -42,7 +47,11 @@ def save_mesh_ply(mesh: Mesh, path: Path) -> None:
 
 
 def load_mesh_ply(path: Path) -> Mesh:
-    """Read what `save_mesh_ply` wrote; textures are empty. Raises InputError where the file is missing, broken or lacks something."""
+    """Read the mesh that `save_mesh_ply` wrote; its textures are empty.
+
+    Raises:
+        InputError: if the file is missing or broken, or lacks an element or a column.
+    """
     ply = _read(path)
     for name in ("vertex", "face"):
         if name not in ply:
@@ -50,13 +59,13 @@ def load_mesh_ply(path: Path) -> Mesh:
     vertex, face = ply["vertex"].data, ply["face"].data
     missing = [name for names in COLUMNS.values() for name in names if name not in (vertex.dtype.names or ())]
     if missing:
-        raise InputError(path, f"its vertices lack {', '.join(missing)}", "give a mesh.ply of a run folder")
+        raise InputError(path, f"its vertices lack {', '.join(missing)}", "give the mesh.ply of a run folder")
     values = {field: np.stack([vertex[name] for name in names], -1).astype(np.float32) for field, names in COLUMNS.items()}
     if not all(np.isfinite(value).all() for value in values.values()):
         raise InputError(path, "has vertices that are not finite")
     faces = _faces(face, path)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertex)):
-        raise InputError(path, f"has faces with vertices beyond the {len(vertex)} there are")
+        raise InputError(path, f"has faces that refer to vertices beyond the {len(vertex)} of the file")
     roughness, metallic = values.pop("roughness")[:, 0], values.pop("metallic")[:, 0]
     return Mesh(**values, faces=faces, roughness=roughness, metallic=metallic)  # pyright: ignore[reportArgumentType]
 
@@ -74,7 +83,7 @@ def _faces(face: np.ndarray, path: Path) -> np.ndarray:
     if "vertex_indices" not in (face.dtype.names or ()):
         raise InputError(path, "its faces lack vertex_indices")
     indices = face["vertex_indices"]
-    if indices.dtype == object and len({len(i) for i in indices}) == 1:  # a PLY in ASCII comes as lists
+    if indices.dtype == object and len({len(i) for i in indices}) == 1:  # plyfile reads the faces of a PLY in ASCII as lists
         indices = np.array(indices.tolist())
     if indices.ndim != 2 or indices.shape[1] != 3:
         raise InputError(path, "has faces that are not triangles")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a stage hands on: Gaussians, light, and how they relate to the dataset."""
+"""Reconstruction, the result of a stage: Gaussians and environment map, with their relation to the dataset's frame."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from .gbuffer import SurfaceSamples
 
 @dataclass(frozen=True, eq=False)
 class Reflections:
-    """What the radiance of a glossy reconstruction reflects: the materials and the light that it was fitted with.
+    """Materials and light that the reflections in the radiance of a glossy reconstruction were fitted with.
 
     Attributes:
-        material: (5, N) albedo, roughness, metallic in 0..1 of each disk.
+        material: (5, N) albedo, roughness, metallic in 0..1 of each surfel.
         environment: (H, W, 3) float32 linear radiance, lat-long.
     """
 
@@ -32,19 +32,28 @@ class Reflections:
     environment: torch.Tensor
 
     def save(self, path: Path) -> None:
-        """Write an .npz in one step."""
+        """Write an .npz atomically."""
         with atomic_file(path) as partial:
             np.savez(partial, material=self.material.detach().cpu().numpy(), environment=self.environment.detach().cpu().numpy())
 
     @classmethod
     def load(cls, path: Path, count: int) -> Reflections:
-        """Read them for so many surfels. Raises InputError where the file is missing, broken or of other surfels."""
+        """Read the .npz that `save` wrote.
+
+        Args:
+            path: the .npz.
+            count: number of surfels of the reconstruction.
+
+        Raises:
+            InputError: if the file is missing or broken, or belongs to other surfels.
+        """
         material, environment = read_arrays(path, "material", "environment")
         if material.dtype.kind != "f" or environment.dtype.kind != "f":
-            raise InputError(path, f"holds {material.dtype} and {environment.dtype} instead of numbers")
+            raise InputError(path, f"holds arrays of {material.dtype} and {environment.dtype} instead of floats")
         material, environment = material.astype(np.float32), environment.astype(np.float32)
         if material.shape != (5, count) or environment.ndim != 3 or environment.shape[-1] != 3 or not environment.size:
-            raise InputError(path, f"holds no materials of {count} surfels and a light, but {material.shape} and {environment.shape}")
+            shapes = f"holds arrays of shapes {material.shape} and {environment.shape}"
+            raise InputError(path, f"{shapes} instead of the materials of {count} surfels and a light")
         if not ((material >= 0) & (material <= 1)).all() or not (np.isfinite(environment) & (environment >= 0)).all():
             raise InputError(path, "holds materials outside 0..1, or a light that is negative or not finite")
         return cls(torch.from_numpy(material), torch.from_numpy(environment))
@@ -52,16 +61,16 @@ class Reflections:
 
 @dataclass
 class Reconstruction:
-    """An object as 2D Gaussians under a distant light.
+    """Object as 2D Gaussians under a distant light.
 
     Attributes:
         gaussians: the surfels.
         environment: (H, W, 3) float32 linear radiance, lat-long.
-        bound: sphere around the object.
-        to_world: (4, 4) similarity from the dataset's own frame to ours.
-        glossy: True where the SH hold the diffuse radiance and the deferred split-sum adds the reflections; False where they hold it all.
-        background: (H, W, 3) linear lat-long image behind everything, or None where the photographs were masked.
-        reflections: what the radiance reflects where that is not the surfels' materials and the light themselves.
+        bound: bounding sphere of the object.
+        to_world: (4, 4) similarity from the dataset's own frame to the world.
+        glossy: True if the SH hold the diffuse radiance and the deferred split-sum adds the reflections; False if they hold all radiance.
+        background: (H, W, 3) linear lat-long image behind the object, or None where the photographs were masked.
+        reflections: materials and light of the reflections in the radiance, where they differ from the surfels' and from `environment`.
     """
 
     gaussians: Gaussians
@@ -73,36 +82,41 @@ class Reconstruction:
     reflections: Reflections | None = None
 
     def environment_map(self) -> np.ndarray:
-        """The light as (H, W, 3) float32 numpy."""
+        """Return the light as a numpy array (H, W, 3) float32."""
         return self.environment.detach().cpu().numpy()
 
     def to(self, device: torch.device | str) -> Reconstruction:
-        """The same on a device."""
-        kept = self.reflections
-        reflections = None if kept is None else Reflections(kept.material.to(device), kept.environment.to(device))
+        """Return the reconstruction on a device."""
+        own = self.reflections
+        reflections = None if own is None else Reflections(own.material.to(device), own.environment.to(device))
         background = None if self.background is None else self.background.to(device)
         on_device = (self.gaussians.to(device), self.environment.to(device))
         return replace(self, gaussians=on_device[0], environment=on_device[1], background=background, reflections=reflections)
 
     def surface_samples(self) -> SurfaceSamples:
-        """The surfels as surface points with materials."""
+        """Return the surfels as surface points with materials."""
         return self.gaussians.samples()
 
     def mirrored(self) -> Reflections | None:
-        """What is added to the SH as reflection; None where they hold all radiance."""
+        """Return the materials and light of the reflections that are added to the SH; None if the SH hold all radiance."""
         if not self.glossy:
             return None
         return self.reflections or Reflections(self.gaussians.materials().detach(), self.environment)
 
     def relabelled(self, material: torch.Tensor, environment: torch.Tensor) -> Reconstruction:
-        """The same geometry and radiance with other materials (5, N), logits, and under another light (H, W, 3)."""
+        """Return the same geometry and radiance with other materials and another light.
+
+        Args:
+            material: (5, N) logits of albedo, roughness, metallic.
+            environment: (H, W, 3) linear radiance, lat-long.
+        """
         gaussians = replace(self.gaussians, material=material)
         return replace(self, gaussians=gaussians, environment=environment, reflections=self.mirrored())
 
     def save(self, folder: Path) -> None:
-        """Write gaussians.ply, environment.exr, reconstruction.json, and background.exr and reflections.npz where needed; each in one step.
+        """Write gaussians.ply, environment.exr, reconstruction.json, and background.exr and reflections.npz where needed, each atomically.
 
-        The folder is made where there is none.
+        The folder is created if it does not exist.
         """
         folder.mkdir(parents=True, exist_ok=True)
         save_gaussians(self.gaussians, folder / "gaussians.ply")
@@ -117,7 +131,11 @@ class Reconstruction:
 
     @classmethod
     def load(cls, folder: Path) -> Reconstruction:
-        """Read a run folder. Raises InputError where a file is missing or broken."""
+        """Read the reconstruction of a run folder.
+
+        Raises:
+            InputError: if a file is missing or broken.
+        """
         path = folder / "reconstruction.json"
         try:
             about = json.loads(path.read_text("utf-8"))
@@ -126,7 +144,7 @@ class Reconstruction:
             to_world, glossy = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"])
             has_background, has_reflections = bool(about["background"]), bool(about["reflections"])
         except FileNotFoundError as error:
-            raise InputError(path, "there is no such file", "is this a finished run folder?") from error
+            raise InputError(path, "no such file", "give the folder of a finished run") from error
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise InputError(path, f"not readable ({error})") from error
         background = torch.from_numpy(read_exr_rgb(folder / "background.exr")) if has_background else None

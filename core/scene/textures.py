@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh's textures as PNG files, and packed the way glTF wants them."""
+"""Textures of a mesh as PNG files, and packed for glTF."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3}
 
 
 def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:
-    """Write each texture of `Mesh.textures` as folder/<name>.png, each whole or not at all."""
+    """Write each texture as folder/<name>.png, each atomically.
+
+    Args:
+        textures: (T, T, 3) or (T, T) uint8 by name, as in `Mesh.textures`.
+        folder: the folder, which is created if it does not exist.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for name, texture in textures.items():
         with atomic_file(folder / f"{name}.png") as partial:
@@ -23,7 +28,11 @@ def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:
 
 
 def load_textures(folder: Path) -> dict[str, np.ndarray]:
-    """The textures that are in the folder, as in `Mesh.textures`. Raises InputError for one that can't be read."""
+    """Read the textures in a folder, by name as in `Mesh.textures`; missing ones are left out.
+
+    Raises:
+        InputError: if a texture can't be read.
+    """
     return {name: _load(folder / f"{name}.png", n) for name, n in CHANNELS.items() if (folder / f"{name}.png").exists()}
 
 
@@ -36,6 +45,6 @@ def _load(path: Path, channels: int) -> np.ndarray:
 
 
 def occlusion_roughness_metallic(textures: dict[str, np.ndarray]) -> np.ndarray:
-    """(T, T, 3) uint8: R occlusion (none), G roughness, B metallic."""
+    """Pack roughness and metallic (T, T) uint8 for glTF into (T, T, 3) uint8: R occlusion (none), G roughness, B metallic."""
     roughness, metallic = textures["roughness"], textures["metallic"]
     return np.stack([np.full_like(roughness, 255), roughness, metallic], -1)

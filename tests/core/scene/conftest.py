@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small mesh with everything on it."""
+"""Fixture: a small mesh with UVs, materials and textures."""
 
 import numpy as np
 import pytest

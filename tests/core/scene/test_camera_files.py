@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras of a run survive their file."""
+"""Cameras of a run: written to cameras.json and read back unchanged."""
 
 import json
 from dataclasses import replace
@@ -47,7 +47,7 @@ def test_images_in_the_run_move_with_it(tmp_path):
     assert load_run_cameras(tmp_path / "moved" / "cameras.json")[0].image == tmp_path / "moved" / "own.png"
 
 
-def test_undistorted_copies_stand_in_for_distorted_photographs(tmp_path):
+def test_undistorted_copies_replace_distorted_photographs(tmp_path):
     dataset = make_dataset(tmp_path / "a.png", tmp_path / "b.png")
     colour = np.broadcast_to(np.linspace(0, 1, 31, dtype=np.float32)[None, :, None], (17, 31, 3))
     dataset.train[0] = replace(dataset.train[0], colour=colour, distorted=True)

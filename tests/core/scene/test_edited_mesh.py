@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes that come back from modelling programs: polygons, torn corners, names of UVs, and broken files."""
+"""Meshes edited in modelling programs: polygons, unconnected faces, names of UVs, and broken files."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_polygons_become_triangles_of_the_same_area_and_side(tmp_path, text):
     assert mesh.uvs is None and mesh.normals is None
 
 
-def test_corners_are_sewn_together_but_not_across_seams(tmp_path):
+def test_equal_vertices_are_merged_but_not_across_seams(tmp_path):
     torn = SQUARE[[0, 1, 2, 0, 2, 3]]
     same = {"s": torn[:, 0], "t": torn[:, 1]}
     assert len(load_edited_mesh(write(tmp_path / "a.ply", torn, [[0, 1, 2], [3, 4, 5]], **same)).vertices) == 4
@@ -55,7 +55,7 @@ def test_normals_come_with_length_one_or_not_at_all(tmp_path):
     assert load_edited_mesh(write(tmp_path / "a.ply", SQUARE, [[0, 1, 2, 3]], **up)).normals is None
 
 
-def test_bad_files_are_told_in_one_line(tmp_path):
+def test_bad_files_are_reported_in_one_line(tmp_path):
     def refused(words):
         with pytest.raises(InputError, match=words) as caught:
             load_edited_mesh(tmp_path / "a.ply")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light maps from every kind of file, whole and broken."""
+"""Environment maps read from every type of file, valid and broken."""
 
 import cv2
 import numpy as np
@@ -36,7 +36,7 @@ def test_png_is_srgb(light, tmp_path):
     np.testing.assert_allclose(read_environment(tmp_path / "a.png")[0], light, atol=0.006)
 
 
-def test_odd_shape_is_told_and_used(tmp_path):
+def test_odd_shape_is_reported_and_used(tmp_path):
     write_exr(tmp_path / "square.exr", rgb_channels(np.ones((6, 6, 3), np.float32)))
     image, (remark,) = read_environment(tmp_path / "square.exr")
     assert image.shape == (6, 6, 3) and "6x6" in remark and "square.exr" in remark
@@ -52,7 +52,7 @@ def test_bad_texels_are_repaired_and_counted(light, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.exr", "a.hdr", "a.png", "a"])
-def test_files_that_are_no_light(tmp_path, name):
+def test_unreadable_files_are_bad_input(tmp_path, name):
     with pytest.raises(InputError, match=name):
         read_environment(tmp_path / name)
     for data in (b"", b"no image at all", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 16\n\x02\x02"):

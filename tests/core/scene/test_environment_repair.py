@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light maps that are none are repaired, and it is said how."""
+"""Environment maps with impossible texels are repaired, with a remark for each repair."""
 
 import numpy as np
 import pytest
@@ -10,11 +10,11 @@ def light_map():
     return np.random.default_rng(0).random((4, 8, 3), np.float32) + 0.5
 
 
-def test_a_sound_light_is_left_alone():
+def test_a_valid_light_is_left_unchanged():
     light = light_map()
-    whole, remarks = repaired(light, "light map")
+    result, remarks = repaired(light, "light map")
     assert not remarks
-    np.testing.assert_array_equal(whole, light)
+    np.testing.assert_array_equal(result, light)
 
 
 def test_every_fault_is_repaired_and_counted():
@@ -23,19 +23,19 @@ def test_every_fault_is_repaired_and_counted():
     light[0, 2, 0], light[0, 3] = -1, -np.inf
     light[1, 0, 1], light[1, 4] = np.inf, np.inf
     before = light.copy()
-    whole, remarks = repaired(light, "light map")
+    result, remarks = repaired(light, "light map")
     message = "; ".join(remarks)
     assert "2 texels are not a number, set to 0" in message
     assert "2 texels are negative, set to 0" in message
     assert f"2 texels are infinite, set to {before[np.isfinite(before)].max():g}" in message
-    assert np.isfinite(whole).all() and whole.min() == 0 and whole.dtype == np.float32
-    sound = np.isfinite(before) & (before >= 0)
-    np.testing.assert_array_equal(whole[sound], before[sound])
-    np.testing.assert_array_equal(light, before)  # what was given stays as it was
+    assert np.isfinite(result).all() and result.min() == 0 and result.dtype == np.float32
+    valid = np.isfinite(before) & (before >= 0)
+    np.testing.assert_array_equal(result[valid], before[valid])
+    np.testing.assert_array_equal(light, before)  # the input is not changed
 
 
 @pytest.mark.parametrize("value", [0.0, -3.0, np.nan, -np.inf, np.inf])
 def test_a_light_without_any_power_becomes_a_dim_grey(value):
-    whole, remarks = repaired(np.full((4, 8, 3), value, np.float32), "light map")
-    np.testing.assert_allclose(whole, 1e-4)
+    result, remarks = repaired(np.full((4, 8, 3), value, np.float32), "light map")
+    np.testing.assert_allclose(result, 1e-4)
     assert "all 32 texels are black, set to a grey of 0.0001" in "; ".join(remarks)

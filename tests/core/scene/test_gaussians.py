@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gaussians and their PLY."""
+"""Gaussians: geometry, copies, and their PLY file."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_ply_keeps_every_value(gaussians, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.ply", "b.ply"]
 
 
-def test_ply_speaks_3dgs(gaussians, tmp_path):
+def test_ply_has_the_columns_of_3dgs(gaussians, tmp_path):
     save_gaussians(gaussians, tmp_path / "a.ply")
     vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
     assert np.array_equal(vertex["f_dc_1"], gaussians.sh[0, 1].numpy())

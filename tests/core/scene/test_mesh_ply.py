@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh as PLY: what is written comes back, and other programs read it."""
+"""Mesh as PLY: exact round trip, and readable by other programs."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A reconstruction goes to a folder and comes back."""
+"""Reconstruction: written to a folder and read back, with its reflections."""
 
 import json
 
@@ -23,7 +23,7 @@ def make(background=False, glossy=True):
 
 
 @pytest.mark.parametrize("background", [False, True])
-def test_comes_back_as_it_was(tmp_path, background):
+def test_round_trip(tmp_path, background):
     given = make(background, glossy=not background)
     given.save(tmp_path)
     loaded = Reconstruction.load(tmp_path)
@@ -72,7 +72,7 @@ def relabelled():
     return given, given.relabelled(torch.randn(5, 20, generator=torch.Generator().manual_seed(1)), torch.rand(4, 8, 3))
 
 
-def test_relabelled_keeps_what_the_radiance_reflects(tmp_path):
+def test_relabelled_keeps_the_reflections_of_the_radiance(tmp_path):
     given, new = relabelled()
     assert new.gaussians.sh is given.gaussians.sh and new.gaussians.material is not given.gaussians.material
     again = new.relabelled(given.gaussians.material, given.environment)
@@ -121,7 +121,7 @@ def test_unusable_reflections_are_refused(tmp_path, harm):
         Reconstruction.load(tmp_path)
 
 
-def test_reflections_come_back(tmp_path):
+def test_reflections_round_trip(tmp_path):
     path = tmp_path / "reflections.npz"
     Reflections(torch.from_numpy(GOOD[0]), torch.from_numpy(GOOD[1])).save(path)
     loaded = Reflections.load(path, 20)

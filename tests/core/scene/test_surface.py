@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points of a bare surface."""
+"""Points sampled on a bare surface, and its state."""
 
 import numpy as np
 import pytest
@@ -30,13 +30,13 @@ def test_samples_lie_on_the_triangles_with_normals_between_the_corners(surface):
     assert position.dtype == normal.dtype == np.float32 and position.shape == normal.shape == (500, 3)
     assert set(np.round(position[:, 2], 6)) == {0.0, 5.0}
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-6)
-    share = position[:, 0] / 2  # of the corner whose normal leans
-    expected = np.stack([0.6 * share, 0 * share, 1 - 0.2 * share], 1)
+    weight = position[:, 0] / 2  # of the corner with the tilted normal
+    expected = np.stack([0.6 * weight, 0 * weight, 1 - 0.2 * weight], 1)
     expected = np.where(position[:, 2:] < 1, expected / np.linalg.norm(expected, axis=1, keepdims=True), [0, 0, -1])
     np.testing.assert_allclose(normal, expected, atol=1e-6)
 
 
-def test_samples_come_of_the_generator(surface):
+def test_samples_depend_on_the_generator_alone(surface):
     one, same, other = (surface.samples(50, np.random.default_rng(seed))[0] for seed in (3, 3, 4))
     assert np.array_equal(one, same) and not np.array_equal(one, other)
 
