@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What leaves a run folder: asset, Blender scene, Gaussians or light."""
+"""Export of a finished run: GLB asset, Blender scene, Gaussians (PLY) or light (EXR)."""
 
 from __future__ import annotations
 
@@ -15,17 +15,27 @@ COPIES = {".glb": "asset.glb", ".ply": "gaussians.ply", ".exr": "environment.exr
 
 
 def export(run: Path, target: Path, material: str = "textures", progress: Progress | None = None) -> None:
-    """Write `target` from a finished run, by its suffix: .glb asset, .blend scene, .ply Gaussians, .exr light.
+    """Write one part of a finished run to a file of the user's.
 
-    Raises InputError for another suffix or where the run lacks the part.
+    Args:
+        run: folder of the finished run.
+        target: file to write; its suffix decides: .glb asset, .blend scene, .ply Gaussians, .exr light.
+        material: what the material of a .blend reads, "textures" or "attributes".
+        progress: asked whether to stop.
+
+    Raises:
+        InputError: when the suffix is another one, a folder does not exist, or the run lacks the part.
+        Cancelled: when the user stops the work.
+        NoBlender: when a .blend is asked for and no Blender is found.
+        IrgsppError: when Blender fails.
     """
     suffix = target.suffix.lower()
     if suffix not in {".blend", *COPIES}:
         raise InputError(target, f"can't export to {suffix or 'a name without suffix'}", "use .glb, .blend, .ply or .exr")
     if not run.is_dir():
-        raise InputError(run, "is not a run folder")
+        raise InputError(run, "is not a run folder", "give a folder that `irgspp reconstruct` wrote")
     if not target.resolve().parent.is_dir():
-        raise InputError(target.parent, "no such folder")
+        raise InputError(target.parent, "no such folder", "create it first")
     if suffix == ".blend":
         write_blend(run, target, material, progress or Silent())
     else:
@@ -33,19 +43,28 @@ def export(run: Path, target: Path, material: str = "textures", progress: Progre
 
 
 def write_blend(run: Path, target: Path, material: str, progress: Progress) -> None:
-    """Write the run as a .blend in a Blender of its own.
+    """Write the run as a .blend file in a separate Blender process.
 
-    `material` says what the material reads: "textures" or "attributes". Raises InputError, Cancelled, NoBlender, or IrgsppError
-    where Blender fails.
+    Args:
+        run: folder of the finished run.
+        target: .blend file to write.
+        material: what the material reads, "textures" or "attributes".
+        progress: asked whether to stop.
+
+    Raises:
+        InputError: when the run has no mesh, or the file can't be written.
+        Cancelled: when the user stops the work.
+        NoBlender: when no Blender is found.
+        IrgsppError: when Blender fails.
     """
     if not (run / "mesh.ply").is_file():
         raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
     arguments = [str(run.resolve()), str(target.resolve()), "--material", material]
-    status, said = run_in_blender("irgspp_addon.importer.write_blend", arguments, lambda: progress.cancelled)
+    status, last_line = run_in_blender("irgspp_addon.importer.write_blend", arguments, lambda: progress.cancelled)
     if status == InputError.exit_status:
-        raise InputError(target, f"not written: {said}")
+        raise InputError(target, f"not written: {last_line}")
     if status or not target.is_file():
-        raise IrgsppError(f"{target}: Blender ended with status {status}: {said}")
+        raise IrgsppError(f"{target}: Blender ended with status {status}: {last_line}")
 
 
 def _copy(source: Path, target: Path) -> None:

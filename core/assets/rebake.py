@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mesh and textures of a finished run once more: at another size, with another number of triangles, or on an edited mesh."""
+"""Baking of a finished run again: other texture size, other number of triangles, or an edited mesh."""
 
 from __future__ import annotations
 
@@ -32,35 +32,42 @@ from ..surface.texturing import baked_textures, painted_mesh, stoppable, texture
 from ..surface.voxel_grid import make_grid
 from .export import write_blend
 
-PARTIAL = "bake.part"  # folder in the run folder that is filled before anything is replaced
+PARTIAL = "bake.part"  # folder in the run folder that is completed before any file of the run is replaced
 
 
 def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: int | None = None, edited: Path | None = None) -> None:
     """Replace mesh.ply, textures, asset.glb and scene.blend of a finished run.
 
-    Args:
-        size: texels along a side; as before where None.
-        triangles: a new mesh from the Gaussians with at most so many. edited: a PLY in the run's frame that takes the mesh's place,
-            with its own UVs where it has any. Without either the mesh stays as it is and only its textures are made anew.
+    Without `triangles` and `edited` the mesh stays as it is and only its textures are baked again. If the work fails or is stopped, the
+    run stays as it was.
 
-    Raises InputError for bad input or a run in use, Cancelled where the user stopped the work; the run is then as it was.
+    Args:
+        run: folder of the finished run.
+        progress: reporter; asked whether to stop.
+        size: texels along a side; None: as before.
+        triangles: extract a new mesh from the Gaussians with at most so many.
+        edited: PLY in the run's world frame that replaces the mesh, with its own UVs where it has any.
+
+    Raises:
+        InputError: when an argument is bad, or the run is unfinished or in use.
+        Cancelled: when the user stops the work.
     """
     state = read_run(run)
     settings = overrides.from_dict(state["settings"], run / "run.json")
     if triangles is not None and edited is not None:
-        raise InputError("--triangles", "doesn't go with --mesh", "decimate the mesh before")
-    given = {name: value for name, value in (("texture", size), ("triangles", triangles)) if value is not None}
-    wished = dataclasses.replace(settings.surface, **given)
-    overrides.check(dataclasses.replace(settings, surface=wished))
+        raise InputError("--triangles", "can't be combined with --mesh", "decimate the mesh before")
+    changed = {name: value for name, value in (("texture", size), ("triangles", triangles)) if value is not None}
+    surface = dataclasses.replace(settings.surface, **changed)
+    overrides.check(dataclasses.replace(settings, surface=surface))
     if state.get("status") == "running" or not (run / "mesh.ply").is_file():
         raise InputError(run, "is not a finished run", "finish the reconstruction first")
     folder = RunFolder(run, state, _lock(run))
     try:
-        mesh = _mesh(run, wished, triangles, edited, progress)
+        mesh = _mesh(run, surface, triangles, edited, progress)
         _replace(run, mesh)
-        state["baked"] = {"texture": wished.texture, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
+        state["baked"] = {"texture": surface.texture, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
         folder.write()
-        folder.log(f"baked again: {wished.texture} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
+        folder.log(f"baked again: {surface.texture} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
         _renew_blend(run, settings.export.material, progress)
     finally:
         shutil.rmtree(run / PARTIAL, ignore_errors=True)
@@ -71,12 +78,13 @@ def _lock(run: Path) -> FileLock:
     try:
         return FileLock(run / ".lock")
     except BlockingIOError as error:
-        raise InputError(run, "is in use by another process") from error
+        raise InputError(run, "is in use by another process", "wait until that one has ended") from error
     except OSError as error:
-        raise InputError(run, f"is not writable ({error.strerror})") from error
+        raise InputError(run, f"is not writable ({error.strerror})", "check the folder's permissions") from error
 
 
 def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: Path | None, progress: Progress) -> Mesh:
+    """Return the old, new or edited mesh with its textures baked again."""
     given = load_edited_mesh(edited) if edited else None
     reconstruction = Reconstruction.load(run).to(best())
     if given is not None and edited is not None:
@@ -101,7 +109,7 @@ def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: P
 
 
 def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:
-    """A mesh in another frame would be painted with the wrong parts of the object."""
+    """Refuse a mesh in another frame, whose textures would show the wrong parts of the object."""
     bound = reconstruction.bound
     distance = np.linalg.norm(mesh.vertices - np.asarray(bound.centre), axis=-1)
     if np.median(distance) > 1.5 * bound.radius or distance.max() < 0.01 * bound.radius:
@@ -109,7 +117,7 @@ def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -
 
 
 def _replace(run: Path, mesh: Mesh) -> None:
-    """Write everything aside, then put it in the place of the old files."""
+    """Write all files into the folder PARTIAL, then replace the old ones by them."""
     partial = run / PARTIAL
     try:
         partial.mkdir(exist_ok=True)
@@ -126,7 +134,7 @@ def _replace(run: Path, mesh: Mesh) -> None:
 
 
 def _renew_blend(run: Path, material: str, progress: Progress) -> None:
-    """Bring scene.blend up to date, where the run has one."""
+    """Write scene.blend again where the run has one; remove it where that fails."""
     if not (run / "scene.blend").is_file():
         return
     progress.phase("scene", 0)
@@ -134,4 +142,4 @@ def _renew_blend(run: Path, material: str, progress: Progress) -> None:
         write_blend(run, run / "scene.blend", material, progress)
     except IrgsppError as error:
         (run / "scene.blend").unlink()
-        progress.message(f"warning: scene.blend showed the old mesh and was removed; it can't be written again: {error}")
+        progress.message(f"warning: scene.blend held the old mesh and was removed; it can't be written again: {error}")

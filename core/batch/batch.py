@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A list of jobs worked off: what is done is left alone, what was stopped goes on, what fails is noted and passed over."""
+"""Batch run of a job list: completed jobs are skipped, interrupted ones resumed, failures recorded without stopping the others."""
 
 from __future__ import annotations
 
@@ -11,92 +11,104 @@ from pathlib import Path
 from ..errors import Cancelled, InputError
 from ..io.file_lock import FileLock
 from .job_runner import CANCEL
-from .job_state import JobFolder, Progress, State, is_there
+from .job_state import JobFolder, Progress, State, is_complete
 from .jobs import Job
 from .table import BatchTable
-from .workers import Ticket, pool_for
+from .workers import JobHandle, open_pool
 
-LOOK_SECONDS = 0.2
+POLL_SECONDS = 0.2
 LOCK = ".lock"
 
 
 def notes_of(path: Path) -> Path:
-    """The folder of a batch's notes: beside its list, so that whoever sees the list sees them."""
+    """Return the folder of a batch (states and logs of its jobs): LIST.batch next to LIST.toml."""
     return path.resolve().with_suffix(".batch")
 
 
 def run_batch(
     jobs: Sequence[Job],
-    notes: Path,
+    folder: Path,
     cancelled: Callable[[], bool],
     at_once: int = 1,
     dask: str | None = None,
 ) -> dict[str, State]:
-    """Work all jobs off, on this machine or on a dask cluster, and return how each ended.
+    """Run all jobs, on this machine or on a Dask cluster, and return the final state of each by its name.
 
-    Raises InputError where another process works on the same list, or no cluster is there; Cancelled once `cancelled` said so and every
-    job that ran has saved what it had.
+    Args:
+        jobs: to run.
+        folder: of the batch, see `notes_of`.
+        cancelled: asked again and again whether to stop.
+        at_once: number of jobs that run at the same time on this machine.
+        dask: address of a Dask scheduler; None: this machine.
+
+    Raises:
+        InputError: when another process works on the same list, or no scheduler answers.
+        Cancelled: when `cancelled` returned True; every running job has then saved a checkpoint.
     """
-    lock = _claim(notes)
+    lock = _lock(folder)
     try:
-        (notes / CANCEL).unlink(missing_ok=True)
-        states = {job.name: _before(job, JobFolder(notes / job.name)) for job in jobs}
-        missing = [job for job in jobs if states[job.name].state == "waiting"]
-        for job in missing:
-            _noted_waiting(JobFolder(notes / job.name), states[job.name])
-        with pool_for(notes, at_once, dask) as pool:
-            tickets = {job.name: pool.submit(job) for job in missing}
-            _watch(tickets, states, notes, cancelled)
+        (folder / CANCEL).unlink(missing_ok=True)
+        states = {job.name: _initial_state(job, JobFolder(folder / job.name)) for job in jobs}
+        waiting = [job for job in jobs if states[job.name].state == "waiting"]
+        for job in waiting:
+            _save_waiting(JobFolder(folder / job.name), states[job.name])
+        with open_pool(folder, at_once, dask) as pool:
+            handles = {job.name: pool.submit(job) for job in waiting}
+            _watch(handles, states, folder, cancelled)
     finally:
         lock.release()
     if any(state.state == "cancelled" for state in states.values()) or cancelled():
         done = sum(state.state == "done" for state in states.values())
-        raise Cancelled(f"{done} of {len(jobs)} jobs are done, the others go on with the same command")
+        raise Cancelled(f"{done} of {len(jobs)} jobs are done; run the same command again to continue with the others")
     return states
 
 
-def _claim(notes: Path) -> FileLock:
+def _lock(folder: Path) -> FileLock:
+    """Create the folder of a batch and lock it against other processes."""
     try:
-        notes.mkdir(parents=True, exist_ok=True)
-        return FileLock(notes / LOCK)
+        folder.mkdir(parents=True, exist_ok=True)
+        return FileLock(folder / LOCK)
     except BlockingIOError:
-        raise InputError(notes, "another process works on this list", "wait for it") from None
+        raise InputError(folder, "another process works on this list", "wait until it has ended") from None
     except OSError as error:
-        raise InputError(notes, f"can't be written ({error.strerror})") from error
+        raise InputError(folder, f"can't be written ({error.strerror})", "check the folder's permissions") from error
 
 
-def _before(job: Job, folder: JobFolder) -> State:
-    """A job is done where all of its steps are; otherwise it waits, whatever became of it the last time."""
+def _initial_state(job: Job, folder: JobFolder) -> State:
+    """Return "done" if all steps of the job are complete, otherwise "waiting", however it ended the last time."""
     state = folder.read()
-    done = all(is_there(job, step, state) for step in job.steps)
+    done = all(is_complete(job, step, state) for step in job.steps)
     return replace(state, state="done" if done else "waiting", error="")
 
 
-def _noted_waiting(folder: JobFolder, state: State) -> None:
-    """What a killed batch left says that it runs."""
+def _save_waiting(folder: JobFolder, state: State) -> None:
+    """Save the state "waiting" over the "running" that a killed batch may have left."""
     folder.prepare()
     folder.write(state)
 
 
-def _watch(tickets: dict[str, Ticket], states: dict[str, State], notes: Path, cancelled: Callable[[], bool]) -> None:
-    """Until all have ended; a wish to stop is passed on through a file, which the machines of a cluster see too."""
-    asked, left, board = False, dict(tickets), BatchTable()
-    while left:
-        if cancelled() and not asked:
-            asked = True
-            (notes / CANCEL).touch()
-            for ticket in left.values():
-                ticket.withdraw()
-        for name, ticket in list(left.items()):
-            if ticket.done():
-                states[name] = ticket.result()
-                del left[name]
-            elif (noted := JobFolder(notes / name).read()).state == "running":
-                states[name] = noted
-        board.show(_rows(states, notes))
-        time.sleep(LOOK_SECONDS)
-    board.show(_rows(states, notes), last=True)
+def _watch(handles: dict[str, JobHandle], states: dict[str, State], folder: Path, cancelled: Callable[[], bool]) -> None:
+    """Update `states` and the table until all jobs have ended; cancelling creates a file, which the machines of a cluster see too."""
+    stopping, running, table = False, dict(handles), BatchTable()
+    while running:
+        if cancelled() and not stopping:
+            stopping = True
+            (folder / CANCEL).touch()
+            for handle in running.values():
+                handle.withdraw()
+        for name, handle in list(running.items()):
+            if handle.done():
+                states[name] = handle.result()
+                del running[name]
+            elif (saved := JobFolder(folder / name).read()).state == "running":
+                states[name] = saved
+        table.show(_rows(states, folder))
+        time.sleep(POLL_SECONDS)
+    table.show(_rows(states, folder), last=True)
 
 
-def _rows(states: dict[str, State], notes: Path) -> list[tuple[str, State, Progress]]:
-    return [(name, state, JobFolder(notes / name).progress() if state.state == "running" else Progress()) for name, state in states.items()]
+def _rows(states: dict[str, State], folder: Path) -> list[tuple[str, State, Progress]]:
+    """Return the rows of the table: name, state, and the progress of jobs that run."""
+    return [
+        (name, state, JobFolder(folder / name).progress() if state.state == "running" else Progress()) for name, state in states.items()
+    ]

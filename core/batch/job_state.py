@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is known of a job while it waits, runs and after: files that every machine of a batch can read."""
+"""State and progress of jobs, kept in files that every machine of a batch can read."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ TAIL_BYTES = 4096
 
 @dataclass(frozen=True)
 class State:
-    """How far a job is: "waiting", "running", "done", "failed" (`error` says why, in a line) or "cancelled".
+    """State of a job.
 
-    `finished`: the words of the steps that were completed, in order; `seconds`: what it took so far, of all attempts.
+    Attributes:
+        state: "waiting", "running", "done", "failed" or "cancelled".
+        error: reason of a failure, one line.
+        seconds: run time so far, of all attempts.
+        finished: arguments of the steps that were completed, in order.
     """
 
     state: str = "waiting"
@@ -30,7 +34,14 @@ class State:
 
 @dataclass(frozen=True)
 class Progress:
-    """The last thing that a running command said."""
+    """Progress of a running command, from its last event.
+
+    Attributes:
+        phase: name of the phase.
+        step: steps done of the phase.
+        of: number of the phase's steps.
+        eta: seconds left, where known.
+    """
 
     phase: str = ""
     step: int = 0
@@ -39,19 +50,19 @@ class Progress:
 
 
 class JobFolder:
-    """The folder of one job's notes: state.json, lock, log.txt with all that its commands print, events.jsonl of the one that runs."""
+    """Folder of one job: state.json, lock, log.txt with the output of its commands, events.jsonl of the command that runs."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def prepare(self) -> None:
-        """Make it, and take old wishes back."""
+        """Create the folder; remove requests to cancel and events of earlier attempts."""
         self.path.mkdir(parents=True, exist_ok=True)
         for name in ("cancel", "events.jsonl"):
             (self.path / name).unlink(missing_ok=True)
 
     def read(self) -> State:
-        """What is noted; a job that nobody noted anything of waits."""
+        """Read the saved state; a job without one, or with a damaged one, is "waiting"."""
         values = _json(self.path / "state.json")
         try:
             steps = tuple(tuple(str(word) for word in step) for step in values.get("finished", []))
@@ -60,11 +71,11 @@ class JobFolder:
             return State()
 
     def write(self, state: State) -> None:
-        """Replace what is noted."""
+        """Save the state atomically."""
         write_atomic(self.path / "state.json", json.dumps(asdict(state), indent=1).encode())
 
     def progress(self) -> Progress:
-        """Of the command that runs."""
+        """Read the progress of the command that runs."""
         try:
             with (self.path / "events.jsonl").open("rb") as file:
                 file.seek(0, 2)
@@ -78,8 +89,8 @@ class JobFolder:
                 return Progress(str(event.get("phase", "")), int(event.get("step") or 0), int(event["of"] or 0), event.get("eta"))
         return Progress()
 
-    def last_words(self, since: int) -> str:
-        """The last line of log.txt after so many bytes; the program's own word where there is one."""
+    def last_message(self, since: int) -> str:
+        """Return the last message of irgspp in log.txt after `since` bytes, or else the last line of any kind."""
         try:
             text = (self.path / "log.txt").read_bytes()[since:].decode("utf-8", "replace")
         except OSError:
@@ -89,8 +100,14 @@ class JobFolder:
         return own[-1] if own else lines[-1] if lines else ""
 
 
-def is_there(job: Job, step: Sequence[str], state: State) -> bool:
-    """True where a step was completed and what it made has not been taken away since."""
+def is_complete(job: Job, step: Sequence[str], state: State) -> bool:
+    """Return True if a step was completed and its output still exists.
+
+    Args:
+        job: that the step belongs to.
+        step: arguments of its command.
+        state: of the job.
+    """
     if tuple(step) not in state.finished:
         return False
     if tuple(step) == job.steps[0]:
@@ -99,6 +116,7 @@ def is_there(job: Job, step: Sequence[str], state: State) -> bool:
 
 
 def _json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; empty where the file is missing or damaged."""
     try:
         return _parsed(path.read_text("utf-8"))
     except OSError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A list of jobs in TOML: what is to be reconstructed, and what then happens to each run."""
+"""Job lists in TOML: datasets to reconstruct, with settings and the commands that follow on each run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import InputError
 
-Check = Callable[[Sequence[str]], None]  # raises InputError for words that are no command
+Check = Callable[[Sequence[str]], None]  # raises InputError for arguments that are not a valid command
 OPTIONS = ("preset", "materials", "device", "seed", "time")
 KEYS = {"dataset", "output", "name", "set", "after", *OPTIONS}
 AFTER = ("bake", "evaluate", "export", "render")
@@ -20,11 +20,13 @@ AFTER = ("bake", "evaluate", "export", "render")
 
 @dataclass(frozen=True)
 class Job:
-    """One capture's way through the program.
+    """Reconstruction of one dataset and the commands that follow it.
 
     Attributes:
-        name: unique in its list. run: its run folder. steps: words after `irgspp`, one command each; the first reconstructs.
-        base: the folder that relative paths in them start from.
+        name: unique in its list.
+        run: its run folder.
+        steps: arguments of `irgspp`, one tuple for each command; the first one reconstructs.
+        base: folder that relative paths in the arguments start from.
     """
 
     name: str
@@ -34,44 +36,52 @@ class Job:
 
 
 def read_jobs(path: Path, check: Check) -> list[Job]:
-    """The jobs of a TOML file, with relative paths taken from its folder.
+    """Read the jobs of a TOML file; relative paths start from its folder.
 
-    Raises InputError, in one line that says which job and what, for a file that is no such list, for unknown keys, for commands that
-    `check` refuses and for jobs that would write to the same place.
+    Args:
+        path: of the TOML file.
+        check: called with the arguments of each command; raises InputError for invalid ones.
+
+    Raises:
+        InputError: when the file is not a job list, has unknown keys or invalid commands, or two jobs would write to the same path; the
+            message is one line that names the job and the error.
     """
-    listed = _tables(path)
-    defaults = _known(listed.get("defaults", {}), f"{path}: [defaults]", KEYS - {"dataset", "output", "name"})
-    jobs = [_job(table, defaults, path, number, check) for number, table in enumerate(listed["job"], 1)]
-    _apart(jobs, path)
+    tables = _tables(path)
+    defaults = _checked_keys(tables.get("defaults", {}), f"{path}: [defaults]", KEYS - {"dataset", "output", "name"})
+    jobs = [_job(table, defaults, path, number, check) for number, table in enumerate(tables["job"], 1)]
+    _check_outputs(jobs, path)
     return jobs
 
 
 def _tables(path: Path) -> dict[str, Any]:
+    """Parse a job list into its tables "defaults" and "job"."""
     try:
-        listed = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(path, f"can't be read ({error.strerror})") from error
+        raise InputError(path, f"can't be read ({error.strerror})", "give the path of a job list (TOML)") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not TOML ({error})") from error
-    if unknown := sorted(listed.keys() - {"defaults", "job"}):
+        raise InputError(path, f"is not TOML ({error})", "correct it at that place") from error
+    if unknown := sorted(tables.keys() - {"defaults", "job"}):
         raise InputError(path, f"has an unknown {', '.join(unknown)}", "use [defaults] and [[job]]")
-    tables = listed.get("job")
-    if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
+    jobs = tables.get("job")
+    if not isinstance(jobs, list) or not jobs or not all(isinstance(job, dict) for job in jobs):
         raise InputError(path, "lists no jobs", "begin each with a line [[job]]")
-    return listed
+    return tables
 
 
-def _known(table: Any, where: str, keys: set[str]) -> dict[str, Any]:
+def _checked_keys(table: Any, where: str, keys: set[str]) -> dict[str, Any]:
+    """Return the table unless it has other keys than `keys`; raises InputError if it does."""
     if not isinstance(table, dict):
-        raise InputError(where, "is not a table")
+        raise InputError(where, "is not a table", "write the keys below a line [defaults]")
     if unknown := sorted(table.keys() - keys):
         raise InputError(where, f"has an unknown {', '.join(unknown)}", f"use {', '.join(sorted(keys))}")
     return table
 
 
 def _job(table: dict[str, Any], defaults: dict[str, Any], path: Path, number: int, check: Check) -> Job:
+    """Turn one table of the list into a job with checked commands."""
     where = f"{path}: job {number}"
-    _known(table, where, KEYS)
+    _checked_keys(table, where, KEYS)
     for key in ("dataset", "output"):
         if not isinstance(table.get(key), str) or not table[key]:
             raise InputError(where, f"lacks {key}", f'add {key} = "..."')
@@ -79,11 +89,11 @@ def _job(table: dict[str, Any], defaults: dict[str, Any], path: Path, number: in
     dataset, run = str(base / table["dataset"]), base / table["output"]
     name = table.get("name", run.name)
     if not isinstance(name, str) or not name or any(c in '/\\:*?"<>|' for c in name) or name.startswith("."):
-        raise InputError(where, f"{name!r} is no name for it", "use letters, digits and -_")
-    words = ["reconstruct", dataset, "-o", str(run), *_options(defaults | table, where)]
-    words += [word for text in (*_overrides(defaults, where), *_overrides(table, where)) for word in ("--set", text)]
-    after = _texts((defaults | table).get("after", []), where, "after")
-    steps = [tuple(words), *(_step(text, name, run, dataset, where) for text in after)]
+        raise InputError(where, f"{name!r} can't be its name", "use letters, digits and -_")
+    arguments = ["reconstruct", dataset, "-o", str(run), *_options(defaults | table, where)]
+    arguments += [word for text in (*_overrides(defaults, where), *_overrides(table, where)) for word in ("--set", text)]
+    after = _strings((defaults | table).get("after", []), where, "after")
+    steps = [tuple(arguments), *(_step(text, name, run, dataset, where) for text in after)]
     for step in steps:
         try:
             check(step)
@@ -93,32 +103,34 @@ def _job(table: dict[str, Any], defaults: dict[str, Any], path: Path, number: in
 
 
 def _options(table: dict[str, Any], where: str) -> list[str]:
-    words = []
+    """Return the command-line options of a table's keys."""
+    arguments = []
     for key in (key for key in OPTIONS if key in table):
         if isinstance(table[key], bool) or not isinstance(table[key], str | int):
-            raise InputError(where, f"{key} = {table[key]} is neither a text nor a whole number")
-        words += [f"--{key}", str(table[key])]
-    return words
+            raise InputError(where, f"{key} = {table[key]} is neither text nor an integer", f'write {key} = "..." or a number')
+        arguments += [f"--{key}", str(table[key])]
+    return arguments
 
 
 def _overrides(table: dict[str, Any], where: str) -> list[str]:
-    return _texts(table.get("set", []), where, "set")
+    return _strings(table.get("set", []), where, "set")
 
 
-def _texts(values: Any, where: str, key: str) -> list[str]:
+def _strings(values: Any, where: str, key: str) -> list[str]:
+    """Return the values unless they are not a list of strings; raises InputError if so."""
     if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
-        raise InputError(where, f"{key} is not a list of texts")
+        raise InputError(where, f"{key} is not a list of strings", f'write {key} = ["..."]')
     return values
 
 
 def _step(text: str, name: str, run: Path, dataset: str, where: str) -> tuple[str, ...]:
-    """The words of one command: it is told the run folder, and `evaluate` without a dataset the job's own."""
+    """Split one command of `after` into arguments; adds the run folder, and the job's dataset to an `evaluate` without one."""
     try:
         command, *rest = shlex.split(text)
     except ValueError:
-        raise InputError(where, f"after: {text!r} is no command") from None
+        raise InputError(where, f"after: {text!r} is not a command", f"use {', '.join(AFTER)} with their arguments") from None
     if command not in AFTER:
-        raise InputError(where, f"after: {command} is no step", f"use {', '.join(AFTER)}")
+        raise InputError(where, f"after: {command} can't follow a reconstruction", f"use {', '.join(AFTER)}")
     for word, value in (("{output}", str(run)), ("{dataset}", dataset), ("{name}", name)):
         rest = [part.replace(word, value) for part in rest]
     if command == "evaluate" and (not rest or rest[0].startswith("-")):
@@ -127,22 +139,27 @@ def _step(text: str, name: str, run: Path, dataset: str, where: str) -> tuple[st
 
 
 def targets(job: Job, step: Sequence[str]) -> list[Path]:
-    """Where a command after the first puts things besides the run folder: what stands after -o."""
+    """Return the paths that a command after the first writes to besides the run folder: the arguments of -o.
+
+    Args:
+        job: that the command belongs to.
+        step: arguments of the command.
+    """
     return [job.base / step[i + 1] for i, word in enumerate(step[:-1]) if word == "-o"]
 
 
-def written(job: Job) -> list[Path]:
-    """Where its commands put things."""
+def _outputs(job: Job) -> list[Path]:
+    """Return all paths that the job's commands write to."""
     return [path.resolve() for path in (job.run, *(target for step in job.steps[1:] for target in targets(job, step)))]
 
 
-def _apart(jobs: Sequence[Job], path: Path) -> None:
-    """Raise InputError where two jobs have one name, or one writes into what another writes."""
+def _check_outputs(jobs: Sequence[Job], path: Path) -> None:
+    """Raise InputError if two jobs have the same name or write to the same path."""
     for i, job in enumerate(jobs):
         for other in jobs[:i]:
             if job.name.casefold() == other.name.casefold():
-                raise InputError(path, f"two jobs are called {job.name}", 'tell them apart: name = "..."')
-            for mine in written(job):
-                for theirs in written(other):
+                raise InputError(path, f"two jobs are called {job.name}", 'give each its own: name = "..."')
+            for mine in _outputs(job):
+                for theirs in _outputs(other):
                     if mine == theirs or mine in theirs.parents or theirs in mine.parents:
                         raise InputError(path, f"{other.name} and {job.name} both write to {max(mine, theirs)}", "give each its own output")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A finished run baked again: a ball whose albedo is known everywhere, on its own mesh, a new one and an edited one."""
+"""A finished run baked again: a sphere of known albedo, on its own mesh, on a new one and on an edited one."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ SETTINGS = with_overrides(Settings(), ["surface.voxels=40", "surface.triangles=1
 
 
 def albedo_at(points):
-    """(P, 3): reddish above, bluish below."""
+    """Return the albedo (P, 3) at points (P, 3): reddish above, bluish below."""
     share = 1 / (1 + np.exp(-6 * points[:, 2:] / np.linalg.norm(points, axis=-1, keepdims=True)))
     return 0.2 + 0.5 * np.concatenate([share, 0 * share + 0.4, 1 - share], -1)
 
@@ -44,7 +44,7 @@ def ball(count=12_000):
 
 
 def unwrapped(scale=1.0):
-    """The ball as a mesh with a UV map of longitude and latitude, split along the seam."""
+    """Return the sphere as a mesh with a UV map of longitude and latitude, split along the seam."""
     v, u = np.meshgrid(np.linspace(0.02, 0.98, 17), np.linspace(0, 1, 33), indexing="ij")
     theta, phi = (1 - v) * np.pi, u * 2 * np.pi
     normal = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3).astype(np.float32)
@@ -76,7 +76,7 @@ def run(finished, tmp_path):
 
 
 def albedo_error(run):
-    """Mean difference between the albedo texture and the ball's own at each texel, linear."""
+    """Return the mean difference between the albedo texture and the true albedo at each texel, linear."""
     mesh, texture = load_mesh_ply(run / "mesh.ply"), load_textures(run / "textures")["albedo"] / 255.0
     texels = rasterise(mesh.uvs, mesh.faces, len(texture))
     linear = np.where(texture <= 0.04045, texture / 12.92, ((texture + 0.055) / 1.055) ** 2.4)[texels.row, texels.column]
@@ -100,7 +100,7 @@ def test_triangles_make_a_new_mesh(run):
     bake(run, Silent(), triangles=600)
     mesh = load_mesh_ply(run / "mesh.ply")
     assert 300 < len(mesh.faces) <= 600
-    assert np.abs(np.linalg.norm(mesh.vertices, axis=-1) - 1).max() < 0.04  # surfels that nothing was fitted with stick out a little
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=-1) - 1).max() < 0.04  # surfels that were not fitted to images stick out a little
     assert np.abs(mesh.albedo - albedo_at(mesh.vertices)).mean() < 0.02 and albedo_error(run) < 0.02
     assert len(load_textures(run / "textures")["albedo"]) == 64  # as in the run's settings
 
@@ -139,18 +139,18 @@ def test_stopped_work_leaves_the_run_as_it_was(run, how):
     FileLock(run / ".lock").release()  # free again
 
 
-def test_bad_wishes_are_refused_before_anything_is_done(run, tmp_path, capsys):
+def test_bad_options_are_refused_before_anything_is_done(run, tmp_path, capsys):
     save_mesh_ply(unwrapped(10.0), tmp_path / "far.ply")
-    for wish, words in [
+    for options, words in [
         (["--size", "3"], "surface.texture"),
         (["--triangles", "5"], "surface.triangles"),
         (["--mesh", str(tmp_path / "none.ply")], "no such file"),
         (["--mesh", str(tmp_path / "far.ply")], "doesn't lie where the run's object is"),
-        (["--mesh", "a.ply", "--triangles", "500"], "doesn't go with"),
+        (["--mesh", "a.ply", "--triangles", "500"], "can't be combined with"),
     ]:
-        assert main(["bake", str(run), *wish]) == 2
-        told = capsys.readouterr().err
-        assert words in told and told.count("\n") == 1, told
+        assert main(["bake", str(run), *options]) == 2
+        message = capsys.readouterr().err
+        assert words in message and message.count("\n") == 1, message
     assert main(["bake", str(tmp_path)]) == 2
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs whose commands are stood in for by a small program that does as it is told."""
+"""Jobs whose commands are replaced by a small program; the dataset's name decides how it ends."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from irgspp.core.batch import job_runner as work
 from irgspp.core.batch.jobs import Job
 
 STAND_IN = '''
-"""core.cli.batch_child LOCK reconstruct DATASET -o RUN ...: what happens is said by the dataset's name."""
+"""core.cli.batch_child LOCK reconstruct DATASET -o RUN ...: the dataset's name decides what happens."""
 import json, os, pathlib, sys, threading, time
 _, lock, command, *words = sys.argv[1:]
 if command != "reconstruct":
@@ -40,7 +40,7 @@ if dataset == "long" and "--resume" not in words:
 
 @pytest.fixture
 def stand_in(tmp_path, monkeypatch):
-    """Makes a job of a kind that the stand-in knows: good, bad, crash, long."""
+    """Return a function that makes a job of one of the stand-in's kinds: good, bad, crash, long."""
     script = tmp_path / "stand_in.py"
     script.write_text(STAND_IN)
     monkeypatch.setattr(work, "LAUNCHER", script)

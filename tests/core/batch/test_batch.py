@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lists of jobs on this machine: failures, resuming, cancelling, the table. What commands do is a stand-in's part."""
+"""Job lists on this machine: failures, resuming, cancelling, the table. A stand-in replaces the commands."""
 
 import io
 import json
@@ -9,7 +9,7 @@ import pytest
 from irgspp.core.batch import batch as batches
 from irgspp.core.batch.batch import run_batch
 from irgspp.core.batch.job_state import JobFolder, Progress, State
-from irgspp.core.batch.table import BatchTable, doing, row_line, summary
+from irgspp.core.batch.table import BatchTable, progress_text, row_line, summary
 from irgspp.core.cli.main import main
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.io.file_lock import FileLock
@@ -47,7 +47,7 @@ def test_what_is_done_is_left_alone_and_what_failed_is_tried_again(stand_in, not
 
 
 def test_a_stopped_run_goes_on(stand_in, notes):
-    """What a killed batch leaves: a run that says that it runs, and notes that do so too."""
+    """A killed batch leaves "running" in the run's and the job's saved state."""
     job = stand_in("a", "long")
     job.run.mkdir(parents=True)
     (job.run / "run.json").write_text(json.dumps({"status": "running", "phases": {}, "settings": {}}))
@@ -110,7 +110,7 @@ def test_exit_statuses_and_a_line_for_each_job(listed, capsys, tmp_path, monkeyp
     assert "1                    failed    bad: no such thing" in captured.err
     monkeypatch.setattr(batches, "_watch", lambda tickets, states, *_: states.update(dict.fromkeys(tickets, State("cancelled"))))
     assert main(["batch", listed("good", "bad")]) == 130
-    assert "irgspp: cancelled: 1 of 2 jobs are done, the others go on with the same command" in capsys.readouterr().err
+    assert "irgspp: cancelled: 1 of 2 jobs are done; run the same command again to continue with the others" in capsys.readouterr().err
 
 
 def test_a_bad_list_starts_nothing(tmp_path, capsys):
@@ -144,7 +144,7 @@ def test_rows_say_how_far_each_is():
         "waiting",
     ]
     assert summary(ROWS) == "4 jobs: 1 done, 1 running, 1 waiting, 1 failed"
-    assert doing(Progress()) == "starting" and doing(Progress("scene", 0, 0)) == "scene"
+    assert progress_text(Progress()) == "starting" and progress_text(Progress("scene", 0, 0)) == "scene"
 
 
 def test_in_a_file_a_line_is_a_change():

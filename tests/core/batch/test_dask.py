@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A cluster of two workers, of which the one that works on a job is killed: the other goes on from the job's checkpoint."""
+"""A cluster of two workers, of which the one that runs the job is killed: the other one resumes from the job's checkpoint."""
 
 import json
 import os
@@ -29,14 +29,14 @@ def cluster():
 
 
 def steps_of(run) -> list[int]:
-    """Steps of the optimisation that the run told of, in order."""
+    """Return the optimisation steps in the run's event log, in order."""
     file = run / "events.jsonl"
     events = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
     return [event["step"] for event in events if "loss" in event]
 
 
 def worker_at_work(cluster) -> str:
-    """Address of the worker that has a job."""
+    """Return the address of the worker that has a job."""
     return next(address for address, worker in cluster.scheduler.workers.items() if worker.processing)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lists of jobs: what their words become, and one line for whatever is wrong with them."""
+"""Job lists: the commands that they become, and one line for each kind of error in them."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ JOB = '[[job]]\ndataset = "d"\noutput = "o"\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[[job]\n", "is not TOML"),
         ("", "lists no jobs"),
@@ -66,12 +66,12 @@ JOB = '[[job]]\ndataset = "d"\noutput = "o"\n'
         ("defaults = 3\n" + JOB, "is not a table"),
         (JOB + "preset = 'fast'", "job 1 (o): reconstruct: .*invalid choice: 'fast'"),
         (JOB + "set = ['surface.texure=1']", "surface.texture"),
-        (JOB + "set = 'surface.texture=64'", "set is not a list of texts"),
+        (JOB + "set = 'surface.texture=64'", "set is not a list of strings"),
         (JOB + "seed = 1.5", "seed = 1.5 is neither"),
-        (JOB + "name = '../a'", "is no name"),
-        (JOB + "after = ['reconstruct x -o y']", "reconstruct is no step; use bake, evaluate, export, render"),
-        (JOB + "after = ['']", "is no command"),
-        (JOB + "after = ['render \"x']", "is no command"),
+        (JOB + "name = '../a'", "can't be its name"),
+        (JOB + "after = ['reconstruct x -o y']", "reconstruct can't follow a reconstruction; use bake, evaluate, export, render"),
+        (JOB + "after = ['']", "is not a command"),
+        (JOB + "after = ['render \"x']", "is not a command"),
         (JOB + "after = ['render --orbit 3']", "render: .*required: -o"),
         (JOB + "after = ['evaluate --protocol nerf']", "evaluate: .*invalid choice: 'nerf'"),
         (JOB + JOB, "two jobs are called o"),
@@ -80,8 +80,8 @@ JOB = '[[job]]\ndataset = "d"\noutput = "o"\n'
         (JOB + "after = ['export -o a.glb']\n" + JOB.replace('"o"', '"p"') + "after = ['export -o ./a.glb']", "both write to"),
     ],
 )
-def test_what_is_wrong_is_one_line_that_says_where(tmp_path, text, said):
-    with pytest.raises(InputError, match=said.replace("(o)", r"\(o\)")) as error:
+def test_what_is_wrong_is_one_line_that_says_where(tmp_path, text, message):
+    with pytest.raises(InputError, match=message.replace("(o)", r"\(o\)")) as error:
         jobs_of(tmp_path, text)
     assert "\n" not in str(error.value) and "jobs.toml" in str(error.value)
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs on a cluster whose workers die or go away, with a cluster that does as it is told."""
+"""Jobs on a cluster whose workers die or go away; the cluster is a stand-in that returns given futures."""
 
 import pytest
 from irgspp.core.batch.job_runner import CANCEL
 from irgspp.core.batch.job_state import JobFolder, State
 from irgspp.core.batch.jobs import Job
-from irgspp.core.batch.workers import DEATHS, DaskPool
+from irgspp.core.batch.workers import RESUBMISSIONS, DaskPool
 
 
 class KilledWorker(Exception):
@@ -47,31 +47,31 @@ def job(tmp_path):
 
 def test_a_job_that_dask_gave_up_is_given_out_again(job, tmp_path):
     cluster = Cluster(Future("error", KilledWorker("a")), Future("finished", State("done")))
-    ticket = DaskPool(cluster, tmp_path).submit(job)
-    assert not ticket.done() and ticket.done()
-    assert ticket.result() == State("done") and len(set(cluster.keys)) == 2
+    handle = DaskPool(cluster, tmp_path).submit(job)
+    assert not handle.done() and handle.done()
+    assert handle.result() == State("done") and len(set(cluster.keys)) == 2
 
 
 def test_a_job_that_always_takes_its_worker_with_it_has_failed(job, tmp_path):
-    cluster = Cluster(*(Future("error", KilledWorker("died  of\nit")) for _ in range(DEATHS + 1)))
-    ticket = DaskPool(cluster, tmp_path).submit(job)
-    assert [ticket.done() for _ in range(DEATHS + 1)] == [False] * DEATHS + [True]
-    assert ticket.result() == State("failed", "on the cluster: died of it")
+    cluster = Cluster(*(Future("error", KilledWorker("died  of\nit")) for _ in range(RESUBMISSIONS + 1)))
+    handle = DaskPool(cluster, tmp_path).submit(job)
+    assert [handle.done() for _ in range(RESUBMISSIONS + 1)] == [False] * RESUBMISSIONS + [True]
+    assert handle.result() == State("failed", "on the cluster: died of it")
 
 
 def test_a_fault_is_not_tried_twice(job, tmp_path):
-    ticket = DaskPool(Cluster(Future("error", ValueError("no folder"))), tmp_path).submit(job)
-    assert ticket.done() and ticket.result() == State("failed", "on the cluster: no folder")
+    handle = DaskPool(Cluster(Future("error", ValueError("no folder"))), tmp_path).submit(job)
+    assert handle.done() and handle.result() == State("failed", "on the cluster: no folder")
 
 
 def test_what_nobody_has_begun_with_is_taken_back(job, tmp_path):
     JobFolder(tmp_path / "a").prepare()
-    ticket = DaskPool(Cluster(Future("pending", None)), tmp_path).submit(job)
+    handle = DaskPool(Cluster(Future("pending", None)), tmp_path).submit(job)
     JobFolder(tmp_path / "a").write(State("running"))
-    ticket.withdraw()
-    assert not ticket.done()  # it stops by itself
+    handle.withdraw()
+    assert not handle.done()  # it stops by itself
     JobFolder(tmp_path / "a").write(State("waiting"))
-    ticket.withdraw()
-    assert ticket.done() and ticket.result() == State("failed", "on the cluster: cancelled")  # by whom, if nobody asked?
+    handle.withdraw()
+    assert handle.done() and handle.result() == State("failed", "on the cluster: cancelled")  # nobody asked for it
     (tmp_path / CANCEL).touch()
-    assert ticket.result() == State("cancelled")
+    assert handle.result() == State("cancelled")

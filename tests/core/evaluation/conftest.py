@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The embedded dataset with its truth, and predictions that are exactly the truth."""
+"""The embedded dataset with its ground truth, and predictions that equal the ground truth."""
 
 from pathlib import Path
 
@@ -17,13 +17,13 @@ DEMO = Path(irgspp.core.__file__).parent / "demo_data"
 
 
 def premultiplied(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Encoded times alpha, as in Truth, to linear premultiplied RGBA."""
+    """Convert encoded colour times alpha, as in Truth, to linear premultiplied RGBA."""
     straight = image / np.maximum(alpha, 1e-6)[..., None]
     return np.concatenate([decode_srgb(straight) * alpha[..., None], alpha[..., None]], -1).astype(np.float32)
 
 
 def perfect(view: View, truth: Truth) -> Prediction:
-    """What an ideal reconstruction would show."""
+    """Return the prediction of a perfect reconstruction."""
     shaded = premultiplied(truth.image, truth.alpha)
     radiance = shaded[..., :3] / np.maximum(truth.alpha, 1e-6)[..., None]
     assert truth.depth is not None and truth.normal is not None and truth.albedo is not None
@@ -34,7 +34,7 @@ def perfect(view: View, truth: Truth) -> Prediction:
 
 @pytest.fixture(scope="session")
 def demo():
-    """Path, dataset, its scene's truth, the views' truths and perfect predictions."""
+    """Path, dataset, ground truth of the scene and of the views, and perfect predictions."""
     dataset = load_dataset(DEMO)
     scene = load_scene_truth(DEMO, dataset.to_world)
     truths = [load_truth(view, scene, dataset.to_world) for view in dataset.test]

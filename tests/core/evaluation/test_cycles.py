@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sphere of known materials, rendered by Cycles in a process of its own, against what a white sky must make of it."""
+"""A sphere of known materials under a white sky, rendered by Cycles in a child process, against its analytic radiance."""
 
 import os
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ def run(tmp_path_factory):
 
 
 def under_the_sky(camera):
-    """(H, W, 3) linear radiance of the unit sphere under SKY, and where it is well inside; no light is reflected twice by it."""
+    """Return the linear radiance (H, W, 3) of the unit sphere under SKY, and its inner pixels; a convex body has no second bounce."""
     ray = camera.rays().astype(float)
     ray = ray.reshape(camera.height, camera.width, 3) / np.linalg.norm(ray.reshape(-1, 3), axis=-1).reshape(camera.height, camera.width, 1)
     along = ray @ camera.centre
@@ -52,8 +52,8 @@ def test_a_white_sky_shows_the_materials(run):
     assert exact.seconds > 0 and denoised.seconds > 0
 
 
-def test_views_and_lights_are_told_apart(run, monkeypatch):
-    """The comparison pairs each image of ours with Cycles' of the same view and light."""
+def test_views_and_lights_are_not_confused(run, monkeypatch):
+    """The comparison pairs each of our images with Cycles' of the same view and light."""
     lights = {"dim": SKY, "bright": 2 * SKY}
     views = dict(zip("ab", cameras()[:2], strict=True))
     monkeypatch.setattr(cycles, "SAMPLES", 8)
@@ -69,10 +69,10 @@ def test_views_and_lights_are_told_apart(run, monkeypatch):
     for one in found:
         inside = under_the_sky(views[one.view])[1]
         assert np.abs(one.ours - one.theirs)[inside].mean() < 0.02
-        apart = np.abs(one.ours - one.theirs)
+        difference = np.abs(one.ours - one.theirs)
         shown = (one.ours.max(-1) > 0) | (one.theirs.max(-1) > 0)
-        assert one.metrics["cycles_difference"] == pytest.approx(apart.sum() / shown.sum() / 3)
-        assert one.metrics["cycles_psnr"] == pytest.approx(-10 * np.log10((apart**2).mean()))
+        assert one.metrics["cycles_difference"] == pytest.approx(difference.sum() / shown.sum() / 3)
+        assert one.metrics["cycles_psnr"] == pytest.approx(-10 * np.log10((difference**2).mean()))
 
 
 def test_a_run_that_is_not_finished_is_one_line(tmp_path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ground truth is read in the world of the run; the embedded dataset is consistent with itself."""
+"""Ground truth is read in the world frame of the run; the layers of the embedded dataset agree with each other."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 
 def similarity() -> np.ndarray:
-    """A turn about a skew axis, twice the size, moved."""
+    """Return a rotation about a skew axis with a scale of 2 and a translation."""
     axis = np.array([0.6, -0.3, 0.7])
     axis /= np.linalg.norm(axis)
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
@@ -79,7 +79,7 @@ def test_light_maps_turn_with_the_world():
     assert np.array_equal(turned(light, np.diag([3.0, 3.0, 3.0, 1.0])), light)
 
 
-def test_layers_follow_the_world_of_the_run(demo):
+def test_layers_follow_the_world_frame_of_the_run(demo):
     path, dataset, _, truths, _ = demo
     matrix = similarity()
     scene = load_scene_truth(path, matrix)
@@ -97,7 +97,7 @@ def test_photographs_alone_have_only_an_image(demo, tmp_path):
     assert truth.albedo is None and not truth.relit and truth.object.all()
 
 
-def test_truth_is_reduced_with_the_view(demo):
+def test_ground_truth_is_reduced_with_the_view(demo):
     _, dataset, scene, truths, _ = demo
     view, whole = dataset.test[0], truths[0]
     small = View(view.name, view.camera.resized(32, 32), view.path, view.colour[::2, ::2], view.alpha[::2, ::2])
@@ -111,7 +111,7 @@ def test_truth_is_reduced_with_the_view(demo):
     assert np.allclose(np.linalg.norm(half.normal[inside], axis=-1), 1, atol=1e-4)
 
 
-def test_truth_of_another_shape_is_bad_input(demo):
+def test_ground_truth_of_another_shape_is_bad_input(demo):
     _, dataset, scene, _, _ = demo
     view = dataset.test[0]
     small = View(view.name, view.camera.resized(32, 40), view.path, np.zeros((40, 32, 3), np.float32), np.ones((40, 32), np.float32))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""LPIPS as TorchScript, and the other things that its file may be."""
+"""LPIPS from a TorchScript file; other files are refused."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def test_lpips_comes_from_a_file_or_not_at_all(tmp_path):
     lpips = find_lpips(tmp_path / "metric.pt")
     image = np.random.default_rng(0).random((8, 8, 3))
     assert lpips(image, image) == 0
-    assert lpips(np.zeros((8, 8, 3)), np.full((8, 8, 3), 0.25)) == pytest.approx(0.25)  # 0..1 is shown to it as -1..1
+    assert lpips(np.zeros((8, 8, 3)), np.full((8, 8, 3), 0.25)) == pytest.approx(0.25)  # 0..1 is given to it as -1..1
     (tmp_path / "text.pt").write_text("no module")
     with pytest.raises(InputError, match="is not a TorchScript module"):
         find_lpips(tmp_path / "text.pt")

@@ -38,7 +38,7 @@ def test_ssim_falls_with_noise():
     assert values[0] == pytest.approx(1) and values[0] > values[1] > values[2]
 
 
-def test_ssim_is_that_of_the_library():
+def test_ssim_equals_that_of_scikit_image():
     a, b = RANDOM.random((20, 31, 3)), RANDOM.random((20, 31, 3))
     options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1.0, "channel_axis": -1}
     assert metrics.ssim(a, b) == pytest.approx(structural_similarity(a, b, **options), abs=1e-12)
@@ -109,7 +109,7 @@ def test_environment_on_a_grid_of_its_own():
 
 
 def globe(radius: float, rows: int = 60) -> Mesh:
-    """A sphere of triangles, without the poles' caps closed: close enough for distances."""
+    """Return a triangulated sphere, open at the poles: close enough for distances."""
     v, u = np.meshgrid(np.linspace(1e-3, np.pi - 1e-3, rows), np.linspace(0, 2 * np.pi, 2 * rows), indexing="ij")
     n = np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], -1).reshape(-1, 3)
     a = (np.arange(rows - 1)[:, None] * 2 * rows + np.arange(2 * rows - 1)).reshape(-1)

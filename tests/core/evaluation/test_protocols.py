@@ -53,14 +53,14 @@ def db(mean_square: float) -> float:
 
 @pytest.mark.parametrize(("name", "error"), [("plain", 0.1), ("tensoir", 0.1), ("irgs", 0.1), ("glossy", 153 / 255 - 128 / 255)])
 def test_a_constant_offset_d_is_minus_20_log_d(name, error):
-    """Eight bits know neither 0.5 nor an offset of exactly 0.1."""
+    """With eight bits neither 0.5 nor an offset of 0.1 is exact."""
     measured = view_metrics(predicted(image([0.6] * 3)), true_view(), PROTOCOLS[name])
     assert measured["nvs_psnr"] == measured["nvs_psnr_object"] == pytest.approx(-20 * np.log10(error), abs=1e-4)
 
 
 @pytest.mark.parametrize(("name", "error"), [("plain", 0.6**2 / 2), ("tensoir", 0.4**2 / 2), ("irgs", 0.0), ("glossy", 0.4**2 / 2)])
 def test_an_object_too_large_costs_what_the_background_says(name, error):
-    """Right on the object, and 0.6 where black or white should be; only IRGS takes the true mask to it."""
+    """Right on the object, and 0.6 where black or white should be; only IRGS multiplies by the true mask."""
     truth = true_view([0.6] * 3, HALF)
     measured = view_metrics(predicted(relit={"a": image([0.6] * 3)}), replace(truth, relit={"a": truth.image}), PROTOCOLS[name])
     assert measured["relight_a_psnr"] == (100 if error == 0 else pytest.approx(db(error), abs=1e-4))
@@ -83,7 +83,7 @@ def test_what_is_half_transparent_is_shown_as_the_code_of_each_shows_it(name, al
 
 
 def test_images_of_radiance_keep_their_own_silhouette():
-    """TensoIR cuts what it shades, IRGS what it relights."""
+    """TensoIR cuts shaded and relit images by the silhouette, IRGS relit ones only."""
     rgba, truth = image([0.6] * 3, 0.6 * EVERYWHERE), true_view(alpha=0.8 * EVERYWHERE)
     soft = {"tensoir": 0.6 * 0.6 + 0.4, "irgs": 0.6 * 0.6}
     cut = {"tensoir": 0.6, "irgs": 0.6 * 0.6 * 0.8}
@@ -126,7 +126,7 @@ def test_scaled_albedo_gives_the_exact_scale_in_every_protocol():
 
 
 def test_least_squares_and_median_differ_as_they_should():
-    """A third of the pixels 0.2 instead of 0.4: the median doesn't care."""
+    """A quarter of the pixels is 0.2 instead of 0.4, which the median ignores."""
     few = np.arange(WIDTH) < WIDTH // 4
     albedo = np.where(few[None, :, None], layer([0.2] * 3), layer([0.4] * 3))
     prediction, truth = predicted(albedo=albedo), true_view(albedo=layer([0.4] * 3))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report and the contact sheet, with a renderer that knows the truth in place of the real one."""
+"""The report and the contact sheet, with a stand-in for the renderer that returns the ground truth."""
 
 import json
 import re
@@ -17,11 +17,11 @@ from irgspp.core.progress.protocol import Silent
 from markupsafe import escape
 from PIL import Image
 
-EDGES = {"tensoir": 27, "irgs": 33}  # dB that half-covered pixels leave, as these papers don't show them half covered
+EDGES = {"tensoir": 27, "irgs": 33}  # dB left by the error of half-covered pixels, which these papers' protocols don't keep half covered
 
 
 class Known:
-    """Stands for a reconstruction in the dataset's own world."""
+    """Stand-in for a reconstruction in the dataset's own frame."""
 
     to_world = np.eye(4)
 
@@ -37,7 +37,7 @@ class Known:
 
 @pytest.fixture
 def known(demo, monkeypatch):
-    """The renderer answers with the truth of the view whose camera is asked for, under the light that is given."""
+    """A renderer that returns the ground truth of the view with the given camera, under the given light."""
     _, dataset, scene, _, predictions = demo
 
     def at(camera):
@@ -45,7 +45,7 @@ def known(demo, monkeypatch):
         return match
 
     class KnowingRelighter:
-        """Darker by a third where nobody asked for the albedo scale of 1."""
+        """Renders images under other lights darker by a third unless the albedo's scale, which is 1, was applied."""
 
         def __init__(self, brightness=0.67):
             self.brightness = brightness
@@ -130,7 +130,7 @@ def test_as_many_views_are_relit_as_the_protocol_says(demo, known, tmp_path, mon
 
 
 def test_photographs_under_other_lights_are_what_relit_images_are_compared_with(demo, known, tmp_path, monkeypatch):
-    """Those of the demonstration's relit truth, as if somebody had taken them: each view's own image is under another light."""
+    """The demo's relit ground truth serves as photographs under other lights."""
     _, dataset, _, truths, _ = demo
     novel = []
     for light in ("studio", "sunset"):

@@ -9,7 +9,7 @@ from irgspp.core.evaluation.ground_truth import Truth
 from irgspp.core.evaluation.view_metrics import albedo_metrics, averages, view_metrics
 
 
-def test_the_truth_itself_is_perfect(demo):
+def test_the_ground_truth_itself_is_perfect(demo):
     _, _, _, truths, predictions = demo
     measured = view_metrics(predictions[0], truths[0])
     for name in ("nvs", "radiance", "relight_studio", "relight_sunset"):
@@ -22,7 +22,7 @@ def test_the_truth_itself_is_perfect(demo):
     assert np.allclose(scale, 1) and all(row["albedo_psnr"] == 100 for row in rows)
 
 
-def test_each_figure_sees_its_own_fault(demo):
+def test_each_metric_responds_to_its_own_error(demo):
     _, _, _, truths, predictions = demo
     b = predictions[0].buffers
     wrong = replace(predictions[0], buffers=replace(b, depth=b.depth + 0.25, roughness=b.roughness + 0.1, metallic=1 - b.metallic))
@@ -53,13 +53,13 @@ def test_one_albedo_scale_serves_all_views(demo):
     assert all(row["albedo_psnr"] > 80 and row["albedo_psnr_unscaled"] < 25 for row in rows)
 
 
-def test_without_truth_there_are_only_images(demo):
+def test_without_ground_truth_only_images_are_compared(demo):
     _, _, _, truths, predictions = demo
     bare = Truth(truths[0].image, truths[0].alpha)
     assert {name.split("_")[0] for name in view_metrics(predictions[0], bare)} == {"nvs", "radiance"}
     assert albedo_metrics(predictions[:1], [bare]) == ([{}], None)
 
 
-def test_means_are_over_the_views_that_have_the_figure():
+def test_means_are_over_the_views_that_have_the_metric():
     rows = [{"a_psnr": 10.0, "relight_x_psnr": 20.0, "relight_y_psnr": 30.0}, {"a_psnr": 20.0}]
     assert averages(rows, ["x", "y"]) == {"a_psnr": 15.0, "relight_x_psnr": 20.0, "relight_y_psnr": 30.0, "relight_psnr": 25.0}
