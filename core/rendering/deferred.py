@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From rasterised sums to the image a camera takes: normalise, reflect the light, composite."""
+"""Deferred shading: from the sums of the rasteriser to the image of a camera.
+
+Order: divide by opacity, add the split-sum reflection of the light, composite over the background. The reflective model is that of
+Ref-Gaussian (ICLR 2025), evaluated in linear light.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +17,23 @@ from ..machine.backend import by_warp
 from ..shading.environment_lookup import lookup
 from ..shading.split_sum import specular_light, specular_radiance
 
-ALPHA_FLOOR = 1e-4  # below it nothing is there to be normalised
-REFLECTING = 0.05  # opacity from which a pixel reflects; fainter ones show their SH colour
+ALPHA_FLOOR = 1e-4  # smallest opacity that sums are divided by
+REFLECTING = 0.05  # opacity above which a pixel reflects; fainter ones show their SH colour
 
 
 @dataclass
 class SurfacePixels:
-    """The covered pixels of an image as surface points; P of them.
+    """Covered pixels of an image as P surface points.
 
     Attributes:
         index: (P,) flat pixel index.
-        view: (P, 3) unit, towards the camera. normal: (P, 3) unit.
-        colour, albedo: (P, 3); roughness, metallic, alpha: (P,).
+        view: (P, 3) unit vector towards the camera.
+        normal: (P, 3) unit.
+        colour: (P, 3) linear radiance of the SH.
+        albedo: (P, 3) linear, 0..1.
+        roughness: (P,) in 0..1.
+        metallic: (P,) in 0..1.
+        alpha: (P,) opacity in 0..1.
     """
 
     index: torch.Tensor
@@ -37,52 +46,95 @@ class SurfacePixels:
     alpha: torch.Tensor
 
 
-def surface_pixels(image: torch.Tensor, rays: torch.Tensor, threshold: float = REFLECTING, every: bool = False) -> SurfacePixels:
-    """Divide the sums of `rasterize` (13, H, W; extras: albedo, roughness, metallic) by opacity where it exceeds `threshold`.
+def surface_pixels(image: torch.Tensor, rays: torch.Tensor, threshold: float = REFLECTING, all_pixels: bool = False) -> SurfacePixels:
+    """Divide the sums of `rasterize` by opacity where the opacity exceeds a threshold.
 
-    rays: (3, H, W) world directions of any length. every: all pixels, fainter ones divided by the threshold: nobody has to wait for
-    their number.
+    Args:
+        image: (13, H, W) sums; the extra channels are albedo (3), roughness, metallic.
+        rays: (3, H, W) world directions of any length.
+        threshold: smallest opacity of a covered pixel.
+        all_pixels: return all pixels and divide fainter ones by the threshold: on a GPU this avoids waiting for the number of covered
+            pixels.
     """
     flat = image.flatten(1)
-    index = torch.arange(flat.shape[1], device=flat.device) if every else torch.nonzero(flat[-1].detach() > threshold)[:, 0]
-    at = flat if every else flat[:, index]
-    mean = at[:-1] / (at[-1].clamp_min(threshold) if every else at[-1])
+    index = torch.arange(flat.shape[1], device=flat.device) if all_pixels else torch.nonzero(flat[-1].detach() > threshold)[:, 0]
+    sums = flat if all_pixels else flat[:, index]
+    mean = sums[:-1] / (sums[-1].clamp_min(threshold) if all_pixels else sums[-1])
     view = -torch.nn.functional.normalize(rays.flatten(1)[:, index], dim=0).T
     normal = torch.nn.functional.normalize(mean[NORMAL], dim=0).T
     colour, albedo = mean[COLOUR].T, mean[EXTRA : EXTRA + 3].T
-    return SurfacePixels(index, view, normal, colour, albedo, mean[EXTRA + 3], mean[EXTRA + 4], at[-1])
+    return SurfacePixels(index, view, normal, colour, albedo, mean[EXTRA + 3], mean[EXTRA + 4], sums[-1])
 
 
 def splat_radiance(image: torch.Tensor) -> torch.Tensor:
-    """(3, H, W) straight linear radiance of the SH colours."""
+    """Return the radiance of the SH colours, (3, H, W) linear with straight alpha, from the sums of `rasterize`, (13, H, W)."""
     return image[COLOUR] / image[-1:].clamp_min(ALPHA_FLOOR)
 
 
 def reflective_radiance(image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:
-    """(3, H, W) straight linear radiance (1 - m) C_sh + split-sum reflection of the light (Ref-Gaussian, in linear light)."""
-    every = by_warp(image)
-    p = surface_pixels(image, rays, every=every)
+    """Add the split-sum reflection of the light to the diffuse SH radiance: (1 - m) C_sh + S (Ref-Gaussian, in linear light).
+
+    Pixels of opacity up to REFLECTING keep their SH radiance.
+
+    Args:
+        image: (13, H, W) sums of `rasterize`.
+        rays: (3, H, W) world directions of any length.
+        stack: (L, h, w, 3) prefiltered light of `specular_light`.
+
+    Returns:
+        (3, H, W) linear radiance with straight alpha.
+    """
+    all_pixels = by_warp(image)
+    p = surface_pixels(image, rays, all_pixels=all_pixels)
     light = specular_radiance(p.view, p.normal, p.albedo, p.roughness, p.metallic, stack)
     shaded = (1 - p.metallic[:, None]) * p.colour + light
     base = splat_radiance(image)
-    if every:
+    if all_pixels:
         return torch.where(image[-1] > REFLECTING, shaded.T.view_as(base), base)
     return base.flatten(1).index_copy(1, p.index, shaded.T).view_as(base)
 
 
 def radiance(image: torch.Tensor, rays: torch.Tensor, light: torch.Tensor | None) -> torch.Tensor:
-    """(3, H, W) straight linear radiance; `light` (H, W, 3) switches the reflections on."""
+    """Return the radiance of an image before compositing, with or without reflections.
+
+    Args:
+        image: (13, H, W) sums of `rasterize`.
+        rays: (3, H, W) world directions of any length.
+        light: (h, w, 3) linear lat-long map to reflect, or None: the SH hold the full radiance.
+
+    Returns:
+        (3, H, W) linear radiance with straight alpha.
+    """
     return splat_radiance(image) if light is None else reflective_radiance(image, rays, specular_light(light))
 
 
 def background_radiance(background: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
-    """(3, H, W) linear radiance of a lat-long background (h, w, 3) along world rays (3, H, W)."""
+    """Look a background up along rays.
+
+    Args:
+        background: (h, w, 3) linear lat-long map.
+        rays: (3, H, W) world directions of any length.
+
+    Returns:
+        (3, H, W) linear radiance.
+    """
     direction = torch.nn.functional.normalize(rays.flatten(1), dim=0).T
     return lookup(background, direction).T.view_as(rays)
 
 
 def composite(straight: torch.Tensor, alpha: torch.Tensor, rays: torch.Tensor, background: torch.Tensor | None) -> torch.Tensor:
-    """(3, H, W) encoded image, on black where masks tell object from background, else on the learned background (in linear light)."""
+    """Composite an image over black or over the learned background, and encode it as sRGB.
+
+    Args:
+        straight: (3, H, W) linear radiance with straight alpha.
+        alpha: (H, W) opacity in 0..1.
+        rays: (3, H, W) world directions of any length.
+        background: (h, w, 3) linear lat-long map, composited in linear light; None where masks separate the object from its background:
+            the encoded image is composited over black.
+
+    Returns:
+        (3, H, W) sRGB-encoded image.
+    """
     if background is None:
         return encode_srgb(straight) * alpha
     return encode_srgb(straight * alpha + background_radiance(background, rays) * (1 - alpha))

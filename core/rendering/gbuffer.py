@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A reconstruction seen by a camera: its layers."""
+"""G-buffer of a camera, rasterised from a reconstruction."""
 
 from __future__ import annotations
 
@@ -12,11 +12,20 @@ from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
 from .deferred import ALPHA_FLOOR, background_radiance, radiance
 
-LIGHT_HEIGHT = 64  # rows a light map is reduced to before it is prefiltered
+LIGHT_HEIGHT = 64  # largest number of rows of a light map when it is prefiltered
 
 
 def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-    """Sums (13, H, W) and world rays (3, H, W) of one camera, without gradients; `more` channels (E, N) follow the materials."""
+    """Rasterise a reconstruction for one camera, without gradients.
+
+    Args:
+        reconstruction: Gaussians to rasterise; their materials are extra channels.
+        camera: the camera.
+        more: (E, N) further channels, which follow the materials.
+
+    Returns:
+        Sums (13 + E, H, W) and world rays (3, H, W) of planar depth 1.
+    """
     g = reconstruction.gaussians
     with torch.no_grad():
         extra = g.materials() if more is None else torch.cat([g.materials(), more])
@@ -26,25 +35,41 @@ def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.T
 
 
 def render_gbuffer(reconstruction: Reconstruction, camera: Camera) -> GBuffer:
-    """All layers of one camera."""
-    mirrored, kept = reconstruction.mirrored(), reconstruction.reflections
-    image, rays = rasterize_view(reconstruction, camera, None if kept is None else kept.material)
+    """Render the G-buffer of a camera.
+
+    Args:
+        reconstruction: Gaussians, light and background.
+        camera: the camera.
+
+    Returns:
+        Layers (H, W) divided by opacity; the radiance of a glossy reconstruction includes reflections of the light it was fitted with.
+    """
+    mirrored, fitted = reconstruction.mirrored(), reconstruction.reflections
+    image, rays = rasterize_view(reconstruction, camera, None if fitted is None else fitted.material)
     with torch.no_grad():
-        own = image if kept is None else torch.cat([image[:EXTRA], image[EXTRA + len(kept.material) :]])
-        shown = radiance(own, rays, None if mirrored is None else mirrored.environment)
+        reflecting = image if fitted is None else torch.cat([image[:EXTRA], image[EXTRA + len(fitted.material) :]])
+        linear = radiance(reflecting, rays, None if mirrored is None else mirrored.environment)
         alpha = image[-1]
         mean = torch.where(alpha > ALPHA_FLOOR, image[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
         normal = torch.nn.functional.normalize(mean[3:6], dim=0)
-        images = (alpha, mean[-1], normal, shown * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
+        images = (alpha, mean[-1], normal, linear * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
         behind = None
         if reconstruction.background is not None:
             behind = background_radiance(reconstruction.background, rays).permute(1, 2, 0).contiguous().cpu().numpy()
-        moved = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().cpu().numpy() for p in images]
-    return GBuffer(camera, *moved, background=behind)
+        layers = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().cpu().numpy() for p in images]
+    return GBuffer(camera, *layers, background=behind)
 
 
-def reduced(environment: np.ndarray, height: int = LIGHT_HEIGHT) -> torch.Tensor:
-    """A light map (H, W, 3) averaged down to at most `height` rows: split-sum sees nothing finer."""
+def downsampled_light(environment: np.ndarray, height: int = LIGHT_HEIGHT) -> torch.Tensor:
+    """Average a light map down to a number of rows: split-sum shading needs no finer detail.
+
+    Args:
+        environment: (H, W, 3) linear lat-long map.
+        height: largest number of rows of the result; smaller maps keep their size.
+
+    Returns:
+        (h, w, 3) float32 with h = min(H, height).
+    """
     light = torch.from_numpy(np.ascontiguousarray(environment, np.float32)).permute(2, 0, 1)[None]
     if light.shape[2] > height:
         light = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="area")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The layers of many cameras, rendered when they are asked for."""
+"""Cache of the G-buffers of many cameras, rendered on first use."""
 
 from __future__ import annotations
 
@@ -11,19 +11,24 @@ from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
 from .gbuffer import render_gbuffer
 
-FLOATS = 13  # of a pixel of ViewBuffers
+FLOATS = 13  # per pixel of a G-buffer
 
 
 class GBufferCache(Sequence[GBuffer]):
-    """A sequence of `ViewBuffers`: the first ones that fit into `memory` bytes are kept, the others rendered again each time.
+    """Sequence of G-buffers that keeps those rendered first, up to a memory limit, and renders the others again at each access.
 
-    All views of a large capture at once would take tens of gigabytes. Keeping the first (not the last used) makes every pass over
-    the whole sequence save the same share of the work.
+    All views of a large capture at once would take tens of gigabytes. Keeping the first ones rather than the last used ones saves the same
+    fraction of the work in every pass over the whole sequence.
+
+    Args:
+        reconstruction: what is rendered.
+        cameras: one camera per G-buffer.
+        memory: largest number of bytes to keep.
     """
 
     def __init__(self, reconstruction: Reconstruction, cameras: Sequence[Camera], memory: int = 2 << 30) -> None:
         self._reconstruction, self._cameras, self._free = reconstruction, list(cameras), memory
-        self._kept: dict[int, GBuffer] = {}
+        self._cached: dict[int, GBuffer] = {}
 
     def __len__(self) -> int:
         return len(self._cameras)
@@ -38,12 +43,12 @@ class GBufferCache(Sequence[GBuffer]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         index = range(len(self))[index]
-        if index in self._kept:
-            return self._kept[index]
+        if index in self._cached:
+            return self._cached[index]
         camera = self._cameras[index]
-        buffers = render_gbuffer(self._reconstruction, camera)
+        gbuffer = render_gbuffer(self._reconstruction, camera)
         size = camera.width * camera.height * FLOATS * 4
         if size <= self._free:
             self._free -= size
-            self._kept[index] = buffers
-        return buffers
+            self._cached[index] = gbuffer
+        return gbuffer

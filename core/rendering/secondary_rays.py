@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Secondary rays through the first stage's Gaussians: how much passes, and the radiance of what is in the way."""
+"""Ray tracer for secondary rays through frozen Gaussians: transmittance and radiance along each ray."""
 
 from __future__ import annotations
 
@@ -10,68 +10,91 @@ from ..machine.backend import by_warp
 from ..scene.reconstruction import Reconstruction
 from ..shading.split_sum import specular_light, specular_radiance
 
-FAINTEST = 1 / 255  # opacity below which nothing is met
-OFFSET = 0.02  # of the scene radius, along the normal: clears the surfels that make the surface itself
+FAINTEST = 1 / 255  # opacity at or below which a ray counts as free
+OFFSET = 0.02  # of the scene radius, along the normal: ray origins lie above the surfels of the surface itself
 
 
 class SecondaryTracer:
-    """The frozen Gaussians as what casts shadows and reflects light.
+    """Frozen Gaussians of the first stage as occluders and reflectors of the second.
 
     Args:
-        reconstruction: of the first stage. Where it is glossy, its SH hold diffuse radiance only, and the reflections are added.
+        reconstruction: result of the first stage. If it is glossy, its SH hold the diffuse radiance only, and the split-sum reflections
+            are added.
 
     Attributes:
-        repack: lay the surfels' channels out anew for each call, for comparison; they don't change.
-        tree: all surfels, as what hides a point from a camera. Where the photographs had a background, surfels outside the bound are a
-            backdrop: part of the light, as for the relighter, which rays from the surface don't meet.
+        repack: lay the surfels' channels out again for each call instead of once; for comparison only, since they do not change.
+        tree: bounding volume hierarchy of all surfels, which decides what a camera sees. If the photographs show a background, surfels
+            outside the bound are a backdrop: part of the distant light, as in the relighter, so that rays from the surface ignore them.
+        offset: distance of ray origins from the surface, scene units.
+        device: device of the Gaussians.
     """
 
     def __init__(self, reconstruction: Reconstruction) -> None:
         g = reconstruction.gaussians
         with torch.no_grad():
             self.tree = build_tree(g.position, g.quaternion, g.log_scale, g.opacity)
-            own, mirrored = inside(reconstruction), reconstruction.mirrored()
-            g = g.select(own)
+            inside, mirrored = inside_bound(reconstruction), reconstruction.mirrored()
+            g = g.select(inside)
             self._geometry, self._sh = (g.position, g.quaternion, g.log_scale, g.opacity), g.sh
-            self._materials = g.position.new_zeros(0, g.count) if mirrored is None else mirrored.material[:, own].contiguous()
+            self._materials = g.position.new_zeros(0, g.count) if mirrored is None else mirrored.material[:, inside].contiguous()
             self._stack = None if mirrored is None else specular_light(mirrored.environment)
-        self._tree = self.tree if own.all() else build_tree(*self._geometry)
-        self._seen, self.repack = Seen(self._tree, self._sh, self._materials), False
+        self._tree = self.tree if inside.all() else build_tree(*self._geometry)
+        self._packed, self.repack = Seen(self._tree, self._sh, self._materials), False
         self.offset, self.device = OFFSET * reconstruction.bound.radius, g.position.device
 
     def above(self, position: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
-        """(P, 3) where rays from a surface start."""
+        """Return the origins (P, 3) of secondary rays: surface points moved along their normals by `offset`.
+
+        Args:
+            position: (P, 3) surface points, world.
+            normal: (P, 3) unit.
+        """
         return position + self.offset * normal
 
     @torch.no_grad()
     def look(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """What R rays (R, 3) see: the share of the light behind that passes, (R,), and the object's radiance times its opacity, (R, 3)."""
+        """Trace rays through the object.
+
+        Args:
+            origin: (R, 3) world.
+            direction: (R, 3) unit.
+
+        Returns:
+            Transmittance (R,), the fraction of the light behind the object that passes, and the radiance of the object times its opacity,
+            (R, 3) linear.
+        """
         if self.repack:
             sums = trace(*self._geometry, self._sh, self._materials, origin, direction, self._tree)
         else:
-            sums = self._seen.along(origin, direction)
+            sums = self._packed.along(origin, direction)
         opacity = sums[:, -1]
         radiance = sums[:, COLOUR].contiguous()
-        if self._stack is not None and by_warp(sums):  # all rays: their number would have to be waited for
-            there = (opacity > FAINTEST)[:, None]
-            shown = self._shown(sums / opacity.clamp_min(FAINTEST)[:, None], direction, self._stack)
-            radiance = torch.where(there, shown * opacity[:, None], radiance)
+        if self._stack is not None and by_warp(sums):  # all rays: counting the hits would wait for the GPU
+            hit = (opacity > FAINTEST)[:, None]
+            reflective = self._reflective_radiance(sums / opacity.clamp_min(FAINTEST)[:, None], direction, self._stack)
+            radiance = torch.where(hit, reflective * opacity[:, None], radiance)
         elif self._stack is not None:
             hit = torch.nonzero(opacity > FAINTEST)[:, 0]
-            radiance[hit] = self._shown(sums[hit] / opacity[hit, None], direction[hit], self._stack) * opacity[hit, None]
+            radiance[hit] = self._reflective_radiance(sums[hit] / opacity[hit, None], direction[hit], self._stack) * opacity[hit, None]
         return 1 - opacity, radiance
 
     @staticmethod
-    def _shown(mean: torch.Tensor, direction: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:
-        """(K, 3) diffuse radiance and reflections of what rays meet, from means over it (K, 13)."""
+    def _reflective_radiance(mean: torch.Tensor, direction: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:
+        """Return the diffuse radiance and the reflections of K hit surfaces, (K, 3), from their mean channels.
+
+        Args:
+            mean: (K, 13) columns of `trace` divided by opacity.
+            direction: (K, 3) unit directions of the rays.
+            stack: (L, h, w, 3) prefiltered light of `specular_light`.
+        """
         albedo, roughness, metallic = mean[:, EXTRA : EXTRA + 3], mean[:, EXTRA + 3].contiguous(), mean[:, EXTRA + 4]
         normal = torch.nn.functional.normalize(mean[:, NORMAL], dim=1)
         reflected = specular_radiance(-direction, normal, albedo, roughness, metallic, stack)
         return (1 - metallic[:, None]) * mean[:, COLOUR] + reflected
 
 
-def inside(reconstruction: Reconstruction) -> torch.Tensor:
-    """(N,) bool, which surfels are of the object: all where the photographs were masked, else those inside the bound."""
+def inside_bound(reconstruction: Reconstruction) -> torch.Tensor:
+    """Return (N,) bool, True for surfels of the object: all where the photographs were masked, else those inside the bound."""
     g, bound = reconstruction.gaussians, reconstruction.bound
     if reconstruction.background is None:
         return torch.ones(g.count, dtype=torch.bool, device=g.position.device)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The microfacet BRDF: GGX, height-correlated Smith, Schlick; alpha = roughness^2. The only one in the project.
+"""Microfacet BRDF: GGX distribution, height-correlated Smith masking-shadowing, Schlick Fresnel; used by every part of the project.
 
-f = (1 - m) a / pi + F D V,  F0 = 0.04 (1 - m) + m a,  V = G / (4 n.l n.v)
+f = (1 - m) a / pi + F D V,  F0 = 0.04 (1 - m) + m a,  V = G / (4 n.l n.v),  alpha = roughness^2
 """
 
 from __future__ import annotations
@@ -12,27 +12,43 @@ import torch
 
 DIELECTRIC_F0 = 0.04
 ALPHA_FLOOR = 0.05**2  # roughness below 0.05 is treated as 0.05
-COSINE_FLOOR = 1e-3  # of n.v: at silhouettes an averaged normal may look away from the camera
+COSINE_FLOOR = 1e-3  # of n.v: at silhouettes an averaged normal may point away from the camera
 
 
 def ggx_alpha(roughness: torch.Tensor) -> torch.Tensor:
-    """Perceptual roughness in 0..1 to GGX alpha, floored."""
+    """Return the GGX alpha, roughness^2 with a lower bound, for perceptual roughness (...,) in 0..1."""
     return (roughness * roughness).clamp_min(ALPHA_FLOOR)
 
 
 def ggx_distribution(n_h: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """D: density of microfacet normals per unit projected area (Walter 2007, eq. 33); n_h = cosine to the half vector."""
+    """Return D, the density of microfacet normals per unit projected area (Walter 2007, eq. 33).
+
+    Args:
+        n_h: (...,) cosine between normal and half vector.
+        alpha: (...,) of GGX, broadcast against `n_h`.
+    """
     return ggx_of_sine(1 - n_h * n_h, alpha)
 
 
 def ggx_of_sine(sine2: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """D from the squared sine between normal and half vector: in float32 a cosine near 1 says too little of a sharp lobe."""
+    """Return D from a sine instead of a cosine: in float32 a cosine near 1 is too inaccurate for a sharp lobe.
+
+    Args:
+        sine2: (...,) squared sine between normal and half vector.
+        alpha: (...,) of GGX, broadcast against `sine2`.
+    """
     a2 = alpha * alpha
     return a2 / (math.pi * (a2 + sine2 * (1 - a2)) ** 2)
 
 
 def smith_visibility(n_l: torch.Tensor, n_v: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """V = G / (4 n.l n.v), height-correlated Smith (Heitz 2014, eq. 99); written so that nothing overflows at grazing angles."""
+    """Return V = G / (4 n.l n.v), height-correlated Smith (Heitz 2014, eq. 99), in a form that does not overflow at grazing angles.
+
+    Args:
+        n_l: (...,) cosine between normal and light direction, >= 0.
+        n_v: (...,) cosine between normal and view direction, >= 0.
+        alpha: (...,) of GGX.
+    """
     a2 = alpha * alpha
     lambda_v = n_l * torch.sqrt(n_v * n_v * (1 - a2) + a2)
     lambda_l = n_v * torch.sqrt(n_l * n_l * (1 - a2) + a2)
@@ -40,17 +56,35 @@ def smith_visibility(n_l: torch.Tensor, n_v: torch.Tensor, alpha: torch.Tensor) 
 
 
 def schlick(v_h: torch.Tensor, f0: torch.Tensor) -> torch.Tensor:
-    """Fresnel reflectance at cosine v_h (Schlick 1994)."""
+    """Return the Fresnel reflectance (Schlick 1994).
+
+    Args:
+        v_h: (...,) cosine between view direction and half vector.
+        f0: (...,) reflectance at normal incidence, broadcast against `v_h`.
+    """
     return f0 + (1 - f0) * (1 - v_h).clamp(0, 1) ** 5
 
 
 def base_reflectance(albedo: torch.Tensor, metallic: torch.Tensor) -> torch.Tensor:
-    """F0 = 0.04 (1 - m) + m a; albedo (..., 3), metallic (..., 1)."""
+    """Return F0 = 0.04 (1 - m) + m a, (..., 3).
+
+    Args:
+        albedo: (..., 3) linear, 0..1.
+        metallic: (..., 1) in 0..1.
+    """
     return DIELECTRIC_F0 * (1 - metallic) + metallic * albedo
 
 
 def facing(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
-    """(P, 3) unit view, bent towards the unit normal where n.v is below COSINE_FLOOR. Sampling and shading both use it."""
+    """Bend view directions towards the normal where n.v is below COSINE_FLOOR; sampling and shading both use the result.
+
+    Args:
+        view: (P, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+
+    Returns:
+        (P, 3) unit view directions.
+    """
     short = (COSINE_FLOOR - (view * normal).sum(-1, keepdim=True)).clamp_min(0)
     return torch.nn.functional.normalize(view + short * normal, dim=-1)
 
@@ -58,31 +92,40 @@ def facing(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
 def specular_lobe(
     view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, direction: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """The specular BRDF without its colour, for N directions at each of P points.
+    """Evaluate the specular BRDF without its Fresnel colour, for N directions at each of P points.
 
     Args:
-        view: (P, 3) unit, n.v > 0. normal: (P, 3) unit. alpha: (P,). direction: (P, N, 3) unit.
+        view: (P, 3) unit, towards the eye, n.v > 0.
+        normal: (P, 3) unit.
+        alpha: (P,) of GGX.
+        direction: (P, N, 3) unit, towards the light.
 
     Returns:
-        (P, N) each: n.l; D V, zero where n.l <= 0; Schlick's (1 - v.h)^5.  F D V = (F0 + (1 - F0) power) D V.
+        Three (P, N) tensors: n.l; D V, zero where n.l <= 0; Schlick's (1 - v.h)^5.  F D V = (F0 + (1 - F0) power) D V.
     """
     alpha = alpha[:, None]
     n_l = torch.einsum("pnc,pc->pn", direction, normal)
     n_v = (view * normal).sum(-1)[:, None]
     half = direction + view[:, None]  # not of unit length
     length2 = (half * half).sum(-1).clamp_min(1e-7)
-    aside = half - (n_l + n_v)[..., None] * normal[:, None]
+    tangential = half - (n_l + n_v)[..., None] * normal[:, None]
     above = n_l > 0
     cosine = torch.where(above, n_l, 1.0)
-    value = ggx_of_sine((aside * aside).sum(-1) / length2, alpha) * smith_visibility(cosine, n_v, alpha)
+    value = ggx_of_sine((tangential * tangential).sum(-1) / length2, alpha) * smith_visibility(cosine, n_v, alpha)
     power = (1 - 0.5 * length2.sqrt()).clamp(0, 1) ** 5  # |half| = 2 v.h
     return n_l, torch.where(above, value, 0.0), power
 
 
 def visible_normal_density(view: torch.Tensor, direction: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """Density per steradian of directions mirrored at `sample_visible_normal`: G1(v) D(h) / (4 n.v), in the local frame.
+    """Return the density per steradian of view directions mirrored at sampled visible normals, G1(v) D(h) / (4 n.v) (Heitz 2018).
 
-    view: (..., 3), direction: (..., 3) unit; alpha: (...). Zero where the half vector points below the surface.
+    Args:
+        view: (..., 3) unit, in the local frame with the normal along +z.
+        direction: (..., 3) unit, in the same frame.
+        alpha: (...,) of GGX.
+
+    Returns:
+        (...,) density, zero where the half vector points below the surface.
     """
     half = view + direction
     up, n_v = half[..., 2], view[..., 2]
@@ -93,13 +136,15 @@ def visible_normal_density(view: torch.Tensor, direction: torch.Tensor, alpha: t
 
 
 def sample_visible_normal(view: torch.Tensor, alpha: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-    """Half vectors seen from `view` by spherical caps (Dupuy and Benyoub 2023), in the local frame with the normal along +z.
+    """Sample half vectors from the GGX distribution of visible normals (Heitz 2018) by spherical caps (Dupuy and Benyoub 2023).
 
     Args:
-        view: (..., 3) unit, z > 0. alpha: (...). u: (..., 2) uniform in [0, 1).
+        view: (..., 3) unit, z > 0, in the local frame with the normal along +z.
+        alpha: (...,) of GGX.
+        u: (..., 2) uniform in [0, 1).
 
     Returns:
-        (..., 3) unit, density G1(v) D(h) max(v.h, 0) / v.z.
+        (..., 3) unit, of density G1(v) D(h) max(v.h, 0) / v.z.
     """
     a = alpha[..., None]
     v = torch.nn.functional.normalize(torch.cat([view[..., :2] * a, view[..., 2:]], -1), dim=-1)

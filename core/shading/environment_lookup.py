@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lat-long light maps: the one place that knows which texel a direction sees.
+"""Lat-long light maps in PyTorch: differentiable bilinear lookup, texel directions, solid angles.
 
 Row 0 is +Z; u = 0.5 - atan2(y, x) / 2 pi, v = acos(z) / pi, texel centres at +0.5: Blender's equirectangular World.
+
+The same mapping exists in numpy without torch for Blender's process (`core/scene/environment_map.py`), in numba for the kernels
+(`core/kernels/cpu/directions.py`, `gathering.py`) and in Warp; `tests/core/shading/test_lightmap_agreement.py` compares them.
 """
 
 from __future__ import annotations
@@ -13,16 +16,16 @@ import torch
 
 from ..machine.backend import by_warp
 
-POLE = 0.995  # height from which it says too little of the angle in float32, where rows of an 8k map are narrower than what it rounds to
+POLE = 0.995  # |z| above which acos(z) is too inaccurate in float32: its rounding error exceeds the rows of an 8k map
 
 
 def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """(..., 3) unit directions to u, v (...) in 0..1."""
+    """Return the coordinates u and v, (...,) each in 0..1, of unit directions (..., 3)."""
     x, y, z = direction.unbind(-1)
-    # Exactly at a pole atan2 has no slope; a nudge keeps the gradient finite and moves the texel by nothing.
+    # Exactly at a pole atan2 has no gradient; a tiny offset keeps it finite and does not change the texel.
     x = torch.where((x.abs() < 1e-6) & (y.abs() < 1e-6), torch.full_like(x, 1e-6), x)
     polar, near = torch.acos(z.clamp(-1 + 1e-6, 1 - 1e-6)), z.abs() > POLE
-    if by_warp(z):  # which directions are near would have to be waited for
+    if by_warp(z):  # selecting the directions near a pole would wait for the GPU
         sine = torch.asin((x * x + y * y).clamp(1e-30, 1 - 1e-6).sqrt())
         polar = torch.where(near, torch.where(z > 0, sine, math.pi - sine), polar)
     elif near.any():
@@ -32,7 +35,13 @@ def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor
 
 
 def texel_directions(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-    """(H, W, 3) unit directions of the texel centres."""
+    """Return the unit directions of the texel centres, (H, W, 3).
+
+    Args:
+        height: rows of the map.
+        width: columns of the map.
+        dtype: floating type of the computation and of the result.
+    """
     theta = (torch.arange(height, dtype=dtype) + 0.5) * (math.pi / height)
     phi = math.pi - (torch.arange(width, dtype=dtype) + 0.5) * (2 * math.pi / width)
     s, c = theta.sin()[:, None].expand(height, width), theta.cos()[:, None].expand(height, width)
@@ -40,13 +49,19 @@ def texel_directions(height: int, width: int, dtype: torch.dtype = torch.float32
 
 
 def solid_angles(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-    """(H,) exact solid angle of a texel in each row; they sum to 4 pi over the map."""
+    """Return the exact solid angle in steradians of a texel in each row, (H,); over the map they sum to 4 pi.
+
+    Args:
+        height: rows of the map.
+        width: columns of the map.
+        dtype: floating type of the computation and of the result.
+    """
     edges = torch.cos(torch.arange(height + 1, dtype=dtype) * (math.pi / height))
     return (edges[:-1] - edges[1:]) * (2 * math.pi / width)
 
 
 def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | None = None) -> torch.Tensor:
-    """Interpolated values of a light map, or of a stack of them, in directions.
+    """Interpolate a light map, or a stack of them, in given directions.
 
     Args:
         maps: (H, W, C), or (L, H, W, C) with `level`.
@@ -54,15 +69,15 @@ def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | No
         level: (P,) fractional index into the stack, 0..L-1.
 
     Returns:
-        (P, C); bilinear, wrapped in u, trilinear with `level`. Differentiable in all arguments.
+        (P, C): bilinear, wrapped in u, clamped in v, trilinear with `level`. Differentiable with respect to all arguments.
     """
     stack = maps if maps.ndim == 4 else maps[None]
     levels, _, width, _ = stack.shape
     planes = torch.cat([stack[:, :, -1:], stack, stack[:, :, :1]], 2).permute(3, 0, 1, 2)
     u, v = direction_to_uv(direction)
-    coordinates = [(u * width + 1) / (width + 2), v]  # one texel of wrap on either side
+    coordinates = [(u * width + 1) / (width + 2), v]  # one texel of wrap-around on either side
     if level is None:
-        planes, shape = planes[:, 0], (1, 1, -1, 2)  # torch has a quicker way in two dimensions
+        planes, shape = planes[:, 0], (1, 1, -1, 2)  # torch is faster in two dimensions
     else:
         coordinates.append((level + 0.5) / levels)
         shape = (1, 1, 1, -1, 3)
@@ -72,8 +87,16 @@ def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | No
 
 
 def rotate(image: np.ndarray, degrees: float) -> np.ndarray:
-    """A lat-long map (H, W, C) turned counter-clockwise about +Z; between columns it is interpolated, so that no light is lost."""
-    shift = degrees / 360 * image.shape[1]  # u falls with the azimuth: what was at column j + shift comes to j
+    """Rotate a lat-long map about +Z; columns are interpolated, which keeps the total light.
+
+    Args:
+        image: (H, W, C) map.
+        degrees: angle, counter-clockwise seen from above.
+
+    Returns:
+        (H, W, C) rotated map.
+    """
+    shift = degrees / 360 * image.shape[1]  # u decreases with the azimuth: column j + shift moves to column j
     whole = int(np.floor(shift))
-    share = shift - whole
-    return (1 - share) * np.roll(image, -whole, 1) + share * np.roll(image, -whole - 1, 1)
+    fraction = shift - whole
+    return (1 - fraction) * np.roll(image, -whole, 1) + fraction * np.roll(image, -whole - 1, 1)

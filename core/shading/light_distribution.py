@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Directions drawn in proportion to the brightness of a light map."""
+"""Importance sampling of a lat-long light map: directions drawn in proportion to its brightness."""
 
 from __future__ import annotations
 
@@ -9,39 +9,50 @@ import torch
 
 from .environment_lookup import direction_to_uv, solid_angles
 
-FLOOR = 1e-3  # share of the mean that even a black texel gets, so that none dies
-SIDE = 1 / 6  # weight of either neighbour: lookup is bilinear, light spills half a texel over the edge
+FLOOR = 1e-3  # fraction of the mean added to every texel, so that black ones keep a density above 0
+SIDE = 1 / 6  # blur weight of either neighbour: bilinear lookup spreads light half a texel over a texel's edge
 
 
 class LightDistribution:
-    """A density over the sphere that is constant in each texel of a lat-long map; made anew whenever the map changes.
+    """Piecewise constant density over the sphere, one value per texel of a lat-long map; built again whenever the map changes.
 
-    Texels weigh their brightest channel, blurred over the 3 x 3 neighbourhood, times their exact solid angle. Everything is
-    detached. A map that is black everywhere gives the uniform density.
+    A texel's weight is its brightest channel, blurred over the 3 x 3 neighbourhood, times its exact solid angle. Everything is detached.
+    A map that is black everywhere gives the uniform density.
+
+    Args:
+        light: (H, W, 3) linear, finite; negative values count as black.
 
     Attributes:
-        rows: (H,) float64 cumulated probability of rows; columns: (H W,) the row's number + cumulated probability within it.
-        edges: (H + 1,) float64 cosines of the rows' edges. texels: (H W,) density per steradian.
+        rows: (H,) float64 cumulated probability of the rows.
+        columns: (H W,) float64 row number plus cumulated probability within the row.
+        edges: (H + 1,) float64 cosines of the rows' edges.
+        texels: (H W,) density per steradian.
+        height: rows of the map.
+        width: columns of the map.
+
+    Raises:
+        ValueError: when the light has another shape or, on the CPU, values that are not finite.
     """
 
     def __init__(self, light: torch.Tensor) -> None:
-        """light: (H, W, 3) linear, finite; negative values count as black. Raises ValueError for anything else."""
+        """Build the tables of a light map (H, W, 3)."""
         if light.ndim != 3 or light.shape[2] != 3 or 0 in light.shape:
-            raise ValueError(f"a light map is (H, W, 3), got {tuple(light.shape)}")
+            raise ValueError(f"a light map must have the shape (H, W, 3), got {tuple(light.shape)}")
         with torch.no_grad():
             self._build(light.detach().amax(-1).clamp_min(0))
 
     def _build(self, brightness: torch.Tensor) -> None:
+        """Build the tables from the brightness of texels, (H, W)."""
         height, width = brightness.shape
         angle = solid_angles(height, width, torch.float64).to(brightness.device)
         value = _blurred(brightness.double())
         mean = (value.sum(1) * angle).sum() / (4 * math.pi)
-        if mean.device.type == "cpu" and not torch.isfinite(mean):  # a device is not waited for: its losses would tell
-            raise ValueError("the light map holds values that are not finite")
+        if mean.device.type == "cpu" and not torch.isfinite(mean):  # not on a GPU, which would have to be waited for
+            raise ValueError("the light map holds infinite or NaN values")
         value = torch.where(mean > 0, value + FLOOR * mean, 1.0)
         weight = value * angle[:, None]
         rows = weight.sum(1)
-        # Both searches are one each: row r's share of the table lies in r..r+1.
+        # One table for the columns of all rows: the cumulated probabilities of row r lie in r..r+1.
         conditional = weight.cumsum(1) / rows[:, None]
         conditional[:, -1] = 1
         self.rows = (rows.cumsum(0) / rows.sum()).contiguous()
@@ -51,7 +62,7 @@ class LightDistribution:
         self.height, self.width = height, width
 
     def sample(self, u: torch.Tensor) -> torch.Tensor:
-        """(..., 2) uniform numbers in [0, 1) to (..., 3) unit directions, uniform in solid angle inside each texel."""
+        """Map uniform numbers (..., 2) in [0, 1) to unit directions (..., 3), uniform in solid angle inside each texel."""
         across, down = u.reshape(-1, 2).double().unbind(-1)
         row = torch.searchsorted(self.rows, down.contiguous(), right=True).clamp_max(self.height - 1)
         before = torch.where(row > 0, self.rows[row - 1], 0.0)
@@ -65,7 +76,7 @@ class LightDistribution:
         return torch.stack([-s * phi.cos(), s * phi.sin(), z], -1).to(u.dtype).view(*u.shape[:-1], 3)
 
     def density(self, direction: torch.Tensor) -> torch.Tensor:
-        """(..., 3) unit directions to (...) density per steradian; it integrates to 1 over the sphere."""
+        """Return the density per steradian, (...,), of unit directions (..., 3); it integrates to 1 over the sphere."""
         u, v = direction_to_uv(direction)
         column = (u * self.width).long().clamp(0, self.width - 1)
         row = (v * self.height).long().clamp(0, self.height - 1)
@@ -73,7 +84,10 @@ class LightDistribution:
 
 
 def _blurred(brightness: torch.Tensor) -> torch.Tensor:
-    """(H, W) mean over 3 x 3 texels, the middle four times as heavy: near the density of least variance under bilinear lookup."""
+    """Average brightness (H, W) over 3 x 3 texels, the centre with four times the weight of an edge neighbour.
+
+    The result is close to the density of least variance under bilinear lookup.
+    """
     rows = torch.cat([brightness[:1], brightness, brightness[-1:]])
     rows = (1 - 2 * SIDE) * rows[1:-1] + SIDE * (rows[:-2] + rows[2:])
     return (1 - 2 * SIDE) * rows + SIDE * (rows.roll(1, 1) + rows.roll(-1, 1))

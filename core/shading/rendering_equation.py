@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rendering equation as a sum over samples: light that comes in, made light that goes out."""
+"""Monte Carlo estimator of the rendering equation: the light that surface points reflect to the eye.
+
+L_o = 1/N sum f(v, l_i) L_i(l_i) n.l_i / q(l_i), with the density q of the mixture of sampling strategies (`sampling.py`).
+"""
 
 from __future__ import annotations
 
@@ -24,20 +27,26 @@ def reflect_light(
     incoming: torch.Tensor,
     conserving: bool = True,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Monte Carlo estimate of the light that P points send to the eye.
+    """Estimate the light that P points reflect to the eye.
 
     Args:
-        view: (P, 3) unit, towards the eye. normal: (P, 3) unit. albedo: (P, 3); roughness, metallic: (P,), all in 0..1.
-        samples: from `draw`, constants. incoming: (P, N, 3) linear radiance along them.
-        conserving: take from the diffuse lobe what the specular one reflects, as Blender's Principled does; the paper does not.
+        view: (P, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+        albedo: (P, 3) linear, 0..1.
+        roughness: (P,) in 0..1.
+        metallic: (P,) in 0..1.
+        samples: N directions per point from `draw`, treated as constants.
+        incoming: (P, N, 3) linear radiance from those directions.
+        conserving: reduce the diffuse lobe by what the specular lobe reflects, as Blender's Principled BSDF does; the paper does not.
 
     Returns:
-        Diffuse and specular (P, 3) linear: mean of f L cos / q. Differentiable in materials, normal, view and incoming.
+        Diffuse and specular part, (P, 3) each, linear: means of f L cos / q. Differentiable with respect to materials, normal, view and
+        incoming light.
     """
     view, alpha = facing(view, normal), ggx_alpha(roughness)
-    plain = incoming.dtype == torch.float32 and not by_warp(incoming)
-    sums = (weighted_sums if plain else weighted_sums_reference)(view, normal, alpha, samples.direction, samples.density, incoming)
-    irradiance, scaled, added = sums.unbind(1)  # colour comes last
+    use_kernel = incoming.dtype == torch.float32 and not by_warp(incoming)
+    sums = (weighted_sums if use_kernel else weighted_sums_reference)(view, normal, alpha, samples.direction, samples.density, incoming)
+    irradiance, scaled, added = sums.unbind(1)  # the last axis is colour
     diffuse = (1 - metallic[:, None]) * albedo * irradiance / math.pi
     if conserving:
         diffuse = diffuse * diffuse_fraction((view * normal).sum(-1), roughness)[:, None]
@@ -47,7 +56,19 @@ def reflect_light(
 def weighted_sums_reference(
     view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, direction: torch.Tensor, density: torch.Tensor, incoming: torch.Tensor
 ) -> torch.Tensor:
-    """The twin of `weighted_sums` in plain operations, for any floating type and device."""
+    """Compute `weighted_sums` in PyTorch operations, for any floating type and device: its reference implementation.
+
+    Args:
+        view: (P, 3) unit, n.v > 0.
+        normal: (P, 3) unit.
+        alpha: (P,) of GGX.
+        direction: (P, N, 3) unit.
+        density: (P, N) per steradian.
+        incoming: (P, N, 3) linear radiance.
+
+    Returns:
+        (P, 3, 3) means over samples: light for the diffuse lobe, for F0 and for what Fresnel adds; the last axis is colour.
+    """
     n_l, value, power = specular_lobe(view, normal, alpha, direction)
     weight = n_l.clamp_min(0) / (density * density.shape[1])
     value = value * weight

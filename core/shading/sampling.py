@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where to look for light: cosine, visible-normal and light-map samples under the balance heuristic, or plain strata.
+"""Multiple importance sampling of incoming light: cosine, GGX visible-normal and light-map samples, or plain strata for comparison.
 
-The mixture is deterministic: q = (N_c p_c + N_g p_g + N_e p_e) / N, evaluated at every sample whatever strategy drew it (Veach 1997).
-All of it is detached: sampling follows materials and light, gradients flow through what is sampled.
+The mixture is deterministic: q = (N_c p_c + N_g p_g + N_e p_e) / N is evaluated at every sample whichever strategy drew it, which is
+the balance heuristic (Veach 1997, chapter 9). p_c = n.l / pi, p_g = G1(v) D(h) / (4 n.v) (Heitz 2018), p_e as in
+`light_distribution.py`. Directions and densities are detached: gradients flow through the BRDF, the light and the cosine only.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from .brdf import facing, ggx_alpha, sample_visible_normal, visible_normal_densi
 from .light_distribution import LightDistribution
 
 METHODS = ("mis", "stratified")
-DENSITY_FLOOR = 1e-9  # keeps weights finite where a density underflows; far below any that counts
+DENSITY_FLOOR = 1e-9  # keeps weights finite where a density underflows; far below densities that matter
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """N directions at each of P points.
+    """N sampled directions at each of P points.
 
     Attributes:
-        direction: (P, N, 3) unit, in the world, contiguous.
-        density: (P, N) per steradian, > 0; that of the mixture.
+        direction: (P, N, 3) unit, world, contiguous.
+        density: (P, N) density of the mixture per steradian, > 0.
     """
 
     direction: torch.Tensor
@@ -37,7 +38,10 @@ class Samples:
 
 
 def orthonormal_basis(normal: torch.Tensor) -> torch.Tensor:
-    """(P, 3) unit normals to (P, 3, 3) right-handed frames; columns are tangent, bitangent, normal (Duff et al. 2017, no singularity)."""
+    """Return right-handed frames (P, 3, 3) of unit normals (P, 3); columns are tangent, bitangent, normal.
+
+    Branchless construction without a singularity (Duff et al. 2017).
+    """
     x, y, z = normal.unbind(-1)
     sign = torch.where(z < 0, -1.0, 1.0).to(z.dtype)
     a = -1 / (sign + z)
@@ -48,13 +52,14 @@ def orthonormal_basis(normal: torch.Tensor) -> torch.Tensor:
 
 @cache
 def point_set(count: int) -> torch.Tensor:
-    """(count, 2) float64 points of low discrepancy on the unit torus: a golden-ratio lattice."""
+    """Return `count` points of low discrepancy on the unit torus, (count, 2) float64: a golden-ratio lattice."""
     i = torch.arange(count, dtype=torch.float64)
     return torch.stack([(i * 0.6180339887498949) % 1, (i + 0.5) / max(count, 1)], -1)
 
 
 @cache
 def _points(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """Return `point_set` as a floating type on a device."""
     return point_set(count).to(device, dtype)
 
 
@@ -68,23 +73,28 @@ def draw(
     method: str = "mis",
     light_only: bool = False,
 ) -> Samples:
-    """Directions to gather light from at P surface points.
+    """Sample directions at P surface points.
 
     Args:
-        view: (P, 3) unit, towards the eye. normal: (P, 3) unit. roughness: (P,) in 0..1.
-        counts: how many cosine, GGX visible-normal and light-map samples; N is their sum.
-        light: the light's distribution, made of the map as it is now.
-        shift: (P, 2) in [0, 1), by which each point's sets are shifted on the torus (Cranley and Patterson 1976), or what draws it.
-        method: "mis", or "stratified": N strata of the hemisphere, uniform, light and lobe unheeded.
-        light_only: of the N samples make the last ones, those by the light map; their density is that of the whole mixture all the same.
+        view: (P, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+        roughness: (P,) in 0..1.
+        counts: numbers of cosine, GGX visible-normal and light-map samples; N is their sum.
+        light: distribution of the current light map.
+        shift: (P, 2) in [0, 1), the shift of each point's sets on the torus (Cranley and Patterson 1976), or a generator to draw it from.
+        method: "mis", or "stratified": N strata of the hemisphere, uniform, independent of the light and the BRDF.
+        light_only: return only the light-map samples, which are the last ones; their density is still that of the whole mixture.
 
     Returns:
-        Samples. Those below the horizon count in N and bring nothing.
+        Samples. Those below the horizon count in N and contribute nothing.
+
+    Raises:
+        ValueError: when the method is unknown, or a count is negative or all are 0.
     """
     if method not in METHODS:
-        raise ValueError(f"method {method!r} is none of {', '.join(METHODS)}")
+        raise ValueError(f"unknown sampling method {method!r}; use one of {', '.join(METHODS)}")
     if sum(counts) < 1 or min(counts) < 0:
-        raise ValueError(f"counts {counts} make no sample")
+        raise ValueError(f"the sample counts {counts} must be >= 0 and not all 0")
     with torch.no_grad():
         if isinstance(shift, torch.Generator):
             shift = torch.rand(len(view), 2, generator=shift, dtype=view.dtype, device=shift.device)
@@ -93,23 +103,33 @@ def draw(
             local = _uniform(_shifted(sum(counts), shift))
             return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
         local_view = facing(view, normal)[:, None] @ frame
-        plain = view.dtype == torch.float32 and not by_warp(view)
+        use_kernel = view.dtype == torch.float32 and not by_warp(view)
         first = counts[0] + counts[1] if light_only else 0
-        return (_mixture if plain else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, first, light, shift)
+        return (_mixture if use_kernel else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, first, light, shift)
 
 
 def _mixture(local_view, frame, alpha, counts, first: int, light: LightDistribution, shift) -> Samples:
-    """One pass of a kernel; float32 on the CPU."""
-    made = sum(counts) - first
-    direction, density = torch.empty(len(frame), made, 3), torch.empty(len(frame), made)
+    """Draw the mixture by the numba kernel, in float32 on the CPU.
+
+    Args:
+        local_view: (P, 1, 3) view in the local frame.
+        frame: (P, 3, 3) local frames, columns tangent, bitangent, normal.
+        alpha: (P,) of GGX.
+        counts: samples of each strategy.
+        first: number of the first sample to return.
+        light: distribution of the light map.
+        shift: (P, 2) shifts on the torus.
+    """
+    drawn = sum(counts) - first
+    direction, density = torch.empty(len(frame), drawn, 3), torch.empty(len(frame), drawn)
     points = [t.contiguous().numpy() for t in (frame, local_view[:, 0], alpha, shift, *map(point_set, counts))]
-    lights = [t.contiguous().numpy() for t in (light.rows, light.columns, light.edges, light.texels, direction, density)]
-    run_ranges(draw_range, even_ranges(len(frame), 4 * thread_count()), *points, first, *lights)
+    tables = [t.contiguous().numpy() for t in (light.rows, light.columns, light.edges, light.texels, direction, density)]
+    run_ranges(draw_range, even_ranges(len(frame), 4 * thread_count()), *points, first, *tables)
     return Samples(direction, density.clamp_(min=DENSITY_FLOOR))
 
 
 def _mixture_reference(local_view, frame, alpha, counts, first: int, light: LightDistribution, shift) -> Samples:
-    """The twin in plain operations, for any floating type and device; local_view: (P, 1, 3)."""
+    """Draw the mixture in PyTorch operations, for any floating type and device: the reference of `_mixture`, same arguments."""
     n_c, n_g, n_e = counts
     alpha = alpha[:, None]
     half = sample_visible_normal(local_view, alpha, _shifted(n_g, shift))
@@ -125,19 +145,19 @@ def _mixture_reference(local_view, frame, alpha, counts, first: int, light: Ligh
 
 
 def _shifted(count: int, shift: torch.Tensor) -> torch.Tensor:
-    """(P, count, 2) the point set, shifted for each of P points."""
+    """Return the point set shifted for each of P points, (P, count, 2)."""
     u = _points(count, shift.dtype, shift.device)[None] + shift[:, None]
     return u - (u >= 1).to(u)
 
 
 def _cosine(u: torch.Tensor) -> torch.Tensor:
-    """(..., 2) to (..., 3) local directions of density cos / pi."""
+    """Map uniform numbers (..., 2) to local directions (..., 3) of density cos / pi."""
     r, phi = u[..., 0].sqrt(), 2 * math.pi * u[..., 1]
     return torch.stack([r * phi.cos(), r * phi.sin(), (1 - u[..., 0]).clamp_min(0).sqrt()], -1)
 
 
 def _uniform(u: torch.Tensor) -> torch.Tensor:
-    """(..., 2) to (..., 3) local directions, uniform over the hemisphere, in strata of height."""
+    """Map uniform numbers (..., 2) to local directions (..., 3), uniform over the hemisphere, in strata of height."""
     z, phi = u[..., 1], 2 * math.pi * u[..., 0]
     r = (1 - z * z).clamp_min(0).sqrt()
     return torch.stack([r * phi.cos(), r * phi.sin(), z], -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much of a white sky the specular lobe sends back: the BRDF's directional albedo as a table, and what it leaves for the body."""
+"""Directional albedo of the specular lobe: table of the split-sum approximation (Karis 2013), and what remains for the diffuse lobe."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import torch
 
 from .brdf import DIELECTRIC_F0, ggx_alpha, sample_visible_normal, schlick, smith_visibility
 
-TABLE = 64
-SAMPLES = 512  # of each entry: errors of 2e-4; twice as many take a second more at each start
+TABLE = 64  # entries along either axis
+SAMPLES = 512  # per entry of the table: errors of 2e-4; twice as many would add a second to each start
 
 
 @cache
 def brdf_table() -> torch.Tensor:
-    """(TABLE roughness, TABLE n.v, 2): scale and bias of F0 in the specular albedo; from 0 to 1 inclusive."""
+    """Return the scale and the bias of F0 in the specular albedo, (TABLE, TABLE, 2).
+
+    Rows are roughness, columns n.v, both from 0 to 1 inclusive. Each entry is the mean over SAMPLES visible normals of
+    F G2 / G1 = f cos / p.
+    """
     grid = torch.linspace(0, 1, TABLE, dtype=torch.float64).clamp_min(1e-3)
     n_v = grid[None, :, None].expand(TABLE, TABLE, SAMPLES)
     alpha = ggx_alpha(grid)[:, None, None].expand_as(n_v)
@@ -34,11 +38,12 @@ def brdf_table() -> torch.Tensor:
 
 @cache
 def _planes(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    """(1, 2, TABLE, TABLE) the table as an image."""
+    """Return the table as an image (1, 2, TABLE, TABLE) on a device."""
     return brdf_table().to(device, dtype).permute(2, 0, 1)[None]
 
 
 def _scale_and_bias(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+    """Interpolate the table at n.v (P,) and roughness (P,); return (2, P)."""
     table = _planes(n_v.dtype, n_v.device)
     grid = torch.stack([n_v, roughness], -1) * 2 - 1
     pair = torch.nn.functional.grid_sample(table, grid[None, None], mode="bilinear", padding_mode="border", align_corners=True)
@@ -46,12 +51,23 @@ def _scale_and_bias(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
 
 
 def specular_albedo(n_v: torch.Tensor, roughness: torch.Tensor, f0: torch.Tensor) -> torch.Tensor:
-    """Directional albedo F0 x scale + bias of the specular lobe; n_v, roughness (P,), f0 (P, 3) -> (P, 3)."""
+    """Return the directional albedo of the specular lobe, F0 x scale + bias, (P, 3).
+
+    Args:
+        n_v: (P,) cosine between normal and view direction, 0..1.
+        roughness: (P,) in 0..1.
+        f0: (P, 3) reflectance at normal incidence.
+    """
     scale, bias = _scale_and_bias(n_v, roughness)
     return f0 * scale[:, None] + bias[:, None]
 
 
 def diffuse_fraction(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
-    """1 - E_s: what a dielectric coat lets through to the body, as Blender's Principled has it; n_v, roughness (P,) -> (P,)."""
+    """Return 1 - E_s, the fraction of light that a dielectric coat transmits to the diffuse lobe (Blender's Principled BSDF), (P,).
+
+    Args:
+        n_v: (P,) cosine between normal and view direction, 0..1.
+        roughness: (P,) in 0..1.
+    """
     scale, bias = _scale_and_bias(n_v, roughness)
     return 1 - (DIELECTRIC_F0 * scale + bias)

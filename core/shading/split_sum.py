@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Split-sum shading: light prefiltered per roughness times the tabulated BRDF integral (Karis 2013).
 
-A lat-long map is invariant under rotation about its axis, so filtering is, per pair of rows, a circular convolution in
-azimuth: a product in the Fourier domain. That makes it exact, differentiable and quick at any resolution.
+A lat-long map is invariant under rotation about its axis, so that filtering is, per pair of rows, a circular convolution in azimuth: a
+product in the Fourier domain. That makes it exact, differentiable and fast at any resolution.
 """
 
 from __future__ import annotations
@@ -15,73 +15,94 @@ from .brdf import base_reflectance, ggx_alpha, ggx_distribution
 from .environment_lookup import lookup, solid_angles, texel_directions
 from .specular_albedo import diffuse_fraction, specular_albedo
 
-LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness of the specular stack; 0 is the map itself
+LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness per level of the specular stack; 0 is the map itself
 
 
 @cache
 def _operator_on(device: torch.device, height: int, width: int, roughness: float | None) -> torch.Tensor:
-    """`_operator` on a device."""
+    """Return `_operator` on a device."""
     return _operator(height, width, roughness).to(device)
 
 
 @cache
 def _knots(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """Return LEVELS as a tensor (L,)."""
     return torch.tensor(LEVELS, dtype=dtype).to(device)
 
 
 @cache
 def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
-    """Fourier transform in azimuth of a normalised filter, (W/2 + 1, H out, H in); roughness None is the cosine filter."""
-    out = texel_directions(height, width, torch.float64)[:, 0]  # one column represents its row
+    """Return the Fourier transform in azimuth of a normalised filter, (W/2 + 1, H out, H in).
+
+    Args:
+        height: rows of the map.
+        width: columns of the map.
+        roughness: of the GGX filter with N = V = R (Karis 2013); None is the cosine filter.
+    """
+    out = texel_directions(height, width, torch.float64)[:, 0]  # one column per row: the filter depends on the difference of azimuths alone
     cosine = torch.einsum("oc,iwc->oiw", out, texel_directions(height, width, torch.float64)).clamp(-1, 1)
     weight = solid_angles(height, width, torch.float64)[None, :, None] * cosine.clamp_min(0)
     if roughness is not None:  # N = V = R, so n.h = cos(half the angle)
         weight = weight * ggx_distribution(((1 + cosine) / 2).sqrt(), ggx_alpha(torch.tensor(roughness, dtype=torch.float64)))
     weight = weight / weight.sum((1, 2), keepdim=True)
-    # Column 0 of `out` is the origin of the shift; the filter is even in it, so its transform is real.
+    # The filter is even in azimuth about column 0, so that its transform is real.
     return torch.fft.rfft(weight, dim=2).real.permute(2, 0, 1).float().contiguous()
 
 
 def _spectrum(light: torch.Tensor) -> torch.Tensor:
-    """(W/2 + 1, H, 2 C) Fourier transform in azimuth, real and imaginary parts."""
+    """Return the Fourier transform in azimuth of a map (H, W, C) as real and imaginary parts, (W/2 + 1, H, 2 C)."""
     return torch.view_as_real(torch.fft.rfft(light, dim=1)).flatten(2).transpose(0, 1).contiguous()
 
 
 def _filter(spectrum: torch.Tensor, operator: torch.Tensor, width: int) -> torch.Tensor:
-    """(H, W, C) of a spectrum and a filter."""
+    """Apply a filter (W/2 + 1, H, H) to a spectrum (W/2 + 1, H, 2 C) and transform back to a map (H, W, C)."""
     filtered = torch.view_as_complex((operator @ spectrum).unflatten(2, (-1, 2)))
-    # A mean of what is not negative: below 0 is the transform's rounding error, beside a lamp far above 1.
+    # A mean of values >= 0: negative results are rounding errors of the transform, next to a lamp far above 1.
     return torch.fft.irfft(filtered.transpose(0, 1), n=width, dim=1).clamp_min(0)
 
 
 def diffuse_light(light: torch.Tensor) -> torch.Tensor:
-    """(H, W, C) radiance to (H, W, C) irradiance / pi: a constant map stays what it is."""
+    """Filter radiance (H, W, C) to irradiance / pi, (H, W, C); a constant map keeps its value."""
     return _filter(_spectrum(light), _operator_on(light.device, *light.shape[:2], None), light.shape[1])
 
 
 def specular_light(light: torch.Tensor) -> torch.Tensor:
-    """(H, W, C) radiance to the stack (L, H, W, C) filtered for LEVELS."""
+    """Filter radiance (H, W, C) for every roughness of LEVELS: the specular stack (L, H, W, C)."""
     spectrum = _spectrum(light)
     rough = [_filter(spectrum, _operator_on(light.device, *light.shape[:2], r), light.shape[1]) for r in LEVELS[1:]]
     return torch.stack([light, *rough])
 
 
 def stack_level(roughness: torch.Tensor) -> torch.Tensor:
-    """(P,) roughness in 0..1 to the fractional level of the specular stack."""
+    """Return the fractional level of the specular stack, (P,), for roughness (P,) in 0..1."""
     knots = _knots(roughness.dtype, roughness.device)
     i = torch.bucketize(roughness.detach(), knots[1:-1])
     return i + (roughness - knots[i]) / (knots[i + 1] - knots[i])
 
 
 def reflect(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
-    """Mirror direction of unit `view` (towards the eye) at unit `normal`, (P, 3)."""
+    """Mirror view directions at normals, (P, 3).
+
+    Args:
+        view: (P, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+    """
     return 2 * (view * normal).sum(-1, keepdim=True) * normal - view
 
 
 def specular_radiance(
     view: torch.Tensor, normal: torch.Tensor, albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, stack: torch.Tensor
 ) -> torch.Tensor:
-    """Split-sum specular part: view, normal (P, 3) unit, albedo (P, 3), roughness, metallic (P,), stack from `specular_light` -> (P, 3)."""
+    """Return the specular part of split-sum shading, (P, 3) linear radiance.
+
+    Args:
+        view: (P, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+        albedo: (P, 3) linear, 0..1.
+        roughness: (P,) in 0..1.
+        metallic: (P,) in 0..1.
+        stack: (L, H, W, 3) of `specular_light`.
+    """
     n_v = (view * normal).sum(-1).clamp(1e-3, 1)
     light = lookup(stack, reflect(view, normal), stack_level(roughness))
     return light * specular_albedo(n_v, roughness, base_reflectance(albedo, metallic[:, None]))
@@ -97,9 +118,17 @@ def shade(
     stack: torch.Tensor,
     conserving: bool = True,
 ) -> torch.Tensor:
-    """Radiance under a distant light without visibility, (P, 3): (1 - m) a E(n) + specular; `diffuse` from `diffuse_light`.
+    """Return the radiance under a distant light without occlusion, (1 - m) a E(n) + specular, (P, 3) linear.
 
-    `conserving` takes from the diffuse lobe what the specular one reflects, as Blender's Principled does; the paper does not.
+    Args:
+        view: (P, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+        albedo: (P, 3) linear, 0..1.
+        roughness: (P,) in 0..1.
+        metallic: (P,) in 0..1.
+        diffuse: (H, W, 3) of `diffuse_light`.
+        stack: (L, H, W, 3) of `specular_light`.
+        conserving: reduce the diffuse lobe by what the specular lobe reflects, as Blender's Principled BSDF does; the paper does not.
     """
     body = (1 - metallic[:, None]) * albedo * lookup(diffuse, normal)
     if conserving:

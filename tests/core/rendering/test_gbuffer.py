@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.rendering.gbuffer import reduced, render_gbuffer
+from irgspp.core.rendering.gbuffer import downsampled_light, render_gbuffer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 
@@ -74,8 +74,8 @@ def test_radiance_stays_when_materials_and_light_are_new(reconstruction, camera)
 
 
 @pytest.mark.parametrize("height", [16, 64, 256])
-def test_reduced_light_keeps_its_mean(height):
+def test_downsampled_light_keeps_its_mean(height):
     light = np.random.default_rng(0).random((height, 2 * height, 3)).astype(np.float32)
-    small = reduced(light)
+    small = downsampled_light(light)
     assert small.shape == (min(height, 64), 2 * min(height, 64), 3)
     assert np.allclose(small.mean((0, 1)), light.mean((0, 1)), atol=1e-5)
