@@ -14,13 +14,8 @@ from ..progress.terminal import clock
 from .job_state import Progress, State
 
 LIVE_SECONDS, PLAIN_SECONDS = 0.5, 60.0  # between two updates; between two lines about a job that is still in the same phase
-ORDER = (
-    "running",
-    "failed",
-    "cancelled",
-    "waiting",
-    "done",
-)  # of states, most important first, where the terminal has fewer lines than there are jobs
+# Of the rows, by state, where the terminal has fewer lines than there are jobs.
+ORDER = ("running", "failed", "cancelled", "waiting", "done")
 
 
 class BatchTable:

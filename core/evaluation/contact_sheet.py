@@ -64,7 +64,7 @@ def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) 
         relighter: of the reconstruction.
         lights: the recovered light, then the others.
     """
-    camera, (width, height) = view.camera, fitted(view.camera.width, view.camera.height, TILE)
+    camera, (width, height) = view.camera, tile_size(view.camera.width, view.camera.height, TILE)
     if width < camera.width:  # a tile shows no more pixels, and views are never enlarged beyond what was trained on
         camera = camera.resized(width, height)
     buffers, surface = render_gbuffer(relighter.reconstruction, camera), relighter.surface(camera)
@@ -89,7 +89,7 @@ def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Ima
         rows: of as many images as there are columns.
         columns: names written above them.
     """
-    heights = [max(fitted(p.shape[1], p.shape[0], TILE)[1] for p in row) for row in rows]
+    heights = [max(tile_size(p.shape[1], p.shape[0], TILE)[1] for p in row) for row in rows]
     width = GAP + len(columns) * (TILE + GAP)
     sheet = Image.new("RGB", (width, HEADER + sum(height + GAP for height in heights)), PAPER)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=17)
@@ -103,7 +103,7 @@ def compose(rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str]) -> Ima
     return sheet
 
 
-def fitted(width: int, height: int, side: int) -> tuple[int, int]:
+def tile_size(width: int, height: int, side: int) -> tuple[int, int]:
     """Return the width and height of the largest tile of the same aspect ratio.
 
     Args:
@@ -117,7 +117,7 @@ def fitted(width: int, height: int, side: int) -> tuple[int, int]:
 
 def _tile(image: np.ndarray, height: int) -> Image.Image:
     """Draw an image (H, W, 4) in the middle of a tile of TILE x height pixels."""
-    size = fitted(image.shape[1], image.shape[0], TILE)
+    size = tile_size(image.shape[1], image.shape[0], TILE)
     premultiplied = np.concatenate([image[..., :3] * image[..., 3:], image[..., 3:]], -1)
     channels = [Image.fromarray(np.ascontiguousarray(premultiplied[..., i], np.float32)) for i in range(4)]
     # Unlike bicubic, this filter has no negative lobes, which would draw a bright rim around the object.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """LPIPS, a learned perceptual distance of images, where its weights are installed."""
 
-# pyright: reportMissingImports=false
-# (the package lpips is an option)
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
+# (the package lpips is optional, and pyright takes this file for it)
 
 from __future__ import annotations
 
@@ -63,6 +63,6 @@ def find_lpips(file: Path | None, network: str = "alex") -> Lpips | None:
 
     try:
         return Lpips(f"lpips, {network}", lpips.LPIPS(net=network, verbose=False).eval())
-    except OSError as error:  # the package is there, its weights are not
+    except OSError as error:  # the package is installed, its weights are not
         logging.getLogger(__name__).warning("lpips has no weights: %s", error)
         return None

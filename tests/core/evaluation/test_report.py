@@ -196,7 +196,7 @@ def test_cancelling_leaves_no_contact_sheet(demo, known, tmp_path):
 
 @pytest.mark.parametrize(("width", "height"), [(64, 64), (1600, 900), (900, 1600), (300, 3000), (5, 3)])
 def test_tiles_keep_the_shape_of_the_image(width, height):
-    w, h = sheet.fitted(width, height, sheet.TILE)
+    w, h = sheet.tile_size(width, height, sheet.TILE)
     assert w <= sheet.TILE and h <= 1.5 * sheet.TILE + 0.5
     assert w == sheet.TILE or h == round(1.5 * sheet.TILE)
     assert w / h == pytest.approx(width / height, rel=0.04)
