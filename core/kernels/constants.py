@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Numbers that the CPU kernels, the CUDA kernels and the float64 references share, so that all three compute the same model.
+"""Constants that the CPU kernels, the GPU kernels and the float64 references share, so that all three compute the same model.
 
 Sources: 2DGS (Huang 2024) for the splats, 3DGS (Kerbl 2023) for ALPHA_MIN and the order of the harmonics, Wang 2004 for SSIM.
 """
@@ -7,28 +7,28 @@ Sources: 2DGS (Huang 2024) for the splats, 3DGS (Kerbl 2023) for ALPHA_MIN and t
 import numpy as np
 
 # --- model of a 2D Gaussian (surfel)
-ALPHA_MIN = 1 / 255  # fainter hits and splats are left out
+ALPHA_MIN = 1 / 255  # hits and splats of lower alpha are ignored
 ALPHA_MAX = 0.99
-TRANSMITTANCE_MIN = 0.02  # a pixel or ray is finished, and opaque, below this
-LOG_SCALE_MIN = -30.0  # smaller surfels count as this small: their inverse squared is still a number
-SCALE_RANGE = (1e-15, 1e15)  # lengths outside are none, or not a number (math.isfinite may be reordered away in a kernel)
+TRANSMITTANCE_MIN = 0.02  # at or below this a pixel or ray counts as opaque, and compositing stops
+LOG_SCALE_MIN = -30.0  # smaller log scales are clamped to this, so that 1 / scale^2 stays finite
+SCALE_RANGE = (1e-15, 1e15)  # scales outside are treated as degenerate or NaN (fast-math may remove math.isfinite from a kernel)
 
 # --- rasteriser
-TILE = 8  # pixels along a side: one vector a row
-NEAR = 0.01  # nearest depth, as a fraction of the camera's distance to the scene's centre
+TILE = 8  # pixels along a side of a tile: one vector per row
+NEAR = 0.01  # depth of the near plane, as a fraction of the scene's radius
 LOW_PASS = 32.0  # rho of the screen-space filter per squared pixel (2DGS: 1 / 0.707^2)
-COSINE_MIN = 1e-3  # surfels seen more edge-on than this keep this foreshortening; the low-pass filter draws them
-HORIZON_MIN = 1e-4  # the ray meets the surfel's plane this far towards the horizon, or behind
+COSINE_MIN = 1e-3  # lowest |cosine| of view direction and normal: surfels seen more edge-on are drawn by the low-pass filter
+HORIZON_MIN = 1e-4  # lowest w = c_z / depth of the plane intersection; below it the ray runs along the plane or meets it behind the eye
 SPLAT_RECORD = 12  # floats of a splat: mx my A0 A1 B0 B1 C0 C1 c_z opacity cut-off(rho) unused
-SPLAT_GRADIENTS = 10  # of them have a gradient
+SPLAT_GRADIENTS = 10  # leading floats of a splat record that have a gradient
 
 # --- ray tracer
-GRAZING = 1e-8  # surfels whose normal is this close (cosine squared) to square with the ray are missed
-# Floats of a surfel's record: centre (3), normal (3), t_u / s_u (3), t_v / s_v (3), opacity, largest rho, and the two scales.
+GRAZING = 1e-8  # surfels with (normal . direction)^2 at or below this are missed
+# Columns of a surfel record: centre (3), normal (3), t_u / s_u (3), t_v / s_v (3), opacity, largest rho, and the two scales.
 NORMAL, AXIS_U, AXIS_V, OPACITY, CUT, SCALE_U, SCALE_V, SURFEL_RECORD = 3, 6, 9, 12, 13, 14, 15, 16
-SURFEL_GRADIENTS = 13  # columns of a record that have a gradient; in a slot they follow the row
+SURFEL_GRADIENTS = 13  # leading columns of a record that have a gradient; in a gradient slot they follow the feature row
 
-# --- real spherical harmonics up to degree 3, in 3DGS's order and signs
+# --- real spherical harmonics up to degree 3, in the order and with the signs of 3DGS
 SH_C0 = 0.28209479177387814
 SH_C1 = 0.4886025119029199
 SH_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -43,7 +43,7 @@ SH_C3 = (
 )
 
 # --- specular lobe
-SHORTEST2 = 1e-7  # floor of the squared length of the sum of view and light direction
+SHORTEST2 = 1e-7  # lower bound of |view + light direction|^2
 
 # --- SSIM: 11 x 11 Gaussian window of sigma 1.5
 SSIM_RADIUS = 5

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How each view depends on each texel of the light, weighted, and how much of that its point's albedo can take up, in one pass.
+"""Jacobian of views by the texels of the light, weighted, and its coupling with the albedo of each point, in one pass.
 
-As separate operations on matrices of views by texels, memory is the limit.
+As separate operations on matrices of views by texels it would be limited by memory bandwidth.
 """
 
 from __future__ import annotations
@@ -15,29 +15,33 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from .cpu.jacobian import jacobian_range
 
 
-def jacobian(start: Any, root: Any, share: Any, factors: tuple[Any, Any], transport: tuple[Any, Any, Any], rows: Any) -> Any:
-    """The weighted derivative of K views by T texels, and its part that the albedo of each of P points can take up.
+def jacobian(
+    start: Any, root_weight: Any, coupling_weight: Any, factors: tuple[Any, Any], transport: tuple[Any, Any, Any], rows: Any
+) -> Any:
+    """Compute the weighted derivative of K views by T texels, and its part that the albedo of each of P points can compensate.
 
-    Numpy's arrays on the CPU, tensors on a device, where memory is quick enough for separate operations.
+    Numpy arrays on the CPU; tensors on a GPU, where memory is fast enough for separate operations. All float32 and contiguous.
 
     Args:
-        start: (P + 1,) int64, point p's views are start[p] : start[p + 1]. root, share: (K,) weight of a view in `rows` and in the result.
-        factors: (K,) each, of the diffuse and the specular rows. transport: irradiance (P, T), specular rows (K, T), and those that
-            no albedo scales (K, T); T a multiple of 8. All float32 and contiguous.
-        rows: (K, T), written: root (factor_0 irradiance + factor_1 specular + rest).
+        start: (P + 1,) int64; the views of point p are start[p] : start[p + 1].
+        root_weight: (K,) square root of each view's weight, applied in `rows`.
+        coupling_weight: (K,) weight of each view in the result.
+        factors: (K,) each, factors of the diffuse and of the specular rows.
+        transport: irradiance (P, T), specular rows (K, T), and the part that no albedo scales (K, T); T a multiple of 8.
+        rows: (K, T), written: root_weight (factor_0 irradiance + factor_1 specular + rest).
 
     Returns:
-        (P, T): the sum over a point's views of the same, with `share` for `root`.
+        (P, T) sum over each point's views of the same, with `coupling_weight` in place of `root_weight`.
     """
     if isinstance(rows, torch.Tensor):
         irradiance, scaled, rest = transport
         lengths = start.diff()
         torch.mul(irradiance.repeat_interleave(lengths, 0, output_size=len(rows)), factors[0][:, None], out=rows)
         rows.add_(rest).addcmul_(scaled, factors[1][:, None])
-        coupling = torch.segment_reduce(rows * share[:, None], "sum", lengths=lengths, axis=0, unsafe=True)
-        rows.mul_(root[:, None])
+        coupling = torch.segment_reduce(rows * coupling_weight[:, None], "sum", lengths=lengths, axis=0, unsafe=True)
+        rows.mul_(root_weight[:, None])
         return coupling
     coupling = np.empty_like(transport[0])
-    arrays = (start, root, share, *factors, *(t.reshape(-1) for t in transport), rows.reshape(-1), coupling.reshape(-1))
+    arrays = (start, root_weight, coupling_weight, *factors, *(t.reshape(-1) for t in transport), rows.reshape(-1), coupling.reshape(-1))
     run_ranges(jacobian_range, even_ranges(len(start) - 1, 4 * thread_count()), rows.shape[1], *arrays)
     return coupling

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""L1 + D-SSIM of two images, differentiable, on the CPU or a GPU.
+"""Photometric loss L1 + D-SSIM of two images, differentiable, on the CPU or a GPU.
 
 SSIM as published (Wang et al. 2004): 11 x 11 Gaussian window of sigma 1.5, zeros outside the image.
 """
@@ -16,9 +16,11 @@ from .cpu.photometric import gradient_range, similarity_range
 
 
 class _Photometric(torch.autograd.Function):
+    """Autograd function of the CPU (numba) backend; the forward pass computes the gradient too."""
+
     @staticmethod
-    def forward(ctx, image, truth, ssim_weight):
-        x, y = image.detach().contiguous().numpy(), truth.contiguous().numpy()
+    def forward(ctx, image, target, ssim_weight):
+        x, y = image.detach().contiguous().numpy(), target.contiguous().numpy()
         _, height, _ = x.shape
         slopes = np.empty((3, *x.shape), np.float32)
         sums = np.empty(x.shape[:2], np.float32)
@@ -36,10 +38,19 @@ class _Photometric(torch.autograd.Function):
         return upstream * ctx.saved_tensors[0], None, None
 
 
-def photometric_loss(image: torch.Tensor, truth: torch.Tensor, ssim_weight: float = 0.2) -> torch.Tensor:
-    """(1 - s) mean |x - y| + s (1 - mean SSIM) of (C, H, W) float32 images in 0..1; differentiable in the first."""
-    if not by_warp(image):
-        return _Photometric.apply(image, truth, ssim_weight)
-    from .warp.photometric import Photometric  # an option, not installed everywhere
+def photometric_loss(image: torch.Tensor, target: torch.Tensor, ssim_weight: float = 0.2) -> torch.Tensor:
+    """Compute (1 - s) mean |x - y| + s (1 - mean SSIM), differentiable in the first image.
 
-    return Photometric.apply(image, truth, ssim_weight)
+    Args:
+        image: (C, H, W) float32 rendered image x in 0..1.
+        target: (C, H, W) float32 image y to match, in 0..1.
+        ssim_weight: s in 0..1.
+
+    Returns:
+        Scalar loss.
+    """
+    if not by_warp(image):
+        return _Photometric.apply(image, target, ssim_weight)
+    from .warp.photometric import Photometric  # Warp is an optional dependency
+
+    return Photometric.apply(image, target, ssim_weight)

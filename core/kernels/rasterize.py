@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one face of the rasteriser: Gaussians' parameters to images, differentiable, whatever backend does the work."""
+"""Differentiable rasteriser of 2D Gaussians: public interface over the numba (CPU) and Warp (GPU) kernels."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .cpu.binning import bin_tiles, depth_order
 from .cpu.projection import project_backward_range, project_range
 from .cpu.raster import rasterize_backward_range, rasterize_range
 
-COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # feature channels; depth and opacity follow the extras
-MIN_GAUSSIANS = 8  # one vector
-_NOTHING = -100.0  # as an opacity's logit
+COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # channels of the image; depth and opacity follow the extras
+MIN_GAUSSIANS = 8  # lanes of one vector; fewer Gaussians are padded
+_TRANSPARENT_LOGIT = -100.0
 
 
 @dataclass
 class ScreenStatistics:
-    """What density control wants to know of one image.
+    """Per-Gaussian statistics of one image, used by density control.
 
     Attributes:
+        radius: (N,) half the longer side of the pixel box, in pixels; 0 where culled.
         gradient: (N,) |d loss / d projected centre| per pixel of shift, filled by the backward pass.
-        radius: (N,) half the longer side of the pixel box; 0 where culled.
     """
 
     radius: torch.Tensor
@@ -35,18 +35,27 @@ class ScreenStatistics:
 
 
 def camera_numbers(camera: Camera, near: float) -> np.ndarray:
-    """The kernels' camera: rotation (9), fx fy cx cy, centre (3), width, height, near depth; float32."""
+    """Return a camera as the kernels read it.
+
+    Args:
+        camera: the camera, OpenCV axes.
+        near: depth of the near plane, scene units.
+
+    Returns:
+        (19,) float32: row-major world-to-camera rotation (9), fx fy cx cy, centre (3), width, height, near depth.
+    """
     rotation = camera.world_to_cv[:3, :3].reshape(-1)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     return np.array([*rotation, *intrinsics, *camera.centre, camera.width, camera.height, near], np.float32)
 
 
 def _flat(tensor: torch.Tensor) -> np.ndarray:
+    """Return the values of a tensor as a contiguous 1-D array, without its autograd history."""
     return tensor.detach().contiguous().view(-1).numpy()
 
 
 class _Rasterize(torch.autograd.Function):
-    """CPU backend."""
+    """Autograd function of the CPU (numba) backend."""
 
     @staticmethod
     def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, cam, coefficients, statistics):
@@ -84,7 +93,7 @@ class _Rasterize(torch.autograd.Function):
         image = (flat, padded.view(-1).numpy(), stride, plane, slots)
         run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *image, numbered=True)
         gradients = [torch.empty(shape) for shape in ctx.shapes]
-        gradients[4][ctx.coefficients :] = 0.0  # SH coefficients that the degree leaves out: the kernel does not write them
+        gradients[4][ctx.coefficients :] = 0.0  # the kernel does not write coefficients beyond the degree
         screen = torch.empty(n)
         outputs = [g.view(-1).numpy() for g in gradients]
         run_ranges(project_backward_range, blocks, *ctx.arrays[:5], ctx.coefficients, ctx.cam, n, slots, *outputs, screen.numpy())
@@ -103,38 +112,44 @@ def rasterize(
     scene_radius: float,
     degree: int = 3,
 ) -> tuple[torch.Tensor, ScreenStatistics]:
-    """Composite 2D Gaussians front to back by the depth of their centres (2DGS).
+    """Composite 2D Gaussians front to back in the order of their centres' depths (2DGS, Huang 2024).
 
     Args:
-        position: (3, N) world; quaternion: (4, N) w x y z, any length; log_scale: (2, N); opacity: (N,) logits.
-        sh: (K, 3, N) radiance, colour = max(0.5 + sum, 0), K >= (degree + 1)^2 (those beyond get no gradient).
+        position: (3, N) centres, world.
+        quaternion: (4, N) w x y z of any length.
+        log_scale: (2, N) logarithms of the two scales.
+        opacity: (N,) logits.
+        sh: (K, 3, N) SH coefficients, K >= (degree + 1)^2; colour = max(0.5 + sum, 0). Those beyond the degree get no gradient.
         extra: (E, N) further channels, E >= 0.
-        camera: the image's camera. scene_radius: sets the near plane. degree: SH degree in use, 0..3.
+        camera: camera of the image, H x W pixels.
+        scene_radius: radius of the scene, world units; it sets the near plane.
+        degree: SH degree in use, 0..3.
 
     Returns:
-        (8 + E, H, W) sums over splats of weight x (colour 3, world normal turned to the camera 3, extra E, planar depth 1),
-        not divided by opacity, and opacity itself last (nearly opaque counts as opaque: there the sums are means); and the
-        statistics of density control.
+        Image (8 + E, H, W) and the statistics of density control. The channels are sums over splats of weight x (colour 3, world normal
+        turned to the camera 3, extra E, planar depth 1), not divided by opacity, and last the opacity itself. Nearly opaque pixels
+        count as opaque: their opacity is 1 and their sums are means.
     """
     n, parameters = position.shape[1], (position, quaternion, log_scale, opacity, sh, extra)
     if n < MIN_GAUSSIANS:
-        parameters = tuple(_filled(p) for p in parameters)
+        parameters = tuple(_padded(p) for p in parameters)
     statistics = ScreenStatistics(torch.zeros(n, device=position.device))
     cam = camera_numbers(camera, NEAR * scene_radius)
-    image = _function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
+    image = _autograd_function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
     statistics.radius = statistics.radius[:n]
     return image, statistics
 
 
-def _function(tensor: torch.Tensor) -> type[torch.autograd.Function]:
+def _autograd_function(tensor: torch.Tensor) -> type[torch.autograd.Function]:
+    """Return the autograd function of the backend that works on a tensor."""
     if not by_warp(tensor):
         return _Rasterize
-    from .warp.rasterize import Rasterize  # an option, not installed everywhere
+    from .warp.rasterize import Rasterize  # Warp is an optional dependency
 
     return Rasterize
 
 
-def _filled(parameter: torch.Tensor) -> torch.Tensor:
-    """A parameter (..., N) with Gaussians added that have no opacity, to make one vector."""
-    missing = parameter.new_full((*parameter.shape[:-1], MIN_GAUSSIANS - parameter.shape[-1]), _NOTHING)
+def _padded(parameter: torch.Tensor) -> torch.Tensor:
+    """Append fully transparent Gaussians to a parameter (..., N), N < MIN_GAUSSIANS, to fill one vector."""
+    missing = parameter.new_full((*parameter.shape[:-1], MIN_GAUSSIANS - parameter.shape[-1]), _TRANSPARENT_LOGIT)
     return torch.cat([parameter, missing], -1)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums over light samples with the BRDF's weights, differentiable, in one pass: as separate operations memory is the limit."""
+"""BRDF-weighted sums over light samples, differentiable, in one pass: as separate operations they would be limited by memory bandwidth.
+
+CPU only; on a GPU and in float64 `core/shading/rendering_equation.py` uses its own PyTorch version, `weighted_sums_reference`.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ from .cpu.reflection import reflect_backward_range, reflect_range
 
 
 class _Reflect(torch.autograd.Function):
+    """Autograd function over the numba kernels."""
+
     @staticmethod
     def forward(ctx, view, normal, alpha, direction, density, incoming):
         tensors = [t.detach().contiguous() for t in (view, normal, alpha, direction, density, incoming)]
@@ -32,11 +37,17 @@ class _Reflect(torch.autograd.Function):
 def weighted_sums(
     view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, direction: torch.Tensor, density: torch.Tensor, incoming: torch.Tensor
 ) -> torch.Tensor:
-    """Means over samples of incoming light times n.l / q, and times that and D V (1 - p) and D V p, p = (1 - v.h)^5.
+    """Average incoming light over samples, weighted for the diffuse lobe and for the two parts of the specular lobe.
+
+    The weights are n.l / q, (n.l / q) D V (1 - p) and (n.l / q) D V p with p = (1 - v.h)^5: diffuse, scaled by F0, added by Fresnel.
 
     Args:
-        view, normal: (P, 3) unit, n.v > 0. alpha: (P,). direction: (P, N, 3) unit, density: (P, N), constants. incoming: (P, N, 3).
-        All float32 on the CPU.
+        view: (P, 3) unit, n.v > 0.
+        normal: (P, 3) unit.
+        alpha: (P,) GGX width.
+        direction: (P, N, 3) unit sample directions, constant.
+        density: (P, N) density q of the samples per steradian, constant.
+        incoming: (P, N, 3) linear radiance along them. All tensors float32 on the CPU.
 
     Returns:
         (P, 3 sums, 3 channels), differentiable in view, normal, alpha and incoming.

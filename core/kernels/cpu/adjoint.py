@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The way back from what rays saw to the geometry: surfels, origins and directions.
+"""Adjoint of ray tracing: gradients of surfels, ray origins and ray directions.
 
-Over the hits of a ray runs the adjoint of compositing that `raster.py` states. With h = o + t d - c, the hit seen from the centre,
+Along the hits of a ray it is the adjoint of compositing that core/kernels/cpu/raster.py derives. With h = o + t d - c, the hit relative
+to the centre,
 
     u = h . t_u / s_u,   v = h . t_v / s_v,   t = n . (c - o) / n . d,
 
 so that a gradient g_h of h and g_t of t give, with g_c = (g_t + g_h . d) n / (n . d) - g_h,
 
-    g_c to the centre,   -g_c to the origin,   -t g_c to the direction,   -(g_t + g_h . d) h / (n . d) to the normal.
+    g_c for the centre,   -g_c for the origin,   -t g_c for the direction,   -(g_t + g_h . d) h / (n . d) for the normal.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 @kernel
 def _upstream(image, gradient, ray, left):
-    """What the ray's hits share: scale of the sums, g . C shifted into every q, and S_total."""
+    """Return the terms that all hits of a ray share: the scale of the sums, the term g . C added to every q, and S_total."""
     last = gradient.shape[1] - 1
     sums = _ZERO
     for j in range(last):
@@ -44,7 +45,10 @@ def trace_backward_range(
     slot, begin, end, origin, direction, start, index, weight, distance, left, record, rows, coefficients, extras, image, gradient,
     slots, g_origin, g_direction,
 ):  # fmt: skip
-    """Adjoint of tracing rays begin..end: adds to slots[slot] (N, width + SURFEL_GRADIENTS), writes g_origin and g_direction (R, 3)."""
+    """Compute the adjoint of tracing rays begin..end.
+
+    Adds to slots[slot] (N, width + SURFEL_GRADIENTS) and writes g_origin and g_direction (R, 3).
+    """
     width, stride = rows.shape[1], slots.shape[2]
     offset = SH_ROW if coefficients > 0 else 0
     row, out = rows.reshape(-1), slots[slot].reshape(-1)
@@ -72,9 +76,9 @@ def trace_backward_range(
                     if value > 0:
                         lit |= 1 << channel
                         q += gradient[ray, channel] * value
-                        share = w * gradient[ray, channel]
-                        to_low = to_low + load(row, at + channel * 16) * share
-                        to_high = to_high + load(row, at + channel * 16 + 8) * share
+                        weighted = w * gradient[ray, channel]
+                        to_low = to_low + load(row, at + channel * 16) * weighted
+                        to_high = to_high + load(row, at + channel * 16 + 8) * weighted
                 add_radiance(out, here, low, high, w, gradient, ray, lit)
             for j in range(extras):
                 q += gradient[ray, 6 + j] * row[at + offset + j]
@@ -128,7 +132,10 @@ def trace_backward_range(
 
 @kernel
 def surfel_backward_range(begin, end, slots, width, record, quaternion, n, g_position, g_quaternion, g_log_scale, g_opacity):
-    """From the slots' gradients of records to those of the raw parameters, flattened; 0 for surfels that no ray can meet."""
+    """Sum the slots' gradients of records (threads, N, width + SURFEL_GRADIENTS) and convert them to those of the raw parameters.
+
+    The results are flat: g_position (3 N), g_quaternion (4 N), g_log_scale (2 N), g_opacity (N); 0 for surfels that no ray can hit.
+    """
     s = np.empty(SURFEL_GRADIENTS, np.float32)
     for i in range(begin, end):
         s[:] = _ZERO

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cross-bilateral filter: a mean over neighbours that lie on the same surface, 8 pixels of a row to a vector.
+"""Cross-bilateral filter: mean over neighbouring pixels on the same surface, 8 pixels of a row to a vector.
 
-Weight of neighbour p' at p: exp(-|p - p'|^2 / 2 sigma^2) max(n.n', 0)^(2^k) exp(-|z - z'| / (|grad z . (p - p')| + epsilon)) times its
-coverage. Guides: normal 3, depth, its slope per pixel to the right and down, coverage (0 = nothing there).
-Images are channel planes, flattened, with a margin of empty pixels on every side so that no load leaves them; a group is 8 pixels of a
-row, named by the place of its first.
+Called by core/relight/denoise.py. Weight of neighbour p' at p:
+exp(-|p - p'|^2 / 2 sigma^2) max(n.n', 0)^(2^k) exp(-|z - z'| / (|grad z . (p - p')| + epsilon)) times its coverage.
+Guides: normal 3, depth, its slopes per pixel to the right and down, coverage (0 = empty).
+Images are flattened channel planes with a margin of empty pixels on every side, so that no load runs out of bounds; a group is 8
+pixels of a row, identified by the index of its first pixel.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from .simd import bits, exp, load, maximum, minimum, select, splat, store
 
 @kernel
 def _absolute(x):
+    """Return |x| of a vector."""
     return maximum(x, x * -1.0)
 
 
 @kernel
 def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
-    """The weights of the group `at`, a vector for each neighbour, to weights[to..]; they sum to 1."""
+    """Write the weights of the group `at`, a vector for each neighbour, to weights[to..]; they sum to 1."""
     reach = spatial.shape[0] // 2
     nx, ny, nz = load(guides, at), load(guides, plane + at), load(guides, 2 * plane + at)
     z, right, down = load(guides, 3 * plane + at), load(guides, 4 * plane + at), load(guides, 5 * plane + at)
@@ -30,16 +32,16 @@ def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
     tap = to
     for dy in range(-reach, reach + 1):
         for dx in range(-reach, reach + 1):
-            there = at + dy * stride + dx
-            coverage = load(guides, 6 * plane + there)
+            neighbour = at + dy * stride + dx
+            coverage = load(guides, 6 * plane + neighbour)
             weight = splat(0.0)
             if bits(coverage > 0.0) != 0:
-                cosine = nx * load(guides, there) + ny * load(guides, plane + there) + nz * load(guides, 2 * plane + there)
+                cosine = nx * load(guides, neighbour) + ny * load(guides, plane + neighbour) + nz * load(guides, 2 * plane + neighbour)
                 cosine = minimum(maximum(cosine, splat(0.0)), splat(1.0))
                 for _ in range(doublings):
                     cosine = cosine * cosine
                 step = _absolute(right * np.float32(dx) + down * np.float32(dy)) + epsilon
-                depth = exp(_absolute(load(guides, 3 * plane + there) - z) / step * -1.0)
+                depth = exp(_absolute(load(guides, 3 * plane + neighbour) - z) / step * -1.0)
                 weight = cosine * depth * coverage * spatial[dy + reach, dx + reach]
             total = total + weight
             store(weights, tap, weight)
@@ -51,24 +53,27 @@ def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
 
 @kernel
 def _mean(at, values, weights, begin, reach, stride, plane, acc, out):
-    """The weighted mean of the neighbours of the group `at` in every plane of `values`, into `out`."""
+    """Write the weighted mean of the neighbours of the group `at` to `out`, in every plane of `values`."""
     channels = len(values) // plane
     acc[:] = 0.0
     tap = begin
     for dy in range(-reach, reach + 1):
         for dx in range(-reach, reach + 1):
-            there = at + dy * stride + dx
+            neighbour = at + dy * stride + dx
             weight = load(weights, tap)
             tap += 8
             for c in range(channels):
-                store(acc, c * 8, load(acc, c * 8) + weight * load(values, c * plane + there))
+                store(acc, c * 8, load(acc, c * 8) + weight * load(values, c * plane + neighbour))
     for c in range(channels):
         store(out, c * plane + at, load(acc, c * 8))
 
 
 @kernel
 def weigh_range(begin, end, groups, guides, spatial, epsilon, doublings, stride, plane, weights):
-    """Groups begin..end: their weights, to be kept for `mean_range`; spatial: (T, T), T odd; 2^doublings is the normals' exponent."""
+    """Compute the weights (groups, T T, 8), flat, of groups begin..end for `mean_range`.
+
+    spatial: (T, T), T odd. The exponent of n.n' is 2^doublings.
+    """
     size = spatial.size * 8
     for i in range(begin, end):
         _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, weights, i * size)
@@ -76,7 +81,7 @@ def weigh_range(begin, end, groups, guides, spatial, epsilon, doublings, stride,
 
 @kernel
 def mean_range(begin, end, groups, weights, values, reach, stride, plane, out):
-    """Groups begin..end: filter `values` (C planes) into `out` by kept weights."""
+    """Filter `values` (C planes) into `out` (C planes) for groups begin..end, by weights from `weigh_range`."""
     size = (2 * reach + 1) * (2 * reach + 1) * 8
     acc = np.empty(len(values) // plane * 8, np.float32)
     for i in range(begin, end):
@@ -85,7 +90,7 @@ def mean_range(begin, end, groups, weights, values, reach, stride, plane, out):
 
 @kernel
 def bilateral_range(begin, end, groups, guides, spatial, epsilon, doublings, values, stride, plane, out):
-    """Groups begin..end: both in one, with nothing to be kept."""
+    """Compute weights and filter `values` (C planes) into `out` (C planes) for groups begin..end, without storing the weights."""
     weights = np.empty(spatial.size * 8, np.float32)
     acc = np.empty(len(values) // plane * 8, np.float32)
     for i in range(begin, end):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which splats touch which tile, nearest first."""
+"""Assignment of splats to tiles, in order of depth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .jit import kernel
 
 @kernel
 def depth_order(depth, box):
-    """Indices of the visible splats by rising depth: a stable radix sort of the float bits (depths are positive)."""
+    """Return the indices (V,) of the V visible splats by rising depth: a stable radix sort of the float bits (depths are positive)."""
     keys = depth.view(np.uint32)
     count = 0
     for g in range(len(depth)):
@@ -38,7 +38,7 @@ def depth_order(depth, box):
 
 @kernel
 def bin_tiles(order, box, columns, rows):
-    """Tile lists: splats of tile t are entries[start[t] : start[t + 1]], nearest first."""
+    """Return tile lists: the splats of tile t are entries[start[t] : start[t + 1]], nearest first; start is (tiles + 1,)."""
     start = np.zeros(columns * rows + 1, np.int64)
     for g in order:
         for ty in range(box[g, 1] // TILE, box[g, 3] // TILE + 1):

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rays see of the Gaussians they meet: weighted sums over hit lists, and the way back to radiance and attributes.
+"""Weighted sums of radiance and attributes over hit lists, and their adjoint.
 
-A Gaussian's row holds its SH coefficients (3 x 16, channel by channel; none without SH), then its extra channels, in whole vectors.
+The row of a Gaussian holds its SH coefficients (3 x 16, channel by channel; none without SH), then its extra channels, padded to whole
+vectors.
 """
 
 from __future__ import annotations
@@ -14,16 +15,16 @@ from .jit import kernel
 from .simd import load, prefetch, store, total
 
 SH_ROW = 48
-SUMS = 8  # outputs beside the extras: colour, normal, distance, opacity
-_AHEAD = 4  # hits between asking for a row and using it
+SUMS = 8  # outputs besides the extras: colour, normal, distance, opacity
+_AHEAD = 4  # hits between the prefetch of a row and its use
 
 
 @kernel
 def pack_range(begin, end, sh, extra, coefficients, n, rows):
-    """Parameters (K, 3, N), (E, N), flattened, to rows (N, width) of Gaussians begin..end, zeros where nothing is."""
+    """Write flat parameters (K, 3, N), (E, N) to rows (N, width) of Gaussians begin..end, padded with zeros."""
     offset = SH_ROW if coefficients > 0 else 0
     extras = len(extra) // n
-    for start in range(begin, end, 64):  # in blocks that stay in the near cache
+    for start in range(begin, end, 64):  # blocks that stay in the L1 cache
         stop = min(start + 64, end)
         rows[start:stop] = np.float32(0.0)
         for j in range(coefficients):
@@ -37,7 +38,7 @@ def pack_range(begin, end, sh, extra, coefficients, n, rows):
 
 @kernel
 def unpack_range(begin, end, slots, coefficients, n, g_sh, g_extra):
-    """Adjoint of `pack_range`: the threads' slots (threads, N, >= width), summed in their order."""
+    """Compute the adjoint of `pack_range`: sum the threads' slots (threads, N, >= width) in their order into flat g_sh, g_extra."""
     offset = SH_ROW if coefficients > 0 else 0
     extras = len(g_extra) // n
     for start in range(begin, end, 64):
@@ -56,7 +57,7 @@ def unpack_range(begin, end, slots, coefficients, n, g_sh, g_extra):
 
 @kernel
 def spread_basis(direction, ray, end, coefficients, axes, values, spread):
-    """SH basis of up to 8 rays from `ray` on, 16 floats to a ray -> spread (128,); leaves directions in `axes` (24,)."""
+    """Write the SH basis of up to 8 rays from `ray` on, 16 floats per ray, to spread (128,); leave the directions in `axes` (24,)."""
     for lane in range(8):
         for axis in range(3):
             axes[axis * 8 + lane] = direction[3 * min(ray + lane, end - 1) + axis]
@@ -68,27 +69,30 @@ def spread_basis(direction, ray, end, coefficients, axes, values, spread):
 
 @kernel
 def radiance(rows, at, channel, low, high):
-    """One channel of a Gaussian's radiance, before its clamp, in the direction whose basis is `low`, `high`."""
+    """Return one channel of a Gaussian's radiance before its clamp, in the direction whose SH basis is `low`, `high`."""
     return total(load(rows, at + channel * 16) * low + load(rows, at + channel * 16 + 8) * high) + np.float32(0.5)
 
 
 @kernel
 def facing(record, g, dx, dy, dz):
-    """1, or -1 where a Gaussian's normal has to be turned against the ray."""
+    """Return 1, or -1 where a Gaussian's normal has to be flipped to point against the ray."""
     cosine = record[g, NORMAL] * dx + record[g, NORMAL + 1] * dy + record[g, NORMAL + 2] * dz
     return np.float32(-1.0) if cosine > 0 else np.float32(1.0)
 
 
 @kernel
 def composite_range(begin, end, direction, start, index, weight, distance, left, record, rows, coefficients, extras, out, lit):
-    """Sums over the hits of rays begin..end -> out (R, SUMS + E); lit: (H,) bit c is set where channel c's clamp let it pass."""
+    """Sum rows over the hits of rays begin..end to out (R, SUMS + E).
+
+    lit: (H,) receives a mask per hit; bit c is set where the clamp let colour channel c pass.
+    """
     width = rows.shape[1]
     offset = SH_ROW if coefficients > 0 else 0
     row = rows.reshape(-1)
     axes, values, spread = np.zeros(24, np.float32), np.zeros(128, np.float32), np.zeros(128, np.float32)
     acc = np.empty(max(width - offset, 8), np.float32)
     zero = np.float32(0.0)
-    block = -1  # of 8 rays, the one whose basis is at hand
+    block = -1  # first ray of the 8 whose basis is in `spread`
     for ray in range(begin, end):
         if start[ray] == start[ray + 1]:
             out[ray] = zero
@@ -127,7 +131,7 @@ def composite_range(begin, end, direction, start, index, weight, distance, left,
 
 @kernel
 def composite_backward_range(slot, begin, end, direction, start, index, weight, lit, coefficients, extras, gradient, slots):
-    """Adjoint of `composite_range` to the rows alone: adds to slots[slot] (N, width)."""
+    """Compute the adjoint of `composite_range` for the rows alone: add to slots[slot] (N, width)."""
     out = slots[slot].reshape(-1)
     width = slots.shape[2]
     offset = SH_ROW if coefficients > 0 else 0
@@ -157,7 +161,7 @@ def composite_backward_range(slot, begin, end, direction, start, index, weight, 
 
 @kernel
 def add_radiance(out, at, low, high, w, gradient, ray, lit):
-    """A hit's gradient of SH coefficients."""
+    """Add the gradient of a hit's SH coefficients to the row at `at`, for the channels set in `lit`."""
     for channel in range(3):
         if lit >> channel & 1:
             g = w * gradient[ray, channel]
@@ -168,7 +172,7 @@ def add_radiance(out, at, low, high, w, gradient, ray, lit):
 
 @kernel
 def blend_range(begin, end, ray, start, index, weight, rows, channels, out):
-    """Sums of rows (N, width) over the hits of the rays `ray` (B,) begin..end -> out (B, C)."""
+    """Sum rows (N, width) over the hits of the rays ray[begin:end] to out (B, C)."""
     width = rows.shape[1]
     row = rows.reshape(-1)
     acc = np.empty(width, np.float32)
@@ -184,7 +188,7 @@ def blend_range(begin, end, ray, start, index, weight, rows, channels, out):
 
 @kernel
 def blend_backward_range(slot, begin, end, ray, start, index, weight, gradient, slots):
-    """Adjoint of `blend_range` for gradient (B, C): adds to slots[slot] (N, width)."""
+    """Compute the adjoint of `blend_range` for gradient (B, C): add to slots[slot] (N, width)."""
     out = slots[slot].reshape(-1)
     width = slots.shape[2]
     upstream = np.zeros(width, np.float32)

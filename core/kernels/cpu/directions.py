@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Directions by cosine, visible normals and light map, with the density of their mixture, sample by sample.
+"""Sample directions (cosine, visible normals, light map) with the density of their mixture; called by core/shading/sampling.py.
 
-The twin in plain operations stands beside the caller, shading/sampling.py.
+The reference in PyTorch operations is `_mixture_reference` in the same module.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ TURN = 2 * math.pi
 
 @kernel
 def _wrapped(point, shift):
-    """A coordinate in [0, 1) shifted by another, on the torus."""
+    """Shift a coordinate in [0, 1) by another, on the torus."""
     u = point + float(shift)
     return u - 1 if u >= 1 else u
 
 
 @kernel
 def _first_above(table, value, low, high):
-    """Index of the first entry of ascending table[low:high] that is greater than `value`, `high` - 1 at most."""
+    """Return the index of the first entry of ascending table[low:high] greater than `value`, at most `high` - 1."""
     size = high - low
     while size > 1:
         half = size // 2
@@ -34,8 +34,8 @@ def _first_above(table, value, low, high):
 
 
 @kernel
-def _mirrored(vx, vy, vz, alpha, u0, u1):
-    """A local direction mirrored at a visible normal, by spherical caps; view (vx, vy, vz)."""
+def _sample_visible_normal(vx, vy, vz, alpha, u0, u1):
+    """Return a local view direction mirrored at a sampled visible normal, by spherical caps (Dupuy and Benyoub 2023)."""
     length = math.sqrt((vx * vx + vy * vy) * alpha * alpha + vz * vz)
     wx, wy, wz = vx * alpha / length, vy * alpha / length, vz / length
     z = (1 - u0) * (1 + wz) - wz
@@ -46,8 +46,8 @@ def _mirrored(vx, vy, vz, alpha, u0, u1):
 
 
 @kernel
-def _towards_light(u0, u1, rows, columns, edges):
-    """A world direction by the light map's tables, and the texel it lies in."""
+def _sample_light(u0, u1, rows, columns, edges):
+    """Sample a world direction by the light map's tables; return it and the flat index of its texel."""
     height = len(rows)
     width = len(columns) // height
     row = _first_above(rows, u1, 0, height)
@@ -64,35 +64,34 @@ def _towards_light(u0, u1, rows, columns, edges):
 
 @kernel
 def lightmap_place(x, y, z):
-    """u, v in 0..1 of a unit direction in a lat-long map."""
+    """Return u, v in 0..1 of a unit direction in a lat-long map."""
     u = 0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN
     flat2 = x * x + y * y
-    if flat2 < 0.01:  # near a pole the height says too little of the angle
+    if flat2 < 0.01:  # near a pole acos(z) is inaccurate
         return u, math.atan2(np.float32(math.sqrt(flat2)), np.float32(z)) / math.pi
     return u, math.acos(np.float32(min(max(z, -1.0), 1.0))) / math.pi
 
 
 @kernel
 def turned(u, turn):
-    """u in a map that is turned by the share `turn` in 0..1 of a whole turn."""
+    """Return u in a map rotated by `turn`, a fraction in 0..1 of a full turn."""
     u += turn
     return u - 1 if u >= 1 else u
 
 
 @kernel
 def texel_at(u, v, height, width):
-    """Flat index of the texel that u, v lies in; some texel for what is not a number."""
+    """Return the flat index of the texel that contains u, v; clamped to the map, also for NaN."""
     return max(min(int(v * height), height - 1), 0) * width + max(min(int(u * width), width - 1), 0)
 
 
 @kernel
 def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points_e, first, rows, columns, edges, light, direction, density):
-    """Points begin..end: `direction` (P, N, 3) and `density` (P, N) of cosine, visible-normal and light samples, in this order.
+    """Draw cosine, visible-normal and light samples, in this order, for points begin..end, from number `first` on.
 
-    Of all samples those from number `first` on are made.
-
-    frame: (P, 3, 3), columns tangent, bitangent, normal. view: (P, 3) local. points_*: (n, 2) in [0, 1). rows, columns, edges,
-    light: the light's tables, cumulated over rows, cumulated within each row, cosines of the rows' edges, density per texel.
+    Writes `direction` (P, N, 3) and `density` (P, N). frame: (P, 3, 3), columns tangent, bitangent, normal. view: (P, 3) local.
+    points_*: (n, 2) in [0, 1). rows, columns, edges, light: tables of the light's distribution: cumulated over rows, cumulated within
+    each row, cosines of the rows' edges, density per texel.
     """
     n_c, n_g, n_e = len(points_c), len(points_g), len(points_e)
     count = n_c + n_g + n_e
@@ -114,7 +113,7 @@ def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points
                     lx, ly, lz = r * math.cos(np.float32(phi)), r * math.sin(np.float32(phi)), math.sqrt(max(1 - u0, 0.0))
                 else:
                     u0, u1 = _wrapped(points_g[i - n_c, 0], shift[p, 0]), _wrapped(points_g[i - n_c, 1], shift[p, 1])
-                    lx, ly, lz = _mirrored(vx, vy, vz, a, u0, u1)
+                    lx, ly, lz = _sample_visible_normal(vx, vy, vz, a, u0, u1)
                 x, y, z = lx * tx + ly * bx + lz * nx, lx * ty + ly * by + lz * ny, lx * tz + ly * bz + lz * nz
                 texel = 0
                 if n_e > 0:
@@ -123,7 +122,7 @@ def draw_range(begin, end, frame, view, alpha, shift, points_c, points_g, points
             else:
                 j = i - n_c - n_g
                 u0, u1 = _wrapped(points_e[j, 0], shift[p, 0]), _wrapped(points_e[j, 1], shift[p, 1])
-                x, y, z, texel = _towards_light(u0, u1, rows, columns, edges)
+                x, y, z, texel = _sample_light(u0, u1, rows, columns, edges)
                 lx, ly, lz = x * tx + y * ty + z * tz, x * bx + y * by + z * bz, x * nx + y * ny + z * nz
             q = n_e * float(light[texel]) + n_c / math.pi * max(lz, 0.0)
             hx, hy, hz = vx + lx, vy + ly, vz + lz

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where 8 surfels stand before a camera: their centres and axes in its space, the way back to their quaternions, and vectors of three."""
+"""Camera-space frames of 8 surfels (centre and axes), gradients of their quaternions, and small 3-vector algebra."""
 
 from __future__ import annotations
 
@@ -10,27 +10,31 @@ from .simd import load, maximum, select, splat, sqrt
 
 @kernel
 def cross(a, b):
+    """Return the cross product of two 3-vectors."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @kernel
 def dot(a, b):
+    """Return the dot product of two 3-vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel
 def add(a, b):
+    """Return the sum of two 3-vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 @kernel
 def scaled(a, s):
+    """Return a 3-vector times a scalar."""
     return (a[0] * s, a[1] * s, a[2] * s)
 
 
 @kernel
 def rotate(m, v):
-    """m (row-major 3x3 scalars) times v."""
+    """Return matrix m (row-major, 9 scalars) times v."""
     return (
         v[0] * m[0] + v[1] * m[1] + v[2] * m[2],
         v[0] * m[3] + v[1] * m[4] + v[2] * m[5],
@@ -40,7 +44,7 @@ def rotate(m, v):
 
 @kernel
 def rotate_back(m, v):
-    """Transpose of m times v."""
+    """Return the transpose of matrix m (row-major, 9 scalars) times v."""
     return (
         v[0] * m[0] + v[1] * m[3] + v[2] * m[6],
         v[0] * m[1] + v[1] * m[4] + v[2] * m[7],
@@ -50,7 +54,7 @@ def rotate_back(m, v):
 
 @kernel
 def _rotation(q, n, i):
-    """Columns of the rotation and the quaternion's length."""
+    """Return the columns of the rotation of quaternions i..i+7, the unit quaternions and the inverse of their lengths."""
     w, x, y, z = load(q, i), load(q, n + i), load(q, 2 * n + i), load(q, 3 * n + i)
     length = sqrt(maximum(w * w + x * x + y * y + z * z, splat(1e-20)))
     inv = 1.0 / length
@@ -63,7 +67,10 @@ def _rotation(q, n, i):
 
 @kernel
 def frame(position, quaternion, n, i, cam):
-    """Camera-space centre and axes; foreshortening n.c is kept away from 0, `free` where it was not touched."""
+    """Return centre and axes of surfels i..i+7 in camera space, and what the projection needs of them.
+
+    The foreshortening n.c is clamped away from 0; `free` is set where it was not clamped.
+    """
     world = (load(position, i), load(position, n + i), load(position, 2 * n + i))
     offset = (world[0] - cam[13], world[1] - cam[14], world[2] - cam[15])
     c = rotate(cam, offset)
@@ -78,7 +85,7 @@ def frame(position, quaternion, n, i, cam):
 
 @kernel
 def quaternion_gradient(q, inv, g0, g1, g2):
-    """From gradients of the rotation's columns to the raw quaternion."""
+    """Convert gradients of the rotation's columns to that of the raw quaternion."""
     w, x, y, z = q
     gw = (z * (g0[1] - g1[0]) + y * (g2[0] - g0[2]) + x * (g1[2] - g2[1])) * 2.0
     gx = (y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g1[2] - g2[1]) - x * (g1[1] + g2[2]) * 2.0) * 2.0

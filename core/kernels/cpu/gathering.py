@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums over traced samples of the light that they find, in one pass: looked up where a ray is free, reflected where it meets something.
+"""Sums of the light that arrives along traced secondary rays, in one pass; called by core/relight/indirect_light.py.
 
-What no light changes of a ray is computed once (`terms_range`). The twin in plain operations stands beside the caller,
-relight/gathering.py.
+Free rays look the light up in its map; rays that hit a surface receive what the surface reflects. Terms that do not depend on the light
+are computed once (`terms_range`). The reference in PyTorch operations is `gather_reference` in core/relight/indirect_light.py.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .reflection import point_terms, specular_terms
 
 @kernel
 def _bilinear(maps, level, u, v):
-    """Three channels of one of the maps (L, H, W, 3), wrapped in u."""
+    """Look three channels up in map `level` of maps (L, H, W, 3), bilinearly, wrapped in u."""
     height, width = maps.shape[1], maps.shape[2]
     x, y = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
     x0, y0 = math.floor(x), math.floor(y)
@@ -38,7 +38,10 @@ def _bilinear(maps, level, u, v):
 
 @kernel
 def reflected(k, body, gloss, place, diffuse, specular, turn):
-    """What hit k sends along its ray: its lobes times prefiltered light; place: u, v of its normal, of the mirrored ray, level."""
+    """Return the radiance that hit k reflects along its ray: its diffuse and specular albedo times prefiltered light.
+
+    place: (K, 5) u, v of the normal, u, v of the mirrored ray, level in the specular stack.
+    """
     red, green, blue = _bilinear(diffuse, 0, turned(float(place[k, 0]), turn), float(place[k, 1]))
     u, v, level = turned(float(place[k, 2]), turn), float(place[k, 3]), float(place[k, 4])
     low = min(int(level), specular.shape[0] - 2)
@@ -53,7 +56,10 @@ def reflected(k, body, gloss, place, diffuse, specular, turn):
 
 @kernel
 def terms_range(begin, end, view, normal, alpha, direction, density, terms):
-    """Points begin..end: to `terms` (P, M, 6) of each ray u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
+    """Write to `terms` (P, M, 6), for points begin..end, the terms of each ray that do not depend on the light; 0 below the horizon.
+
+    They are u, v, cosine, cosine times the two parts of the specular lobe, and density.
+    """
     for p in range(begin, end):
         (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
         for i in range(direction.shape[1]):
@@ -69,12 +75,12 @@ def terms_range(begin, end, view, normal, alpha, direction, density, terms):
 
 
 @kernel
-def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, diffuse, specular, texels, share, turn, sums):
-    """Points begin..end: add to `sums` (P, 2, 12), even samples to the first half and odd ones to the second.
+def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, diffuse, specular, texels, light_count, turn, sums):
+    """Add to `sums` (P, 2, 12), for points begin..end, the light along rays: even samples to the first half, odd ones to the second.
 
-    Twelve sums, three channels each: light for the diffuse lobe, for F0, for what Fresnel adds, and for the diffuse lobe were no ray
-    hidden. To the rays' density `share` times the light's own, `texels` (H W), comes, but for what a met surface sends: light samples
-    bring none of that. row: (P, M) which of K hits, -1 for none.
+    The twelve sums, three channels each: light for the diffuse lobe, for F0, for what Fresnel adds, and for the diffuse lobe without any
+    occlusion. `light_count` times the light's own density, `texels` (H W,), is added to the density of the rays where they see the light
+    itself, but not for what a hit surface reflects: light samples bring none of that. row: (P, M) index of one of K hits, -1 for none.
     """
     height, width = light.shape[1], light.shape[2]
     acc = np.empty(24)
@@ -86,8 +92,8 @@ def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, dif
                 continue
             u, v = turned(float(terms[p, i, 0]), turn), float(terms[p, i, 1])
             q = float(terms[p, i, 5])
-            if share > 0:
-                q += share * float(texels[texel_at(u, v, height, width)])
+            if light_count > 0:
+                q += light_count * float(texels[texel_at(u, v, height, width)])
             r, g, b = _bilinear(light, 0, u, v)
             r, g, b = r / q, g / q, b / q
             at = (i & 1) * 12

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Real spherical harmonics up to degree 3, value and gradient, 8 directions at a time (3DGS's order and signs)."""
+"""Real spherical harmonics up to degree 3, values and gradients, for 8 directions at a time (order and signs of 3DGS)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _0, _1 = np.float32(SH_C0), np.float32(SH_C1)
 
 @kernel
 def basis(x, y, z, count, out):
-    """The first `count` (1, 4, 9 or 16) basis functions at unit directions, each as 8 floats of `out`."""
+    """Write the first `count` (1, 4, 9 or 16) basis functions at 8 unit directions to `out` (16 x 8,), 8 floats per function."""
     store(out, 0, splat(_0))
     if count > 1:
         store(out, 8, y * -_1)
@@ -40,7 +40,7 @@ def basis(x, y, z, count, out):
 
 @kernel
 def basis_gradient(x, y, z, count, out):
-    """Derivatives of `basis` to x, y and z (as free coordinates): three rows of 16 x 8 floats."""
+    """Write the derivatives of `basis` by x, y and z, as free coordinates, to `out` (3 x 16 x 8,)."""
     for i in range(3 * 128):
         out[i] = 0.0
     dx, dy, dz = 0, 128, 256

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How CPU kernels are compiled: numba, without the GIL, cached on disk per version of the sources."""
+"""Compilation of CPU kernels: numba, releasing the GIL, cached on disk per version of the sources."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...machine.cache_folder import private_folder
 
 
 def cache_folder() -> Path:
-    """A writable folder named by the kernels' sources: numba's own cache misses edits of imported helpers."""
+    """Return a writable folder named by a hash of the kernels' sources: numba's own cache misses edits of imported helpers."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
     for source in [*sorted(here.glob("*.py")), here.parent / "constants.py"]:
@@ -26,27 +26,33 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
 import numba  # noqa: E402  (reads NUMBA_CACHE_DIR on import)
 from numba.core.caching import IndexDataCacheFile  # noqa: E402
 
-# Sums may be contracted and reordered; NaN and infinity keep their meaning, so that faults stay visible.
+# Sums may be contracted and reordered; NaN and infinity keep their meaning, so that errors stay visible.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
 class KernelFiles(IndexDataCacheFile):
-    """The files of a kernel's compiled versions, each named by what it was compiled for.
+    """Cache files of the compiled versions of a kernel, each named by its argument types.
 
-    numba numbers them. Processes that compile at once would give two versions the same number, and one would run the other's code.
+    numba numbers them. Processes that compile at the same time could give two versions the same number, and one would run the other's code.
     """
 
     def save(self, key: Any, data: Any) -> None:
+        """Write a compiled version and enter it in the index.
+
+        Args:
+            key: signature and target that the version was compiled for.
+            data: the compiled code, as numba serialises it.
+        """
         name = self._data_name(int(hashlib.sha256(repr(key).encode()).hexdigest()[:12], 16))
         self._save_data(name, data)
         self._save_index({**self._load_index(), key: name})
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile `function(begin, end, ...)` or a helper of one. Helpers shared between modules must live in this folder.
+    """Compile `function(begin, end, ...)`, or a helper of such a kernel. Helpers shared between modules must live in this folder.
 
-    Helpers are always inlined: one that is called could be another copy in code just compiled than in code from the cache, with sums
-    contracted otherwise, and the first run on a machine would differ from the later ones.
+    Helpers are always inlined: a helper that is called could differ between freshly compiled code and code from the cache, with sums
+    contracted differently, and the first run on a machine would differ from later ones.
     """
     compiled: Any = numba.njit(function, nogil=True, cache=True, forceinline=True, fastmath=FASTMATH, error_model="numpy")
     cache = compiled._cache

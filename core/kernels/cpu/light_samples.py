@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Samples towards a light at surface points, out of a table of its directions; those that nothing hides are summed at once.
+"""Light samples at surface points, drawn from a table of the light's directions; called by core/relight/direct_light.py.
 
-They bring the light itself and no more: what is met on the way to it, the other samples gather.
+Samples in directions known to be unoccluded are summed at once, the others are traced first. They bring only the light itself; light
+reflected by surfaces in the way is summed by core/kernels/cpu/gathering.py. `survey_range` is called by core/relight/visibility_cache.py.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from .reflection import point_terms, specular_terms
 
 @kernel
 def bin_of(x, y, z, bins):
-    """Which of bins x bins squares of the octahedral map a direction lies in."""
+    """Return which of the bins x bins squares of the octahedral map contains a direction."""
     scale = 1 / (abs(x) + abs(y) + abs(z))
     s, t = x * scale, y * scale
     if z < 0:
@@ -25,7 +26,7 @@ def bin_of(x, y, z, bins):
 
 @kernel
 def _add(sums, p, half, weight, value, bias, r, g, b):
-    """Light r, g, b that arrives, for each lobe."""
+    """Add arriving light r, g, b to a point's sums of the three lobes."""
     sums[p, half, 0] += weight * r
     sums[p, half, 1] += weight * g
     sums[p, half, 2] += weight * b
@@ -41,13 +42,13 @@ def _add(sums, p, half, weight, value, bias, r, g, b):
 def light_range(
     number, begin, end, view, normal, alpha, shift, points, n_c, n_g, table, turn, tile, clear, bins, sums, sample, direction, weights, made
 ):
-    """Points begin..end: their light samples above the horizon.
+    """Draw the light samples above the horizon of points begin..end, and sum those in unoccluded directions.
 
     points: (n_e, 2) in [0, 1), shifted for each point. n_c, n_g: cosine and visible-normal samples that share the balance heuristic.
-    table: (T, T, 7) direction, density and radiance over the unit square of the light's distribution; turn: share of a whole turn.
-    tile: (P,) row of `clear` (tiles, bins^2), directions that nothing hides; what goes there is added to `sums` (P, 2, 12) at once.
-    made (ranges, 2): samples above the horizon, and those that have to be traced, which follow from row begin n_e on: sample (.., 3)
-    point, half, entry of the table; direction (.., 3); weights (.., 3) of the three lobes.
+    table: (T, T, 7) direction, density and radiance over the unit square of the light's distribution; turn: rotation, fraction of a turn.
+    tile: (P,) row of `clear` (tiles, bins^2), which marks unoccluded directions; samples there are added to `sums` (P, 2, 12) at once.
+    made: (ranges, 2) receives the number of samples above the horizon and of those to be traced. The latter are written from row
+    begin n_e on: sample (.., 3) point, half, entry of the table; direction (.., 3); weights (.., 3) of the three lobes.
     """
     n_e, size = len(points), table.shape[0]
     cosine, sine = math.cos(2 * math.pi * turn), math.sin(2 * math.pi * turn)
@@ -65,7 +66,7 @@ def light_range(
             if n_l <= 0:
                 continue
             value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
-            # D of the visible normals' density is that of the lobe, less its 0.5 / sum.
+            # D in the density of visible normals is that of the lobe without its factor 0.5 / sum_l.
             sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
             q = n_e * float(table[row, column, 3]) + n_c / math.pi * n_l + n_g * masked * (value + bias) * 2 * sum_l
             weight = n_l / q
@@ -88,7 +89,7 @@ def light_range(
 
 @kernel
 def settle_range(begin, end, sample, weights, hidden, radiance, sums):
-    """Traced samples begin..end: add their light to `sums` (P, 2, 12); hidden: how much of it is; radiance: (T T, 3)."""
+    """Add the light of traced samples begin..end to `sums` (P, 2, 12); hidden: their occluded fraction in 0..1; radiance: (T T, 3)."""
     for i in range(begin, end):
         entry, free = sample[i, 2], 1 - float(hidden[i])
         r, g, b = free * float(radiance[entry, 0]), free * float(radiance[entry, 1]), free * float(radiance[entry, 2])
@@ -97,9 +98,9 @@ def settle_range(begin, end, sample, weights, hidden, radiance, sums):
 
 @kernel
 def survey_range(begin, end, direction, terms, row, tile, bins, seen, met):
-    """Points begin..end: count their rays and those that meet something by tile and direction, in `seen` and `met` (tiles, bins^2).
+    """Count all rays and the rays with a hit of points begin..end, by tile and direction, in `seen` and `met` (tiles, bins^2).
 
-    direction: (P, M, 3), terms: see `terms_range`. row: (P, M), -1 for rays that meet nothing. One range at a time: tiles are shared.
+    direction: (P, M, 3); terms: see `terms_range`; row: (P, M), -1 for rays without a hit. Run one range at a time: tiles are shared.
     """
     for p in range(begin, end):
         for i in range(direction.shape[1]):

@@ -1,12 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The specular lobe against a fixed set of directions: what a view of a point makes of each texel of the light.
+"""CPU kernels of the specular lobe over the texels of a light, 8 directions to a vector.
 
-A point's transport is known in `subs` directions in every texel: how much of the texel it sees (`visible`), and what else shines from
-there (`indirect`). Directions run over texels first, then over their subdivisions. The lobe is split where Fresnel adds to F0,
-
-    f_s = F0 D V (1 - p) + D V p,  p = (1 - v.h)^5,
-
-so that both parts are linear in the light and neither knows the albedo.
+core/kernels/lobes.py defines the arrays, the order of the directions and how the lobe is split into f_s = F0 D V (1 - p) + D V p.
 """
 
 from __future__ import annotations
@@ -26,7 +21,10 @@ _SHORTEST2 = np.float32(SHORTEST2)
 
 @kernel
 def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
-    """D V n.l and (1 - v.h)^5 in 8 directions with n_l >= 0; the sine of the half vector, as its cosine has no digits left near 1."""
+    """Return D V n.l and (1 - v.h)^5 in 8 directions with n_l >= 0.
+
+    D is computed from the sine of the half vector: near 1 its cosine has no significant digits left.
+    """
     hx, hy, hz = dx + vx, dy + vy, dz + vz
     length2 = maximum(hx * hx + hy * hy + hz * hz, splat(_SHORTEST2))
     n_h = n_l + n_v
@@ -40,7 +38,7 @@ def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
 
 @kernel
 def _cosines(direction, count, at, nx, ny, nz):
-    """8 directions and their cosines to a normal."""
+    """Return 8 directions and their cosines to a normal."""
     dx, dy, dz = load(direction, at), load(direction, count + at), load(direction, 2 * count + at)
     return dx, dy, dz, dx * nx + dy * ny + dz * nz
 
@@ -49,7 +47,7 @@ def _cosines(direction, count, at, nx, ny, nz):
 def lobe_rows_range(
     begin, end, texels, subs, point, view, normal, alpha, direction, solid_angle, visible, indirect, scaled, added, rest_scaled, rest_added
 ):  # fmt: skip
-    """Views begin..end: both parts of the lobe per texel of the light, (K, texels) flat, and of the indirect light, (K, 3)."""
+    """Compute for views begin..end both parts of the lobe per texel, (K, texels) flat, and applied to the indirect light, (K, 3)."""
     count, zero = texels * subs, splat(_ZERO)
     for k in range(begin, end):
         p = point[k]
@@ -86,7 +84,10 @@ def lobe_rows_range(
 def lobe_sums_range(
     begin, end, texels, subs, point, view, normal, alphas, direction, solid_angle, visible, indirect, light, scaled, added
 ):  # fmt: skip
-    """Views begin..end: both parts of the lobe summed over all light, (K, J, 3), for each of J widths `alphas` and a light (3 x texels)."""
+    """Integrate for views begin..end both parts of the lobe over all light, (K, J, 3).
+
+    alphas: (J,) GGX widths; light: (3 texels,) channel by channel.
+    """
     count, zero, widths = texels * subs, splat(_ZERO), len(alphas)
     sums = np.empty(widths * 48, np.float32)
     for k in range(begin, end):

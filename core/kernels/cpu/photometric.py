@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""CPU kernels of L1 + D-SSIM and its analytic gradient, fused: torch's convolutions take 20 times as long."""
+"""CPU kernels of L1 + D-SSIM and its analytic gradient, fused: torch's convolutions take 20 times as long.
+
+See core/kernels/photometric.py.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from .simd import load, splat, store
 
 @kernel
 def _blur_columns(rows, first, count, stride, width, taps, out):
-    """Vertical pass over `count` + 10 horizontally blurred rows of one quantity, for output row `first`."""
+    """Blur vertically: reduce horizontally blurred rows first..first + 10 of one quantity (count + 10 rows) to `out` (stride,)."""
     for x in range(0, width, 8):
         value = splat(np.float32(0.0))
         for k in range(2 * SSIM_RADIUS + 1):
@@ -22,7 +25,7 @@ def _blur_columns(rows, first, count, stride, width, taps, out):
 
 @kernel
 def _blur_row(padded, width, taps, out, at):
-    """Horizontal pass: `padded` has 8 zeros before and at least 8 after its `width` values."""
+    """Blur horizontally; `padded` has 8 zeros before and at least 8 after its `width` values."""
     for x in range(0, width, 8):
         value = splat(np.float32(0.0))
         for k in range(2 * SSIM_RADIUS + 1):
@@ -32,7 +35,7 @@ def _blur_row(padded, width, taps, out, at):
 
 @kernel
 def _statistics_rows(x, y, channel, begin, end, height, width, taps, blurred):
-    """Horizontally blurred x, y, xx, yy, xy of rows begin - 5 .. end + 5."""
+    """Blur x, y, xx, yy, xy of rows begin - 5 .. end + 5 horizontally into `blurred` (5 x rows x stride,)."""
     stride = (width + 7) // 8 * 8
     size = (end - begin + 2 * SSIM_RADIUS) * stride
     row_a, row_b = np.zeros(stride + 24, np.float32), np.zeros(stride + 24, np.float32)
@@ -58,7 +61,7 @@ def _statistics_rows(x, y, channel, begin, end, height, width, taps, blurred):
 
 @kernel
 def similarity_range(begin, end, x, y, taps, slopes, sums):
-    """SSIM of rows begin..end: its sum per channel and row, and d ssim / d (mean x, mean xx, mean xy) as planes."""
+    """Compute the SSIM of rows begin..end: its sum per channel and row, (C, H), and d ssim / d (mean x, mean xx, mean xy), (3, C, H, W)."""
     channels, height, width = x.shape
     stride = (width + 7) // 8 * 8
     rows = end - begin + 2 * SSIM_RADIUS
@@ -86,7 +89,7 @@ def similarity_range(begin, end, x, y, taps, slopes, sums):
 
 @kernel
 def gradient_range(begin, end, x, y, taps, slopes, l1_weight, ssim_weight, gradient):
-    """d loss / d x of rows begin..end, the SSIM part from the blurred slopes."""
+    """Compute d loss / d x (C, H, W) of rows begin..end, the SSIM part from the blurred slopes."""
     channels, height, width = x.shape
     stride = (width + 7) // 8 * 8
     rows = end - begin + 2 * SSIM_RADIUS

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""2D Gaussians to screen-space splats and back, 8 Gaussians to a vector.
+"""Projection of 2D Gaussians to screen-space splats, and its adjoint, 8 Gaussians to a vector.
 
-A disk with centre c, tangents t_u, t_v, scales s_u, s_v (camera space, z forward) is hit by the ray of a pixel at offset
+A surfel with centre c, tangents t_u, t_v, scales s_u, s_v (camera space, z forward) is hit by the ray of a pixel at offset
 (dx, dy) from its projected centre at
 
     u = (A.d) / w,   v = (B.d) / w,   depth = c_z / w,   w = 1 + C.d
 
-an exact plane intersection (2DGS, eq. 8) in which nothing cancels at the centre. A splat's record holds these numbers.
+an exact plane intersection (2DGS, eq. 8) without cancellation at the centre. The record of a splat holds these numbers.
 
 Parameters are structure-of-arrays, flattened: position (3 N), quaternion (4 N, w x y z, any length), log scale (2 N),
 opacity logit (N), sh (K 3 N).
@@ -27,33 +27,36 @@ from .simd import exp, load, maximum, select, splat, sqrt, store
 
 @kernel
 def _sigmoid(x):
+    """Return 1 / (1 + e^-x)."""
     return 1.0 / (1.0 + exp(x * -1.0))
 
 
 @kernel
 def _log_scale(log_scale, i):
+    """Return 8 log scales, clamped to LOG_SCALE_MIN."""
     return maximum(load(log_scale, i), splat(LOG_SCALE_MIN))
 
 
 @kernel
-def _slopes(c, tu, tv, kept):
-    """tu nc - n (tu . c) and the same of tv: times a pixel's offset, what u and v are proportional to.
+def _slopes(c, tu, tv, excess):
+    """Return t_u nc - n (t_u . c), and the same for t_v: multiplied by the offset of a pixel they are proportional to u and v.
 
-    As cross products nothing cancels. `kept` is what foreshortening was kept away from 0 by: without it such a disk would be drawn longer.
+    As cross products they have no cancellation. `excess` is what the clamp added to the foreshortening: without it such a surfel would be
+    drawn longer.
     """
-    return add(cross(tv, c), scaled(tu, kept)), add(cross(c, tu), scaled(tv, kept))
+    return add(cross(tv, c), scaled(tu, excess)), add(cross(c, tu), scaled(tv, excess))
 
 
 @kernel
 def _direction(offset):
-    """Unit viewing direction, camera to Gaussian, and 1 / distance."""
+    """Return the unit viewing direction, camera to Gaussian, and 1 / distance."""
     inv = 1.0 / sqrt(maximum(dot(offset, offset), splat(1e-20)))
     return scaled(offset, inv), inv
 
 
 @kernel
 def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extra, coefficients, cam, n, record, feature, box, depth):
-    """Fill splat records (N, SPLAT_RECORD), features (N, F: colour, normal, extra), pixel boxes (N, 4), depth (N).
+    """Fill splat records (N, SPLAT_RECORD), features (N, F: colour, normal, extra), pixel boxes (N, 4) and depth (N,).
 
     box: x0 y0 x1 y1, inclusive; x0 > x1 where culled.
     cam: row-major world-to-camera rotation (9), fx fy cx cy (4), camera centre (3), width, height, near depth.
@@ -81,7 +84,7 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
         store(scratch, 56, normal[1] * k / fy)
         store(scratch, 64, c[2])
         store(scratch, 72, _sigmoid(load(opacity, i)))
-        # Moments of the disk for its bounding box.
+        # Second moments of the surfel for its bounding box.
         store(scratch, 96, tu[0] * tu[0] * su * su + tv[0] * tv[0] * sv * sv)
         store(scratch, 104, tu[1] * tu[1] * su * su + tv[1] * tv[1] * sv * sv)
         store(scratch, 112, tu[2] * tu[2] * su * su + tv[2] * tv[2] * sv * sv)
@@ -109,7 +112,7 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
 
 @kernel
 def _finish(g, lane, scratch, cam, record, box, depth):
-    """One Gaussian's record, cut-off and pixel box from the block's scratch."""
+    """Write the record, cut-off and pixel box of Gaussian g from the scratch memory of its block."""
     for j in range(SPLAT_GRADIENTS):
         record[g, j] = scratch[j * 8 + lane]
     z, alpha = record[g, 8], record[g, 9]
@@ -122,12 +125,12 @@ def _finish(g, lane, scratch, cam, record, box, depth):
     record[g, 10] = cut
     # Extent of the ellipse rho = cut under perspective: a quadratic in x/z with these coefficients.
     d = cut * scratch[112 + lane] - z * z
-    around = d > -cam[18] * cam[18]  # it reaches round the camera, and may be seen in every pixel
+    surrounds_camera = d > -cam[18] * cam[18]  # the surfel extends behind the camera and may cover any pixel
     pad = math.sqrt(cut / LOW_PASS)
     for axis in range(2):
         c, focal, shift, limit = scratch[136 + axis * 8 + lane], cam[9 + axis], cam[11 + axis], cam[16 + axis]
         low, high = np.float32(0.0), limit
-        if not around:
+        if not surrounds_camera:
             middle = (cut * scratch[120 + axis * 8 + lane] - c * z) / d
             spread = math.sqrt(max(0.0, middle * middle - (cut * scratch[96 + axis * 8 + lane] - c * c) / d))
             low = min((middle - spread) * focal + shift, record[g, axis] - pad)
@@ -140,8 +143,8 @@ def _finish(g, lane, scratch, cam, record, box, depth):
 
 
 @kernel
-def _gather(slots, first, column, scratch):
-    """Sum one gradient column of 8 Gaussians over the threads' slots, in slot order."""
+def _sum_slots(slots, first, column, scratch):
+    """Sum one gradient column of 8 Gaussians over the threads' slots, in the order of the slots."""
     for lane in range(8):
         value = np.float32(0.0)
         for slot in range(slots.shape[0]):
@@ -151,8 +154,8 @@ def _gather(slots, first, column, scratch):
 
 
 @kernel
-def _pulled(slots, first):
-    """True where any of 8 Gaussians has a gradient: what lies behind opaque surfaces has none."""
+def _any_gradient(slots, first):
+    """Return True where any of 8 Gaussians has a gradient; Gaussians behind opaque surfaces have none."""
     for slot in range(slots.shape[0]):
         for g in range(first, first + 8):
             for column in range(slots.shape[2]):
@@ -163,7 +166,7 @@ def _pulled(slots, first):
 
 @kernel
 def _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i):
-    """No gradient for 8 Gaussians."""
+    """Write zero gradients for 8 Gaussians."""
     zero = splat(0.0)
     for j in range(3):
         store(g_position, j * n + i, zero)
@@ -184,9 +187,9 @@ def project_backward_range(
     begin, end, position, quaternion, log_scale, opacity, sh, coefficients, cam, n, slots,
     g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen,
 ):  # fmt: skip
-    """Adjoint of `project_range`: `slots` (threads, N, SPLAT_GRADIENTS + F) to gradients laid out like the parameters.
+    """Compute the adjoint of `project_range`: from `slots` (threads, N, SPLAT_GRADIENTS + F) to gradients laid out like the parameters.
 
-    screen: (N), |d loss / d projected centre| per pixel.
+    screen: (N,) receives |d loss / d projected centre| per pixel.
     """
     scratch = np.empty(8, np.float32)
     values = np.empty(16 * 8, np.float32)
@@ -196,7 +199,7 @@ def project_backward_range(
     zero = splat(0.0)
     for block in range(begin, end):
         i = min(block * 8, n - 8)
-        if not _pulled(slots, i):
+        if not _any_gradient(slots, i):
             _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i)
             continue
         offset, c, _, tu, tv, normal, nc, side, free, q, qinv = frame(position, quaternion, n, i, cam)
@@ -204,31 +207,31 @@ def project_backward_range(
         front = c[2] > cam[18]
         z = select(front, c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
-        kept = select(free, zero, nc - dot(normal, c))
-        e, f = _slopes(c, tu, tv, kept)
-        gmx, gmy = _gather(slots, i, 0, scratch), _gather(slots, i, 1, scratch)
-        ga0, ga1 = _gather(slots, i, 2, scratch) * isu / fx, _gather(slots, i, 3, scratch) * isu / fy
-        gb0, gb1 = _gather(slots, i, 4, scratch) * isv / fx, _gather(slots, i, 5, scratch) * isv / fy
-        gc0, gc1 = _gather(slots, i, 6, scratch) / fx, _gather(slots, i, 7, scratch) / fy
+        excess = select(free, zero, nc - dot(normal, c))
+        e, f = _slopes(c, tu, tv, excess)
+        gmx, gmy = _sum_slots(slots, i, 0, scratch), _sum_slots(slots, i, 1, scratch)
+        ga0, ga1 = _sum_slots(slots, i, 2, scratch) * isu / fx, _sum_slots(slots, i, 3, scratch) * isu / fy
+        gb0, gb1 = _sum_slots(slots, i, 4, scratch) * isv / fx, _sum_slots(slots, i, 5, scratch) * isv / fy
+        gc0, gc1 = _sum_slots(slots, i, 6, scratch) / fx, _sum_slots(slots, i, 7, scratch) / fy
         au, bv = ga0 * e[0] + ga1 * e[1], gb0 * f[0] + gb1 * f[1]
         gk = au + bv + gc0 * normal[0] + gc1 * normal[1]
         ge, gf = (ga0 * k, ga1 * k, zero), (gb0 * k, gb1 * k, zero)
         gnc = select(free, gk * k * -1.0 / nc, zero)
         gn = add((gc0 * k, gc1 * k, zero), scaled(c, gnc))
-        gkept = select(free, zero, (dot(ge, tu) + dot(gf, tv)) * -1.0)
-        gn = add(gn, scaled(c, gkept))
-        g_tv, g_tu = add(cross(c, ge), scaled(gf, kept)), add(cross(gf, c), scaled(ge, kept))
-        g_c = add(add(cross(ge, tv), cross(tu, gf)), scaled(normal, gnc + gkept))
-        gz = gk / nc + _gather(slots, i, 8, scratch) - (gmx * fx * c[0] + gmy * fy * c[1]) * iz * iz
+        g_excess = select(free, zero, (dot(ge, tu) + dot(gf, tv)) * -1.0)
+        gn = add(gn, scaled(c, g_excess))
+        g_tv, g_tu = add(cross(c, ge), scaled(gf, excess)), add(cross(gf, c), scaled(ge, excess))
+        g_c = add(add(cross(ge, tv), cross(tu, gf)), scaled(normal, gnc + g_excess))
+        gz = gk / nc + _sum_slots(slots, i, 8, scratch) - (gmx * fx * c[0] + gmy * fy * c[1]) * iz * iz
         g_c = add(g_c, (gmx * fx * iz, gmy * fy * iz, gz))
         g_world = rotate_back(cam, g_c)
         store(g_log_scale, i, au * k * -1.0)
         store(g_log_scale, n + i, bv * k * -1.0)
         store(screen, i, sqrt(gmx * gmx + gmy * gmy))
         o = _sigmoid(load(opacity, i))
-        store(g_opacity, i, _gather(slots, i, 9, scratch) * o * (1.0 - o))
+        store(g_opacity, i, _sum_slots(slots, i, 9, scratch) * o * (1.0 - o))
         flip = side * -1.0
-        g_normal = (_gather(slots, i, 13, scratch), _gather(slots, i, 14, scratch), _gather(slots, i, 15, scratch))
+        g_normal = (_sum_slots(slots, i, 13, scratch), _sum_slots(slots, i, 14, scratch), _sum_slots(slots, i, 15, scratch))
         g2 = add(rotate_back(cam, gn), scaled(g_normal, flip))
         gq = quaternion_gradient(q, qinv, rotate_back(cam, g_tu), rotate_back(cam, g_tv), g2)
         for j in range(4):
@@ -241,7 +244,7 @@ def project_backward_range(
             colour = splat(0.5)
             for j in range(coefficients):
                 colour = colour + load(values, j * 8) * load(sh, (j * 3 + channel) * n + i)
-            g = select(colour > 0.0, _gather(slots, i, SPLAT_GRADIENTS + channel, scratch), zero)
+            g = select(colour > 0.0, _sum_slots(slots, i, SPLAT_GRADIENTS + channel, scratch), zero)
             for j in range(coefficients):
                 at = (j * 3 + channel) * n + i
                 store(g_sh, at, load(values, j * 8) * g)
@@ -255,4 +258,4 @@ def project_backward_range(
         for j in range(3):
             store(g_position, j * n + i, select(front, g_world[j], zero))
         for channel in range(extras):
-            store(g_extra, channel * n + i, _gather(slots, i, SPLAT_GRADIENTS + 6 + channel, scratch))
+            store(g_extra, channel * n + i, _sum_slots(slots, i, SPLAT_GRADIENTS + 6 + channel, scratch))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tile rasteriser of 2D Gaussians: front-to-back compositing, a tile row of 8 pixels to a vector.
+"""Tile rasteriser of 2D Gaussians: front-to-back compositing, a tile row of 8 pixels to a vector.
 
-Channels of an image: the splats' features, then depth, then opacity, and one more plane: the transmittance where it stopped.
-A pixel whose transmittance falls below TRANSMITTANCE_MIN counts as opaque: its sums are divided by the weights' sum and its
-opacity is 1. Otherwise the last per cent leaks through to the far side and draws the mean depth behind the surface.
+Channels of an image: the features of the splats, then depth, then opacity, then the transmittance at which compositing stopped.
+A pixel whose transmittance falls to TRANSMITTANCE_MIN counts as opaque: its sums are divided by the sum of the weights and its
+opacity is 1. Otherwise the last per cent would leak through to the far side and pull the mean depth behind the surface.
 
 The adjoint runs front to back as well: with q_i = g . c_i and the running sum S_i = sum_{j<=i} w_j q_j,
 
@@ -21,13 +21,13 @@ from ..constants import ALPHA_MAX, HORIZON_MIN, LOW_PASS, SPLAT_GRADIENTS, SPLAT
 from .jit import kernel
 from .simd import bits, exp, load, minimum, prefetch, ramp, select, splat, store, total
 
-_AHEAD = 4  # entries between asking for a splat's numbers and using them: they lie scattered, beyond the near caches
+_AHEAD = 4  # entries between the prefetch of a splat and its use: splats are scattered in memory, outside the L1 cache
 _PIXELS = TILE * TILE
 
 
 @kernel
 def _evaluate(record, g, dx, dy, ax, bx, wx, low):
-    """Where a row's rays meet the disk: rho, 1/w, u, v and whether the low-pass filter won."""
+    """Intersect the rays of a tile row with a surfel: return rho, 1/w, u, v and a mask where the low-pass filter's rho is smaller."""
     w = wx + record[g, 7] * dy
     ahead = w > HORIZON_MIN
     iw = 1.0 / select(ahead, w, splat(1.0))
@@ -40,6 +40,7 @@ def _evaluate(record, g, dx, dy, ax, bx, wx, low):
 
 @kernel
 def _exhausted(transmittance):
+    """Return True where all pixels of a tile are opaque."""
     for row in range(TILE):  # noqa: SIM110  (numba has no all())
         if bits(load(transmittance, row * 8) > TRANSMITTANCE_MIN) != 0:
             return False
@@ -48,6 +49,7 @@ def _exhausted(transmittance):
 
 @kernel
 def _fetch(record, feature, box, g):
+    """Prefetch a splat's record, box and features."""
     prefetch(record, g, 0)
     prefetch(record, g, SPLAT_RECORD - 1)
     prefetch(box, g, 0)
@@ -104,7 +106,7 @@ def rasterize_range(begin, end, start, entries, record, feature, box, columns, i
 
 @kernel
 def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total):
-    """Copy a tile's upstream gradients together, as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
+    """Gather a tile's upstream gradients as gradients of the plain sums, g_tile; s_total = g . C per pixel, 0 where opaque."""
     for row in range(TILE):
         at = (y0 + row) * stride + x0
         left = load(image, channels * plane + at)
@@ -124,7 +126,7 @@ def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_
 def rasterize_backward_range(
     slot, begin, end, start, entries, record, feature, box, columns, image, gradient, stride, plane, slots
 ):  # fmt: skip
-    """Adjoint of `rasterize_range`: adds gradients of records and features to slots[slot] (N, SPLAT_GRADIENTS + F)."""
+    """Compute the adjoint of `rasterize_range`: add gradients of records and features to slots[slot] (N, SPLAT_GRADIENTS + F)."""
     features = feature.shape[1]
     channels = features + 2
     g_tile = np.empty(channels * _PIXELS, np.float32)

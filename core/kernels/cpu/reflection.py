@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""CPU kernels that sum light samples with the BRDF's weights, and their gradients, in one pass over memory.
+"""CPU kernels of BRDF-weighted sums over light samples and of their gradients, in one pass over memory; see core/kernels/reflection.py.
 
-The reference in plain operations is `specular_lobe` in core/shading/brdf.py, which defines the names.
+The reference in PyTorch operations is `specular_lobe` in core/shading/brdf.py, which defines the names.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .jit import kernel
 
 @kernel
 def point_terms(view, normal, alpha, p):
-    """What `specular_terms` wants of point p: its normal, its view, alpha^2, n.v and root_v."""
+    """Return the arguments of `specular_terms` at point p: normal, view, alpha^2, n.v and root_v."""
     nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
     vx, vy, vz = float(view[p, 0]), float(view[p, 1]), float(view[p, 2])
     a2 = float(alpha[p]) * float(alpha[p])
@@ -24,7 +24,10 @@ def point_terms(view, normal, alpha, p):
 
 @kernel
 def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
-    """D V (1 - p) and D V p, p = (1 - v.h)^5, for normal n, view v and direction d; root_v = sqrt(n.v^2 (1 - alpha^2) + alpha^2)."""
+    """Return D V (1 - p) and D V p, p = (1 - v.h)^5, for normal n, view v and direction d.
+
+    root_v = sqrt(n.v^2 (1 - alpha^2) + alpha^2).
+    """
     hx, hy, hz = dx + vx, dy + vy, dz + vz
     length2 = max(hx * hx + hy * hy + hz * hz, SHORTEST2)
     n_h = n_l + n_v
@@ -39,7 +42,7 @@ def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
 
 @kernel
 def reflect_range(begin, end, view, normal, alpha, direction, density, incoming, sums):
-    """Points begin..end: sums (P, 9) of incoming light weighted for the diffuse lobe, for F0 and for what Fresnel adds."""
+    """Write, for points begin..end, sums (P, 9) of incoming light weighted for the diffuse lobe, for F0 and for what Fresnel adds."""
     count = density.shape[1]
     for p in range(begin, end):
         (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
@@ -63,7 +66,10 @@ def reflect_range(begin, end, view, normal, alpha, direction, density, incoming,
 
 @kernel
 def reflect_backward_range(begin, end, view, normal, alpha, direction, density, incoming, gradient, d_point, d_incoming):
-    """The way back: `gradient` (P, 9) of the sums to `d_point` (P, 7), those of view, normal and alpha, and `d_incoming` (P, N, 3)."""
+    """Compute the adjoint of `reflect_range` from `gradient` (P, 9) of the sums.
+
+    Writes `d_point` (P, 7), the gradients of view, normal and alpha, and `d_incoming` (P, N, 3).
+    """
     count = density.shape[1]
     for p in range(begin, end):
         nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
@@ -90,8 +96,8 @@ def reflect_backward_range(begin, end, view, normal, alpha, direction, density, 
             k = a2 + sine2 * (1 - a2)
             root_l = math.sqrt(n_l * n_l * (1 - a2) + a2)
             sum_l = n_l * root_v + n_v * root_l
-            share = 1 / (float(density[p, i]) * count)
-            weight = n_l * share
+            inverse_density = 1 / (float(density[p, i]) * count)
+            weight = n_l * inverse_density
             distribution = a2 / (math.pi * k * k)
             visibility = 0.5 / sum_l
             length = math.sqrt(length2)
@@ -109,7 +115,7 @@ def reflect_backward_range(begin, end, view, normal, alpha, direction, density, 
             d_scaled, d_bias = g3 * r + g4 * g + g5 * b, g6 * r + g7 * g + g8 * b
             d_value = d_scaled * (1 - power) + d_bias * power
             d_weight = g0 * r + g1 * g + g2 * b + d_value * distribution * visibility
-            d_n_l = d_weight * share
+            d_n_l = d_weight * inverse_density
             # visibility = 0.5 / (n_l root_v + n_v root_l)
             d_sum = -2 * visibility * visibility * d_value * distribution * weight
             d_n_l += d_sum * (root_v + n_v * n_l * (1 - a2) / root_l)

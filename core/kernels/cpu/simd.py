@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An 8-wide float vector for numba kernels: numba's own vectoriser leaves gather-and-mask loops scalar.
+"""8-wide float vector type for numba kernels: numba's own vectoriser leaves gather-and-mask loops scalar.
 
 `f32x8` is a numba type whose data model is LLVM's `<8 x float>`, `b8` its comparison mask. Scalars broadcast in every operator.
 """
@@ -18,7 +18,7 @@ from numba.extending import lower_builtin, models, register_model
 
 from .jit import kernel
 
-# Their types say nothing of what numba makes of the functions they decorate.
+# Declared Any: their annotations do not describe the decorated functions.
 intrinsic: Any = numba.extending.intrinsic
 infer_global: Any = _infer_global
 
@@ -29,7 +29,7 @@ _BITS = ir.VectorType(ir.IntType(1), WIDTH)
 
 
 class _Vector(types.Type):
-    """A numba type that is one LLVM vector."""
+    """Numba type that is one LLVM vector."""
 
 
 f32x8, b8 = _Vector("f32x8"), _Vector("b8")
@@ -37,17 +37,20 @@ f32x8, b8 = _Vector("f32x8"), _Vector("b8")
 
 @register_model(_Vector)
 class _VectorModel(models.PrimitiveModel):
+    """Data model of a vector: the LLVM vector itself."""
+
     def __init__(self, manager, numba_type):
         super().__init__(manager, numba_type, _FLOATS if numba_type.name == "f32x8" else _BITS)
 
 
 def _broadcast(builder, scalar):
+    """Return an LLVM vector of 8 copies of a scalar."""
     first = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(first, first, ir.Constant(_INTS, [0] * WIDTH))
 
 
 def _operator(symbol, result, emit, operands=(f32x8, types.float32)):
-    """Give `symbol` a meaning on vectors; a scalar on either side is broadcast."""
+    """Define operator `symbol` on vectors; a scalar on either side is broadcast."""
     vector, scalar = operands
     pairs = [(vector, vector)] + ([(vector, scalar), (scalar, vector)] if scalar is not None else [])
     infer_global(symbol)(type(f"{symbol.__name__}_f32x8", (ConcreteTemplate,), {"cases": [signature(result, *p) for p in pairs]}))
@@ -69,13 +72,20 @@ _operator(operator.or_, b8, lambda b, x, y: b.or_(x, y), (b8, None))
 
 
 def _pointer(context, builder, array_type, array, index):
+    """Return the address of element `index` as a pointer to a vector."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), _FLOATS.as_pointer())
 
 
 @intrinsic
 def load(typing, array, index):
-    """8 neighbours of a contiguous 1-D float32 array from `index` on."""
+    """Load 8 consecutive floats.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        array: (N,) contiguous float32 array.
+        index: first element.
+    """
 
     def emit(context, builder, sig, args):
         value = builder.load(_pointer(context, builder, sig.args[0], *args))
@@ -87,7 +97,14 @@ def load(typing, array, index):
 
 @intrinsic
 def store(typing, array, index, value):
-    """Write 8 neighbours of a contiguous 1-D float32 array."""
+    """Store 8 consecutive floats.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        array: (N,) contiguous float32 array.
+        index: first element.
+        value: vector to write.
+    """
 
     def emit(context, builder, sig, args):
         instruction = builder.store(args[2], _pointer(context, builder, sig.args[0], *args[:2]))
@@ -99,7 +116,14 @@ def store(typing, array, index, value):
 
 @intrinsic
 def prefetch(typing, table, row, column):
-    """Ask for the cache line of one element of a 2-D array ahead of its use."""
+    """Prefetch the cache line of one element.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        table: (M, N) array.
+        row: row of the element.
+        column: column of the element.
+    """
 
     def emit(context, builder, sig, args):
         array = context.make_array(sig.args[0])(context, builder, args[0])
@@ -114,25 +138,42 @@ def prefetch(typing, table, row, column):
 
 @intrinsic
 def splat(typing, value):
-    """A vector of 8 equal values."""
+    """Return a vector of 8 equal values.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        value: float32 scalar.
+    """
     return f32x8(types.float32), lambda context, builder, sig, args: _broadcast(builder, args[0])
 
 
 @intrinsic
 def ramp(typing):
-    """0, 1, ... 7."""
+    """Return the vector 0, 1, ... 7."""
     return f32x8(), lambda context, builder, sig, args: ir.Constant(_FLOATS, [float(i) for i in range(WIDTH)])
 
 
 @intrinsic
 def select(typing, mask, yes, no):
-    """`yes` where the mask is set, else `no`, lane by lane."""
+    """Select between two vectors lane by lane.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        mask: result of a comparison.
+        yes: vector whose lanes are taken where the mask is set.
+        no: vector whose lanes are taken elsewhere.
+    """
     return f32x8(b8, f32x8, f32x8), lambda context, builder, sig, args: builder.select(*args)
 
 
 @intrinsic
 def bits(typing, mask):
-    """The mask as an integer, lane 0 in bit 0; 0 where no lane is set."""
+    """Return a mask as an integer, lane 0 in bit 0; 0 where no lane is set.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        mask: result of a comparison.
+    """
 
     def emit(context, builder, sig, args):
         return builder.zext(builder.bitcast(args[0], ir.IntType(8)), ir.IntType(32))
@@ -141,12 +182,14 @@ def bits(typing, mask):
 
 
 def _llvm(builder, name, result, arguments):
-    """Declare an LLVM intrinsic by hand: llvmlite's own helper refuses vector types."""
+    """Call an LLVM intrinsic, declared by hand: llvmlite's own helper refuses vector types."""
     function = builder.module.globals.get(name) or ir.Function(builder.module, ir.FunctionType(result, [a.type for a in arguments]), name)
     return builder.call(function, arguments)
 
 
 def _unary(name):
+    """Return a function of one vector that calls an LLVM intrinsic."""
+
     @intrinsic
     def function(typing, value):
         return f32x8(f32x8), lambda context, builder, sig, args: _llvm(builder, f"llvm.{name}.v8f32", _FLOATS, [args[0]])
@@ -155,6 +198,8 @@ def _unary(name):
 
 
 def _choice(sign):
+    """Return a function that selects, lane by lane, the left of two vectors where the comparison holds, else the right."""
+
     @intrinsic
     def function(typing, left, right):
         return f32x8(f32x8, f32x8), lambda context, builder, sig, args: builder.select(builder.fcmp_ordered(sign, *args), *args)
@@ -163,11 +208,13 @@ def _choice(sign):
 
 
 sqrt, floor = _unary("sqrt"), _unary("floor")
-# The right one where either is not a number: one instruction, where LLVM's minnum and maxnum take three.
+# The right operand where either is NaN: one instruction, where LLVM's minnum and maxnum take three.
 minimum, maximum = _choice("<"), _choice(">")
 
 
 def _across(combine, doc):
+    """Return a function that reduces the 8 lanes of a vector by an LLVM operation."""
+
     @intrinsic
     def function(typing, value):
         def emit(context, builder, sig, args):
@@ -183,12 +230,17 @@ def _across(combine, doc):
     return function
 
 
-total, product = _across("fadd", "Sum of the 8 lanes."), _across("fmul", "Product of the 8 lanes.")
+total, product = _across("fadd", "Return the sum of the 8 lanes."), _across("fmul", "Return the product of the 8 lanes.")
 
 
 @intrinsic
 def first_bit(typing, mask):
-    """Number of the lowest bit set in a mask that is not 0."""
+    """Return the number of the lowest bit set.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        mask: integer that is not 0.
+    """
 
     def emit(context, builder, sig, args):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
@@ -198,7 +250,7 @@ def first_bit(typing, mask):
 
 @intrinsic
 def _power_of_two(typing, exponent):
-    """2^n for whole n in -126..127, by writing the exponent bits."""
+    """Return 2^n for whole n in -126..127, by writing the exponent bits."""
 
     def emit(context, builder, sig, args):
         whole = builder.fptosi(args[0], _INTS)
@@ -210,7 +262,7 @@ def _power_of_two(typing, exponent):
 
 @kernel
 def exp(x):
-    """e^x with a relative error under 3e-7; the argument is clamped to -87..88."""
+    """Return e^x with a relative error under 3e-7; the argument is clamped to -87..88."""
     x = minimum(maximum(x, splat(-87.0)), splat(88.0))
     n = floor(x * 1.44269504 + 0.5)
     r = x - n * 0.693359375 + n * 2.12194440e-4

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which 2D Gaussians a ray meets, in exact order: one ray at a time against 8 boxes, or 8 surfels, of a `DiskTree`.
+"""Ray tracer of 2D Gaussians in the exact order of hits: one ray at a time against 8 boxes, or 8 surfels, of a `SurfelTree`.
 
-A ray keeps its NEAREST next hits in a sorted buffer, ordered by the true distance, then by the Gaussian's number. Where the buffer
-overflows before the ray is opaque, it goes on from the last hit: nothing is dropped or met twice. Nodes wait on a stack, the nearest
-on top; leaves are tested as soon as their box is, side by side for the processor, since the buffer sorts the hits anyway.
+A ray keeps its NEAREST next hits in a sorted buffer, ordered by distance, then by the index of the Gaussian. Where the buffer
+overflows before the ray is opaque, the traversal restarts behind the last hit: no hit is dropped or counted twice. Nodes wait on a stack,
+the nearest on top; leaves are tested as soon as their box is, 8 surfels in parallel, since the buffer sorts the hits anyway.
 """
 
 from __future__ import annotations
@@ -17,19 +17,22 @@ from .bvh import LEAF, NODE
 from .jit import kernel
 from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
 
-NEAREST = 48  # hits gathered in one descent
-GROUP = 6  # nodes opened at once: the processor works on one while it waits for another
-_TINY = np.float32(1e-12)  # directions' components are kept away from 0 by this
-_IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # boxes are entered this much earlier, and left this much later, than computed
-_NOBODY, _EVERYBODY = np.uint64(2**31 - 1), np.uint64(0x7F800000FFFFFFFF)  # hits in front of and behind all others
+NEAREST = 48  # hits collected in one traversal
+GROUP = 6  # nodes opened at once, which hides the latency of memory
+_TINY = np.float32(1e-12)  # smallest magnitude of a component of a direction
+_IN, _OUT = np.float32(1 - 1e-6), np.float32(1 + 1e-6)  # factors by which boxes are entered earlier, and left later, than computed
+_NOBODY, _EVERYBODY = np.uint64(2**31 - 1), np.uint64(0x7F800000FFFFFFFF)  # sentinels that sort before and behind all hits
 _NUMBER = np.uint64(2**32 - 1)
-_SOLID = np.float32(0.9999 * TRANSMITTANCE_MIN)  # a product multiplied and divided many times is sure to be opaque below this
+_SOLID = np.float32(0.9999 * TRANSMITTANCE_MIN)  # safely opaque despite the rounding of a product updated many times
 _OPAQUE, _ZERO, _ONE, _FAR = np.float32(TRANSMITTANCE_MIN), np.float32(0.0), np.float32(1.0), np.float32(math.inf)
 
 
 @kernel
 def _ray(origin, direction, ray):
-    """A ray as vectors of equal lanes: origin, direction, inverse directions rounded towards entering early and leaving late."""
+    """Return a ray as vectors of equal lanes: origin, direction, and two inverse directions.
+
+    These are rounded so that boxes are entered slightly too early and left slightly too late.
+    """
     o = (splat(origin[3 * ray]), splat(origin[3 * ray + 1]), splat(origin[3 * ray + 2]))
     d = (direction[3 * ray], direction[3 * ray + 1], direction[3 * ray + 2])
     x, y, z = _inverse(d[0]), _inverse(d[1]), _inverse(d[2])
@@ -40,13 +43,14 @@ def _ray(origin, direction, ray):
 
 @kernel
 def _inverse(x):
+    """Return 1 / x, with |x| clamped away from 0."""
     one = np.float32(1.0)
     return one / (x if abs(x) > _TINY else (-_TINY if x < 0 else _TINY))
 
 
 @kernel
 def _sides(direction, ray):
-    """Which half of a node, per axis, holds the sides through which the ray enters: 0 the low ones, 24 the high ones."""
+    """Return, per axis, which half of a node holds the sides through which the ray enters: 0 the low ones, 24 the high ones."""
     x = 24 if direction[3 * ray] < 0 else 0
     y = 24 if direction[3 * ray + 1] < 0 else 0
     z = 24 if direction[3 * ray + 2] < 0 else 0
@@ -54,8 +58,8 @@ def _sides(direction, ray):
 
 
 @kernel
-def _boxes(node, at, side, o, into, out):
-    """Where the ray enters and leaves a node's 8 boxes."""
+def _intersect_boxes(node, at, side, o, into, out):
+    """Return the distances at which the ray enters and leaves a node's 8 boxes."""
     x0 = (load(node, at + side[0]) - o[0]) * into[0]
     y0 = (load(node, at + side[1] + 8) - o[1]) * into[1]
     z0 = (load(node, at + side[2] + 16) - o[2]) * into[2]
@@ -67,16 +71,16 @@ def _boxes(node, at, side, o, into, out):
 
 @kernel
 def _open(stack, top, node, side, ray, t_min, t_max, group, enters):
-    """Take up to GROUP nodes off the stack: returns its new top and a mask of the children met, 8 bits to a node.
+    """Take up to GROUP nodes off the stack; return its new top and a mask of the children hit, 8 bits per node.
 
-    group: receives the nodes. enters: (8 GROUP,) receives where the ray enters their children.
+    group: receives the nodes. enters: (8 GROUP,) receives the distances at which the ray enters their children.
     """
     o, _, into, out = ray
     children, k = np.uint64(0), 0
     while top > 0 and k < GROUP:
         top -= 1
         group[k] = stack[top]
-        enter, leave = _boxes(node, group[k] * NODE, side, o, into, out)
+        enter, leave = _intersect_boxes(node, group[k] * NODE, side, o, into, out)
         met = np.uint64(bits((enter <= leave) & (enter <= t_max) & (leave >= t_min)))
         children |= met << np.uint64(8 * k)
         store(enters, 8 * k, enter)
@@ -85,10 +89,10 @@ def _open(stack, top, node, side, ray, t_min, t_max, group, enters):
 
 
 @kernel
-def _surfels(leaf, at, o, d):
-    """Where the ray meets the planes of a leaf's 8 surfels, rho there, and whether that lies on the disk.
+def _intersect_surfels(leaf, at, o, d):
+    """Intersect the ray with a leaf's 8 surfels: return distance and rho in their planes, and a mask where that lies within the cut-off.
 
-    All of it at once: leaving early where no plane is met would be guessed wrongly too often.
+    All of it is computed at once: an early exit where no plane is hit would be mispredicted too often.
     """
     cx, cy, cz = load(leaf, at) - o[0], load(leaf, at + 8) - o[1], load(leaf, at + 16) - o[2]
     nx, ny, nz = load(leaf, at + NORMAL * 8), load(leaf, at + NORMAL * 8 + 8), load(leaf, at + NORMAL * 8 + 16)
@@ -104,24 +108,25 @@ def _surfels(leaf, at, o, d):
 
 @kernel
 def _alpha(leaf, at, rho):
+    """Return the alpha of 8 surfels at rho."""
     return minimum(exp(rho * np.float32(-0.5)) * load(leaf, at + OPACITY * 8), splat(np.float32(ALPHA_MAX)))
 
 
 @kernel
 def _hit(t, g):
-    """A hit as one number that sorts by distance, then by Gaussian."""
+    """Return a hit as one integer that sorts by distance, then by Gaussian."""
     return np.uint64(np.float32(t).view(np.uint32)) << np.uint64(32) | np.uint64(g)
 
 
 @kernel
 def _distance(hit):
-    """The distance of such a hit."""
+    """Return the distance of a hit made by `_hit`."""
     return np.uint32(hit >> np.uint64(32)).view(np.float32)
 
 
 @kernel
 def _push(stack, stack_t, bottom, top, item, t):
-    """Put a node on the stack, above those from `bottom` on that the ray enters later."""
+    """Push a node on the stack, above those from `bottom` on that the ray enters later."""
     while top > bottom and stack_t[top - 1] < t:
         stack[top], stack_t[top] = stack[top - 1], stack_t[top - 1]
         top -= 1
@@ -130,7 +135,7 @@ def _push(stack, stack_t, bottom, top, item, t):
 
 @kernel
 def _insert(near, near_alpha, n, hit, alpha, behind):
-    """Put a hit among the n nearest; returns their number and the transmittance behind them, without those that nobody sees."""
+    """Insert a hit into the n nearest; return their number and the transmittance behind them, without hits behind an opaque one."""
     place = n
     if n == NEAREST:
         place -= 1
@@ -150,7 +155,10 @@ def _insert(near, near_alpha, n, hit, alpha, behind):
 
 @kernel
 def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t, group, enters, lane_t, lane_alpha):
-    """The next hits behind the hit `last`, where the transmittance is `before` -> near, near_alpha; returns how many."""
+    """Find the next hits behind the hit `last`, where the transmittance is `before`.
+
+    Writes near and near_alpha (NEAREST,), returns the number of hits.
+    """
     o, d, _, _ = ray
     n, behind, furthest = 0, before, _EVERYBODY
     t_min, t_max = _distance(last), _FAR
@@ -169,7 +177,7 @@ def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha
                 _push(stack, stack_t, bottom, top, below, enters[lane])
                 top += 1
                 continue
-            t, rho, met = _surfels(leaf, ~below * LEAF, o, d)
+            t, rho, met = _intersect_surfels(leaf, ~below * LEAF, o, d)
             mask = bits(met & (t >= t_min) & (t <= t_max))
             if mask == 0:
                 continue
@@ -189,6 +197,7 @@ def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha
 
 @kernel
 def _grown(array):
+    """Return a copy of an array with twice its capacity."""
     larger = np.empty(2 * len(array), array.dtype)
     larger[: len(array)] = array
     return larger
@@ -196,16 +205,16 @@ def _grown(array):
 
 @kernel
 def _stack_size(depth):
-    """Opening groups off the top, each of a tree's levels leaves less than one group's children on the stack."""
+    """Return the capacity of the stack: opening groups off the top, each level of a tree leaves less than one group's children on it."""
     return 8 * GROUP * (depth + 1)
 
 
 @kernel
 def gather_range(begin, end, origin, direction, node, child, leaf, index, depth, count, left):
-    """Follow rays begin..end: returns (hits,) Gaussian, weight and distance of their hits, one ray after the other.
+    """Trace rays begin..end; return Gaussian, weight and distance of their hits, (hits,) each, one ray after the other.
 
-    origin, direction: (3 R,). count: (R,) receives the hits of each ray, left: (R,) its transmittance behind them. Weights sum to
-    1 where that is no more than TRANSMITTANCE_MIN.
+    origin, direction: (3 R,). count: (R,) receives the number of hits of each ray, left: (R,) the transmittance behind them. Weights are
+    normalised to sum 1 where that is at most TRANSMITTANCE_MIN.
     """
     capacity = (end - begin) * 6 + NEAREST
     out_index, out_weight, out_t = np.empty(capacity, np.int32), np.empty(capacity, np.float32), np.empty(capacity, np.float32)
@@ -239,7 +248,7 @@ def gather_range(begin, end, origin, direction, node, child, leaf, index, depth,
 
 @kernel
 def transmittance_range(begin, end, origin, direction, node, child, leaf, depth, through):
-    """What passes through along rays begin..end -> through (R,); in any order, and no further than to TRANSMITTANCE_MIN."""
+    """Compute the transmittance of rays begin..end, through (R,), in any order of hits; 0 at or below TRANSMITTANCE_MIN."""
     stack, group, enters = np.empty(_stack_size(depth), np.int32), np.empty(GROUP, np.int64), np.empty(8 * GROUP, np.float32)
     one = splat(_ONE)
     for i in range(begin, end):
@@ -256,7 +265,7 @@ def transmittance_range(begin, end, origin, direction, node, child, leaf, depth,
                     stack[top] = below
                     top += 1
                     continue
-                t, rho, met = _surfels(leaf, ~below * LEAF, o, d)
+                t, rho, met = _intersect_surfels(leaf, ~below * LEAF, o, d)
                 met = met & (t > _ZERO)
                 if bits(met) == 0:
                     continue

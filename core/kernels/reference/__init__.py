@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plain float64 references of the kernels, in torch with autograd; the tests compare the fast kernels with them."""
+"""Float64 references of the kernels in plain PyTorch with autograd, by brute force; tests compare the kernels with them."""

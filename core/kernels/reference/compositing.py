@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reference of front-to-back compositing."""
+"""Float64 reference of front-to-back compositing."""
 
 from __future__ import annotations
 
 import torch
 
-from ..constants import (
-    TRANSMITTANCE_MIN,
-)
+from ..constants import TRANSMITTANCE_MIN
 
 
 def weights(alpha):
-    """Weights along dim 1 of alphas sorted front to back; nearly opaque counts as opaque: there they are divided by their sum."""
+    """Compute compositing weights.
+
+    Nearly opaque rays count as opaque: there the weights are divided by their sum.
+
+    Args:
+        alpha: (R, N) alphas, sorted front to back along dimension 1.
+
+    Returns:
+        (R, N) weights.
+    """
     through = torch.cumprod(1 - alpha, 1)
     before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], 1)
     weight = torch.where(before > TRANSMITTANCE_MIN, alpha * before, 0.0)

@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reference of the real spherical harmonics and of the surfels' rotations."""
+"""Float64 reference of real spherical harmonics and of the surfels' rotations."""
 
 from __future__ import annotations
 
 import torch
 
-from ..constants import (
-    SH_C0,
-    SH_C1,
-    SH_C2,
-    SH_C3,
-)
+from ..constants import SH_C0, SH_C1, SH_C2, SH_C3
 
 
 def sh_basis(direction: torch.Tensor, degree: int) -> torch.Tensor:
-    """(3, N) unit directions to ((degree + 1)^2, N) real spherical harmonics."""
+    """Evaluate real spherical harmonics, in the order and with the signs of 3DGS.
+
+    Args:
+        direction: (3, N) unit directions.
+        degree: highest degree, 0..3.
+
+    Returns:
+        ((degree + 1)^2, N) values.
+    """
     x, y, z = direction
     c2, c3 = SH_C2, SH_C3
     rows = [torch.full_like(x, SH_C0), -SH_C1 * y, SH_C1 * z, -SH_C1 * x]
@@ -26,7 +29,7 @@ def sh_basis(direction: torch.Tensor, degree: int) -> torch.Tensor:
 
 
 def rotation_matrix(quaternion: torch.Tensor) -> torch.Tensor:
-    """(4, N) w x y z of any length to (3, 3, N) rotations; columns are the tangents and the normal."""
+    """Convert quaternions (4, N) w x y z of any length to rotations (3, 3, N); columns are the tangents and the normal."""
     w, x, y, z = quaternion / quaternion.norm(dim=0)
     return torch.stack(
         [

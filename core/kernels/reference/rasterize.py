@@ -1,19 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reference rasteriser of 2D Gaussians: every pixel against every Gaussian, in float64."""
+"""Float64 reference of the rasteriser of 2D Gaussians: every pixel against every Gaussian."""
 
 from __future__ import annotations
 
 import torch
 
 from ...scene.camera import Camera
-from ..constants import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    COSINE_MIN,
-    HORIZON_MIN,
-    LOW_PASS,
-    NEAR,
-)
+from ..constants import ALPHA_MAX, ALPHA_MIN, COSINE_MIN, HORIZON_MIN, LOW_PASS, NEAR
 from .compositing import weights
 from .harmonics import rotation_matrix, sh_basis
 
@@ -29,7 +22,22 @@ def rasterize_reference(
     scene_radius: float,
     degree: int = 3,
 ) -> torch.Tensor:
-    """`rasterize` by definition: every pixel against every Gaussian, in float64; same arguments, (8 + E, H, W)."""
+    """Composite 2D Gaussians by definition, every pixel against every Gaussian, in float64.
+
+    Args:
+        position: (3, N) centres, world.
+        quaternion: (4, N) w x y z of any length.
+        log_scale: (2, N) logarithms of the two scales.
+        opacity: (N,) logits.
+        sh: (K, 3, N) SH coefficients, K >= (degree + 1)^2.
+        extra: (E, N) further channels.
+        camera: camera of the image, H x W pixels.
+        scene_radius: radius of the scene, world units; it sets the near plane.
+        degree: SH degree in use, 0..3.
+
+    Returns:
+        (8 + E, H, W) image, channels as in `core.kernels.rasterize.rasterize`.
+    """
     dtype = torch.float64
     to_camera = torch.as_tensor(camera.world_to_cv[:3, :3], dtype=dtype)
     eye = torch.as_tensor(camera.centre, dtype=dtype)
@@ -66,6 +74,7 @@ def rasterize_reference(
 
 
 def _composite(alpha, depth, features, key, camera):
+    """Composite alpha and depth (P, N), features (F, N), sorted by `key` (N,), into an image (F + 2, H, W)."""
     order = torch.argsort(key, stable=True)
     alpha, depth, features = alpha[:, order], depth[:, order], features[:, order]
     weight = weights(alpha)

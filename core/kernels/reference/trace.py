@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reference ray tracer of 2D Gaussians: every ray against every Gaussian, in float64."""
+"""Float64 reference of the ray tracer of 2D Gaussians: every ray against every Gaussian."""
 
 from __future__ import annotations
 
 import torch
 
-from ..constants import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    GRAZING,
-)
+from ..constants import ALPHA_MAX, ALPHA_MIN, GRAZING
 from .compositing import weights
 from .harmonics import rotation_matrix, sh_basis
 
@@ -25,7 +21,22 @@ def trace_reference(
     direction: torch.Tensor,
     degree: int = 3,
 ) -> torch.Tensor:
-    """`trace` by definition: every ray against every Gaussian, in float64; same arguments without the tree, (R, 8 + E)."""
+    """Composite 2D Gaussians along rays by definition, every ray against every Gaussian, in float64.
+
+    Args:
+        position: (3, N) centres, world.
+        quaternion: (4, N) w x y z of any length.
+        log_scale: (2, N) logarithms of the two scales.
+        opacity: (N,) logits.
+        sh: (K, 3, N) SH coefficients, K >= (degree + 1)^2, or None.
+        extra: (E, N) further channels.
+        origin: (R, 3) ray origins, world.
+        direction: (R, 3) unit directions.
+        degree: SH degree in use, 0..3.
+
+    Returns:
+        (R, 8 + E) sums, as returned by `core.kernels.trace.trace`.
+    """
     axes, scale, alpha0 = rotation_matrix(quaternion), log_scale.exp(), opacity.sigmoid()
     cosine = direction @ axes[:, 2]
     square = cosine**2 > GRAZING

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernels for NVIDIA GPUs, in warp's language; warp's CPU device runs them too, for tests. Needs the extra `cuda`."""
+"""Warp kernels: the operations on NVIDIA GPUs, in NVIDIA Warp's language; Warp's CPU device runs them in tests. Needs the extra `cuda`."""

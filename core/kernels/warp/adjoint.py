@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The way back from what rays saw to radiance, attributes and geometry; formulas stand in core/kernels/cpu/adjoint.py.
+"""Adjoint of ray tracing: gradients of radiance, attributes and geometry; the formulas are in core/kernels/cpu/adjoint.py.
 
-First each ray goes over its hits and leaves the gradients of their geometry in the hits' places, then each Gaussian sums over its hits,
-in the rays' order: always the same sum.
+A first kernel runs over the hits of each ray and stores the gradients of their geometry per hit. A second one sums, for each Gaussian,
+over its hits in the order of the rays: the sum is always the same.
 """
 
 import warp as wp
@@ -25,7 +25,7 @@ def trace_backward(
     gradient: wp.array2d(dtype=float), of_hit: wp.array2d(dtype=float), g_origin: wp.array(dtype=wp.vec3),
     g_direction: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """Gradients of the records of each hit, (H, SURFEL_GRADIENTS), and of the rays."""
+    """Compute the gradients of the records per hit, of_hit (H, SURFEL_GRADIENTS), and of the rays (R,)."""
     ray = wp.tid()
     o, d = origin[ray], direction[ray]
     b = basis(d, coefficients)
@@ -96,7 +96,7 @@ def surfel_backward(
     quaternion: wp.array(dtype=float), n: int, g_position: wp.array(dtype=float), g_quaternion: wp.array(dtype=float),
     g_log_scale: wp.array(dtype=float), g_opacity: wp.array(dtype=float),
 ):  # fmt: skip
-    """From the gradients of records of Gaussian i's hits, order[first[i]:first[i + 1]], to those of its raw parameters."""
+    """Sum the gradients of the hits of Gaussian i, order[first[i]:first[i + 1]], and convert them to those of its raw parameters."""
     i = wp.tid()
     s = Columns(0.0)
     for k in range(first[i], first[i + 1]):
@@ -130,7 +130,7 @@ def rows_backward(
     direction: wp.array(dtype=wp.vec3), sh: wp.array(dtype=float), coefficients: int, extras: int, gradient: wp.array2d(dtype=float),
     n: int, g_sh: wp.array(dtype=float), g_extra: wp.array(dtype=float),
 ):  # fmt: skip
-    """Gradients of Gaussian i's radiance, channel c < 3, or of its extra channel c - 3, summed over its hits."""
+    """Sum the gradients of Gaussian i over its hits: of SH channel c < 3 (K, 3, N), or of extra channel c - 3 (E, N)."""
     i, c = wp.tid()
     if c >= 3:
         total = float(0.0)
@@ -152,16 +152,16 @@ def rows_backward(
 
 @wp.kernel
 def pad_hits(
-    ray: wp.array(dtype=wp.int64), start: wp.array(dtype=wp.int64), index: wp.array(dtype=int), longest: int, nobody: int,
+    ray: wp.array(dtype=wp.int64), start: wp.array(dtype=wp.int64), index: wp.array(dtype=int), longest: int, filler: int,
     padded: wp.array2d(dtype=int),
 ):  # fmt: skip
-    """The Gaussians of chosen rays' hits, (B, longest), `nobody` where a ray has no more: a size that the host knows."""
+    """Write the Gaussians of the hits of chosen rays to padded (B, longest), `filler` behind the last hit: a size that the host knows."""
     b, k = wp.tid()
     hit = start[ray[b]] + wp.int64(k)
     if hit < start[ray[b] + wp.int64(1)]:
         padded[b, k] = index[hit]
     else:
-        padded[b, k] = nobody
+        padded[b, k] = filler
 
 
 @wp.kernel
@@ -169,7 +169,7 @@ def blend_backward(
     order: wp.array(dtype=wp.int64), first: wp.array(dtype=int), ray: wp.array(dtype=wp.int64), start: wp.array(dtype=wp.int64),
     longest: int, weight: wp.array(dtype=float), gradient: wp.array2d(dtype=float), out: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """Gradients (C, N) of values that were blended, summed over each Gaussian's places in `pad_hits`."""
+    """Sum the gradients (C, N) of blended values over each Gaussian's places in `pad_hits`."""
     channel, i = wp.tid()
     total = float(0.0)
     for k in range(first[i], first[i + 1]):

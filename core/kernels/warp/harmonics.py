@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Real spherical harmonics up to degree 3 and what every kernel of surfels shares: rotations, and their gradient."""
+"""Real spherical harmonics up to degree 3, and the rotations of surfels with their gradient."""
 
 import warp as wp
 
@@ -13,7 +13,7 @@ _G, _H, _I, _J, _K, _L, _M = (wp.constant(c) for c in SH_C3)
 
 @wp.func
 def basis(d: wp.vec3, count: int) -> Basis:
-    """The first `count` (1, 4, 9 or 16) basis functions in unit direction d, 0 beyond."""
+    """Return the first `count` (1, 4, 9 or 16) basis functions in unit direction d, 0 beyond."""
     x, y, z = d[0], d[1], d[2]
     b = Basis(0.0)
     b[0] = _C0
@@ -40,7 +40,7 @@ def basis(d: wp.vec3, count: int) -> Basis:
 
 @wp.func
 def basis_pull(d: wp.vec3, count: int, g: Basis) -> wp.vec3:
-    """Gradients `g` of the basis functions back to x, y, z as free coordinates."""
+    """Return the gradient of x, y, z, as free coordinates, from the gradients `g` of the basis functions."""
     x, y, z = d[0], d[1], d[2]
     gx, gy, gz = float(0.0), float(0.0), float(0.0)
     if count > 1:
@@ -63,34 +63,34 @@ def basis_pull(d: wp.vec3, count: int, g: Basis) -> wp.vec3:
 
 @wp.func
 def unit_quaternion(q: wp.vec4) -> wp.vec4:
-    """w x y z of length 1."""
+    """Return w x y z normalised to length 1."""
     return q / wp.sqrt(wp.max(wp.dot(q, q), 1.0e-20))
 
 
 @wp.func
 def tangent_u(q: wp.vec4) -> wp.vec3:
-    """First column of a unit quaternion's rotation."""
+    """Return the first column of the rotation of a unit quaternion."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return wp.vec3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y))
 
 
 @wp.func
 def tangent_v(q: wp.vec4) -> wp.vec3:
-    """Its second column."""
+    """Return the second column of the rotation of a unit quaternion."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return wp.vec3(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x))
 
 
 @wp.func
 def normal_of(q: wp.vec4) -> wp.vec3:
-    """Its third column, the surfel's normal."""
+    """Return the third column of the rotation of a unit quaternion, the surfel's normal."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return wp.vec3(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
 
 
 @wp.func
 def quaternion_gradient(raw: wp.vec4, g0: wp.vec3, g1: wp.vec3, g2: wp.vec3) -> wp.vec4:
-    """From gradients of the rotation's columns to the raw quaternion, whatever its length."""
+    """Convert gradients of the rotation's columns to that of the raw quaternion, of any length."""
     inverse = 1.0 / wp.sqrt(wp.max(wp.dot(raw, raw), 1.0e-20))
     q = raw * inverse
     w, x, y, z = q[0], q[1], q[2], q[3]

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums over samples of the light that they find, on the device; definitions stand in core/kernels/{gathering,light_samples}.py.
+"""Sums of light over secondary rays and light samples, on the GPU.
 
-Of light samples every one is traced: what the CPU saves by knowing directions in which nothing stands costs a GPU more than its rays.
+Definitions: core/kernels/cpu/gathering.py (called by core/relight/indirect_light.py) and core/kernels/cpu/light_samples.py (called by
+core/relight/direct_light.py). Every light sample is traced: on a GPU the visibility cache costs more than the rays it saves.
 """
 
 import math
@@ -19,24 +20,26 @@ Sums = wp.types.vector(length=12, dtype=wp.float32)
 
 @wp.func
 def point_at(view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), p: int) -> Point:
+    """Return shading point p."""
     return point_of(normal[p], view[p], wp.dot(normal[p], view[p]), alpha[p])
 
 
 @wp.func
 def place_of(d: wp.vec3) -> wp.vec2:
-    """u, v of a direction in a lat-long map."""
+    """Return u, v of a direction in a lat-long map."""
     return wp.vec2(0.5 - wp.atan2(d[1], d[0]) / _TURN, wp.atan2(wp.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) / _PI)
 
 
 @wp.func
 def turned(u: float, turn: float) -> float:
+    """Return u in a map rotated by `turn`, a fraction of a full turn."""
     shifted = u + turn
     return wp.where(shifted >= 1.0, shifted - 1.0, shifted)
 
 
 @wp.func
 def bilinear(maps: wp.array3d(dtype=wp.vec3), level: int, u: float, v: float) -> wp.vec3:
-    """One of the maps (L, H, W), wrapped in u."""
+    """Look map `level` of maps (L, H, W) up, bilinearly, wrapped in u."""
     height, width = maps.shape[1], maps.shape[2]
     x, y = u * float(width) - 0.5, wp.clamp(v * float(height) - 0.5, 0.0, float(height) - 1.0)
     x0, top = int(wp.floor(x)), int(wp.floor(y))
@@ -54,18 +57,18 @@ def reflected(
     k: int, body: wp.array(dtype=wp.vec3), gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float),
     diffuse: wp.array3d(dtype=wp.vec3), specular: wp.array3d(dtype=wp.vec3), turn: float,
 ) -> wp.vec3:  # fmt: skip
-    """What hit k sends along its ray."""
-    even = bilinear(diffuse, 0, turned(place[k, 0], turn), place[k, 1])
+    """Return the radiance that hit k reflects along its ray."""
+    diffuse_light = bilinear(diffuse, 0, turned(place[k, 0], turn), place[k, 1])
     u, v, level = turned(place[k, 2], turn), place[k, 3], place[k, 4]
     low = wp.min(int(level), specular.shape[0] - 2)
-    share = level - float(low)
-    sharp = bilinear(specular, low, u, v) * (1.0 - share) + bilinear(specular, low + 1, u, v) * share
-    return wp.cw_mul(body[k], even) + wp.cw_mul(gloss[k], sharp)
+    fraction = level - float(low)
+    specular_light = bilinear(specular, low, u, v) * (1.0 - fraction) + bilinear(specular, low + 1, u, v) * fraction
+    return wp.cw_mul(body[k], diffuse_light) + wp.cw_mul(gloss[k], specular_light)
 
 
 @wp.func
 def lit(sums: Sums, weight: float, value: float, bias: float, light: wp.vec3, free: wp.vec3) -> Sums:
-    """The sums with a sample more: light that arrives for each lobe, and what would if nothing were in its way."""
+    """Return the sums plus one sample: arriving light for each lobe, and the light without occlusion for the diffuse lobe."""
     out = sums
     for channel in range(3):
         out[channel] += weight * light[channel]
@@ -80,7 +83,7 @@ def terms_kernel(
     view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), direction: wp.array2d(dtype=wp.vec3),
     density: wp.array2d(dtype=float), out: wp.array3d(dtype=float),
 ):  # fmt: skip
-    """Of each ray u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
+    """Write the terms (P, M, 6) of each ray: u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
     p, i = wp.tid()
     point, d = point_at(view, normal, alpha, p), direction[p, i]
     n_l = wp.dot(point.n, d)
@@ -100,9 +103,9 @@ def terms_kernel(
 def gather_kernel(
     terms: wp.array3d(dtype=float), row: wp.array2d(dtype=int), opacity: wp.array(dtype=float), body: wp.array(dtype=wp.vec3),
     gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float), light: wp.array3d(dtype=wp.vec3), diffuse: wp.array3d(dtype=wp.vec3),
-    specular: wp.array3d(dtype=wp.vec3), texels: wp.array(dtype=float), share: float, turn: float, sums: wp.array3d(dtype=float),
+    specular: wp.array3d(dtype=wp.vec3), texels: wp.array(dtype=float), light_count: float, turn: float, sums: wp.array3d(dtype=float),
 ):  # fmt: skip
-    """Half the samples of a point, even or odd ones: see the CPU's `gather_range`."""
+    """Sum over half of the samples of a point, even or odd ones, to sums (P, 2, 12): see `gather_range` of the CPU."""
     p, half = wp.tid()
     height, width = light.shape[1], light.shape[2]
     acc = Sums(0.0)
@@ -112,12 +115,12 @@ def gather_kernel(
         if n_l > 0.0:
             u, v = turned(terms[p, i, 0], turn), terms[p, i, 1]
             column, line = wp.clamp(int(u * float(width)), 0, width - 1), wp.clamp(int(v * float(height)), 0, height - 1)
-            free = bilinear(light, 0, u, v) / (terms[p, i, 5] + share * texels[line * width + column])
-            seen = free
+            free = bilinear(light, 0, u, v) / (terms[p, i, 5] + light_count * texels[line * width + column])
+            arriving = free
             k = row[p, i]
             if k >= 0:
-                seen = free + (reflected(k, body, gloss, place, diffuse, specular, turn) / terms[p, i, 5] - free) * opacity[k]
-            acc = lit(acc, n_l, terms[p, i, 3], terms[p, i, 4], seen, free)
+                arriving = free + (reflected(k, body, gloss, place, diffuse, specular, turn) / terms[p, i, 5] - free) * opacity[k]
+            acc = lit(acc, n_l, terms[p, i, 3], terms[p, i, 4], arriving, free)
         i += 2
     for c in range(12):
         sums[p, half, c] = sums[p, half, c] + acc[c]
@@ -129,7 +132,7 @@ def draw_light_kernel(
     points: wp.array2d(dtype=float), n_c: int, n_g: int, table: wp.array3d(dtype=float), turn: float, entry: wp.array2d(dtype=int),
     direction: wp.array2d(dtype=wp.vec3), weights: wp.array2d(dtype=wp.vec3),
 ):  # fmt: skip
-    """Of each light sample its entry of the table, -1 below the horizon, direction, and the weights of the three lobes."""
+    """Draw light samples: entry of the table (P, n_e), -1 below the horizon, direction and weights of the three lobes (P, n_e)."""
     p, i = wp.tid()
     size = table.shape[0]
     across, down = points[i, 0] + shift[p, 0], points[i, 1] + shift[p, 1]
@@ -158,7 +161,7 @@ def settle_kernel(
     entry: wp.array2d(dtype=int), weights: wp.array2d(dtype=wp.vec3), hidden: wp.array2d(dtype=float), table: wp.array3d(dtype=float),
     sums: wp.array3d(dtype=float),
 ):  # fmt: skip
-    """Half the light samples of a point, even or odd ones, added to its sums."""
+    """Add half of the light samples of a point, even or odd ones, to its sums (P, 2, 12)."""
     p, half = wp.tid()
     size = table.shape[0]
     acc = Sums(0.0)
@@ -176,13 +179,21 @@ def settle_kernel(
 
 
 def terms(*tensors: torch.Tensor) -> None:
-    """Fill the last of the tensors, (P, M, 6); the others as `terms_kernel` takes them."""
+    """Fill the terms of rays that do not depend on the light.
+
+    Args:
+        *tensors: as `terms_kernel` takes them; the last, (P, M, 6), is written.
+    """
     if tensors[-1].numel():
         launch(terms_kernel, tensors[-1].shape[:2], *tensors)
 
 
 def gather(*arguments: Any) -> None:
-    """Add to the last of the arguments, (P, 2, 12); the others as `gather_kernel` takes them."""
+    """Add the light along rays to sums.
+
+    Args:
+        *arguments: as `gather_kernel` takes them; the last, (P, 2, 12), is added to.
+    """
     if len(arguments[-1]):
         launch(gather_kernel, arguments[-1].shape[:2], *arguments)
 
@@ -191,7 +202,22 @@ def draw_light(
     view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, shift: torch.Tensor, points: torch.Tensor, n_c: int, n_g: int,
     table: torch.Tensor, turn: float,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # fmt: skip
-    """Entry (P, n_e) int32, direction and weights (P, n_e, 3) of light samples."""
+    """Draw light samples at points.
+
+    Args:
+        view: (P, 3) unit, on the normal's side.
+        normal: (P, 3) unit.
+        alpha: (P,) GGX width.
+        shift: (P, 2) shifts in [0, 1).
+        points: (n_e, 2) point set in [0, 1).
+        n_c: number of cosine samples in the balance heuristic.
+        n_g: number of visible-normal samples in it.
+        table: (T, T, 7) direction, density and radiance of the light.
+        turn: rotation of the light, fraction of a full turn.
+
+    Returns:
+        Entry of the table (P, n_e) int32, -1 below the horizon; direction and weights (P, n_e, 3).
+    """
     shape = (len(view), len(points))
     entry, direction = torch.empty(shape, dtype=torch.int32, device=view.device), view.new_empty(*shape, 3)
     weights = torch.empty_like(direction)
@@ -201,6 +227,10 @@ def draw_light(
 
 
 def settle(*arguments: Any) -> None:
-    """Add to the last of the arguments, (P, 2, 12); the others as `settle_kernel` takes them."""
+    """Add traced light samples to sums.
+
+    Args:
+        *arguments: as `settle_kernel` takes them; the last, (P, 2, 12), is added to.
+    """
     if len(arguments[-1]):
         launch(settle_kernel, arguments[-1].shape[:2], *arguments)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The specular lobe against a fixed set of directions, on the device; definitions stand in core/kernels/lobes.py."""
+"""Specular lobe over the texels of a light, on the GPU; definitions are in core/kernels/lobes.py."""
 
 import torch
 import warp as wp
@@ -10,6 +10,7 @@ from .runtime import launch
 
 @wp.func
 def direction_at(direction: wp.array2d(dtype=float), at: int) -> wp.vec3:
+    """Return direction `at` of (3, D) directions."""
     return wp.vec3(direction[0, at], direction[1, at], direction[2, at])
 
 
@@ -19,18 +20,18 @@ def rows(
     alpha: wp.array(dtype=float), direction: wp.array2d(dtype=float), solid_angle: wp.array(dtype=float), visible: wp.array2d(dtype=float),
     scaled: wp.array2d(dtype=float), added: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """Both parts per texel of the light."""
+    """Compute both parts of the lobe per texel of the light, (K, texels)."""
     k, texel = wp.tid()
     p = int(point[k])
     n, v = normal[p], view[k]
-    lit = point_of(n, v, wp.max(wp.dot(n, v), 1.0e-3), alpha[p])
+    shading_point = point_of(n, v, wp.max(wp.dot(n, v), 1.0e-3), alpha[p])
     total = wp.vec2(0.0, 0.0)
     for sub in range(subs):
         at = sub * texels + texel
         d = direction_at(direction, at)
         n_l = wp.dot(n, d)
         if n_l > 0.0:
-            total += lobe(lit, d, n_l) * (n_l * solid_angle[at] * visible[p, at])
+            total += lobe(shading_point, d, n_l) * (n_l * solid_angle[at] * visible[p, at])
     scaled[k, texel] = total[0]
     added[k, texel] = total[1]
 
@@ -42,22 +43,22 @@ def sums(
     visible: wp.array2d(dtype=float), indirect: wp.array3d(dtype=float), light: wp.array(dtype=wp.vec3),
     scaled: wp.array2d(dtype=wp.vec3), added: wp.array2d(dtype=wp.vec3),
 ):  # fmt: skip
-    """Both parts over a light and the indirect light, (K, J); alpha is of the points where `each`, else J widths for all."""
+    """Integrate both parts of the lobe over a light and the indirect light, (K, J); alpha is per point if `each` is 1, else J widths."""
     k, j = wp.tid()
     p = int(point[k])
     n, v = normal[p], view[k]
     width = alpha[j]
     if each == 1:
         width = alpha[p]
-    lit = point_of(n, v, wp.max(wp.dot(n, v), 1.0e-3), width)
+    shading_point = point_of(n, v, wp.max(wp.dot(n, v), 1.0e-3), width)
     by_f0, by_fresnel = wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
     for at in range(count):
         d = direction_at(direction, at)
         n_l = wp.dot(n, d)
         if n_l > 0.0:
-            own = wp.vec3(indirect[p, 0, at], indirect[p, 1, at], indirect[p, 2, at])
-            incoming = (light[at % texels] * visible[p, at] + own) * (n_l * solid_angle[at])
-            parts = lobe(lit, d, n_l)
+            reflected = wp.vec3(indirect[p, 0, at], indirect[p, 1, at], indirect[p, 2, at])
+            incoming = (light[at % texels] * visible[p, at] + reflected) * (n_l * solid_angle[at])
+            parts = lobe(shading_point, d, n_l)
             by_f0 += incoming * parts[0]
             by_fresnel += incoming * parts[1]
     scaled[k, j] = by_f0
@@ -68,26 +69,51 @@ def lobe_sums(
     point: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, alphas: torch.Tensor, fixed: tuple[torch.Tensor, ...],
     light: torch.Tensor, each: bool = False,
 ) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
-    """See core/kernels/lobes.py; `each`: alphas are the points' own, (P,), and J is 1."""
+    """Integrate both parts of the lobe over a light and the indirect light, see core/kernels/lobes.py.
+
+    Args:
+        point: (K,) int64 point of each view.
+        view: (K, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+        alphas: (J,) GGX widths, or (P,) where `each`.
+        fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D).
+        light: (texels, 3) linear radiance.
+        each: use each point's own width; J is 1.
+
+    Returns:
+        The part that F0 scales and the part that Fresnel adds, (K, J, 3) each.
+    """
     direction, angle, visible, indirect = fixed
     scaled, added = view.new_zeros(2, len(point), 1 if each else len(alphas), 3)
-    seen = (point, view.contiguous(), normal.contiguous(), alphas.contiguous())
+    views = (point, view.contiguous(), normal.contiguous(), alphas.contiguous())
     counts = (len(light), direction.shape[1])
     if len(point):
-        launch(sums, scaled.shape[:2], *counts, *seen, int(each), direction, angle, visible, indirect, light.contiguous(), scaled, added)
+        launch(sums, scaled.shape[:2], *counts, *views, int(each), direction, angle, visible, indirect, light.contiguous(), scaled, added)
     return scaled, added
 
 
 def lobe_rows(
     point: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, fixed: tuple[torch.Tensor, ...], texels: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """See core/kernels/lobes.py."""
+    """Compute the weight of every texel of the light in K views of points, see core/kernels/lobes.py.
+
+    Args:
+        point: (K,) int64 point of each view.
+        view: (K, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+        alpha: (P,) GGX widths.
+        fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D).
+        texels: number of texels of the light.
+
+    Returns:
+        Both parts, (K, texels) each, and both applied to the indirect light, (K, 3) each.
+    """
     direction, angle, visible, _ = fixed
     scaled, added = view.new_zeros(2, len(point), texels)
     subs = direction.shape[1] // texels
-    seen = (point, view.contiguous(), normal.contiguous(), alpha.contiguous())
+    views = (point, view.contiguous(), normal.contiguous(), alpha.contiguous())
     if len(point):
-        launch(rows, scaled.shape, texels, subs, *seen, direction, angle, visible, scaled, added)
+        launch(rows, scaled.shape, texels, subs, *views, direction, angle, visible, scaled, added)
     dark = view.new_zeros(texels, 3)
     rest_scaled, rest_added = lobe_sums(point, view, normal, alpha, fixed, dark, each=True)
     return scaled, added, rest_scaled[:, 0], rest_added[:, 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays on triangles: warp's mesh, closest hit."""
+"""Closest hits of rays on triangles by Warp's mesh; called by core/relight/triangles.py."""
 
 import torch
 import warp as wp
@@ -14,7 +14,7 @@ def closest(
     mesh: wp.uint64, origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3), triangle: wp.array(dtype=int),
     u: wp.array(dtype=float), v: wp.array(dtype=float), distance: wp.array(dtype=float),
 ):  # fmt: skip
-    """The nearest triangle of each ray, -1 for none; u and v are the shares of its second and third corner."""
+    """Find the nearest triangle of each ray, (R,), -1 for none; u and v are the barycentric weights of its second and third corner."""
     ray = wp.tid()
     hit = wp.mesh_query_ray(mesh, origin[ray], direction[ray], _FAR)
     triangle[ray] = -1
@@ -26,16 +26,29 @@ def closest(
 
 
 class DeviceMesh:
-    """A mesh that rays can be asked about; vertices (V, 3) float32, faces (F, 3), on the device."""
+    """Triangle mesh for ray queries on the GPU.
+
+    Args:
+        vertices: (V, 3) float32, on the device.
+        faces: (F, 3) indices of vertices, on the device.
+    """
 
     def __init__(self, vertices: torch.Tensor, faces: torch.Tensor) -> None:
         self._arrays = vertices.contiguous(), faces.to(torch.int32).contiguous().view(-1)
         with on_stream(vertices.device):
             points, indices = wp.from_torch(self._arrays[0], wp.vec3), wp.from_torch(self._arrays[1])
-            self._mesh = wp.Mesh(points, indices)  # made once: the best tree, which the host builds, pays
+            self._mesh = wp.Mesh(points, indices)  # built once, so the best tree, built on the host, pays off
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Triangle (int32), -1 for none, u and v in it, distance, (R,) each, for rays (R, 3)."""
+        """Find the nearest hit of each ray.
+
+        Args:
+            origin: (R, 3) ray origins, world.
+            direction: (R, 3) unit directions.
+
+        Returns:
+            (R,) each: triangle (int32), -1 for none; u and v in it; distance.
+        """
         triangle = torch.empty(len(origin), dtype=torch.int32, device=origin.device)
         u, v, distance = torch.empty(3, len(origin), device=origin.device)
         if len(origin):
@@ -43,5 +56,13 @@ class DeviceMesh:
         return triangle, u, v, distance
 
     def meet(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """(R,) whether rays (R, 3) meet anything."""
+        """Test rays for any hit.
+
+        Args:
+            origin: (R, 3) ray origins, world.
+            direction: (R, 3) unit directions.
+
+        Returns:
+            (R,) bool, True for rays that hit the mesh.
+        """
         return self.closest(origin, direction)[0] >= 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""L1 + D-SSIM with its gradient on the device, in four passes; formulas and constants are those of core/kernels/photometric.py."""
+"""L1 + D-SSIM with its gradient on the GPU, in four passes; formulas as in core/kernels/photometric.py."""
 
 import torch
 import warp as wp
@@ -13,7 +13,7 @@ _C1, _C2 = wp.constant(float(SSIM_C1)), wp.constant(float(SSIM_C2))
 
 @wp.func
 def at(values: wp.array(dtype=float), plane: int, row: int, column: int, height: int, width: int) -> float:
-    """A pixel of a plane, 0 outside."""
+    """Return a pixel of a plane, 0 outside."""
     if row < 0 or row >= height or column < 0 or column >= width:
         return 0.0
     return values[(plane * height + row) * width + column]
@@ -24,7 +24,7 @@ def across(
     x: wp.array(dtype=float), y: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, planes: int,
     blurred: wp.array(dtype=float),
 ):  # fmt: skip
-    """Horizontally blurred x, y, xx, yy, xy, one set of planes after the other."""
+    """Blur x, y, xx, yy, xy horizontally, (5, C, H, W) flat."""
     plane, row, column = wp.tid()
     mx, my, xx, yy, xy = float(0.0), float(0.0), float(0.0), float(0.0), float(0.0)
     for k in range(-_RADIUS, _RADIUS + 1):
@@ -48,7 +48,7 @@ def compare(
     blurred: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, planes: int, similarity: wp.array(dtype=float),
     slopes: wp.array(dtype=float),
 ):  # fmt: skip
-    """SSIM of each pixel and its slopes by the means of x, xx and xy."""
+    """Compute the SSIM of each pixel, (C, H, W), and its derivatives by the means of x, xx and xy, (3, C, H, W)."""
     plane, row, column = wp.tid()
     mx, my, xx, yy, xy = float(0.0), float(0.0), float(0.0), float(0.0), float(0.0)
     for k in range(-_RADIUS, _RADIUS + 1):
@@ -70,6 +70,7 @@ def compare(
 
 @wp.kernel
 def across_slopes(slopes: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, blurred: wp.array(dtype=float)):
+    """Blur the derivatives horizontally, (3, C, H, W) flat."""
     plane, row, column = wp.tid()
     total = float(0.0)
     for k in range(-_RADIUS, _RADIUS + 1):
@@ -82,6 +83,7 @@ def gradient_of(
     blurred: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, planes: int, x: wp.array(dtype=float),
     y: wp.array(dtype=float), l1_weight: float, ssim_weight: float, gradient: wp.array(dtype=float),
 ):  # fmt: skip
+    """Compute d loss / d x, (C, H, W), from the horizontally blurred derivatives."""
     plane, row, column = wp.tid()
     s0, s1, s2 = float(0.0), float(0.0), float(0.0)
     for k in range(-_RADIUS, _RADIUS + 1):
@@ -100,11 +102,22 @@ def gradient_of(
 
 
 class Photometric(torch.autograd.Function):
-    """The face is that of the CPU's; nothing makes the host wait."""
+    """Autograd function of core/kernels/photometric.py on the GPU; it never makes the host wait."""
 
     @staticmethod
-    def forward(ctx, image, truth, ssim_weight):
-        x, y = image.detach().contiguous(), truth.contiguous()
+    def forward(ctx, image, target, ssim_weight):
+        """Compute the loss and its gradient.
+
+        Args:
+            ctx: autograd context.
+            image: (C, H, W) float32 rendered image.
+            target: (C, H, W) float32 image to match.
+            ssim_weight: weight of D-SSIM, 0..1.
+
+        Returns:
+            Scalar loss.
+        """
+        x, y = image.detach().contiguous(), target.contiguous()
         planes, height, width = x.shape
         taps = _taps(x.device)
         blurred, slopes = x.new_empty(5, *x.shape), x.new_empty(3, *x.shape)
@@ -120,13 +133,15 @@ class Photometric(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, upstream):
+        """Return the gradient (C, H, W) of the image from that of the loss."""
         return upstream * ctx.saved_tensors[0], None, None
 
 
-_known: dict[torch.device, torch.Tensor] = {}
+_taps_by_device: dict[torch.device, torch.Tensor] = {}
 
 
 def _taps(device: torch.device) -> torch.Tensor:
-    if device not in _known:
-        _known[device] = torch.from_numpy(SSIM_TAPS).to(device)
-    return _known[device]
+    """Return the window on a device, cached."""
+    if device not in _taps_by_device:
+        _taps_by_device[device] = torch.from_numpy(SSIM_TAPS).to(device)
+    return _taps_by_device[device]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compositing of splats, a thread for each pixel of a tile; formulas stand in core/kernels/cpu/raster.py.
+"""Compositing of splats on the GPU, a thread per pixel of a tile; the formulas are in core/kernels/cpu/raster.py.
 
-A warp is four rows of a tile. Going back, its threads sum what they have for a splat and the first of them writes it to a place of its
-own: nothing is added up in an order that chance decides.
+A warp covers four rows of a tile. In the backward pass its threads sum their gradients of a splat and the first thread writes the sum to a
+place of its own: no sum depends on the order in which threads run.
 """
 
 from functools import cache
@@ -23,7 +23,7 @@ _GEOMETRY = wp.constant(SPLAT_GRADIENTS)
 
 @wp.struct
 class Crossing:
-    """Where a pixel's ray meets a disk."""
+    """Intersection of a pixel's ray with a surfel."""
 
     rho: float
     iw: float
@@ -34,6 +34,7 @@ class Crossing:
 
 @wp.func
 def crossing(record: wp.array2d(dtype=float), g: int, dx: float, dy: float) -> Crossing:
+    """Intersect the ray at pixel offset dx, dy from a splat's centre with its surfel."""
     c = Crossing()
     w = 1.0 + dx * record[g, 6] + dy * record[g, 7]
     ahead = w > _AHEAD
@@ -49,14 +50,14 @@ def crossing(record: wp.array2d(dtype=float), g: int, dx: float, dy: float) -> C
 
 @wp.func
 def pixel_of(thread: int, columns: int) -> wp.vec2i:
-    """Column and row of a thread's pixel."""
+    """Return column and row of the pixel of a thread."""
     tile, place = thread / _PIXELS, thread % _PIXELS
     return wp.vec2i((tile % columns) * _SIDE + place % _SIDE, (tile / columns) * _SIDE + place / _SIDE)
 
 
 @cache
 def kernels(features: int) -> tuple[Any, Any]:
-    """Forward and backward for splats of so many features: as constants they stay in registers."""
+    """Return the forward and the backward kernel for a number of features: a constant number lets them stay in registers."""
     Row = wp.types.vector(length=features, dtype=wp.float32)
     Gradient = wp.types.vector(length=SPLAT_GRADIENTS + features, dtype=wp.float32)
     count = features
@@ -67,6 +68,7 @@ def kernels(features: int) -> tuple[Any, Any]:
         feature: wp.array2d(dtype=float), box: wp.array(dtype=wp.vec4i), columns: int, width: int, height: int,
         image: wp.array(dtype=float),
     ):  # fmt: skip
+        """Composite the splats of each tile into image (C, H, W) flat: features, depth, opacity, transmittance."""
         thread = wp.tid()
         pixel = pixel_of(thread, columns)
         if pixel[0] >= width or pixel[1] >= height:
@@ -103,7 +105,7 @@ def kernels(features: int) -> tuple[Any, Any]:
         feature: wp.array2d(dtype=float), box: wp.array(dtype=wp.vec4i), columns: int, width: int, height: int,
         image: wp.array(dtype=float), gradient: wp.array(dtype=float), slots: wp.array2d(dtype=float),
     ):  # fmt: skip
-        """Gradients of records and features, in the place of each entry of the tiles' lists before they were sorted."""
+        """Compute gradients of records and features, one row of `slots` per warp and entry of the tiles' lists before sorting."""
         thread = wp.tid()
         pixel = pixel_of(thread, columns)
         x, y = float(pixel[0]) + 0.5, float(pixel[1]) + 0.5
@@ -111,7 +113,7 @@ def kernels(features: int) -> tuple[Any, Any]:
         at, plane = pixel[1] * width + pixel[0], width * height
         upstream = Row(0.0)
         g_depth, g_opacity, s_total, s_run = float(0.0), float(0.0), float(0.0), float(0.0)
-        before = float(0.0)  # outside the image: nothing to do, but sums need every thread of a warp
+        before = float(0.0)  # outside the image nothing is composited, but the sums over a warp need all of its threads
         if pixel[0] < width and pixel[1] < height:
             before = 1.0
             left = image[(count + 2) * plane + at]

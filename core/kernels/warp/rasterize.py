@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rasteriser on the device: lists of tiles without waiting for the host, images, and the way back."""
+"""Rasteriser on the GPU, wrapped as an autograd function: tile lists without waiting for the host, images, and gradients."""
 
 from __future__ import annotations
 
@@ -14,29 +14,37 @@ from . import splats
 from .raster import PARTS, PIXELS, kernels
 from .runtime import launch
 
-SPARE = 2.0  # times the longest lists seen so far that there is room for; images of gradient descent change slowly
+SPARE = 2.0  # capacity over the longest lists so far; from step to step of an optimisation images change slowly
 _LAST = torch.iinfo(torch.int64).max
 
 
 class Room:
-    """How many entries the lists of one size of image may have, so that no step of an optimisation has to wait for their number.
+    """Capacity of the tile lists of one image size, chosen so that no optimisation step waits for the number of entries.
 
-    Their number is looked at two calls later, when it has long been known. Where nothing is optimised it is waited for.
+    The number is read two calls later, when it has long been computed. Without gradients the host waits for it.
     """
 
     def __init__(self) -> None:
         self._entries = 0
-        self._coming: list[tuple[torch.Tensor, torch.cuda.Event | None]] = []
-        self.overflowed = 0  # images that lacked some of their splats
+        self._pending: list[tuple[torch.Tensor, torch.cuda.Event | None]] = []
+        self.overflowed = 0  # images that lacked some of their splats for want of capacity
 
     def entries(self, total: torch.Tensor, exact: bool) -> int:
-        """Entries to make room for, of which there are `total` (a tensor of one number)."""
+        """Return the capacity to allocate, in entries.
+
+        Args:
+            total: (1,) or scalar, number of entries that the image needs.
+            exact: wait for the number and return exactly that.
+
+        Returns:
+            Number of entries.
+        """
         if exact or not self._entries:
             self._entries = max(self._entries, int(SPARE * int(total)) + PIXELS)
             return int(total) if exact else self._entries
-        self._coming.append(_on_its_way(total))
-        if len(self._coming) > 2:
-            number, arrived = self._coming.pop(0)
+        self._pending.append(_on_its_way(total))
+        if len(self._pending) > 2:
+            number, arrived = self._pending.pop(0)
             if arrived is not None:
                 arrived.synchronize()
             self.overflowed += int(number) > self._entries
@@ -45,6 +53,7 @@ class Room:
 
 
 def _on_its_way(total: torch.Tensor) -> tuple[torch.Tensor, torch.cuda.Event | None]:
+    """Start copying a number to the host; return the copy and the event that marks its arrival (None on the CPU)."""
     if not total.is_cuda:
         return total, None
     number = torch.empty(total.shape, dtype=total.dtype, pin_memory=True)
@@ -59,6 +68,7 @@ ROOMS: dict[tuple[int, int, int], Room] = {}  # by number of Gaussians, width an
 
 @lru_cache(4096)
 def _pinhole(cam: bytes) -> splats.Pinhole:
+    """Return a camera, the bytes of `camera_numbers`, as a Warp struct."""
     numbers, pinhole = np.frombuffer(cam, np.float32), splats.Pinhole()
     pinhole.rotation = wp.mat33(*map(float, numbers[:9]))
     pinhole.focal, pinhole.middle = wp.vec2(*map(float, numbers[9:11])), wp.vec2(*map(float, numbers[11:13]))
@@ -68,10 +78,27 @@ def _pinhole(cam: bytes) -> splats.Pinhole:
 
 
 class Rasterize(torch.autograd.Function):
-    """The face is that of the CPU's, core/kernels/rasterize.py."""
+    """Autograd function of core/kernels/rasterize.py on the GPU."""
 
     @staticmethod
     def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, cam, coefficients, statistics):
+        """Composite Gaussians into an image.
+
+        Args:
+            ctx: autograd context.
+            position: (3, N) centres, world.
+            quaternion: (4, N) w x y z.
+            log_scale: (2, N) logarithms of the scales.
+            opacity: (N,) logits.
+            sh: (K, 3, N) SH coefficients.
+            extra: (E, N) further channels.
+            cam: (19,) camera, from `camera_numbers`.
+            coefficients: number of SH coefficients in use.
+            statistics: receives the statistics of density control.
+
+        Returns:
+            (8 + E, H, W) image.
+        """
         device, n, extras = position.device, position.shape[1], extra.shape[0]
         parameters = [p.detach().contiguous() for p in (position, quaternion, log_scale, opacity, sh, extra)]
         pinhole, width, height = _pinhole(cam.tobytes()), int(cam[16]), int(cam[17])
@@ -79,13 +106,13 @@ class Rasterize(torch.autograd.Function):
         box, tiles = torch.empty(n, 4, dtype=torch.int32, device=device), torch.empty(n, dtype=torch.int64, device=device)
         launch(splats.project, n, *parameters, coefficients, extras, pinhole, n, record, feature, box, tiles)
         end = torch.cumsum(tiles, 0)
-        room = ROOMS.setdefault((n, width, height), Room())
-        capacity = room.entries(end[-1], not any(ctx.needs_input_grad))
+        list_capacity = ROOMS.setdefault((n, width, height), Room())
+        capacity = list_capacity.entries(end[-1], not any(ctx.needs_input_grad))
         columns, rows = -(-width // TILE), -(-height // TILE)
         key = torch.full((capacity,), _LAST, device=device)
         owner = torch.empty(capacity, dtype=torch.int32, device=device)
         launch(splats.emit, n, box, record, end, tiles, columns, capacity, key, owner)
-        key, index = torch.sort(key, stable=True)  # of one depth the first Gaussian comes first
+        key, index = torch.sort(key, stable=True)  # stable: at equal depth the Gaussian of lower index comes first
         edges = torch.arange(columns * rows + 1, device=device) << 32
         start = torch.searchsorted(key, edges, out_int32=True)
         image = torch.empty(9 + extras, height, width, device=device)
@@ -98,6 +125,7 @@ class Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, gradient):
+        """Return the gradients of the parameters from that of the image, (8 + E, H, W)."""
         start, _, _, record, feature, *_ = ctx.lists
         (end, tiles, capacity), (n, features), device = ctx.order, feature.shape, record.device
         slots = torch.zeros(capacity * PARTS, SPLAT_GRADIENTS + features, device=device)

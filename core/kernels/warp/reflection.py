@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The specular lobe at a point, on the device; definitions stand in core/kernels/reflection.py."""
+"""Specular lobe at a point, as GPU functions shared by lobes.py and light.py; definitions are in core/kernels/cpu/reflection.py."""
 
 import math
 
@@ -13,7 +13,7 @@ _SHORTEST2, _HALF_PI = wp.constant(SHORTEST2), wp.constant(0.5 / math.pi)
 
 @wp.struct
 class Point:
-    """A point to be lit: normal, view, alpha^2, n.v and the root that its visibility has of it."""
+    """Shading point: normal, view, alpha^2, n.v and root = sqrt(n.v^2 (1 - alpha^2) + alpha^2)."""
 
     n: wp.vec3
     v: wp.vec3
@@ -24,7 +24,7 @@ class Point:
 
 @wp.func
 def point_of(n: wp.vec3, v: wp.vec3, n_v: float, alpha: float) -> Point:
-    """A point with n.v > 0 of GGX width alpha."""
+    """Return a shading point with n.v > 0 and GGX width alpha."""
     point = Point()
     point.n = n
     point.v = v
@@ -36,7 +36,7 @@ def point_of(n: wp.vec3, v: wp.vec3, n_v: float, alpha: float) -> Point:
 
 @wp.func
 def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
-    """D V in two parts, that which F0 scales and that which Fresnel adds, for n_l > 0."""
+    """Return the two parts of D V for n_l > 0: the one that F0 scales and the one that Fresnel adds."""
     h = d + point.v
     length2 = wp.max(wp.dot(h, h), _SHORTEST2)
     t = h - point.n * (n_l + point.n_v)

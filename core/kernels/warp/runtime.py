@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warp set up for this engine: its cache, its views of torch's tensors, launches on torch's stream, what threads of a warp share."""
+"""Warp set up for the engine: its cache, views of torch's tensors, launches on torch's stream, and sums over the threads of a warp."""
 
 import contextlib
 import hashlib
@@ -15,7 +15,7 @@ from ...machine.cache_folder import private_folder
 
 
 def _cache_folder() -> Path:
-    """Like numba's, but by these sources alone: warp looks for changes itself."""
+    """Return the folder of Warp's cache, named by Warp's version alone: Warp detects changed sources itself."""
     digest = hashlib.sha256(wp.config.version.encode()).hexdigest()[:12]
     return private_folder(f"warp-{digest}")
 
@@ -23,8 +23,8 @@ def _cache_folder() -> Path:
 wp.config.quiet = True
 wp.config.log_level = wp.LOG_ERROR
 wp.config.kernel_cache_dir = str(_cache_folder())
-wp.config.enable_backward = False  # adjoints are written by hand: warp's own is wrong through a loop that changes the transmittance
-wp.config.max_unroll = 32  # loops over a splat's channels, which then stay in registers
+wp.config.enable_backward = False  # adjoints are hand-written: Warp's own are wrong for a loop that updates the transmittance
+wp.config.max_unroll = 32  # unrolled loops keep a splat's channels in registers
 wp.init()
 
 LANES = 32  # threads of a warp
@@ -38,7 +38,7 @@ LANES = 32  # threads of a warp
     return x;
 """)
 def lane_sum(x: float) -> float:
-    """Sum over the threads of a warp, all of which must come here; x itself on a CPU, where a thread is alone."""
+    """Return the sum of x over the threads of a warp, all of which must call it; x itself on a CPU, where each thread is alone."""
     ...
 
 
@@ -50,7 +50,7 @@ def lane_sum(x: float) -> float:
 #endif
 """)
 def any_lane(x: int) -> int:
-    """1 where x is not 0 for any thread of the warp, all of which must come here."""
+    """Return 1 where x is not 0 for any thread of the warp, all of which must call it."""
     ...
 
 
@@ -62,31 +62,38 @@ def any_lane(x: int) -> int:
 #endif
 """)
 def leads() -> int:
-    """1 for the first thread of a warp."""
+    """Return 1 for the first thread of a warp."""
     ...
 
 
 @cache
 def _parameters(kernel: Any) -> list[Any]:
+    """Return the types of the parameters of a kernel."""
     return [argument.type for argument in kernel.adj.args]
 
 
-def _argument(value: Any, kind: Any) -> Any:
-    """A tensor as the array that a kernel wants, without a copy; anything else as it is."""
+def _argument(value: Any, parameter_type: Any) -> Any:
+    """Return a tensor as the array that a kernel expects, without a copy; any other value unchanged."""
     if not isinstance(value, torch.Tensor):
         return value
-    width, flat = getattr(kind.dtype, "_length_", 1), value.detach()
-    if kind.ndim == 1:
+    width, flat = getattr(parameter_type.dtype, "_length_", 1), value.detach()
+    if parameter_type.ndim == 1:
         flat = flat.view(-1, width) if width > 1 else flat.view(-1)
     if value.is_cuda or flat.numel():
-        return wp.from_torch(flat, kind.dtype, requires_grad=False, return_ctype=True)
-    return wp.empty(0 if kind.ndim == 1 else tuple(flat.shape), dtype=kind.dtype, device="cpu")
+        return wp.from_torch(flat, parameter_type.dtype, requires_grad=False, return_ctype=True)
+    return wp.empty(0 if parameter_type.ndim == 1 else tuple(flat.shape), dtype=parameter_type.dtype, device="cpu")
 
 
 def launch(kernel: Any, dim: int | Sequence[int], *inputs: Any) -> None:
-    """Start a kernel where its tensors are, on torch's current stream. Tensors must be contiguous; vectors are their last dimension."""
+    """Launch a kernel on the device of its tensors, on torch's current stream.
+
+    Args:
+        kernel: Warp kernel.
+        dim: number of threads per dimension.
+        *inputs: arguments of the kernel. Tensors must be contiguous; vectors are their last dimension, such as (N, 3) for vec3.
+    """
     device = next(value.device for value in inputs if isinstance(value, torch.Tensor))
-    arguments = [_argument(value, kind) for value, kind in zip(inputs, _parameters(kernel), strict=True)]
+    arguments = [_argument(value, expected) for value, expected in zip(inputs, _parameters(kernel), strict=True)]
     if device.type == "cuda":
         wp.launch(kernel, dim, arguments, stream=wp.stream_from_torch(torch.cuda.current_stream(device)), record_tape=False)
     else:
@@ -95,7 +102,7 @@ def launch(kernel: Any, dim: int | Sequence[int], *inputs: Any) -> None:
 
 @contextlib.contextmanager
 def on_stream(device: torch.device) -> Iterator[None]:
-    """What warp does beside launches (it builds trees) also runs on torch's current stream."""
+    """Within the block, run Warp's other work on the device (such as building trees) on torch's current stream as well."""
     if device.type != "cuda":
         yield
         return

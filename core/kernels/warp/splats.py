@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""2D Gaussians to splats and back, a thread for each; the algebra is that of the CPU's kernels, core/kernels/{frame,projection}.py."""
+"""Projection of 2D Gaussians to splats, and its adjoint, on the GPU, a thread per Gaussian.
+
+The algebra is that of the CPU's kernels, core/kernels/cpu/frame.py and core/kernels/cpu/projection.py.
+"""
 
 import warp as wp
 
@@ -9,12 +12,12 @@ from .harmonics import Basis, basis, basis_pull, normal_of, quaternion_gradient,
 _SIDE = wp.constant(TILE)
 _ALPHA_MIN, _COSINE_MIN = wp.constant(ALPHA_MIN), wp.constant(COSINE_MIN)
 _LOG_SCALE_MIN, _LOW_PASS = wp.constant(LOG_SCALE_MIN), wp.constant(LOW_PASS)
-_FEATURES = wp.constant(SPLAT_GRADIENTS)  # column of a splat's gradients at which its features begin
+_FEATURES = wp.constant(SPLAT_GRADIENTS)  # first column of the features among a splat's gradients
 
 
 @wp.struct
 class Pinhole:
-    """A camera: world to camera (z forward), intrinsics, centre, image, nearest depth."""
+    """Camera: rotation world to camera (z forward), intrinsics, centre, size of the image, near depth."""
 
     rotation: wp.mat33
     focal: wp.vec2
@@ -27,7 +30,7 @@ class Pinhole:
 
 @wp.struct
 class Frame:
-    """A disk as a camera sees it: offset from the eye, centre, axes, and its foreshortening kept away from 0 (`free` where it was not)."""
+    """Surfel in camera space: offset from the eye, centre, axes; foreshortening nc, clamped away from 0 (`free`: not clamped)."""
 
     offset: wp.vec3
     c: wp.vec3
@@ -36,13 +39,14 @@ class Frame:
     normal: wp.vec3
     world_normal: wp.vec3
     nc: float
-    kept: float
+    excess: float
     side: float
     free: int
 
 
 @wp.func
 def frame(position: wp.array(dtype=float), quaternion: wp.array(dtype=float), n: int, i: int, cam: Pinhole) -> Frame:
+    """Return surfel i in camera space."""
     f = Frame()
     f.offset = wp.vec3(position[i], position[n + i], position[2 * n + i]) - cam.eye
     f.c = cam.rotation * f.offset
@@ -56,12 +60,13 @@ def frame(position: wp.array(dtype=float), quaternion: wp.array(dtype=float), n:
     floor = wp.sqrt(wp.max(wp.dot(f.c, f.c), cam.near * cam.near)) * _COSINE_MIN
     f.free = int(nc * f.side > floor)
     f.nc = wp.where(f.free == 1, nc, f.side * floor)
-    f.kept = f.nc - nc
+    f.excess = f.nc - nc
     return f
 
 
 @wp.func
 def colour_channel(sh: wp.array(dtype=float), b: Basis, coefficients: int, channel: int, n: int, i: int) -> float:
+    """Return one channel of Gaussian i's colour before its clamp."""
     value = float(0.5)
     for j in range(16):
         if j < coefficients:
@@ -71,7 +76,7 @@ def colour_channel(sh: wp.array(dtype=float), b: Basis, coefficients: int, chann
 
 @wp.func
 def reach(low: float, high: float, limit: int) -> wp.vec2i:
-    """First and last pixel along an axis whose centres lie in low..high, inside the image."""
+    """Return the first and last pixel inside the image along an axis whose centres lie in low..high."""
     first = wp.max(0.0, wp.ceil(wp.clamp(low, -1.0e9, 1.0e9) - 0.5))
     last = wp.min(float(limit) - 1.0, wp.floor(wp.clamp(high, -1.0e9, 1.0e9) - 0.5))
     return wp.vec2i(int(first), int(last))
@@ -79,11 +84,11 @@ def reach(low: float, high: float, limit: int) -> wp.vec2i:
 
 @wp.func
 def pixels_of(f: Frame, su: float, sv: float, cut: float, centre: wp.vec2, cam: Pinhole) -> wp.vec4i:
-    """x0 y0 x1 y1 of the pixels that a disk may show in; x0 > x1 for none."""
+    """Return x0 y0 x1 y1 of the pixels that a surfel may cover; x0 > x1 for none."""
     z = f.c[2]
     u, v = f.tu * su, f.tv * sv
     d = cut * (u[2] * u[2] + v[2] * v[2]) - z * z
-    if d > -cam.near * cam.near:  # it reaches round the camera
+    if d > -cam.near * cam.near:  # the surfel reaches behind the plane of the camera
         return wp.vec4i(0, 0, cam.width - 1, cam.height - 1)
     pad = wp.sqrt(cut / _LOW_PASS)
     box = wp.vec4i(1, 1, 0, 0)
@@ -108,15 +113,15 @@ def project(
     sh: wp.array(dtype=float), extra: wp.array(dtype=float), coefficients: int, extras: int, cam: Pinhole, n: int,
     record: wp.array2d(dtype=float), feature: wp.array2d(dtype=float), box: wp.array(dtype=wp.vec4i), tiles: wp.array(dtype=wp.int64),
 ):  # fmt: skip
-    """Records, features and pixel boxes as the CPU's `project_range` makes them, and how many tiles each splat touches."""
+    """Write records, features and pixel boxes as `project_range` of the CPU does, and the number of tiles that each splat touches, (N,)."""
     i = wp.tid()
     f = frame(position, quaternion, n, i, cam)
     su, sv = wp.exp(wp.max(log_scale[i], _LOG_SCALE_MIN)), wp.exp(wp.max(log_scale[n + i], _LOG_SCALE_MIN))
     front = f.c[2] > cam.near
     z = wp.where(front, f.c[2], 1.0)
     k = z / f.nc
-    kept = wp.where(f.free == 1, 0.0, f.kept)
-    e, g = wp.cross(f.tv, f.c) + f.tu * kept, wp.cross(f.c, f.tu) + f.tv * kept
+    excess = wp.where(f.free == 1, 0.0, f.excess)
+    e, g = wp.cross(f.tv, f.c) + f.tu * excess, wp.cross(f.c, f.tu) + f.tv * excess
     alpha = 1.0 / (1.0 + wp.exp(-opacity[i]))
     centre = wp.vec2(f.c[0] / z * cam.focal[0] + cam.middle[0], f.c[1] / z * cam.focal[1] + cam.middle[1])
     record[i, 0] = centre[0]
@@ -151,11 +156,11 @@ def emit(
     box: wp.array(dtype=wp.vec4i), record: wp.array2d(dtype=float), end: wp.array(dtype=wp.int64), tiles: wp.array(dtype=wp.int64),
     columns: int, capacity: wp.int64, key: wp.array(dtype=wp.int64), owner: wp.array(dtype=int),
 ):  # fmt: skip
-    """For each tile that splat i touches, its place in the order of tiles and depths, from end[i] - tiles[i] on; none beyond `capacity`."""
+    """Write a sort key (tile, depth) and the owner of splat i for each tile it touches, from end[i] - tiles[i] on, up to `capacity`."""
     i = wp.tid()
     at = end[i] - tiles[i]
     b = box[i]
-    depth = wp.int64(wp.cast(record[i, 8], wp.uint32))  # of positive numbers the bits sort as the numbers do
+    depth = wp.int64(wp.cast(record[i, 8], wp.uint32))  # the bits of positive floats sort like the floats
     if b[0] > b[2]:
         return
     for ty in range(b[1] / _SIDE, b[3] / _SIDE + 1):
@@ -171,7 +176,7 @@ def sum_slots(
     slots: wp.array2d(dtype=float), end: wp.array(dtype=wp.int64), tiles: wp.array(dtype=wp.int64), capacity: wp.int64, parts: int,
     sums: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """Gradients of splat i, column j: those of its tiles, in order, so that the sum is always the same."""
+    """Sum column j of the gradients of splat i over its tiles, in order, so that the sum is always the same."""
     i, j = wp.tid()
     last = wp.min(end[i], capacity)
     total = float(0.0)
@@ -190,15 +195,15 @@ def project_backward(
     g_position: wp.array(dtype=float), g_quaternion: wp.array(dtype=float), g_log_scale: wp.array(dtype=float),
     g_opacity: wp.array(dtype=float), g_sh: wp.array(dtype=float), g_extra: wp.array(dtype=float), screen: wp.array(dtype=float),
 ):  # fmt: skip
-    """Adjoint of `project`: gradients of splats (N, SPLAT_GRADIENTS + F) to those of parameters; screen: (N,) of the projected centre."""
+    """Compute the adjoint of `project`: from sums (N, SPLAT_GRADIENTS + F) to gradients of parameters; screen: (N,)."""
     i = wp.tid()
     f = frame(position, quaternion, n, i, cam)
     isu, isv = wp.exp(-wp.max(log_scale[i], _LOG_SCALE_MIN)), wp.exp(-wp.max(log_scale[n + i], _LOG_SCALE_MIN))
     front = f.c[2] > cam.near
     z = wp.where(front, f.c[2], 1.0)
     k, iz = z / f.nc, 1.0 / z
-    kept = wp.where(f.free == 1, 0.0, f.kept)
-    e, g = wp.cross(f.tv, f.c) + f.tu * kept, wp.cross(f.c, f.tu) + f.tv * kept
+    excess = wp.where(f.free == 1, 0.0, f.excess)
+    e, g = wp.cross(f.tv, f.c) + f.tu * excess, wp.cross(f.c, f.tu) + f.tv * excess
     gm = wp.vec2(sums[i, 0], sums[i, 1])
     ga = wp.vec3(sums[i, 2] * isu / cam.focal[0], sums[i, 3] * isu / cam.focal[1], 0.0)
     gb = wp.vec3(sums[i, 4] * isv / cam.focal[0], sums[i, 5] * isv / cam.focal[1], 0.0)
@@ -207,11 +212,11 @@ def project_backward(
     gk = au + bv + wp.dot(gc, f.normal)
     ge, gg = ga * k, gb * k
     gnc = wp.where(f.free == 1, -gk * k / f.nc, 0.0)
-    gkept = wp.where(f.free == 1, 0.0, -(wp.dot(ge, f.tu) + wp.dot(gg, f.tv)))
-    gn = gc * k + f.c * (gnc + gkept)
-    g_tv = wp.cross(f.c, ge) + gg * kept
-    g_tu = wp.cross(gg, f.c) + ge * kept
-    g_c = wp.cross(ge, f.tv) + wp.cross(f.tu, gg) + f.normal * (gnc + gkept)
+    gexcess = wp.where(f.free == 1, 0.0, -(wp.dot(ge, f.tu) + wp.dot(gg, f.tv)))
+    gn = gc * k + f.c * (gnc + gexcess)
+    g_tv = wp.cross(f.c, ge) + gg * excess
+    g_tu = wp.cross(gg, f.c) + ge * excess
+    g_c = wp.cross(ge, f.tv) + wp.cross(f.tu, gg) + f.normal * (gnc + gexcess)
     gz = gk / f.nc + sums[i, 8] - (gm[0] * cam.focal[0] * f.c[0] + gm[1] * cam.focal[1] * f.c[1]) * iz * iz
     g_c += wp.vec3(gm[0] * cam.focal[0] * iz, gm[1] * cam.focal[1] * iz, gz)
     back = wp.transpose(cam.rotation)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays through 2D Gaussians, a thread for each, in the exact order of their hits; definitions stand in core/kernels/cpu/trace.py.
+"""Rays through 2D Gaussians on the GPU, a thread per ray, in the exact order of hits; definitions are in core/kernels/cpu/trace.py.
 
-Warp's tree hands out boxes in any order. A ray keeps its NEAREST next hits sorted by distance, then by the Gaussian's number, and goes on
-behind the last of them where they do not make it opaque: nothing is dropped or met twice.
+Warp's tree returns boxes in any order. A ray keeps its NEAREST next hits sorted by distance, then by the index of the Gaussian, and
+restarts behind the last of them where they do not make it opaque: no hit is dropped or counted twice.
 """
 
 from functools import cache
@@ -26,13 +26,13 @@ from ..constants import (
 )
 from .harmonics import Basis, basis, normal_of, tangent_u, tangent_v, unit_quaternion
 
-NEAREST = 16  # hits gathered in one descent
+NEAREST = 16  # hits collected in one traversal
 _NEAREST = wp.constant(NEAREST)
 _N, _U, _V, _O, _CUT = wp.constant(NORMAL), wp.constant(AXIS_U), wp.constant(AXIS_V), wp.constant(OPACITY), wp.constant(CUT)
 _SU, _SV = wp.constant(SCALE_U), wp.constant(SCALE_V)
 _SMALLEST, _LARGEST = wp.constant(SCALE_RANGE[0]), wp.constant(SCALE_RANGE[1])
-_PAD = wp.constant(4.0e-6)  # boxes grow by this share of their position, ten times that of their size: rounding must not lose a hit
-_TINY = wp.constant(1.0e-12)  # directions' components are kept away from 0 by this
+_PAD = wp.constant(4.0e-6)  # boxes grow by this fraction of their position and 10 times this of their size, against rounding
+_TINY = wp.constant(1.0e-12)  # smallest magnitude of a component of a direction
 _FAR = wp.constant(3.0e38)
 _ALPHA_MIN, _ALPHA_MAX, _OPAQUE, _GRAZING = (
     wp.constant(ALPHA_MIN),
@@ -40,8 +40,8 @@ _ALPHA_MIN, _ALPHA_MAX, _OPAQUE, _GRAZING = (
     wp.constant(TRANSMITTANCE_MIN),
     wp.constant(GRAZING),
 )
-_SOLID = wp.constant(0.9999 * TRANSMITTANCE_MIN)  # a product multiplied and divided many times is sure to be opaque below this
-_NOBODY, _EVERYBODY = wp.constant(wp.uint64(2**31 - 1)), wp.constant(wp.uint64(0x7F7FFFFFFFFFFFFF))  # hits before and behind all others
+_SOLID = wp.constant(0.9999 * TRANSMITTANCE_MIN)  # safely opaque despite the rounding of a product updated many times
+_BEFORE_ALL, _BEHIND_ALL = wp.constant(wp.uint64(2**31 - 1)), wp.constant(wp.uint64(0x7F7FFFFFFFFFFFFF))  # sort before and behind all
 
 Hits = wp.types.vector(length=NEAREST, dtype=wp.uint64)
 Alphas = wp.types.vector(length=NEAREST, dtype=wp.float32)
@@ -52,7 +52,7 @@ def describe(
     position: wp.array(dtype=float), quaternion: wp.array(dtype=float), log_scale: wp.array(dtype=float), opacity: wp.array(dtype=float),
     n: int, record: wp.array2d(dtype=float), lower: wp.array(dtype=wp.vec3), upper: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """Records and boxes of all surfels, see core/kernels/cpu/bvh.py; those that can't be hit have a box of one point, and CUT is -1."""
+    """Write records (core/kernels/cpu/bvh.py) and boxes of all surfels; where nothing can be hit, CUT is -1 and the box a point."""
     i = wp.tid()
     c = wp.vec3(position[i], position[n + i], position[2 * n + i])
     q = unit_quaternion(wp.vec4(quaternion[i], quaternion[n + i], quaternion[2 * n + i], quaternion[3 * n + i]))
@@ -88,12 +88,13 @@ def describe(
 
 @wp.func
 def triple(record: wp.array2d(dtype=float), g: int, column: int) -> wp.vec3:
+    """Return three columns of surfel g's record as a vector."""
     return wp.vec3(record[g, column], record[g, column + 1], record[g, column + 2])
 
 
 @wp.func
 def safe(d: wp.vec3) -> wp.vec3:
-    """A direction that no box test divides by 0 for."""
+    """Return a direction with components clamped away from 0, for the division in box tests."""
     out = d
     for axis in range(3):
         if wp.abs(d[axis]) < _TINY:
@@ -103,7 +104,7 @@ def safe(d: wp.vec3) -> wp.vec3:
 
 @wp.func
 def meet(record: wp.array2d(dtype=float), g: int, o: wp.vec3, d: wp.vec3) -> wp.vec2:
-    """Distance to a surfel's plane and alpha there; alpha is 0 where the disk is missed."""
+    """Return the distance to a surfel's plane and the alpha there; alpha is 0 where the surfel is missed."""
     normal, h = triple(record, g, _N), triple(record, g, 0) - o
     cosine = wp.dot(normal, d)
     if cosine * cosine <= _GRAZING:
@@ -119,19 +120,21 @@ def meet(record: wp.array2d(dtype=float), g: int, o: wp.vec3, d: wp.vec3) -> wp.
 
 @wp.func
 def distance_of(hit: wp.uint64) -> float:
+    """Return the distance of a hit."""
     return wp.cast(wp.uint32(hit >> wp.uint64(32)), wp.float32)
 
 
 @wp.func
 def number_of(hit: wp.uint64) -> int:
+    """Return the index of the Gaussian of a hit."""
     return int(wp.uint32(hit & wp.uint64(0xFFFFFFFF)))
 
 
 @wp.func
 def next_hits(tree: wp.uint64, record: wp.array2d(dtype=float), o: wp.vec3, d: wp.vec3, last: wp.uint64, before: float):
-    """The next hits behind the hit `last`, where the transmittance is `before`: how many, they, and their alphas."""
+    """Find the next hits behind the hit `last`, where the transmittance is `before`; return their number, the hits and their alphas."""
     hits, alphas = Hits(wp.uint64(0)), Alphas(0.0)
-    n, behind, furthest, t_max = int(0), float(before), wp.uint64(_EVERYBODY), float(_FAR)
+    n, behind, furthest, t_max = int(0), float(before), wp.uint64(_BEHIND_ALL), float(_FAR)
     query = wp.bvh_query_ray(tree, o, safe(d))
     g = int(0)
     while wp.bvh_query_next(query, g, t_max):
@@ -163,13 +166,13 @@ def next_hits(tree: wp.uint64, record: wp.array2d(dtype=float), o: wp.vec3, d: w
 
 @wp.func
 def facing(normal: wp.vec3, d: wp.vec3) -> float:
-    """1, or -1 where a normal has to be turned against the ray."""
+    """Return 1, or -1 where a normal has to be flipped to point against the ray."""
     return wp.where(wp.dot(normal, d) > 0.0, -1.0, 1.0)
 
 
 @wp.func
 def shown(b: Basis, rows: wp.array(dtype=float), at: int, coefficients: int) -> float:
-    """One channel of a Gaussian's radiance, before its clamp; its coefficients lie at rows[at..]."""
+    """Return one channel of a Gaussian's radiance before its clamp; its coefficients start at rows[at]."""
     value = float(0.5)
     for j in range(16):
         if j < coefficients:
@@ -179,22 +182,22 @@ def shown(b: Basis, rows: wp.array(dtype=float), at: int, coefficients: int) -> 
 
 @cache
 def composite(extras: int) -> Any:
-    """The kernel that follows rays and sums what they see, for so many further channels."""
+    """Return the kernel that traces and composites rays, for a number of further channels."""
     Row = wp.types.vector(length=max(extras, 1), dtype=wp.float32)
     count = extras
 
     @wp.kernel(module="unique")
-    def see(
+    def composite_rays(
         tree: wp.uint64, record: wp.array2d(dtype=float), origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3),
         sh: wp.array(dtype=float), coefficients: int, extra: wp.array(dtype=float), out: wp.array2d(dtype=float),
         hits_of: wp.array(dtype=wp.int64), left: wp.array(dtype=float),
     ):  # fmt: skip
-        """Sums (R, 8 + E); rows of Gaussians: sh (N, 3 K), extra (N, E). Of each ray, its number of hits and what it leaves."""
+        """Write sums (R, 8 + E), number of hits (R,) and transmittance (R,) of rays; rows of Gaussians: sh (N, 3 K), extra (N, E)."""
         ray = wp.tid()
         o, d = origin[ray], direction[ray]
         b = basis(d, coefficients)
         colour, normal, acc, depth, before = wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0), Row(0.0), float(0.0), float(1.0)
-        last, n, total = wp.uint64(_NOBODY), int(_NEAREST), int(0)
+        last, n, total = wp.uint64(_BEFORE_ALL), int(_NEAREST), int(0)
         while n == _NEAREST and before > _OPAQUE:
             n, hits, alphas = next_hits(tree, record, o, d, last, before)
             for k in range(n):
@@ -208,8 +211,8 @@ def composite(extras: int) -> Any:
                     for channel in range(3):
                         value = shown(b, sh, (g * 3 + channel) * coefficients, coefficients)
                         colour[channel] += weight * wp.max(value, 0.0)
-                its = triple(record, g, _N)
-                normal += its * (weight * facing(its, d))
+                surfel_normal = triple(record, g, _N)
+                normal += surfel_normal * (weight * facing(surfel_normal, d))
                 for j in range(count):
                     acc[j] += weight * extra[g * count + j]
                 depth += weight * distance_of(last)
@@ -225,7 +228,7 @@ def composite(extras: int) -> Any:
         hits_of[ray] = wp.int64(total)
         left[ray] = before
 
-    return see
+    return composite_rays
 
 
 @wp.kernel
@@ -234,13 +237,13 @@ def gather(
     start: wp.array(dtype=wp.int64), index: wp.array(dtype=int), weight: wp.array(dtype=float), distance: wp.array(dtype=float),
     of: wp.array(dtype=int),
 ):  # fmt: skip
-    """The hits of ray r to start[r]..start[r + 1], as they were counted before; of: (H,) whose they are."""
+    """Write the hits of each ray r to start[r]..start[r + 1], counted before; of: (H,) ray of each hit."""
     ray = wp.tid()
     if start[ray] == start[ray + 1]:
         return
     o, d = origin[ray], direction[ray]
     first = int(start[ray])
-    last, n, at, before = wp.uint64(_NOBODY), int(_NEAREST), int(first), float(1.0)
+    last, n, at, before = wp.uint64(_BEFORE_ALL), int(_NEAREST), int(first), float(1.0)
     while n == _NEAREST and before > _OPAQUE:
         n, hits, alphas = next_hits(tree, record, o, d, last, before)
         for k in range(n):
@@ -263,7 +266,7 @@ def pass_through(
     tree: wp.uint64, record: wp.array2d(dtype=float), origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3),
     through: wp.array(dtype=float),
 ):  # fmt: skip
-    """What passes along each ray; in any order, and no further than to where it counts as opaque."""
+    """Compute the transmittance of each ray, (R,), in any order of hits; 0 at or below TRANSMITTANCE_MIN."""
     ray = wp.tid()
     o, d = origin[ray], direction[ray]
     left, g = float(1.0), int(0)
@@ -283,7 +286,7 @@ def blend(
     ray: wp.array(dtype=wp.int64), start: wp.array(dtype=wp.int64), index: wp.array(dtype=int), weight: wp.array(dtype=float),
     values: wp.array2d(dtype=float), out: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """Sums of values (C, N) over the hits of chosen rays -> out (B, C)."""
+    """Sum values (C, N) over the hits of chosen rays to out (B, C)."""
     b, channel = wp.tid()
     total = float(0.0)
     for hit in range(int(start[ray[b]]), int(start[ray[b] + wp.int64(1)])):

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ray tracer of 2D Gaussians on the device; its face is that of the CPU's, core/kernels/trace.py."""
+"""Ray tracer of 2D Gaussians on the GPU, wrapped as autograd functions; called by core/kernels/trace.py."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,119 +10,105 @@ import torch
 import warp as wp
 
 from ..constants import SURFEL_GRADIENTS, SURFEL_RECORD
-from . import adjoint
-from . import surfels as surfels
+from . import adjoint, surfels
+from .hit_lists import DeviceLists, by_gaussian
 from .runtime import launch, on_stream
 
-SUMS = 8  # outputs beside the extras
+SUMS = 8  # outputs besides the extras
 
 
 @dataclass
 class DeviceTree:
-    """N Gaussians ready to be traced. Those that no ray can meet stay in the tree, where they are not hit.
+    """Warp's bounding volume hierarchy over N Gaussians; those that no ray can hit stay in it and are never hit.
 
     Attributes:
-        record: (N, SURFEL_RECORD) numbers of each disk, see core/kernels/cpu/bvh.py.
+        record: (N, SURFEL_RECORD) record of each surfel, see core/kernels/cpu/bvh.py.
     """
 
     record: torch.Tensor
     _boxes: tuple[torch.Tensor, torch.Tensor]
     _tree: wp.Bvh
-    _stands_for: tuple[Any, ...]
+    _source: tuple[Any, ...]
 
     @classmethod
     def build(cls, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> DeviceTree:
-        """A tree over raw parameters; see `DiskTree.build`."""
+        """Build a tree over raw parameters, see `SurfelTree.build`.
+
+        Args:
+            position: (3, N) centres, world.
+            quaternion: (4, N) w x y z of any length.
+            log_scale: (2, N) logarithms of the two scales.
+            opacity: (N,) logits.
+        """
         n, device = len(opacity), opacity.device
         record, boxes = torch.empty(n, SURFEL_RECORD, device=device), (torch.empty(n, 3, device=device), torch.empty(n, 3, device=device))
         _describe(position, quaternion, log_scale, opacity, record, boxes)
         with on_stream(device):
             arrays = [wp.from_torch(box, wp.vec3) for box in boxes]
-            # The best tree is built by the host, which waits for the boxes; this one is built where they are.
+            # The best tree ("sah") is built on the host, which would wait for the boxes; "lbvh" is built on the device.
             tree = wp.Bvh(*arrays, constructor="lbvh" if device.type == "cuda" else "sah") if n else None
-        return cls(record, boxes, tree, _copies(position, quaternion, log_scale, opacity))
+        return cls(record, boxes, tree, _snapshot(position, quaternion, log_scale, opacity))
 
     @property
     def id(self) -> wp.uint64:
-        """What kernels know it by."""
+        """Identifier of the tree for kernels; 0 for an empty one."""
         return wp.uint64(0) if self._tree is None else self._tree.id
 
     def refit(self, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> None:
-        """Follow parameters that have moved; built anew where there are more of them, or fewer."""
+        """Update the tree for changed parameters; rebuild it where their number changed.
+
+        Args:
+            position: (3, N) centres, world.
+            quaternion: (4, N) w x y z of any length.
+            log_scale: (2, N) logarithms of the two scales.
+            opacity: (N,) logits.
+        """
         if len(opacity) != len(self.record) or self._tree is None:
             self.__dict__.update(DeviceTree.build(position, quaternion, log_scale, opacity).__dict__)
             return
         _describe(position, quaternion, log_scale, opacity, self.record, self._boxes)
         with on_stream(opacity.device):
             self._tree.refit()
-        self._stands_for = _copies(position, quaternion, log_scale, opacity)
+        self._source = _snapshot(position, quaternion, log_scale, opacity)
 
     def matches(self, *parameters: torch.Tensor) -> bool:
-        """Whether the tree stands for exactly these. The host waits where they are other tensors than it was built from."""
-        pairs = list(zip(parameters, self._stands_for, strict=True))
-        return all(_identity(its) == where for its, (_, where, _) in pairs) or all(_same(its, copy) for its, (copy, _, _) in pairs)
+        """Return True where the parameters are bit for bit those of the tree.
+
+        Args:
+            *parameters: position (3, N), quaternion (4, N), log scale (2, N), opacity (N,). The host waits unless they are the very tensors
+                that the tree was built from, unchanged.
+        """
+        pairs = list(zip(parameters, self._source, strict=True))
+        return all(_identity(its) == where for its, (_, where, _) in pairs) or all(_bit_equal(its, copy) for its, (copy, _, _) in pairs)
 
 
 def _identity(tensor: torch.Tensor) -> tuple[int, int, torch.Size]:
+    """Return what identifies a tensor's contents without reading them: address, version and shape."""
     return tensor.data_ptr(), tensor._version, tensor.shape
 
 
-def _same(a: torch.Tensor, b: torch.Tensor) -> bool:
-    """Bit by bit: NaN equals NaN."""
+def _bit_equal(a: torch.Tensor, b: torch.Tensor) -> bool:
+    """Compare two tensors bit by bit: NaN equals NaN."""
     return a.shape == b.shape and torch.equal(a.detach().contiguous().view(torch.int32), b.view(torch.int32))
 
 
-def _copies(*parameters: torch.Tensor) -> tuple[Any, ...]:
-    """What a tree was built from: the values, where they lie, and the tensors themselves, so that nothing else comes to lie there."""
+def _snapshot(*parameters: torch.Tensor) -> tuple[Any, ...]:
+    """Return what a tree was built from: the values, their identity, and the tensors themselves.
+
+    Holding the tensors keeps their memory from being reused, so that an equal address means an equal tensor.
+    """
     return tuple((p.detach().clone(memory_format=torch.contiguous_format), _identity(p), p.detach()) for p in parameters)
 
 
 def _describe(position, quaternion, log_scale, opacity, record, boxes) -> None:
+    """Write records and boxes of the surfels."""
     if len(opacity):
         parameters = [p.detach().contiguous() for p in (position, quaternion, log_scale, opacity)]
         launch(surfels.describe, len(opacity), *parameters, len(opacity), record, *boxes)
 
 
-@dataclass(frozen=True)
-class DeviceLists:
-    """`HitLists` on the device: tensors. of: (H,) int32 whose hit it is. longest: hits of a ray at most."""
-
-    start: torch.Tensor
-    index: torch.Tensor
-    weight: torch.Tensor
-    distance: torch.Tensor
-    left: torch.Tensor
-    of: torch.Tensor
-    longest: int
-
-    @property
-    def rays(self) -> int:
-        """R."""
-        return len(self.start) - 1
-
-    def chosen(self, rays: torch.Tensor) -> DeviceLists:
-        """The lists of some of the rays, ascending."""
-        length = self.start.diff()
-        kept = torch.zeros_like(length, dtype=torch.bool)
-        kept[rays] = True
-        hits, length = kept[self.of.long()], length[rays]
-        start = torch.nn.functional.pad(length.cumsum(0), (1, 0))
-        of = torch.repeat_interleave(torch.arange(len(rays), device=length.device), length).int()
-        return DeviceLists(start, self.index[hits], self.weight[hits], self.distance[hits], self.left[rays], of, self.longest)
-
-    def joined(self, parts: Sequence[Any]) -> DeviceLists:
-        """Several sets of rays, of which this is the first, one after the other."""
-        start, of, hits, rays = [self.start[:1]], [], 0, 0
-        for part in parts:
-            start.append(part.start[1:] + hits)
-            of.append(part.of + rays)
-            hits, rays = hits + len(part.index), rays + part.rays
-        rest = [torch.cat([getattr(part, name) for part in parts]) for name in ("index", "weight", "distance", "left")]
-        return DeviceLists(torch.cat(start), *rest, torch.cat(of), max(part.longest for part in parts))
-
-
-def _see(tree: DeviceTree, origin, direction, sh: torch.Tensor, coefficients: int, extra: torch.Tensor):
-    """Sums (R, 8 + E), hits of each ray, transmittance behind them; rows: sh (N, 3, K), extra (N, E)."""
+def _composite_rays(tree: DeviceTree, origin, direction, sh: torch.Tensor, coefficients: int, extra: torch.Tensor):
+    """Composite rays; return sums (R, 8 + E), number of hits (R,) and transmittance (R,); rows: sh (N, 3, K), extra (N, E)."""
     rays, extras, device = len(origin), extra.shape[1], origin.device
     out, left = torch.zeros(rays, SUMS + extras, device=device), torch.ones(rays, device=device)
     count = torch.zeros(rays, dtype=torch.int64, device=device)
@@ -133,8 +118,8 @@ def _see(tree: DeviceTree, origin, direction, sh: torch.Tensor, coefficients: in
     return out, count, left
 
 
-def _gathered(tree: DeviceTree, origin, direction, count: torch.Tensor, left: torch.Tensor) -> DeviceLists:
-    """The hits that were counted. The host waits for their number."""
+def _collect_hits(tree: DeviceTree, origin, direction, count: torch.Tensor, left: torch.Tensor) -> DeviceLists:
+    """Collect the counted hits of rays. The host waits for their number."""
     device = origin.device
     start = torch.cat([torch.zeros(1, dtype=torch.int64, device=device), torch.cumsum(count, 0)])
     total, longest = (int(x) for x in torch.stack([start[-1], count.max() if len(count) else start[-1]]).cpu().tolist())
@@ -146,15 +131,30 @@ def _gathered(tree: DeviceTree, origin, direction, count: torch.Tensor, left: to
 
 
 def hit_lists(tree: DeviceTree, origin: torch.Tensor, direction: torch.Tensor) -> DeviceLists:
-    """Hits of rays (R, 3), see core/kernels/trace.py."""
+    """List the hits of rays, see core/kernels/trace.py.
+
+    Args:
+        tree: tree over the Gaussians.
+        origin: (R, 3) ray origins, world.
+        direction: (R, 3) unit directions.
+    """
     origin, direction = origin.detach().contiguous(), direction.detach().contiguous()
     nothing = torch.empty(len(tree.record), 0, device=origin.device)
-    _, count, left = _see(tree, origin, direction, nothing, 0, nothing)
-    return _gathered(tree, origin, direction, count, left)
+    _, count, left = _composite_rays(tree, origin, direction, nothing, 0, nothing)
+    return _collect_hits(tree, origin, direction, count, left)
 
 
 def transmittance(tree: DeviceTree, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-    """(R,) share of light that passes, see core/kernels/trace.py."""
+    """Compute the fraction of light that passes along rays, see core/kernels/trace.py.
+
+    Args:
+        tree: tree over the Gaussians.
+        origin: (R, 3) ray origins, world.
+        direction: (R, 3) unit directions.
+
+    Returns:
+        (R,) transmittance.
+    """
     through = torch.ones(len(origin), device=origin.device)
     if len(origin) and len(tree.record):
         rays = (origin.detach().contiguous(), direction.detach().contiguous())
@@ -163,24 +163,48 @@ def transmittance(tree: DeviceTree, origin: torch.Tensor, direction: torch.Tenso
 
 
 def rows_of(sh: torch.Tensor | None, extra: torch.Tensor, coefficients: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Parameters (K, 3, N), (E, N) as rows of Gaussians, (N, 3, K) and (N, E)."""
+    """Lay parameters out as rows of Gaussians.
+
+    Args:
+        sh: (K, 3, N) SH coefficients or None.
+        extra: (E, N) further channels.
+        coefficients: number of SH coefficients in use, K'.
+
+    Returns:
+        (N, 3, K') and (N, E).
+    """
     coloured = extra.new_empty(extra.shape[1], 3, 0) if sh is None else sh.detach()[:coefficients].permute(2, 1, 0).contiguous()
     return coloured, extra.detach().T.contiguous()
 
 
-def by_gaussian(index: torch.Tensor, n: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Hits (H,) sorted by Gaussian, in their order, (H,), and where each one's begin, (N + 1,) int32."""
-    key, order = torch.sort(index, stable=True)
-    return order, torch.searchsorted(key, torch.arange(n + 1, dtype=torch.int32, device=index.device), out_int32=True)
-
-
 class Trace(torch.autograd.Function):
-    """The face is that of the CPU's. Going back, the host waits once for the number of hits; frozen geometry never does."""
+    """Autograd function of core/kernels/trace.py on the GPU.
+
+    In the backward pass the host waits once for the number of hits; `Blend`, over known hits, never does.
+    """
 
     @staticmethod
     def forward(ctx, position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients):
+        """Composite the hits of rays.
+
+        Args:
+            ctx: autograd context.
+            position: (3, N) centres, world.
+            quaternion: (4, N) w x y z.
+            log_scale: (2, N) logarithms of the scales.
+            opacity: (N,) logits.
+            sh: (K, 3, N) SH coefficients or None.
+            extra: (E, N) further channels.
+            origin: (R, 3) ray origins, world.
+            direction: (R, 3) unit directions.
+            tree: tree over these Gaussians.
+            coefficients: number of SH coefficients in use; 0 for none.
+
+        Returns:
+            (R, 8 + E) sums.
+        """
         rays, rows = (origin.detach().contiguous(), direction.detach().contiguous()), rows_of(sh, extra, coefficients)
-        out, count, left = _see(tree, *rays, rows[0], coefficients, rows[1])
+        out, count, left = _composite_rays(tree, *rays, rows[0], coefficients, rows[1])
         ctx.tree, ctx.rays, ctx.rows, ctx.coefficients, ctx.hits = tree, rays, rows, coefficients, (count, left)
         ctx.record, ctx.quaternion = tree.record.clone() if any(ctx.needs_input_grad[:4]) else tree.record, quaternion.detach().contiguous()
         ctx.shapes = [None if p is None else p.shape for p in (position, quaternion, log_scale, opacity, sh, extra, origin, direction)]
@@ -189,9 +213,10 @@ class Trace(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, gradient):
+        """Return the gradients of the inputs from those of the sums, (R, 8 + E)."""
         gradient, device, n = gradient.contiguous(), gradient.device, len(ctx.record)
         gradients = [None if shape is None else torch.zeros(shape, device=device) for shape in ctx.shapes]
-        lists = _gathered(ctx.tree, *ctx.rays, *ctx.hits)
+        lists = _collect_hits(ctx.tree, *ctx.rays, *ctx.hits)
         (sh, extra), k, extras = ctx.rows, ctx.coefficients, ctx.shapes[5][0]
         if len(lists.index):
             order, first = by_gaussian(lists.index, n)
@@ -205,28 +230,53 @@ class Trace(torch.autograd.Function):
             g_sh = torch.empty(0, device=device) if gradients[4] is None else gradients[4]
             rows = (ctx.rays[1], sh, k, extras)
             launch(adjoint.rows_backward, (n, 3 + extras), order, first, lists.of, lists.weight, *rows, gradient, n, g_sh, gradients[5])
-        wanted = zip(ctx.needs_input_grad, gradients, strict=False)
-        return *(g if needed else None for needed, g in wanted), None, None
+        pairs = zip(ctx.needs_input_grad, gradients, strict=False)
+        return *(g if needed else None for needed, g in pairs), None, None
 
 
 class Seen:
-    """See core/kernels/trace.py; nothing here makes the host wait."""
+    """Renderer of constant Gaussians along rays, see core/kernels/trace.py; it never makes the host wait.
+
+    Args:
+        tree: tree over the N Gaussians.
+        sh: (K, 3, N) SH coefficients.
+        extra: (E, N) further channels.
+    """
 
     def __init__(self, tree: DeviceTree, sh: torch.Tensor, extra: torch.Tensor) -> None:
         self._tree, self._coefficients = tree, len(sh)
         self._rows = rows_of(sh, extra, len(sh))
 
     def along(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """(R, 8 + E) sums."""
+        """Composite the Gaussians along rays.
+
+        Args:
+            origin: (R, 3) ray origins, world.
+            direction: (R, 3) unit directions.
+
+        Returns:
+            (R, 8 + E) sums.
+        """
         rays = (origin.detach().contiguous(), direction.detach().contiguous())
-        return _see(self._tree, *rays, self._rows[0], self._coefficients, self._rows[1])[0]
+        return _composite_rays(self._tree, *rays, self._rows[0], self._coefficients, self._rows[1])[0]
 
 
 class Blend(torch.autograd.Function):
-    """Weighted sums of values over known hits."""
+    """Autograd function of `blend` in core/kernels/trace.py on the GPU."""
 
     @staticmethod
     def forward(ctx, values, lists, ray):
+        """Sum values over known hits.
+
+        Args:
+            ctx: autograd context.
+            values: (C, N) channels of the Gaussians.
+            lists: hits of R rays.
+            ray: (B,) int64 indices of rays.
+
+        Returns:
+            (B, C) weighted sums.
+        """
         out = torch.zeros(len(ray), len(values), device=values.device)
         if len(lists.index):
             launch(surfels.blend, out.shape, ray, lists.start, lists.index, lists.weight, values.detach().contiguous(), out)
@@ -235,6 +285,7 @@ class Blend(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, gradient):
+        """Return the gradient (C, N) of the values from that of the sums, (B, C)."""
         lists, ray, (channels, n) = ctx.lists, ctx.ray, ctx.shape
         out = torch.zeros(channels, n, device=gradient.device)
         if len(lists.index) and len(ray):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The GPU's kernels: on a GPU where there is one (`pytest -m cuda`), else on warp's CPU device; and compiled for GPUs in any case."""
+"""Warp kernels against numba kernels: on a GPU where there is one (`pytest -m cuda`), else on Warp's CPU device; and compiled for GPUs."""
 
 import importlib
 import shutil
@@ -27,9 +27,9 @@ DEVICES = ["warp-cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 @pytest.fixture(params=DEVICES)
 def device(request):
     if request.param == "cuda":
-        hindered = obstacle(probe())
-        if hindered is not None:
-            pytest.skip("; ".join(hindered))
+        reason = obstacle(probe())
+        if reason is not None:
+            pytest.skip("; ".join(reason))
     with warp_on_cpu() if request.param == "warp-cpu" else nullcontext():
         yield torch.device("cpu" if request.param == "warp-cpu" else "cuda")
 
@@ -47,48 +47,48 @@ def rays(count, seed):
     return torch.randn(count, 3, generator=g) * 0.6, direction
 
 
-def on(device, tensors, wanted=True):
-    return [t.detach().clone().to(device).requires_grad_(wanted) for t in tensors]
+def on(device, tensors, requires_grad=True):
+    return [t.detach().clone().to(device).requires_grad_(requires_grad) for t in tensors]
 
 
 def gradients(out, weight, values):
     return [g.cpu() for g in torch.autograd.grad((out * weight.to(out.device)).sum(), values)]
 
 
-def agree(a, b, share=2e-3):
-    """Rows (R, C) are the same but for a few that fall to the other side of a threshold, or where two hits are as good as one."""
-    apart = (a - b).abs().amax(1) / b.abs().amax(1).clamp_min(1e-2)
-    assert (apart > 1e-4).float().mean() <= share
-    assert apart.max() < 0.2
-    return apart < 1e-4
+def agree(a, b, fraction=2e-3):
+    """Assert that rows (R, C) are equal but for a few near a threshold or with two hits at one distance; return which are equal."""
+    error = (a - b).abs().amax(1) / b.abs().amax(1).clamp_min(1e-2)
+    assert (error > 1e-4).float().mean() <= fraction
+    assert error.max() < 0.2
+    return error < 1e-4
 
 
 def numba_and(device, function, inputs):
-    """Results and gradients by both, gradients only of rows that agree."""
+    """Compare results of numba and of a device; return the gradients of both, restricted to rows that agree."""
     with warp_on_cpu(False):
-        expected = function(*(here := on("cpu", inputs)))
-    found = function(*(there := on(device, inputs)))
+        expected = function(*(cpu_inputs := on("cpu", inputs)))
+    found = function(*(device_inputs := on(device, inputs)))
     same = agree(found.detach().cpu(), expected.detach())
     weight = torch.randn(expected.shape, generator=torch.Generator().manual_seed(1)) * same[:, None]
     with warp_on_cpu(False):
-        truth = gradients(expected, weight, here)
-    return gradients(found, weight, there), truth
+        expected_gradients = gradients(expected, weight, cpu_inputs)
+    return gradients(found, weight, device_inputs), expected_gradients
 
 
-def test_rasteriser_is_numbas(device):
-    found, truth = numba_and(device, lambda *p: rasterize(*p, CAMERA, 1.0)[0].flatten(1).T, cloud(600, 1))
-    for a, b in zip(found, truth, strict=True):
+def test_rasteriser_matches_numba(device):
+    found, expected = numba_and(device, lambda *p: rasterize(*p, CAMERA, 1.0)[0].flatten(1).T, cloud(600, 1))
+    for a, b in zip(found, expected, strict=True):
         assert (a - b).norm() < 1e-3 * b.norm()
 
 
-def test_tracer_is_numbas(device):
+def test_tracer_matches_numba(device):
     inputs = [*cloud(600, 2), *rays(800, 3)]
-    found, truth = numba_and(device, lambda *v: trace(*v, build_tree(*v[:4])), inputs)
-    for a, b in zip(found, truth, strict=True):
+    found, expected = numba_and(device, lambda *v: trace(*v, build_tree(*v[:4])), inputs)
+    for a, b in zip(found, expected, strict=True):
         assert (a - b).norm() < 1e-3 * b.norm()
 
 
-def test_lists_and_transmittance_are_numbas(device):
+def test_lists_and_transmittance_match_numba(device):
     parameters, lines = cloud(400, 4), rays(500, 5)
     with warp_on_cpu(False):
         tree = build_tree(*parameters[:4])
@@ -96,25 +96,25 @@ def test_lists_and_transmittance_are_numbas(device):
         expected = blend(lists, parameters[5])
     parameters, lines = on(device, parameters, False), on(device, lines, False)
     tree = build_tree(*parameters[:4])
-    mine = hit_lists(tree, *lines)
-    assert (mine.start.diff().cpu() != torch.from_numpy(np.diff(lists.start))).float().mean() < 4e-3
-    agree(blend(mine, parameters[5]).cpu(), expected, 4e-3)
+    found = hit_lists(tree, *lines)
+    assert (found.start.diff().cpu() != torch.from_numpy(np.diff(lists.start))).float().mean() < 4e-3
+    agree(blend(found, parameters[5]).cpu(), expected, 4e-3)
     agree(transmittance(tree, *lines).cpu()[:, None], through[:, None], 4e-3)
 
 
-def test_loss_is_numbas(device):
+def test_loss_matches_numba(device):
     images = [torch.rand(3, 50, 71, generator=torch.Generator().manual_seed(i)) for i in range(2)]
     with warp_on_cpu(False):
         x = images[0].clone().requires_grad_()
         expected = photometric_loss(x, images[1])
-        truth = torch.autograd.grad(expected, x)[0]
+        expected_gradient = torch.autograd.grad(expected, x)[0]
     x = images[0].clone().to(device).requires_grad_()
     loss = photometric_loss(x, images[1].to(device))
     assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
-    assert (torch.autograd.grad(loss, x)[0].cpu() - truth).norm() < 1e-4 * truth.norm()
+    assert (torch.autograd.grad(loss, x)[0].cpu() - expected_gradient).norm() < 1e-4 * expected_gradient.norm()
 
 
-def test_mesh_rays_are_embrees(device):
+def test_mesh_rays_match_embree(device):
     torus = trimesh.creation.torus(1.0, 0.4, 24, 16)
     n = len(torus.vertices)
     arrays = (torus.vertices, torus.vertex_normals, np.zeros((n, 2)))
@@ -145,10 +145,9 @@ MODULES = ("splats", "surfels", "adjoint", "mesh", "photometric", "lobes", "ligh
 
 @pytest.mark.long
 def test_kernels_compile_for_gpus(tmp_path: Path):
-    """By NVIDIA's compiler in warp's wheel, which needs no GPU."""
+    """NVIDIA's compiler in Warp's wheel needs no GPU."""
     import warp as wp
-    from irgspp.core.kernels.warp import bilateral, raster
-    from irgspp.core.kernels.warp import surfels as surfels
+    from irgspp.core.kernels.warp import bilateral, raster, surfels
 
     modules = [importlib.import_module(f"irgspp.core.kernels.warp.{name}") for name in MODULES]
     special = [*raster.kernels(11), surfels.composite(5), bilateral._kernel(4)]
@@ -158,14 +157,14 @@ def test_kernels_compile_for_gpus(tmp_path: Path):
     shutil.rmtree(tmp_path)
 
 
-def test_images_that_lack_splats_are_counted_and_get_room():
+def test_images_that_lack_splats_are_counted_and_the_capacity_grows():
     from irgspp.core.kernels.warp.rasterize import ROOMS, Room
 
     room, before = Room(), incomplete_images()
     ROOMS[0, 0, 0] = room
     try:
         first = room.entries(torch.tensor(100), exact=False)
-        for _ in range(4):  # each number is looked at two calls later
+        for _ in range(4):  # each number is read two calls later
             last = room.entries(torch.tensor(10 * first), exact=False)
         assert room.overflowed == incomplete_images() - before == 1
         assert last >= 10 * first

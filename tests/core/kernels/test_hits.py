@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rays meet, in which order, and sums over it, against what is known exactly."""
+"""Hit lists: which surfels rays hit, in which order, and sums over hits, against exact values."""
 
 import math
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("engine")
 
 @pytest.mark.parametrize("opacity", [0.01, 0.1, 0.5])
 @pytest.mark.parametrize("n", [NEAREST - 1, NEAREST, NEAREST + 1, 2 * NEAREST, 3 * NEAREST + 5])
-def test_stacked_surfels_come_each_once_and_in_order(n, opacity):
+def test_stacked_surfels_are_hit_once_each_and_in_order(n, opacity):
     parameters, order = stack(n, opacity)
     lists = hit_lists(build_tree(*parameters[:4]), *UP)
     seen = min(n, math.ceil(math.log(TRANSMITTANCE_MIN) / math.log(1 - opacity)))
@@ -30,7 +30,7 @@ def test_stacked_surfels_come_each_once_and_in_order(n, opacity):
 
 
 @pytest.mark.parametrize("n", [20, 3 * NEAREST])
-def test_surfels_at_one_distance_come_by_number(n):
+def test_surfels_at_equal_distance_are_ordered_by_index(n):
     parameters, _ = stack(n, 0.02)
     parameters[0][2] = torch.where(torch.arange(n) % 2 == 0, 2.0, 1.0)
     lists = hit_lists(build_tree(*parameters[:4]), *UP)
@@ -39,10 +39,10 @@ def test_surfels_at_one_distance_come_by_number(n):
     assert len(lists.index) == min(n, math.ceil(math.log(TRANSMITTANCE_MIN) / math.log(0.98)))
 
 
-def test_a_tree_as_deep_as_it_gets():
+def test_a_deep_tree():
     n = 90
     parameters, order = stack(n, 0.03)
-    parameters[0][2] = 1.4 ** (order + 1.0)  # each split of the bins takes few away
+    parameters[0][2] = 1.4 ** (order + 1.0)  # each binned split separates only a few
     parameters[2][:] = (0.01 * parameters[0][2]).log()
     tree = build_tree(*parameters[:4])
     assert not isinstance(tree, SurfelTree) or tree.depth > 2  # 90 surfels evenly spread need 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The equations' rows against plain numpy."""
+"""Jacobian of views by the light's texels against plain numpy."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ TEXELS = 24
 
 
 def on_tensors(*arguments):
-    """Called with tensors, as on a device; what is written is written to the arrays."""
+    """Call `jacobian` with tensors that share the memory of the arrays, as on a GPU."""
     convert = lambda a: tuple(map(convert, a)) if isinstance(a, tuple) else torch.from_numpy(a)  # noqa: E731
     return jacobian(*map(convert, arguments)).numpy()
 
@@ -18,18 +18,18 @@ def on_tensors(*arguments):
 @pytest.mark.parametrize("jacobian", [jacobian, on_tensors], ids=["numba", "tensors"])
 def test_rows_and_coupling_are_those_of_plain_sums(jacobian):
     random = np.random.default_rng(0)
-    lengths = np.array([3, 0, 1, 5, 2])  # a point may have no view at all
+    lengths = np.array([3, 0, 1, 5, 2])  # a point may have no view
     start, views = np.concatenate([[0], np.cumsum(lengths)]), lengths.sum()
     point = np.repeat(np.arange(len(lengths)), lengths)
-    root, share, diffuse, metal = random.random((4, views)).astype(np.float32)
-    metal[::2] = 0
+    root_weight, coupling_weight, diffuse, specular = random.random((4, views)).astype(np.float32)
+    specular[::2] = 0
     irradiance = random.random((len(lengths), TEXELS), np.float32)
     scaled, rest = random.random((2, views, TEXELS), np.float32)
     rows = np.full((views, TEXELS), np.nan, np.float32)
-    coupling = jacobian(start, root, share, (diffuse, metal), (irradiance, scaled, rest), rows)
-    plain = diffuse[:, None] * irradiance[point] + metal[:, None] * scaled + rest
-    np.testing.assert_allclose(rows, root[:, None] * plain, rtol=1e-6)
+    coupling = jacobian(start, root_weight, coupling_weight, (diffuse, specular), (irradiance, scaled, rest), rows)
+    plain = diffuse[:, None] * irradiance[point] + specular[:, None] * scaled + rest
+    np.testing.assert_allclose(rows, root_weight[:, None] * plain, rtol=1e-6)
     expected = np.zeros((len(lengths), TEXELS))
-    np.add.at(expected, point, share[:, None] * plain.astype(float))
+    np.add.at(expected, point, coupling_weight[:, None] * plain.astype(float))
     np.testing.assert_allclose(coupling, expected, rtol=1e-6)
     assert (coupling[1] == 0).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The specular lobe against fixed directions, by the BRDF in float64; both kernels must say the same."""
+"""Specular lobe over fixed directions against the BRDF in float64, for both kernels."""
 
 from functools import partial
 
@@ -18,7 +18,7 @@ ALPHAS = np.float32([0.0025, 0.04, 0.2, 0.5, 1.0, 0.09])  # of the points
 
 
 def called(function, *arguments):
-    """With arrays, or as on a device with tensors where warp does the work."""
+    """Call a function with arrays, or with tensors where Warp is in use."""
     if not by_warp(torch.empty(0)):
         return function(*arguments)
     converted = [torch.from_numpy(a) if isinstance(a, np.ndarray) else a for a in arguments]
@@ -35,13 +35,13 @@ def unit(rows):
 
 @pytest.fixture(scope="module")
 def scene():
-    """Views of points in random directions, one of them right along a mirrored direction, half-seen texels, indirect light."""
+    """Views of points in random directions, some exactly along a mirrored direction, partly visible texels, indirect light."""
     random = np.random.default_rng(3)
     normal = unit(random.normal(size=(POINTS, 3)))
     point = np.repeat(np.arange(POINTS), 5)
     view = unit(normal[point] + 0.8 * unit(random.normal(size=(len(point), 3))))
     direction, angle = subdivided_directions(HEIGHT, SIDE, 0)
-    for k in (0, 5, 25):  # the sharpest lobe must be hit, or float32 proves nothing
+    for k in (0, 5, 25):  # the sharpest lobe must be hit, or float32 is not tested
         n, d = normal[point[k]], direction.T[np.argmax(direction.T @ normal[point[k]])]
         view[k] = 2 * (n @ d) * n - d
     visible = random.random((POINTS, len(angle)), np.float32)
@@ -50,7 +50,7 @@ def scene():
 
 
 def reference(point, view, normal, alpha, fixed):
-    """Both parts per direction (K, D), float64, weighted by cosine and solid angle."""
+    """Return both parts per direction (K, D), float64, weighted by cosine and solid angle."""
     direction, angle = (torch.from_numpy(a).double() for a in fixed[:2])
     view, normal, alpha = (torch.from_numpy(a).double() for a in (view, normal[point], alpha))
     n_l, value, power = specular_lobe(view, normal, alpha, direction.T.expand(len(point), -1, -1))
@@ -59,7 +59,7 @@ def reference(point, view, normal, alpha, fixed):
 
 
 def close(actual, expected):
-    """Within what float32 keeps of the largest of a row."""
+    """Assert equality within float32 precision of the largest element."""
     assert np.abs(actual - expected).max() < 2e-5 * np.abs(expected).max()
     assert np.abs(actual - expected).sum() < 2e-6 * np.abs(expected).sum()
 
@@ -71,7 +71,7 @@ def test_rows_are_the_brdf_summed_over_each_texel(scene):
     for row, rest, part in zip((scaled, added), (rest_scaled, rest_added), parts, strict=True):
         close(row, (part * fixed[2][point]).reshape(len(point), SIDE**2, TEXELS).sum(1))
         close(rest, np.einsum("kd,kcd->kc", part, fixed[3][point]))
-    assert scaled.max() > 0.1  # of a mirror's row
+    assert scaled.max() > 0.1  # in the row of a mirror
 
 
 @pytest.mark.parametrize("lit", ["light", "indirect light"])
@@ -106,16 +106,16 @@ def test_a_row_of_light_below_the_horizon_is_empty(scene):
         assert (row[below[point]] == 0).all() and (row >= 0).all()
 
 
-def test_each_view_stands_for_itself(scene):
+def test_views_are_independent(scene):
     point, view, normal, fixed = scene
     whole = lobe_rows(point, view, normal, ALPHAS, fixed, TEXELS)
-    some = np.array([28, 3, 11])
-    for all_of_it, part in zip(whole, lobe_rows(point[some], view[some], normal, ALPHAS, fixed, TEXELS), strict=True):
-        assert np.array_equal(all_of_it[some], part)
+    chosen = np.array([28, 3, 11])
+    for all_of_it, part in zip(whole, lobe_rows(point[chosen], view[chosen], normal, ALPHAS, fixed, TEXELS), strict=True):
+        assert np.array_equal(all_of_it[chosen], part)
     assert lobe_rows(point[:0], view[:0], normal, ALPHAS, fixed, TEXELS)[0].shape == (0, TEXELS)
 
 
-def test_light_that_is_no_whole_vectors_is_refused(scene):
+def test_texels_must_be_a_multiple_of_8(scene):
     point, view, normal, fixed = scene
     with pytest.raises(ValueError, match="multiple of 8"):
         lobe_rows(point, view, normal, ALPHAS, fixed, 50)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rasteriser against brute force in float64."""
+"""Rasteriser against brute force in float64."""
 
 import math
 
@@ -42,7 +42,7 @@ def both(parameters, cam, degree=3):
 def test_forward_matches_reference(n, degree):
     _, _, fast, slow = both(cloud(n, n), camera(), degree)
     error = (fast - slow).abs().amax(0)
-    # A pixel at the edge of a cut-off may fall on either side of it; its jump is at most alpha_min times a channel's range.
+    # A pixel at the edge of a cut-off may fall on either side of it; its error is at most ALPHA_MIN times the range of a channel.
     assert (error > 1e-4).float().mean() < 2e-3
     assert error.max() < 0.05
 
@@ -61,7 +61,7 @@ def test_gradients_match_autograd(seed, degree):
 
 @pytest.fixture
 def poisoned_memory():
-    """Fresh tensors hold NaN, not whatever was there."""
+    """Fill uninitialised tensors with NaN."""
     torch.use_deterministic_algorithms(True)
     yield
     torch.use_deterministic_algorithms(False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ray tracer against brute force in float64, and against what is known exactly."""
+"""Ray tracer against brute force in float64, and against exact values."""
 
 import math
 
@@ -32,13 +32,13 @@ def relative(a, b):
 def test_forward_matches_reference(n, extras, degree, opacity):
     _, _, fast, slow = both(cloud(n, n, extras, opacity=opacity), *rays(600, 1), degree)
     error = relative(fast, slow)
-    # A hit on the edge of its disk, or two at almost the same distance, may fall to either side.
+    # A hit on the edge of a surfel, or two at almost the same distance, may fall on either side.
     assert (error > 1e-4).float().mean() <= 1e-3
     assert error.max() < 0.05
     assert (fast[:, -1] > 0).any()
 
 
-def test_opaque_rays_are_means_and_clear_ones_are_nothing():
+def test_opaque_rays_are_means_and_clear_ones_are_zero():
     parameters = cloud(400, 3, opacity=4.0)
     parameters[5][0] = 0.7
     origin, direction = rays(500, 2)
@@ -59,8 +59,8 @@ def test_gradients_match_autograd(seed, degree, opacity):
     (a * weight * agree).sum().backward()
     (b * weight * agree).sum().backward()
     for name, f, s in zip(NAMES, fast, slow, strict=True):
-        apart = (f.grad - s.grad).norm() / s.grad.norm()
-        assert apart < 1e-4, f"{name}: {apart:.1e}"
+        error = (f.grad - s.grad).norm() / s.grad.norm()
+        assert error < 1e-4, f"{name}: {error:.1e}"
 
 
 def test_gradients_of_opaque_rays_match_autograd():
@@ -71,8 +71,8 @@ def test_gradients_of_opaque_rays_match_autograd():
     (a * weight).sum().backward()
     (b * weight).sum().backward()
     for name, f, s in zip(NAMES, fast, slow, strict=True):
-        apart = (f.grad - s.grad).norm() / s.grad.norm()
-        assert apart < 1e-3, f"{name}: {apart:.1e}"
+        error = (f.grad - s.grad).norm() / s.grad.norm()
+        assert error < 1e-3, f"{name}: {error:.1e}"
 
 
 @pytest.mark.parametrize("which", range(8), ids=NAMES)
@@ -95,15 +95,15 @@ def test_gradients_match_finite_differences(which):
     assert float((value.grad * step).sum()) == pytest.approx(slope, rel=2e-2, abs=2e-2)
 
 
-def test_radiance_gradients_are_the_same_whether_geometry_wants_any():
+def test_radiance_gradients_do_not_depend_on_geometry_gradients():
     parameters, (origin, direction) = cloud(80, 2), rays(200, 6)
     tree = build_tree(*parameters[:4])
     results = []
-    for wanted in (range(4, 6), range(6)):
-        values = [p.clone().requires_grad_(i in wanted) for i, p in enumerate(parameters)]
+    for differentiable in (range(4, 6), range(6)):
+        values = [p.clone().requires_grad_(i in differentiable) for i, p in enumerate(parameters)]
         trace(*values, origin, direction, tree).square().sum().backward()
         results.append([values[4].grad, values[5].grad])
-        assert (values[0].grad is None) == (0 not in wanted)
+        assert (values[0].grad is None) == (0 not in differentiable)
     for a, b in zip(*results, strict=True):
         assert torch.allclose(a, b, rtol=1e-5, atol=1e-6)
 
@@ -129,7 +129,7 @@ def test_without_sh_colour_is_zero_and_the_rest_the_same():
     assert float((extra.grad * parameters[5]).sum()) == pytest.approx(float(bare[:, EXTRA:-2].detach().sum()), rel=1e-4)
 
 
-def test_faint_surfels_in_great_number_are_all_met():
+def test_many_faint_surfels_are_all_hit():
     _, _, fast, slow = both(cloud(3000, 11, size=0.4, opacity=-4.5), *rays(60, 8))
     assert (relative(fast, slow) > 1e-4).float().mean() <= 0.02
     parameters, (origin, direction) = cloud(3000, 11, size=0.4, opacity=-4.5), rays(60, 8)
@@ -174,7 +174,7 @@ def test_refit_equals_rebuild():
     assert torch.equal(trace(*moved, origin, direction, tree), trace(*moved, origin, direction, build_tree(*moved[:4])))
 
 
-def test_a_stale_tree_is_refused():
+def test_a_stale_tree_is_rejected():
     parameters, (origin, direction) = cloud(30, 1), rays(4, 2)
     tree = build_tree(*parameters[:4])
     parameters[3] += 0.1
@@ -204,7 +204,7 @@ def test_no_surfels_or_no_rays(n, count):
     assert blend(hit_lists(tree, origin, direction), parameters[5]).shape == (count, 2)
 
 
-def test_broken_surfels_neither_show_nor_take_a_gradient():
+def test_broken_surfels_are_invisible_and_get_no_gradient():
     parameters, (origin, direction) = cloud(60, 1), rays(300, 2)
     keep = torch.arange(60) >= 6
     expected = trace(*(p[..., keep] for p in parameters), origin, direction, build_tree(*(p[..., keep] for p in parameters[:4])))
@@ -236,7 +236,7 @@ def test_same_input_same_bits(threads, monkeypatch):
     assert all(torch.equal(a, b) for a, b in zip(*runs, strict=True))
 
 
-def test_what_is_seen_does_not_depend_on_threads(monkeypatch):
+def test_results_do_not_depend_on_threads(monkeypatch):
     parameters, (origin, direction) = cloud(300, 7), rays(701, 1)
     seen = []
     for threads in ("1", "3"):
@@ -246,7 +246,7 @@ def test_what_is_seen_does_not_depend_on_threads(monkeypatch):
     assert all(torch.equal(a, b) for a, b in zip(*seen, strict=True))
 
 
-def test_what_is_laid_out_once_is_seen_as_by_trace():
+def test_seen_equals_trace():
     parameters, (origin, direction) = cloud(300, 5), rays(200, 5)
     tree = build_tree(*parameters[:4])
     assert torch.equal(Seen(tree, *parameters[4:]).along(origin, direction), trace(*parameters, origin, direction, tree))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Depth order and tile lists against brute force."""
+"""Order of depth and tile lists against brute force."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tree over surfels: nothing is lost, every box holds what it should."""
+"""Bounding volume hierarchy over surfels: every surfel is kept, every box contains its surfels."""
 
 import math
 
@@ -18,12 +18,12 @@ def surfels(n, seed=0, size=0.1):
 
 
 def boxes(tree):
-    """(nodes, 8, low/high, 3) of all children."""
+    """Return the boxes of all children, (nodes, 8, low/high, 3)."""
     return tree.node.reshape(-1, 2, 3, 8).transpose(0, 3, 1, 2)
 
 
 def rims(parameters):
-    """Points (N, 64, 3) around each disk, where its alpha is ALPHA_MIN, in float64."""
+    """Return points (N, 64, 3) around each surfel, where its alpha is ALPHA_MIN, in float64."""
     position, quaternion, log_scale, opacity = (p.double() for p in parameters)
     radius = torch.sqrt(2 * torch.log(opacity.sigmoid() / ALPHA_MIN))
     axes, scale = rotation_matrix(quaternion), log_scale.exp() * radius
@@ -33,12 +33,12 @@ def rims(parameters):
 
 
 def enclosed(tree, node, rim):
-    """Check every box below `node` against the surfels' rims; returns the Gaussians found there."""
+    """Check every box below `node` against the rims of the surfels; return the Gaussians found there."""
     found = []
     for lane, child in enumerate(tree.child[node]):
         low, high = boxes(tree)[node, lane]
         if child == node:
-            assert (low > high).all()  # a place without a child can't be hit
+            assert (low > high).all()  # a place without a child cannot be hit
             continue
         if child < 0:
             held = tree.index[~child * 8 : ~child * 8 + 8]
@@ -54,7 +54,7 @@ def enclosed(tree, node, rim):
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 9, 64, 65, 1000])
-def test_every_surfel_lies_once_in_boxes_that_hold_it(n):
+def test_boxes_contain_every_surfel_once(n):
     parameters = surfels(n, n)
     parameters[3] = parameters[3].abs()
     tree = SurfelTree.build(*parameters)
@@ -85,23 +85,23 @@ def test_surfels_all_in_one_place_still_split(n):
     assert tree.depth <= 5
 
 
-def spoil(parameters, g, how):
+def spoil(parameters, g, fault):
     position, quaternion, log_scale, opacity = parameters
-    if how == "invisible":
+    if fault == "invisible":
         opacity[g] = -20.0
-    elif how == "a point":
+    elif fault == "a point":
         log_scale[1, g] = -math.inf
-    elif how == "endless":
+    elif fault == "endless":
         log_scale[0, g] = 200.0
     else:
-        {"position": position[1], "quaternion": quaternion[2], "log_scale": log_scale[0], "opacity": opacity}[how][g] = math.nan
+        {"position": position[1], "quaternion": quaternion[2], "log_scale": log_scale[0], "opacity": opacity}[fault][g] = math.nan
 
 
-@pytest.mark.parametrize("how", ["invisible", "a point", "endless", "position", "quaternion", "log_scale", "opacity"])
-def test_what_cannot_be_seen_is_left_out(how):
+@pytest.mark.parametrize("fault", ["invisible", "a point", "endless", "position", "quaternion", "log_scale", "opacity"])
+def test_invisible_surfels_are_left_out(fault):
     parameters = surfels(40)
     parameters[3] = parameters[3].abs()
-    spoil(parameters, 17, how)
+    spoil(parameters, 17, fault)
     tree = SurfelTree.build(*parameters)
     assert sorted(tree.index[tree.index >= 0]) == [i for i in range(40) if i != 17]
     assert np.isfinite(tree.leaf).all()
@@ -116,7 +116,7 @@ def test_opacity_of_exactly_alpha_min_is_left_out():
     assert SurfelTree.build(*parameters).depth == 1
 
 
-def test_refit_holds_what_moved():
+def test_refit_contains_moved_surfels():
     parameters = surfels(300, 1)
     parameters[3] = parameters[3].abs()
     tree = SurfelTree.build(*parameters)
@@ -137,7 +137,7 @@ def test_refit_with_the_same_numbers_changes_nothing():
         assert np.array_equal(getattr(tree, name), getattr(other, name))
 
 
-def test_refit_takes_in_what_has_appeared():
+def test_refit_adds_surfels_that_became_visible():
     parameters = surfels(100)
     parameters[3][:50] = -20.0
     tree = SurfelTree.build(*parameters)
@@ -146,7 +146,7 @@ def test_refit_takes_in_what_has_appeared():
     assert sorted(tree.index[tree.index >= 0]) == list(range(100))
 
 
-def test_refit_empties_what_has_vanished():
+def test_refit_empties_boxes_of_vanished_surfels():
     parameters = surfels(20)
     parameters[3] = parameters[3].abs()
     tree = SurfelTree.build(*parameters)

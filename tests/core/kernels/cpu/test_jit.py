@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where compiled kernels go."""
+"""Cache folder of compiled kernels."""
 
 import os
 import stat
@@ -14,7 +14,7 @@ from irgspp.core.machine import cache_folder
 
 @pytest.fixture
 def temporary(tmp_path, monkeypatch):
-    """A system temporary folder of our own."""
+    """Replace the system's temporary folder by an empty one."""
     folder = tmp_path / "system"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
@@ -22,7 +22,7 @@ def temporary(tmp_path, monkeypatch):
 
 
 def blocked(tmp_path, monkeypatch):
-    """A cache folder that nobody, root included, can write to: it is a file."""
+    """Set a cache folder that nobody, root included, can write to: it is a file."""
     (tmp_path / "blocked").write_text("")
     monkeypatch.setenv("IRGSPP_CACHE", str(tmp_path / "blocked"))
 
@@ -60,7 +60,7 @@ def test_folder_others_can_write_to_is_not_trusted(tmp_path, monkeypatch, tempor
         jit.cache_folder()
 
 
-def test_nowhere_to_write_says_what_to_do(tmp_path, monkeypatch):
+def test_without_a_writable_folder_the_error_names_the_setting(tmp_path, monkeypatch):
     blocked(tmp_path, monkeypatch)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "blocked"))
     with pytest.raises(OSError, match="IRGSPP_CACHE"):
@@ -83,7 +83,7 @@ def test_name_changes_with_the_sources(tmp_path, monkeypatch):
 
 
 def test_processes_that_compile_at_once_keep_their_versions_apart(tmp_path, monkeypatch):
-    """Neither sees what the other notes in the index, yet whichever is noted there last is what the file holds."""
+    """Neither process sees the entries of the other in the index, yet both versions stay intact on disk."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
 
     def twice(x):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The 8-wide vector type against numpy."""
+"""8-wide vector type against numpy."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def pair():
     return a, b
 
 
-def test_arithmetic_is_numpys(pair):
+def test_arithmetic_matches_numpy(pair):
     a, b = pair
     s, out = np.float32(0.7), np.empty(104, np.float32)
     arithmetic(a, b, s, out)
@@ -100,8 +100,8 @@ def test_masks_pack_lane_zero_into_bit_zero(pair):
     a, b = pair
     s, out, codes = np.float32(0.5), np.empty(8, np.float32), np.empty(7, np.int64)
     masks(a, b, s, out, codes)
-    wanted = a < b, a <= b, a > b, a >= b, (a < b) & (a > s), (a < b) | (a > s), a > s
-    assert codes.tolist() == [int((m * 2 ** np.arange(8)).sum()) for m in wanted]
+    expected = a < b, a <= b, a > b, a >= b, (a < b) & (a > s), (a < b) | (a > s), a > s
+    assert codes.tolist() == [int((m * 2 ** np.arange(8)).sum()) for m in expected]
     assert np.array_equal(out, np.where(a < b, a, s))
 
 
