@@ -13,8 +13,8 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-import stress
 from faulting.cases import CASES
+from stresses.runner import examine
 
 GROUPS = ("kill", "disk", "memory", "long_queue", "places", "fuzz")
 
@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the chosen cases and report; returns the exit status."""
     for name in GROUPS:
         importlib.import_module(f"faulting.{name}")
-    return stress.examine(CASES, "faults", "Faults and hostile input", arguments)
+    return examine(CASES, "faults", "Faults and hostile input", arguments)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
 import torch
-from gpu import figures
-from gpu.figures import QUICK, Figure, Size
+from gpu import measurements
+from gpu.measurements import QUICK, Measurement, Size
 from gpu.scene import Work, make_work
 from irgspp.core.errors import IrgsppError
 from irgspp.core.machine.cuda import probe
@@ -31,7 +31,7 @@ TINY = ("data.resolution=64", "first.gaussians=2000", "first.iterations=60", "fi
         "second.pixels=32", "second.samples=16", "second.pool=2000", "second.radiance_iterations=5", "surface.voxels=48",
         "surface.triangles=2000", "surface.texture=128", "materials=low-gloss")  # fmt: skip
 
-Part = tuple[str, Callable[[], Figure | list[Figure]]]
+Part = tuple[str, Callable[[], Measurement | list[Measurement]]]
 
 
 def main() -> int:
@@ -43,13 +43,13 @@ def main() -> int:
         print(f"gpu_check: {error}", file=sys.stderr)
         return 2
     size, device = QUICK if args.quick else Size(), chosen.device
-    table = [Figure("device", _name(device)), Figure("driver, torch, warp", _versions())]
+    table = [Measurement("device", _name(device)), Measurement("driver, torch, warp", _versions())]
     with tempfile.TemporaryDirectory() as scratch, computing_on(chosen):
         parts = _parts(args, make_work(size.gaussians, size.image, size.triangles, device), size, device, Path(scratch))
         failed = _measure(parts, args.only, table)
     _print(table)
     if args.json is not None:
-        args.json.write_text(json.dumps([asdict(figure) for figure in table], indent=1))
+        args.json.write_text(json.dumps([asdict(measurement) for measurement in table], indent=1))
     return int(failed)
 
 
@@ -57,20 +57,20 @@ def _parts(args: argparse.Namespace, work: Work, size: Size, device: torch.devic
     """What is measured, by name and in order."""
     dataset = args.dataset or (DEMO_DATA if args.quick else None)
     name, run = WARP_ON_CPU if args.device == "cpu" else "cuda", args.run or scratch / "run"
-    unasked = Figure("whole job", "not run: give --dataset", "<= 10 min")
+    unasked = Measurement("whole job", "not run: give --dataset", "<= 10 min")
     return [
-        ("correctness", lambda: figures.correctness(device, args.quick)),
-        ("iterations", lambda: figures.steps(work, size, device)),
-        ("relighting", lambda: figures.relighting(work, size, device)),
-        ("job", lambda: unasked if dataset is None else figures.job(dataset, run, name, TINY if args.quick else ())),
-        ("memory of these", lambda: figures.memory(device)),
-        ("bandwidth", lambda: figures.bandwidth(work, size, device)),
-        ("profile", lambda: figures.profile(work, size, device)),
+        ("correctness", lambda: measurements.correctness(device, args.quick)),
+        ("iterations", lambda: measurements.steps(work, size, device)),
+        ("relighting", lambda: measurements.relighting(work, size, device)),
+        ("job", lambda: unasked if dataset is None else measurements.job(dataset, run, name, TINY if args.quick else ())),
+        ("memory of these", lambda: measurements.memory(device)),
+        ("bandwidth", lambda: measurements.bandwidth(work, size, device)),
+        ("profile", lambda: measurements.profile(work, size, device)),
     ]
 
 
-def _measure(parts: list[Part], only: list[str], table: list[Figure]) -> bool:
-    """Add every figure to the table; what fails is told there, and the others are measured all the same."""
+def _measure(parts: list[Part], only: list[str], table: list[Measurement]) -> bool:
+    """Add every measurement to the table; what fails is told there, and the others are measured all the same."""
     failed = False
     for name, measure in parts:
         if only and not any(word in name for word in only):
@@ -79,10 +79,10 @@ def _measure(parts: list[Part], only: list[str], table: list[Figure]) -> bool:
         began = time.monotonic()
         try:
             found = measure()
-        except Exception as error:  # a figure less is better than no table
-            failed, found = True, Figure(name, f"FAILED: {type(error).__name__}: {' '.join(str(error).split())[:200]}")
+        except Exception as error:  # a measurement less is better than no table
+            failed, found = True, Measurement(name, f"FAILED: {type(error).__name__}: {' '.join(str(error).split())[:200]}")
         table += found if isinstance(found, list) else [found]
-        failed |= any("FAILED" in figure.measured for figure in table)
+        failed |= any("FAILED" in measurement.measured for measurement in table)
         print(f"gpu_check: {name} took {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
     return failed
 
@@ -113,8 +113,8 @@ def _versions() -> str:
     return f"{driver}; {torch.__version__} (CUDA {found.torch_cuda}); {warp.config.version}"
 
 
-def _print(table: list[Figure]) -> None:
-    rows = [Figure("figure", "measured", "target"), *table]
+def _print(table: list[Measurement]) -> None:
+    rows = [Measurement("measurement", "measured", "target"), *table]
     wide = [max(len(getattr(row, name)) for row in rows) for name in ("name", "measured")]
     for row in rows:
         print(f"{row.name:{wide[0]}}  {row.measured:{wide[1]}}  {row.target}".rstrip())

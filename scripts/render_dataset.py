@@ -100,7 +100,7 @@ def write_transforms(path: Path, cameras: list[Camera], pattern: str) -> None:
 def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path) -> None:
     folder.mkdir()
     for i, camera in enumerate(cameras):
-        tell(f"training view {i + 1} of {len(cameras)}")
+        log(f"training view {i + 1} of {len(cameras)}")
         cycles_ground_truth.place_camera(scene, camera)
         scene.cycles.seed = i
         save_png(folder / f"r_{i:03d}.png", cycles_ground_truth.render_image(scene)["rgba"])
@@ -111,7 +111,7 @@ def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str,
     for n, (name, world) in enumerate(worlds.items()):
         scene.world = world
         for i, camera in enumerate(cameras):
-            tell(f"test view {i + 1} of {len(cameras)} under {name}")
+            log(f"test view {i + 1} of {len(cameras)} under {name}")
             view = folder / f"r_{i:03d}"
             view.mkdir(parents=True, exist_ok=True)
             cycles_ground_truth.place_camera(scene, camera)
@@ -152,7 +152,7 @@ def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray,
     (args.output / "meta.json").write_text(json.dumps(meta, indent=1))
 
 
-def tell(text: str) -> None:
+def log(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
@@ -183,7 +183,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         render_dataset(arguments(argv))
     except IrgsppError as error:
-        tell(str(error))
+        log(str(error))
         return error.exit_status
     return 0
 

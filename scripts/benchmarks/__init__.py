@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The benchmark's sections, one module each, what they share, and the report."""
+"""Sections of the benchmark, one module each, their shared parts, and the report."""

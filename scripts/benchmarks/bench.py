@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every section works with: the scenes, their reconstructions, and how thorough to be."""
+"""Scenes, reconstructions and options that all sections of the benchmark share."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ from irgspp.core.settings.schema import DataSettings
 from . import runs
 from .runs import Run, RunPlan
 
-WHOLE = 16384  # pixels: test views and their truth are never reduced, whatever a run was made from
+FULL_SIZE = 16384  # pixels: test views and their ground truth are never reduced, at whatever size a run was made
 PRESETS = ("balanced", "draft")
 METAL = 0.5  # mean metallic above which a scene counts as glossy
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A dataset with ground truth, in the format of the benchmark scenes, read when it is first asked for."""
+    """Dataset with ground truth, as scripts/render_dataset.py writes it, read when it is first used."""
 
     name: str
     path: Path
 
     @cached_property
     def data(self) -> Dataset:
-        """Photographs and cameras, in the world that a run of it has."""
-        return load_dataset(self.path, DataSettings(resolution=WHOLE))
+        """Photographs and cameras in the normalised world frame of a run."""
+        return load_dataset(self.path, DataSettings(resolution=FULL_SIZE))
 
     @cached_property
     def truth(self) -> SceneTruth:
-        """Lights by name, surface samples, in that world."""
+        """Light maps by name and surface samples in that frame."""
         return load_scene_truth(self.path, self.data.to_world)
 
     @property
     def views(self) -> list[View]:
-        """The test views."""
+        """Test views; the training views where there are none."""
         return self.data.test or self.data.train
 
     def view_truth(self, view: View) -> Truth:
-        """What is known of one view."""
+        """Return the ground truth of one view."""
         return load_truth(view, self.truth, self.data.to_world)
 
     @property
@@ -64,18 +64,23 @@ class Scene:
 
     @cached_property
     def glossy(self) -> bool:
-        """Whether most of what the first test view shows is metal."""
+        """True where the mean metallic value of the object in the first test view is above METAL."""
         truth = self.view_truth(self.views[0])
         return truth.metallic is not None and bool(truth.object.any()) and float(truth.metallic[truth.object].mean()) > METAL
 
 
 @dataclass
 class Bench:
-    """Options, scenes and reconstructions.
+    """Options, scenes and reconstructions of a benchmark.
 
     Attributes:
-        folder: of results, runs and images. repeats: of timings, whose median counts. budgets: minutes, of section reconstruction.
-        lpips: a TorchScript file of the metric, if any. ticked: called now and then while something takes long.
+        folder: folder of results, runs and images
+        scenes: scenes to measure
+        quick: short schedules and few measurements
+        repeats: repeats of each timing, of which the median counts
+        budgets: time budgets in minutes of the section on reconstruction
+        lpips: TorchScript file of the metric, if any
+        on_tick: called now and then during long work
     """
 
     folder: Path
@@ -84,12 +89,21 @@ class Bench:
     repeats: int = 5
     budgets: tuple[float, ...] = (1, 2, 4)
     lpips: Path | None = None
-    ticked: Callable[[], None] = lambda: None
+    on_tick: Callable[[], None] = lambda: None
     _runs: dict[tuple[str, str], Run] = field(default_factory=dict)
     _failed: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def plan(self, label: str, *options: str, preset: str = "balanced", materials: str = "", time: str = "", seconds: float = 0) -> RunPlan:
-        """How to reconstruct any scene; `quick` shortens all of them alike."""
+        """Return a plan to reconstruct any scene; `quick` shortens all plans alike.
+
+        Args:
+            label: name of the plan, unique among a scene's runs
+            *options: further settings as `KEY=VALUE`
+            preset: preset to start from
+            materials: materials option; "" leaves the choice to the job
+            time: time budget as after `--time`; "" for none
+            seconds: expected seconds on two cores; 0 for the preset's
+        """
         expected = seconds or {"draft": 48.0}.get(preset, 120.0)
         if self.quick:
             options, expected = (*QUICK, *options), 9.0
@@ -97,57 +111,81 @@ class Bench:
 
     @property
     def presets(self) -> tuple[str, ...]:
-        """Those that are compared; with the same short schedules there is no difference."""
+        """Presets that are compared; one alone with `quick`, whose short schedules make all alike."""
         return PRESETS[:1] if self.quick else PRESETS
 
     def balanced(self) -> RunPlan:
-        """The plan that most sections share: default settings."""
+        """Return the plan that most sections share: the preset `balanced` with default settings."""
         return self.plan("balanced")
 
     @property
     def evaluation_seconds(self) -> float:
-        """Expected of `evaluation`."""
+        """Expected seconds of `evaluation`."""
         return 2.0 if self.quick else 12.0
 
     def run_folder(self, scene: Scene, plan: RunPlan) -> Path:
-        """Where the reconstruction is, or will be."""
+        """Return the folder of a reconstruction, made or not.
+
+        Args:
+            scene: scene to reconstruct
+            plan: plan of the reconstruction
+        """
         return self.folder / "runs" / f"{scene.name}-{plan.label}"
 
     def has_run(self, scene: Scene, plan: RunPlan) -> bool:
-        """Whether it is made."""
+        """Return True where a reconstruction is finished.
+
+        Args:
+            scene: scene to reconstruct
+            plan: plan of the reconstruction
+        """
         return runs.finished(plan, scene.path, self.run_folder(scene, plan)) is not None
 
     def run(self, scene: Scene, plan: RunPlan) -> Run:
-        """The reconstruction, made now where it is not there yet. Raises IrgsppError where it can't be made."""
+        """Return a reconstruction, which is made now where it does not exist yet.
+
+        Args:
+            scene: scene to reconstruct
+            plan: plan of the reconstruction
+
+        Raises:
+            IrgsppError: where the reconstruction fails, now or at an earlier call
+        """
         key, path = (scene.name, plan.label), self.run_folder(scene, plan)
-        if key in self._failed:  # once is enough: many tasks need it
+        if key in self._failed:  # many tasks need it: a failed one is not repeated
             raise IrgsppError(self._failed[key])
         if key not in self._runs:
             try:
-                self._runs[key] = runs.finished(plan, scene.path, path) or runs.make(plan, scene.path, path, self.ticked)
+                self._runs[key] = runs.finished(plan, scene.path, path) or runs.make(plan, scene.path, path, self.on_tick)
             except IrgsppError as error:
                 self._failed[key] = str(error)
                 raise
         return self._runs[key]
 
     def evaluation(self, scene: Scene, folder: Path, settings_of: Path | None = None) -> dict[str, Any]:
-        """The report of `irgspp evaluate` on a run against the scene's truth ("figures", "albedo_scale", ...), kept beside the run.
+        """Return the report of `irgspp evaluate` on a run against the scene's ground truth, which is stored in the run.
 
-        `folder` may hold a first stage alone, with `settings_of` the run that it is of.
+        Args:
+            scene: scene of the run
+            folder: run folder, or a folder with the result of a first stage alone
+            settings_of: run folder whose settings count; None: `folder`
+
+        Returns:
+            The report with "figures", "albedo_scale", "views" and so on.
         """
-        kept = folder / "evaluation" / "report.json"
-        made = folder / "reconstruction.json"
-        if not kept.is_file() or kept.stat().st_mtime < made.stat().st_mtime:
-            settings = from_dict(runs.read_run(settings_of or folder)["settings"], made).data
-            evaluate(folder, scene.path, settings=replace(settings, resolution=WHOLE))
-        return json.loads(kept.read_text(encoding="utf-8"))
+        stored = folder / "evaluation" / "report.json"
+        reconstruction = folder / "reconstruction.json"
+        if not stored.is_file() or stored.stat().st_mtime < reconstruction.stat().st_mtime:
+            settings = from_dict(runs.read_run(settings_of or folder)["settings"], reconstruction).data
+            evaluate(folder, scene.path, settings=replace(settings, resolution=FULL_SIZE))
+        return json.loads(stored.read_text(encoding="utf-8"))
 
     def of_kind(self, glossy: bool) -> Scene | None:
-        """The first scene that is glossy, or that is not."""
+        """Return the first scene that is glossy, or the first that is not; None where there is none."""
         return next((scene for scene in self.scenes if scene.glossy == glossy), None)
 
 
-# Schedules of seconds, for 64x64 pixels: whether everything works, and the directions of most things.
+# Schedules of seconds for 64x64 pixels: they show that everything works, and the direction of most differences.
 QUICK = (
     "first.iterations=150",
     "first.gaussians=6000",
@@ -164,26 +202,26 @@ QUICK = (
 
 
 def machine() -> dict[str, Any]:
-    """This machine and the versions of what results depend on."""
+    """Return this machine's CPU and the versions of all software that results depend on."""
     cpu = devices()["cpu"]
     about = {"cpu": _cpu_name() or cpu["name"], "threads": cpu["threads"], "cores": cpu["cores"], "simd": cpu["simd"]}
     return {**about, "versions": {**versions(), "platform": _system(), "engine's source": _source()}}
 
 
 def _system() -> str:
-    """The system and its C library, where that is known, by their versions: the rest of a kernel's release says nothing of results."""
+    """Return the versions of the system and its C library; the rest of a kernel's release does not affect results."""
     release, library = ".".join(platform.release().split(".")[:2]), " ".join(platform.libc_ver()).strip()
     return f"{platform.system()} {release}" + (f", {library}" if library else "")
 
 
 def _source() -> str:
-    """A digest of the engine's code, so that results of two states of it are told apart."""
+    """Return a digest of the engine's code, which distinguishes the results of two versions of it."""
     files = sorted(Path(core.__file__).parent.rglob("*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
 
 
 def _cpu_name() -> str:
-    """As its maker calls it, where the system says."""
+    """Return the CPU's name as its maker gives it, where the system knows it."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         line = next((line for line in info.read_text(errors="replace").splitlines() if line.startswith("model name")), "")

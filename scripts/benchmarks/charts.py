@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Curves as images, in the colours of the report."""
+"""Charts of the benchmark as SVG elements and PNG files, in the colours of the report."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ STYLE: Any = {  # matplotlib's own names
     "svg.fonttype": "path",
     "svg.hashsalt": "irgspp",
 }
-WIDTH, HEIGHT, MOST = 4.3, 3.5, 3  # inches of a panel; panels in a row
-FEW = 9  # numbers that an axis names each
+WIDTH, HEIGHT, MOST = 4.3, 3.5, 3  # inches of a panel; most panels in a row
+FEW = 9  # with at most so many different numbers an axis names each of them
 
 
 def svg(chart: Chart) -> str:
-    """An <svg> element, without what only files need."""
+    """Return a chart as an <svg> element without the header of an SVG file."""
     data = io.StringIO()
     with matplotlib.rc_context(STYLE):
         figure = _draw(chart)
@@ -51,7 +51,12 @@ def svg(chart: Chart) -> str:
 
 
 def png(chart: Chart, path: Path) -> None:
-    """The same as a small image file."""
+    """Write a chart as a small PNG file.
+
+    Args:
+        chart: chart to draw
+        path: file to write
+    """
     with matplotlib.rc_context(STYLE):
         figure = _draw(chart)
         figure.savefig(path, dpi=100)
@@ -59,6 +64,7 @@ def png(chart: Chart, path: Path) -> None:
 
 
 def _draw(chart: Chart) -> Figure:
+    """Draw a chart as panels in rows with one legend below."""
     panels = {title: [s for s in series if len(s.x)] for title, series in chart.panels.items()}
     columns = min(len(panels), MOST)
     rows = -(-len(panels) // columns)
@@ -82,6 +88,7 @@ def _draw(chart: Chart) -> Figure:
 
 
 def _dress(axis, chart: Chart, title: str) -> None:
+    """Label a panel's axes and set their scales."""
     axis.set_title(title)
     axis.set_xlabel(chart.x)
     axis.set_ylabel(chart.y)
@@ -91,13 +98,15 @@ def _dress(axis, chart: Chart, title: str) -> None:
         if log and axis.lines:
             _logarithmic(axis, name)
     numbers = sorted({float(x) for line in axis.lines for x in line.get_xdata()})
-    if chart.log_x and len(numbers) <= FEW and all(x.is_integer() for x in numbers):  # counts that were chosen: name these
+    if (
+        chart.log_x and len(numbers) <= FEW and all(x.is_integer() for x in numbers)
+    ):  # counts chosen for the measurement: label each of them
         axis.xaxis.set_major_locator(FixedLocator(numbers))
         axis.xaxis.set_minor_locator(NullLocator())
 
 
 def _logarithmic(axis, name: str) -> None:
-    """With plain numbers at 1, 2, 5: curves here span one decade or two, where powers of ten alone say little."""
+    """Make an axis logarithmic with labels at 1, 2, 5: curves here span one decade or two, where powers of ten alone say little."""
     getattr(axis, f"set_{name}scale")("log")
     low, high = getattr(axis, f"get_{name}lim")()
     ruler = getattr(axis, f"{name}axis")
@@ -108,7 +117,7 @@ def _logarithmic(axis, name: str) -> None:
 
 
 def plain(value: float) -> str:
-    """A number in few letters: 0.02, 512, 1024, 16.4k, 1.05M."""
+    """Return a number in few letters: 0.02, 512, 1024, 16.4k, 1.05M."""
     if value >= 1e6:
         return f"{value / 1e6:.3g}M"
     return f"{value / 1e3:.3g}k" if value >= 1e4 or (value >= 1e3 and value % 1e3 == 0) else f"{value:g}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Decomposition: albedo, roughness, metallic, light, new views and relit ones, each against the truth."""
+"""Section on decomposition: albedo, roughness, metallic, light, new views and relit views, each against the ground truth."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from .store import Results
 NAME = "decomposition"
 TITLE = "Decomposition"
 ABOUT = (
-    "The balanced run against what the scene is made of, means over all test views. Albedo: linear, after one scale per channel, as its "
-    "brightness can't be told from the light's. Light: after such a scale too. NVS: new views under the photographs' light."
+    "The balanced run against the ground truth, means over all test views. Albedo: linear, after one scale per channel, because its "
+    "brightness can't be separated from the light's. Light: after such a scale too. NVS: new views under the photographs' light."
 )
 ONCE = False
 TABLES = {
@@ -53,6 +53,12 @@ SAMPLES = 64
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    """Yield the measurements of a scene: metrics of each preset, and images of one view.
+
+    Args:
+        bench: options, scenes and reconstructions
+        scene: scene to measure
+    """
     assert scene is not None
     for preset in bench.presets:
         plan = bench.plan(preset, preset=preset)
@@ -61,10 +67,11 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
 
 
 def _figures(bench: Bench, scene: Scene, preset: str) -> Measurement:
+    """Measure the evaluation's metrics of a preset's run, and LPIPS where it is available."""
     run = bench.run(scene, bench.plan(preset, preset=preset))
     report = bench.evaluation(scene, run.path)
-    wanted = [name for table in TABLES.values() for name in table]
-    figures = {name: report["figures"][name] for name in wanted if name in report["figures"]}
+    names = [name for table in TABLES.values() for name in table]
+    figures = {name: report["figures"][name] for name in names if name in report["figures"]}
     lpips = find_lpips(bench.lpips)
     if lpips is not None:
         figures |= _lpips(scene, run.path, report["albedo_scale"], lpips)
@@ -72,7 +79,7 @@ def _figures(bench: Bench, scene: Scene, preset: str) -> Measurement:
 
 
 def _lpips(scene: Scene, run: Path, scale: list[float] | None, lpips: Lpips) -> dict[str, float]:
-    """Means over views, and lights where there are several."""
+    """Return LPIPS of new views, relit views and albedo: means over views, and over lights where there are several."""
     plain, lights = _relighter(run), {name: prepare(scene.truth.lights[name]) for name in scene.relights}
     relighter, own = plain.scaled(scale), prepare(plain.reconstruction.environment_map())
     values: dict[str, list[float]] = {"nvs_lpips": [], "relight_lpips": [], "albedo_lpips": []}
@@ -91,11 +98,12 @@ def _lpips(scene: Scene, run: Path, scale: list[float] | None, lpips: Lpips) -> 
 
 
 def _relighter(run: Path) -> Relighter:
+    """Open a run for relighting."""
     return open_relighter(run, Reconstruction.load(run), best_backend(run), RelightSettings(samples=SAMPLES))
 
 
 def _shown(bench: Bench, scene: Scene) -> Measurement:
-    """One view: every layer beside the true one."""
+    """Render every layer of one view next to the true one."""
     run = bench.run(scene, bench.balanced())
     scale = bench.evaluation(scene, run.path)["albedo_scale"]
     plain, view = _relighter(run.path), scene.views[0]
@@ -112,7 +120,7 @@ def _shown(bench: Bench, scene: Scene) -> Measurement:
 
 
 def _layers(prediction: Prediction, truth: Truth, scale: np.ndarray) -> dict[str, np.ndarray]:
-    """True, ours and the difference of each layer whose truth is known; (H, W, 3) encoded."""
+    """Return the true layer, ours and their difference for each layer with ground truth, as (H, W, 3) encoded images."""
     found, alpha = {}, truth.alpha
     for name in ("albedo", "roughness", "metallic"):
         true, ours = getattr(truth, name), prediction.layer(name)
@@ -128,13 +136,15 @@ def _layers(prediction: Prediction, truth: Truth, scale: np.ndarray) -> dict[str
 
 
 def _error(true: np.ndarray, ours: np.ndarray) -> np.ndarray:
+    """Return the largest difference of the channels as a heat map, (H, W, 3)."""
     return visualisation.heat(np.abs(true - ours).max(-1), 0.2)[..., :3]
 
 
-# --- what is shown
+# --- report
 
 
 def blocks(results: Results) -> Iterator[Block]:
+    """Yield the tables of metrics and the images of the report."""
     for title, columns in TABLES.items():
         found = [r for r in results.records() if r.configuration in PRESETS]
         known = [name for name in columns if any(name in r.figures for r in found)]
@@ -143,7 +153,7 @@ def blocks(results: Results) -> Iterator[Block]:
             yield Table(title, ["", *(columns[name] for name in known)], rows)
     if not any(r.figures.get("lpips_by") for r in results.records()):
         yield Note(NO_LPIPS)
-    yield Note("The paper's protocol for relit images is the same; its scenes are others, so that figures can't be compared across.")
+    yield Note("The paper uses the same protocol for relit images on other scenes, so its metrics can't be compared with these.")
     for record in results.records(prefix="pictures"):
         files = list(record.images.items())
         yield Images(record.scene, [files[i : i + 6] for i in range(0, len(files), 6)])

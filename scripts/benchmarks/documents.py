@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The repository's own pages of figures, written from a benchmark's results."""
+"""Writer of docs/benchmark.md and of the tables in docs/skipping.md from a benchmark's results."""
 
 from __future__ import annotations
 
@@ -11,24 +11,30 @@ from irgspp.core.run_folder import write_atomic
 
 from . import charts, summary
 from .page import about, engines
-from .section import Block, Chart, Images, Note, Table, shown
+from .section import Block, Chart, Images, Note, Table, formatted
 from .store import Results, Store
 
 BEGIN, END = "<!-- written by scripts/benchmark.py --write-docs -->", "<!-- end of what is written -->"
 HEAD = """# Time against error
 
-What IRGS++ costs and how far it is from the truth, on rendered scenes whose truth is known. This page is written by
+Time and error of IRGS++ on rendered scenes with known ground truth. This page is written by
 
     .venv/bin/python scripts/benchmark.py SCENES -o DIR --write-docs
 
-whose report.html has more plots, and images side by side. Without SCENES it renders small ones of its own; `--quick` shows in a few
-minutes that all of it works.
+whose report.html has more plots, and images side by side. Without SCENES it renders two small ones; `--quick` checks in a few minutes
+that everything works.
 """
 SKIPPING = "# What a scene does not need\n"
 
 
 def write(store: Store, sections: Sequence[ModuleType], folder: Path) -> None:
-    """docs/benchmark.md with its plots, and the tables of docs/skipping.md."""
+    """Write docs/benchmark.md with its plots, and the tables of docs/skipping.md.
+
+    Args:
+        store: records of all measurements
+        sections: modules of the sections, in the order of their chapters
+        folder: folder of the documents
+    """
     parts = []
     for section in sections:
         results = Results(store, section.NAME)
@@ -45,11 +51,13 @@ def write(store: Store, sections: Sequence[ModuleType], folder: Path) -> None:
 
 
 def _failed(store: Store) -> list[str]:
+    """Return the list of failed measurements, as a chapter or nothing."""
     lines = [f"- {' '.join(record.key)}: {record.error}" for record in store.records.values() if record.status == "failed"]
     return ["## What failed\n\n" + "\n".join(lines)] if lines else []
 
 
 def _block(block: Block, folder: Path) -> str:
+    """Return a block as Markdown; "" for what only the report shows."""
     if isinstance(block, Note):
         return block.text
     if isinstance(block, Table):
@@ -61,13 +69,14 @@ def _block(block: Block, folder: Path) -> str:
 
 
 def _table(table: Table) -> str:
-    rows = [[str(name) for name in table.columns], *([shown(value) for value in row] for row in table.rows)]
+    """Return a table as Markdown."""
+    rows = [[str(name) for name in table.columns], *([formatted(value) for value in row] for row in table.rows)]
     rule = ["---", *("---:" for _ in table.columns[1:])]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in [rows[0], rule, *rows[1:]])
 
 
 def _between(path: Path, text: str) -> None:
-    """Put a text between the marks of a page, at its end where there are none."""
+    """Replace the text between the two marks of a page; append the marks and the text where there are none."""
     page = path.read_text(encoding="utf-8") if path.is_file() else SKIPPING
     if BEGIN not in page:
         page = f"{page.rstrip()}\n\n{BEGIN}\n{END}\n"

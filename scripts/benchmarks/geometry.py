@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Geometry: how far the normals of the Gaussians, of the mesh, and of what is shaded are from the true ones."""
+"""Section on geometry: angles between true normals and those of the Gaussians, of the mesh, and of relighting."""
 
 from __future__ import annotations
 
@@ -22,21 +22,28 @@ from .store import Results
 NAME = "geometry"
 TITLE = "Geometry"
 ABOUT = (
-    "Mean angle between estimated and true normals over the object's pixels of all test views, in degrees. What is shaded when relighting "
-    "lies between Gaussians and mesh. Distances are point to plane, in scene units."
+    "Mean angle between estimated and true normals over the object's pixels of all test views, in degrees. Relighting shades with normals "
+    "between those of Gaussians and mesh. Distances are point to plane, in scene units."
 )
 ONCE = False
 PAPER = {"Gaussians": 3.980, "mesh": 4.260}  # IRGS++ on TensoIR's scenes
-LIMIT = 20.0  # degrees, of the images of errors
+LIMIT = 20.0  # degrees at the end of the error images' colour scale
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    """Yield the measurement of a scene's normals, where their ground truth is known.
+
+    Args:
+        bench: options, scenes and reconstructions
+        scene: scene to measure
+    """
     assert scene is not None
     if scene.view_truth(scene.views[0]).normal is not None:
         yield Task("normals", partial(_normals, bench, scene), bench.evaluation_seconds, [bench.balanced()])
 
 
 def _normals(bench: Bench, scene: Scene) -> Measurement:
+    """Measure the normals' mean angular errors and the mesh's distances on the balanced run."""
     run = bench.run(scene, bench.balanced())
     reconstruction, mesh = Reconstruction.load(run.path), load_mesh_ply(run.path / "mesh.ply")
     query = MeshQuery(mesh, reconstruction.bound.radius)
@@ -55,13 +62,21 @@ def _normals(bench: Bench, scene: Scene) -> Measurement:
         if number == 0:
             shown = _images(truth.normal, of_mesh, angle * truth.object, truth.object)
     figures = bench.evaluation(scene, run.path)["figures"]
-    wanted = ("mesh_chamfer", "mesh_accuracy", "mesh_completeness", "mesh_stray", "mesh_triangles")
+    names = ("mesh_chamfer", "mesh_accuracy", "mesh_completeness", "mesh_stray", "mesh_triangles")
     angles = {"gaussian_degrees": figures["normal_mae"], "mesh_degrees": float(np.mean(bare)), "shaded_degrees": float(np.mean(shaded))}
-    return Measurement(angles | {n: figures[n] for n in wanted if n in figures}, {"views": len(bare)}, shown)
+    return Measurement(angles | {n: figures[n] for n in names if n in figures}, {"views": len(bare)}, shown)
 
 
 def mesh_normals(query: MeshQuery, camera) -> np.ndarray:
-    """(H, W, 3) unit normals of the mesh where a camera sees it, 0 elsewhere."""
+    """Return the mesh's unit normals where a camera sees it.
+
+    Args:
+        query: ray tracer of the mesh
+        camera: camera of H x W pixels
+
+    Returns:
+        (H, W, 3) float32, 0 where no surface is hit.
+    """
     direction = torch.nn.functional.normalize(torch.from_numpy(camera.rays().reshape(-1, 3)).float(), dim=1)
     hits = query.hits(torch.from_numpy(camera.centre).float().expand_as(direction), direction)
     normal = np.zeros((len(direction), 3), np.float32)
@@ -70,6 +85,7 @@ def mesh_normals(query: MeshQuery, camera) -> np.ndarray:
 
 
 def _images(true: np.ndarray, ours: np.ndarray, angle: np.ndarray, inside: np.ndarray) -> dict[str, np.ndarray]:
+    """Return encoded images of true normals, the mesh's and their error."""
     alpha = inside.astype(np.float32)
     shown = {
         "true": visualisation.normal(true, alpha),
@@ -80,12 +96,13 @@ def _images(true: np.ndarray, ours: np.ndarray, angle: np.ndarray, inside: np.nd
 
 
 def blocks(results: Results) -> Iterator[Block]:
-    columns = ("scene", "Gaussians ° ↓", "mesh ° ↓", "shaded ° ↓", "Chamfer ↓", "stray share ↓", "triangles")
+    """Yield the table of angles and distances, and the images of normals."""
+    columns = ("scene", "Gaussians ° ↓", "mesh ° ↓", "shaded ° ↓", "Chamfer ↓", "stray fraction ↓", "triangles")
     names = ("gaussian_degrees", "mesh_degrees", "shaded_degrees", "mesh_chamfer", "mesh_stray", "mesh_triangles")
     rows = [[r.scene, *(r.figures.get(name) for name in names)] for r in results.records()]
     if rows:
         yield Table("Normal error and distances", columns, rows)
-        yield Note(f"The paper reports {PAPER['Gaussians']}° (Gaussians) and {PAPER['mesh']}° (mesh) on its own, other scenes.")
+        yield Note(f"The paper reports {PAPER['Gaussians']}° (Gaussians) and {PAPER['mesh']}° (mesh) on other scenes.")
     shown = [[(f"{r.scene}: {name}", file) for name, file in r.images.items()] for r in results.records()]
     if shown:
         yield Images(f"Normals of the mesh; error from 0 (dark) to {LIMIT:.0f}°", shown)

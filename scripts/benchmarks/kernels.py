@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels: rasteriser and ray tracer against other technologies, and how their cost grows."""
+"""Section on kernels: rasteriser and ray tracer against other technologies, and how their cost grows."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from .workloads import OURS, PLAIN, RASTER, TRACE, Rays, Splats, disagreement, m
 NAME = "kernels"
 TITLE = "Kernels"
 ABOUT = (
-    "Disks all over a torus, drawn with 12 channels at 256x256 pixels, and traced by rays from its surface over hemispheres. Milliseconds "
-    "of CPU time, all threads together, medians of runs that take turns; hits, pixels and list entries are counted and do not depend on "
-    "the machine."
+    "Surfels all over a torus, drawn with 12 channels at 256x256 pixels, and traced by rays from its surface over hemispheres. "
+    "Milliseconds of CPU time, all threads together, medians of runs that alternate; hits, pixels and list entries are counted "
+    "and do not depend on the machine."
 )
 ONCE = True
-DISKS, PIXELS, RAYS, CHANNELS = 20_000, 256, 65_536, 4
+SURFELS, PIXELS, RAYS, CHANNELS = 20_000, 256, 65_536, 4
 GAUSSIANS = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000)
 SIDES, RAY_COUNTS, EXTRAS = (64, 128, 256, 512, 1024), (4_096, 16_384, 65_536, 262_144), (0, 4, 8, 16, 32)
 SMALL = (1_000, 48)  # surfels and pixels that torch can do
@@ -36,16 +36,22 @@ CPP, WARP, TORCH = "C++ -O3", "warp, CPU device", "torch"
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    """Yield the measurements of both kernels, and of the rasteriser by other technologies.
+
+    Args:
+        bench: options of the benchmark
+        scene: unused; this section is measured once
+    """
     few = slice(0, 2) if bench.quick else slice(None)
     for count in GAUSSIANS[few]:
         yield Task(f"raster, {count} Gaussians", partial(_raster, bench, count), 2 + count / 30_000)
         yield Task(f"trace, {count} Gaussians", partial(_trace, bench, count), 3 + count / 20_000)
     for side in SIDES[few]:
-        yield Task(f"raster, {side} pixels", partial(_raster, bench, DISKS, side), 1 + side / 100)
+        yield Task(f"raster, {side} pixels", partial(_raster, bench, SURFELS, side), 1 + side / 100)
     for number in RAY_COUNTS[few]:
-        yield Task(f"trace, {number} rays", partial(_trace, bench, DISKS, number), 1 + number / 20_000)
+        yield Task(f"trace, {number} rays", partial(_trace, bench, SURFELS, number), 1 + number / 20_000)
     for extras in EXTRAS[few]:
-        yield Task(f"raster, {extras + 8} channels", partial(_raster, bench, DISKS, PIXELS, extras), 2.0)
+        yield Task(f"raster, {extras + 8} channels", partial(_raster, bench, SURFELS, PIXELS, extras), 2.0)
     for threads in range(1, thread_count() + 1):
         if threads & (threads - 1) == 0 or threads == thread_count():
             yield Task(f"threads, {threads}", partial(_threads, bench, threads), 3.0)
@@ -56,12 +62,14 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
 
 
 def _raster(bench: Bench, count: int, size: int = PIXELS, extras: int = CHANNELS) -> Measurement:
+    """Measure the rasteriser on a torus of `count` surfels."""
     work = project(count, size, extras=extras)
     counted = {"pixels": size * size, "gaussians": count, "channels": extras + 8, "list_entries": len(work.entries)}
     return _compared(bench, work, RASTER, counted)
 
 
 def _trace(bench: Bench, count: int, number: int = RAYS) -> Measurement:
+    """Measure the ray tracer with `number` rays on a torus of `count` surfels."""
     work = scatter(count, number)
     found = _compared(bench, work, TRACE, {"rays": number, "gaussians": count})
     found.counted["hits"] = int(work.count.sum())
@@ -71,7 +79,7 @@ def _trace(bench: Bench, count: int, number: int = RAYS) -> Measurement:
 
 
 def _compared(bench: Bench, work: Splats | Rays, kernels: dict[str, Any], counted: dict[str, int]) -> Measurement:
-    """Ours against plain loops, forward and backward."""
+    """Compare our kernels with plain loops, forward and backward."""
     apart = disagreement(work, kernels)
     found = measure(work, kernels, bench.repeats)
     figures = {f"{part}_ms": value for part, value in found[OURS].items()}
@@ -82,11 +90,11 @@ def _compared(bench: Bench, work: Splats | Rays, kernels: dict[str, Any], counte
 
 
 def _threads(bench: Bench, threads: int) -> Measurement:
-    """Wall clock of both kernels by so many threads."""
+    """Measure the wall clock of both kernels with a number of threads."""
     before = os.environ.get("IRGSPP_THREADS")
     os.environ["IRGSPP_THREADS"] = str(threads)
     try:
-        splats, rays = project(DISKS, 2 * PIXELS), scatter(DISKS, 2 * RAYS)
+        splats, rays = project(SURFELS, 2 * PIXELS), scatter(SURFELS, 2 * RAYS)
         works = {"raster": lambda: splats.forward(RASTER[OURS][0]), "trace": lambda: rays.forward(TRACE[OURS][0])}
         found = medians(works, 2 * bench.repeats)
     finally:
@@ -98,16 +106,18 @@ def _threads(bench: Bench, threads: int) -> Measurement:
 
 
 def _cpp(bench: Bench) -> Measurement:
+    """Compare the rasteriser's forward pass with C++."""
     return _forward(bench, lambda: other_rasters.by_cpp(bench.folder / "build"))
 
 
 def _warp(bench: Bench) -> Measurement:
+    """Compare the rasteriser's forward pass with warp on its CPU device."""
     return _forward(bench, lambda: other_rasters.by_warp(6 + CHANNELS))
 
 
 def _forward(bench: Bench, made: Callable[[], other_rasters.Forward]) -> Measurement:
-    """The rasteriser's forward pass by ours, plain loops and another, in turns."""
-    work, began = project(DISKS, PIXELS), time.perf_counter()
+    """Time the rasteriser's forward pass by our kernel, by plain loops and by another technology, in turns."""
+    work, began = project(SURFELS, PIXELS), time.perf_counter()
     other = made()
     other(work)
     start, theirs = time.perf_counter() - began, work.image.copy()
@@ -116,14 +126,16 @@ def _forward(bench: Bench, made: Callable[[], other_rasters.Forward]) -> Measure
     work.forward(RASTER[OURS][0])
     apart = np.abs(other_rasters.cropped(work, PIXELS) - _as_image(theirs, work)[:-1, :PIXELS, :PIXELS])
     figures = {f"{name}_ms": 1e3 * seconds for name, seconds in found.items()}
-    return Measurement({**figures, "difference": float(np.median(apart)), "first_start_seconds": start}, {"gaussians": DISKS})
+    return Measurement({**figures, "difference": float(np.median(apart)), "first_start_seconds": start}, {"gaussians": SURFELS})
 
 
 def _as_image(flat: np.ndarray, work: Splats) -> np.ndarray:
+    """Return the rasteriser's flat output as (channels, rows, columns)."""
     return flat.reshape(-1, work.plane // work.stride, work.stride)
 
 
 def _torch(bench: Bench) -> Measurement:
+    """Compare the rasteriser's forward pass with torch on a small image."""
     count, size = SMALL
     work, reference = project(count, size), other_rasters.by_torch(count, size)
     theirs = reference().numpy()
@@ -134,10 +146,11 @@ def _torch(bench: Bench) -> Measurement:
     return Measurement({**figures, "difference": float(np.median(apart))}, {"gaussians": count})
 
 
-# --- what is shown
+# --- report
 
 
 def blocks(results: Results) -> Iterator[Block]:
+    """Yield the tables of technologies and sizes, and the chart of growing cost."""
     yield from _technologies(results)
     panels = {}
     for title, operator, unit in (
@@ -158,6 +171,7 @@ def blocks(results: Results) -> Iterator[Block]:
 
 
 def _technologies(results: Results) -> Iterator[Block]:
+    """Yield the table of the rasteriser by other technologies."""
     rows = []
     for label in (CPP, WARP, TORCH):
         record = results.get(EVERYWHERE, f"by {label}")
@@ -170,16 +184,18 @@ def _technologies(results: Results) -> Iterator[Block]:
         columns = ("rasteriser, forward", "CPU ms ↓", "numba, plain loops ↓", "ours ↓", "ours is faster by ↑", "median difference")
         yield Table("The same image by other technologies", columns, rows)
         yield Note(
-            "C++ as one writes it at first, compiled for this CPU; torch compares every pixel with every disk, so that it gets few of both."
+            "C++ without vector types, compiled for this CPU; torch compares every pixel with every surfel, so that it gets few of both."
         )
 
 
 def _curve(found: list[Record], unit: str, name: str, label: str) -> Series:
+    """Return the time of forward and backward pass together as a curve over a count."""
     y = [r.figures[f"{name}forward_ms"] + r.figures[f"{name}backward_ms"] for r in found]
     return Series(label, [r.counted[unit] for r in found], y)
 
 
 def _scaling(results: Results) -> Iterator[Block]:
+    """Yield the table of all sizes, wall clock by threads, and the rate of rays."""
     rows = []
     for record in results.records(EVERYWHERE):
         f, c = record.figures, record.counted

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a process that Mitsuba runs in is asked for."""
+"""Reader of the requests to a process that Mitsuba runs in."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 
-def received(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The request in a folder and its arrays; Mitsuba's variant and threads are set as it says."""
+def read_request(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Read request.json and arrays.npz of a folder, and set Mitsuba's variant and number of threads as the request says."""
     request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
     mi.set_variant(request["variant"])
     dr.set_thread_count(request["threads"])

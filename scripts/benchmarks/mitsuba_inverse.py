@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mitsuba's inverse rendering, in a process of its own: `python -m benchmarks.mitsuba_inverse FOLDER`; see peer_inverse.py.
+"""Mitsuba's inverse rendering in a process of its own: `python -m benchmarks.mitsuba_inverse FOLDER`; see peer_inverse.py.
 
-Adam through path replay (`prb`) on the vertices' albedo, roughness and metallic and on the logarithm of the light map, from random pixels
-of all photographs at once. FOLDER/arrays.npz has the mesh, and of each pixel that shows the object alone its view, corner, colour and
-whether it is saturated. FOLDER/answer.json says how many iterations and seconds each state took, FOLDER/<name>_<number>.npy are the states.
+Adam through path replay (`prb`) optimises albedo, roughness and metallic of the vertices and the logarithm of the light map, from random
+pixels of all photographs at once. FOLDER/arrays.npz has the mesh, and of each pixel that shows the object alone its view, corner, colour
+and whether it is saturated. FOLDER/answer.json gets iterations and seconds of each state, FOLDER/<name>_<number>.npy are the states.
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
@@ -22,25 +22,25 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .mitsuba_child import received
+from .mitsuba_child import read_request
 
-CORNER = 1e-2  # of the loss: encoded; below it errors count squared
-DARKEST = 1e-4  # of a texel, and of what is encoded
-LAST = 0.1  # of the learning rates, in the end
-LEAST = {"vertex_albedo": 0.005, "vertex_roughness": 0.05}
-VALUES = {"vertex_albedo": 3, "vertex_roughness": 1, "vertex_metallic": 1}
+CORNER = 1e-2  # encoded difference below which the loss is quadratic
+DARKEST = 1e-4  # lowest value of a texel, and of radiance before encoding
+LAST = 0.1  # final fraction of the learning rates
+LEAST = {"vertex_albedo": 0.005, "vertex_roughness": 0.05}  # lower bounds
+VALUES = {"vertex_albedo": 3, "vertex_roughness": 1, "vertex_metallic": 1}  # channels of the vertices' attributes
 
 
 def main(folder: Path) -> None:
-    """Answer the request."""
-    request, arrays = received(folder)
+    """Answer the request in a folder."""
+    request, arrays = read_request(folder)
     Descent(arrays, request).step(0.0)  # compiles
     states = Descent(arrays, request).run(folder)
     (folder / "answer.json").write_text(json.dumps({"states": states}), encoding="utf-8")
 
 
 class Descent:
-    """The scene, its parameters, and gradient descent on them."""
+    """Gradient descent on the materials and the light of a scene."""
 
     def __init__(self, arrays: dict[str, np.ndarray], request: dict[str, Any]) -> None:
         from . import mitsuba_pixels, mitsuba_scene
@@ -58,10 +58,17 @@ class Descent:
             self.adam[name] = mi.Float(self.parameters[f"object.{name}"])
         self.adam["light"] = dr.log(dr.maximum(mi.TensorXf(arrays["light"]), DARKEST))
         self.columns = _seam(arrays["light"].shape)
-        self._show()
+        self._update_scene()
 
     def run(self, folder: Path) -> list[dict[str, float]]:
-        """Until the last of the budgets in seconds is spent; what was reached at each is saved."""
+        """Iterate until the last of the budgets in seconds is spent, and save the state at each.
+
+        Args:
+            folder: folder for the states
+
+        Returns:
+            Budget, seconds, iterations and loss of each state.
+        """
         budgets, states, done, spent = list(self.request["budgets"]), [], 0, 0.0
         while budgets:
             began = time.perf_counter()
@@ -73,29 +80,33 @@ class Descent:
         return states
 
     def step(self, share: float) -> float:
-        """One iteration when so much of the time is over; its loss."""
+        """Do one iteration and return its loss.
+
+        Args:
+            share: fraction of the time that is spent, which lowers the learning rates
+        """
         rates = {name: rate * LAST**share for name, rate in self.request["rates"].items()}
         self.adam.set_learning_rate(rates)
         chosen = self.random.integers(len(self.colour), size=self.request["pixels"], dtype=np.uint32)
-        self.sensor.look(chosen)
+        self.sensor.choose(chosen)
         seed = int(self.random.integers(1 << 30))
         image = mi.render(self.scene, self.parameters, sensor=self.sensor, spp=self.request["samples"], seed=seed)
         loss = self._photometric(image, chosen) + self.request["light_smoothness"] * _variation(self.adam["light"])
         dr.backward(loss)
         self.adam.step()
-        self._show()
+        self._update_scene()
         return float(loss.array[0])
 
     def _photometric(self, image: mi.TensorXf, chosen: np.ndarray) -> mi.TensorXf:
-        """As in our second stage: encoded differences, and what exceeds a saturated pixel is none."""
+        """Return the loss of our second stage: encoded differences, of which those above a saturated pixel are 0."""
         target = mi.Float(np.ascontiguousarray(self.colour[chosen].ravel()))
         saturated = mi.Bool(np.ascontiguousarray(self.saturated[chosen].ravel()))
         difference = _encoded(image.array) - target
         difference = dr.select(saturated & (difference > 0), 0, difference)
         return mi.TensorXf(dr.mean(dr.sqrt(dr.square(difference) + CORNER**2)))
 
-    def _show(self) -> None:
-        """The parameters in the scene, clipped to what they can be."""
+    def _update_scene(self) -> None:
+        """Write the parameters into the scene, clipped to their ranges."""
         for name in VALUES:
             self.adam[name] = dr.clip(self.adam[name], LEAST.get(name, 0.0), 1.0)
             self.parameters[f"object.{name}"] = self.adam[name]
@@ -105,25 +116,26 @@ class Descent:
         self.parameters.update()
 
     def _save(self, folder: Path, number: int) -> None:
+        """Write the current materials and light as NPY files."""
         for name, size in VALUES.items():
             np.save(folder / f"{name}_{number}.npy", np.array(self.adam[name]).reshape(-1, size).squeeze())
         np.save(folder / f"light_{number}.npy", np.exp(np.array(self.adam["light"])))
 
 
 def _encoded(linear: mi.Float) -> mi.Float:
-    """sRGB, without an end of its slope at 0 or a limit at 1."""
+    """Return sRGB-encoded values with a finite slope at 0 and no limit at 1."""
     safe = dr.maximum(linear, DARKEST)
     return dr.select(safe <= 0.0031308, 12.92 * safe, 1.055 * dr.power(safe, 1 / 2.4) - 0.055)
 
 
 def _variation(light: mi.TensorXf) -> mi.TensorXf:
-    """Mean squared difference of neighbours of a log light map (H, W, 3), wrapped in the row."""
+    """Return the mean squared difference of neighbours of a log light map (H, W, 3), wrapped in the row."""
     inner, seam, down = light[:, 1:] - light[:, :-1], light[:, :1] - light[:, -1:], light[1:] - light[:-1]
     return dr.mean(dr.square(inner)) + dr.mean(dr.square(seam)) / light.shape[1] + dr.mean(dr.square(down))
 
 
 def _seam(shape: tuple[int, ...]) -> mi.UInt32:
-    """Where the values of a map are whose first column stands at its end again, as Mitsuba keeps it."""
+    """Return indices that repeat the first column of a map at its end, as Mitsuba stores it."""
     index = np.arange(np.prod(shape), dtype=np.uint32).reshape(shape)
     return mi.UInt32(np.concatenate([index, index[:, :1]], 1).ravel())
 

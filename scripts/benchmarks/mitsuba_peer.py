@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mitsuba 3 asked for images from outside: it runs in a process of its own, as its compiler and ours share no process well."""
+"""Client of Mitsuba 3, which runs in a process of its own because its compiler and ours share no process well."""
 
 from __future__ import annotations
 
@@ -24,18 +24,26 @@ from irgspp.core.scene.mesh_ply import load_mesh_ply
 from irgspp.core.scene.textures import load_textures
 from irgspp.core.shading.specular_albedo import TABLE, diffuse_fraction
 
-VARIANTS = ("llvm_ad_rgb", "scalar_rgb")  # the first that works; the second knows neither our BRDF nor gradients
+VARIANTS = ("llvm_ad_rgb", "scalar_rgb")  # the first that works is used; the second has neither our BRDF nor gradients
 BOUNCES = 12  # as Cycles
 PROBE = "import mitsuba as mi; mi.set_variant('{}'); mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy(); print(mi.__version__)"
 
 
 class Crashed(IrgsppError):
-    """A signal ended the process that Mitsuba ran in."""
+    """Error: a signal ended the process that Mitsuba ran in."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """An image, (H, W, 4) linear premultiplied, of so many samples, and the seconds it took with the scene loaded; CPU: of all threads."""
+    """Image of a renderer and the time it took with the scene loaded.
+
+    Attributes:
+        samples: samples per pixel
+        seconds: wall clock
+        cpu_seconds: CPU time of all threads
+        rgba: (H, W, 4) linear premultiplied
+        denoised: True where it is denoised
+    """
 
     samples: int
     seconds: float
@@ -46,7 +54,13 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Shots:
-    """Of one view under one light: a frame for each number of samples, the converged image (H, W, 4) or None, and layers by name."""
+    """Images of one view under one light.
+
+    Attributes:
+        frames: a frame for each number of samples
+        converged: (H, W, 4) linear premultiplied, or None
+        layers: material layers by name, (H, W, 3) or (H, W)
+    """
 
     frames: list[Frame]
     converged: np.ndarray | None
@@ -54,7 +68,7 @@ class Shots:
 
 
 def missing() -> str:
-    """Why Mitsuba can't be used; "" where it can."""
+    """Return the reason why Mitsuba can't be used; "" where it can."""
     if importlib.util.find_spec("mitsuba") is None:
         return "Mitsuba is not installed (the extra `peers`)"
     try:
@@ -66,38 +80,42 @@ def missing() -> str:
 
 @cache
 def variant() -> tuple[str, str]:
-    """The variant that works here, and Mitsuba's version. Raises IrgsppError where none does."""
-    said = ""
+    """Return the variant that works here, and Mitsuba's version.
+
+    Raises:
+        IrgsppError: where no variant works
+    """
+    last_line = ""
     for name in VARIANTS:
         probe = subprocess.run([sys.executable, "-c", PROBE.format(name)], capture_output=True, text=True, errors="replace")
         if probe.returncode == 0:
             return name, probe.stdout.strip()
-        said = (probe.stderr.strip().splitlines() or [f"status {probe.returncode}"])[-1]
-    raise IrgsppError(f"Mitsuba does not work here: {said}")
+        last_line = (probe.stderr.strip().splitlines() or [f"status {probe.returncode}"])[-1]
+    raise IrgsppError(f"Mitsuba does not work here: {last_line}")
 
 
 def described() -> str:
-    """What runs here, for the report."""
+    """Return version and variant of Mitsuba for the report."""
     name, version = variant()
     return f"{version}, {name}" + ("" if name == VARIANTS[0] else ", which knows no BRDF but its own (principled), and no gradients")
 
 
 def textured(run: Path) -> dict[str, np.ndarray]:
-    """The exported asset of a run: its mesh and textures."""
+    """Return the exported asset of a run: vertices, normals (V, 3), uvs (V, 2), faces (F, 3), and textures as texture_<name>."""
     mesh = load_mesh_ply(run / "mesh.ply")
     textures = {f"texture_{name}": texture for name, texture in load_textures(run / "textures").items()}
     return {"vertices": mesh.vertices, "normals": mesh.normals, "uvs": mesh.uvs, "faces": mesh.faces, **textures}
 
 
 def welded(run: Path) -> dict[str, np.ndarray]:
-    """The mesh of a run with one vertex where it has one for each chart of its UVs."""
+    """Return the mesh of a run with one vertex for all vertices at the same position, which the charts of its UVs had split."""
     mesh = load_mesh_ply(run / "mesh.ply")
     _, first, same = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     return {"vertices": mesh.vertices[first], "normals": mesh.normals[first], "faces": same.reshape(-1)[mesh.faces]}
 
 
 def images(
-    thing: Mapping[str, np.ndarray],
+    asset: Mapping[str, np.ndarray],
     views: Mapping[str, Camera],
     lights: Mapping[str, np.ndarray],
     counts: Sequence[int],
@@ -106,12 +124,20 @@ def images(
     bounces: int = BOUNCES,
     layers: int = 0,
 ) -> dict[tuple[str, str], Shots]:
-    """Every view under every light.
+    """Render every view under every light by Mitsuba.
 
     Args:
-        thing: `textured`, or `welded` with vertex_albedo (V, 3), vertex_roughness, vertex_metallic (V,). lights: (H, W, 3) linear lat-long.
-        counts: samples of the frames. converged: of the converged image, 0 for none. layers: samples of the layers, 0 for none.
-        brdf: "ours", or "principled". bounces: of indirect light.
+        asset: `textured`, or `welded` with vertex_albedo (V, 3), vertex_roughness and vertex_metallic (V,)
+        views: cameras by name
+        lights: linear lat-long maps (H, W, 3) by name
+        counts: samples per pixel of the frames
+        converged: samples per pixel of the converged image; 0 for none
+        brdf: "ours" or "principled"
+        bounces: bounces of indirect light
+        layers: samples per pixel of the material layers; 0 for none
+
+    Returns:
+        Images by (view, light).
     """
     request = {
         "views": {name: {**vars(camera), "to_world": camera.to_world.tolist()} for name, camera in views.items()},
@@ -122,10 +148,11 @@ def images(
         "bounces": bounces,
         "layers": layers,
     }
-    arrays = {**thing, **{f"light_{name}": light for name, light in lights.items()}}
-    answer, found = ask("mitsuba_views", request, arrays)
+    arrays = {**asset, **{f"light_{name}": light for name, light in lights.items()}}
+    answer, found = run_child("mitsuba_views", request, arrays)
 
     def shots(stem: str) -> Shots:
+        """Collect the images of one view and light."""
         times = {n: answer["seconds"][f"{stem}_{n}"] for n in counts}
         frames = [Frame(n, times[n][0], times[n][1], found[f"{stem}_{n}"]) for n in counts]
         return Shots(frames, found.get(f"{stem}_converged"), {name: found[f"{stem}_{name}"] for name in answer["layers"]})
@@ -133,10 +160,20 @@ def images(
     return {(view, light): shots(f"{view}_{light}") for view in views for light in lights}
 
 
-def ask(module: str, request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What a module of this package answers in a process of its own, and the arrays it leaves.
+def run_child(module: str, request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Run a module of this package in a process of its own.
 
-    Raises IrgsppError where it fails, Crashed where its process did.
+    Args:
+        module: name of the module
+        request: content of its request.json, besides variant and threads
+        arrays: content of its arrays.npz
+
+    Returns:
+        Its answer.json, and the arrays it wrote by name.
+
+    Raises:
+        Crashed: where a signal ended the process
+        IrgsppError: where it ended with an error
     """
     with tempfile.TemporaryDirectory(prefix="irgspp-mitsuba-") as name:
         folder = Path(name)
@@ -149,15 +186,15 @@ def ask(module: str, request: Mapping[str, Any], arrays: Mapping[str, np.ndarray
         if child.returncode < 0:
             raise Crashed(f"{module} was ended by signal {-child.returncode}")
         if child.returncode:
-            said = (child.stderr.strip().splitlines() or ["no message"])[-1]
-            raise IrgsppError(f"{module} ended with status {child.returncode}: {said}")
+            last_line = (child.stderr.strip().splitlines() or ["no message"])[-1]
+            raise IrgsppError(f"{module} ended with status {child.returncode}: {last_line}")
         answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
         return answer, {path.stem: np.load(path) for path in folder.glob("*.npy")}
 
 
 @cache
 def _body() -> np.ndarray:
-    """What the specular lobe leaves to the diffuse one, by roughness (rows) and n.v."""
+    """Return the fraction that the specular lobe leaves to the diffuse one, over roughness (rows) and n.v (columns)."""
     grid = torch.linspace(0, 1, TABLE)
     rows, columns = torch.meshgrid(grid, grid, indexing="ij")
     return diffuse_fraction(columns.flatten(), rows.flatten()).view(TABLE, TABLE).numpy()

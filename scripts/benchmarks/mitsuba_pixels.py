@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Mitsuba sensor whose image is made of single pixels of many photographs; imported once a variant is set."""
+"""Mitsuba sensor whose image consists of single pixels of many photographs; imported once a variant is set."""
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
 # (Mitsuba is optional, and its types depend on the variant)
@@ -14,7 +14,7 @@ import numpy as np
 
 
 class PixelSensor(mi.Sensor):
-    """Its film has a pixel for each of those chosen last. See `look`."""
+    """Sensor whose film has one pixel for each pixel chosen last by `choose`."""
 
     def __init__(self, props: mi.Properties) -> None:
         mi.Sensor.__init__(self, props)
@@ -23,14 +23,19 @@ class PixelSensor(mi.Sensor):
 
     @classmethod
     def make(cls, arrays: dict[str, np.ndarray], pixels: int) -> PixelSensor:
-        """For so many pixels at once, a square number, of the pool in the arrays.
+        """Return a sensor for the pixels of a pool.
 
-        Of each pixel: pixel_view (K,), pixel_place (K, 2) column and row. Of each view: view_origin, view_corner, view_right, view_down
-        (N, 3), from which the ray through column x, row y is origin and corner + x right + y down.
+        Args:
+            arrays: of each pixel pixel_view (K,) and pixel_place (K, 2), column and row; of each view view_origin, view_corner, view_right
+                and view_down (N, 3), from which the ray through column x, row y is origin and corner + x right + y down
+            pixels: pixels at once, a square number
+
+        Raises:
+            ValueError: where `pixels` is not a square number
         """
         side = round(pixels**0.5)
         if side * side != pixels:
-            raise ValueError(f"{pixels} is no square number")
+            raise ValueError(f"{pixels} is not a square number")
         film: dict[str, Any] = {"type": "hdrfilm", "width": side, "height": side, "pixel_format": "rgb", "rfilter": {"type": "box"}}
         properties = mi.Properties()
         properties["film"], properties["sampler"] = mi.load_dict(film), mi.load_dict({"type": "multijitter"})
@@ -40,12 +45,27 @@ class PixelSensor(mi.Sensor):
         one.lens = [mi.Vector3f(np.ascontiguousarray(arrays[f"view_{name}"].T)) for name in names]
         return one
 
-    def look(self, chosen: np.ndarray) -> None:
-        """See these pixels of the pool, row by row of the film."""
+    def choose(self, chosen: np.ndarray) -> None:
+        """Choose the pixels of the next image.
+
+        Args:
+            chosen: (N,) indices into the pool, row by row of the film
+        """
         self.chosen = mi.UInt32(chosen)
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
-        """Through any point of one of the pixels."""
+        """Draw a ray through a random point of a chosen pixel (Mitsuba's interface of a sensor).
+
+        Args:
+            time: time of the ray
+            sample1: random number, unused
+            sample2: random point on the film, (2,) in 0..1
+            sample3: random point on the aperture, unused
+            active: mask of the lanes
+
+        Returns:
+            The ray, and its weight 1.
+        """
         on_film = sample2 * self.rows
         corner = dr.floor(on_film)
         slot = mi.UInt32(corner.y) * self.rows + mi.UInt32(corner.x)
@@ -56,9 +76,21 @@ class PixelSensor(mi.Sensor):
         return mi.Ray3f(mi.Point3f(origin), dr.normalize(first + at.x * right + at.y * down), time, []), mi.Color3f(1.0)
 
     def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
-        """The same: nothing here is filtered."""
+        """Draw a ray as `sample_ray` does, without differentials: no texture here is filtered.
+
+        Args:
+            time: time of the ray
+            sample1: random number, unused
+            sample2: random point on the film, (2,) in 0..1
+            sample3: random point on the aperture, unused
+            active: mask of the lanes
+
+        Returns:
+            The ray, and its weight 1.
+        """
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
     def to_string(self) -> str:
+        """Return the plugin's name, as Mitsuba prints it."""
         return "PixelSensor[]"

@@ -1,58 +1,47 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report: one HTML file with every table, plot and image inside."""
+"""HTML report of the benchmark: one file with every table, chart and image inside."""
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Iterator, Sequence
-from html import escape
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from irgspp.core.run_folder import write_atomic
-from PIL import Image
+from reports.pages import Cell, Row, embedded_jpeg, render
 
 from . import charts, summary
-from .section import Block, Chart, Note, Table, shown
+from .section import Block, Chart, Note, Table, formatted
 from .store import Results, Store
 
-LONGEST = 1600  # pixels of an image that is shown
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 1380px; padding: 1.5rem; background: #18191c; color: #e2e2de }
-h1 { font-size: 1.7rem; margin: 0 0 .3rem }
-h2 { font-size: 1.3rem; margin: 3rem 0 .2rem; border-top: 1px solid #3a3c42; padding-top: 1.2rem }
-h3 { font-size: 1rem; margin: 1.6rem 0 .4rem } p { color: #b4b4ae; max-width: 62rem; margin: .4rem 0 } a { color: #f2a33a }
-nav { margin: 1rem 0 } nav a { margin-right: 1.1rem; text-decoration: none }
-table { border-collapse: collapse; font-size: .92rem } th { color: #a9a9a4; font-weight: 500; text-align: right; vertical-align: bottom }
-td, th { padding: .22rem .8rem .22rem 0; border-bottom: 1px solid #2c2e33 } td { font-variant-numeric: tabular-nums; text-align: right }
-td:first-child, th:first-child, td.text { text-align: left } tr:hover td { background: #212328 }
-svg { max-width: 100%; height: auto; display: block } .scroll { overflow-x: auto }
-.row { display: flex; flex-wrap: wrap; gap: 8px; margin-bottom: 10px }
-figure { margin: 0; flex: 0 1 calc((100% - 40px) / 6); min-width: 130px }
-figure img { width: 100%; display: block; border-radius: 3px } figcaption { font-size: .8rem; color: #a9a9a4; padding-top: 2px }
-.failed { color: #e8718d }
-"""
+LONGEST = 1600  # pixels of an image's longer side in the report
 
 
 def write(store: Store, sections: Sequence[ModuleType]) -> Path:
-    """Make report.html of the store's folder; returns its path."""
-    parts = [(section, list(section.blocks(results))) for section in sections if (results := Results(store, section.NAME)).scenes]
-    links = "".join(f"<a href='#{section.NAME}'>{escape(section.TITLE)}</a>" for section, _ in parts)
-    short = "".join(_block(store.folder, block) for block in summary.blocks(store))
-    chapters = "".join(_chapter(store, section, blocks) for section, blocks in parts)
-    text = (
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>IRGS++ benchmark</title><style>{STYLE}</style>"
-        f"<h1>IRGS++: time against error</h1>{''.join(f'<p>{escape(line)}</p>' for line in about(store))}"
-        f"<nav>{links}</nav>{short}{_failures(store)}{chapters}</html>\n"
-    )
+    """Write report.html into the store's folder.
+
+    Args:
+        store: Records of all measurements.
+        sections: Modules of the sections, in the order of their chapters; those without records get no chapter.
+
+    Returns:
+        The path of the page.
+    """
+    values = {
+        "title": "IRGS++ benchmark",
+        "about": list(about(store)),
+        "summary": [_part(store.folder, block) for block in summary.blocks(store)],
+        "failures": [f"{' '.join(r.key)}: {r.error}" for r in store.records.values() if r.status == "failed"],
+        "chapters": [_chapter(store, section, results) for section in sections if (results := Results(store, section.NAME)).scenes],
+    }
     path = store.folder / "report.html"
-    write_atomic(path, text.encode())
+    write_atomic(path, render("benchmark", **values).encode())
     return path
 
 
 def about(store: Store) -> Iterator[str]:
-    """On what it was measured, and how seconds are to be read; a line each."""
+    """Yield the lines that say which machines and scenes the results are of, and how to read seconds and arrows."""
     used = [store.environments[name] for name in dict.fromkeys(r.environment for r in store.records.values()) if name in store.environments]
     for machine in used:
         versions = ", ".join(f"{name} {number}" for name, number in machine["versions"].items() if name != "platform")
@@ -64,7 +53,15 @@ def about(store: Store) -> Iterator[str]:
 
 
 def engines(store: Store, section: ModuleType) -> str:
-    """Which states of the engine a section was measured on, where not all were on one; else nothing."""
+    """Return a sentence with the versions of the engine's source that a section was measured on.
+
+    Args:
+        store: Records of all measurements.
+        section: Module of the section.
+
+    Returns:
+        The sentence; "" where all sections were measured on one version.
+    """
     sources: dict[str, set[str]] = {}
     for record in store.records.values():
         machine = store.environments.get(record.environment, {"versions": {}})
@@ -74,47 +71,22 @@ def engines(store: Store, section: ModuleType) -> str:
     return f"Measured on the engine of source {', '.join(sorted(sources[section.NAME]))}."
 
 
-def _chapter(store: Store, section: ModuleType, blocks: Sequence[Block]) -> str:
-    content = "".join(_block(store.folder, block) for block in blocks)
-    about = f"{section.ABOUT} {engines(store, section)}".strip()
-    return f"<h2 id='{section.NAME}'>{escape(section.TITLE)}</h2><p>{escape(about)}</p>{content}"
+def _chapter(store: Store, section: ModuleType, results: Results) -> dict[str, Any]:
+    """Return a section's chapter as the template takes it."""
+    text = f"{section.ABOUT} {engines(store, section)}".strip()
+    parts = [_part(store.folder, block) for block in section.blocks(results)]
+    return {"name": section.NAME, "title": section.TITLE, "about": text, "blocks": parts}
 
 
-def _failures(store: Store) -> str:
-    failed = [record for record in store.records.values() if record.status == "failed"]
-    lines = "".join(f"<p class='failed'>{escape(' '.join(record.key))}: {escape(record.error)}</p>" for record in failed)
-    return f"<h3>What failed</h3>{lines}" if failed else ""
-
-
-def _block(folder: Path, block: Block) -> str:
+def _part(folder: Path, block: Block) -> dict[str, Any]:
+    """Return a block as the template takes it; images whose files are gone are left out."""
     if isinstance(block, Note):
-        return f"<p>{escape(block.text)}</p>"
-    title = f"<h3>{escape(block.title)}</h3>"
+        return {"kind": "note", "title": "", "text": block.text}
     if isinstance(block, Table):
-        return f"{title}<div class='scroll'>{_table(block)}</div>"
+        rows = [Row([Cell(formatted(value), isinstance(value, str)) for value in row]) for row in block.rows]
+        return {"kind": "table", "title": block.title, "columns": block.columns, "rows": rows}
     if isinstance(block, Chart):
-        return f"{title}{charts.svg(block)}"
-    return title + "".join(f"<div class='row'>{''.join(_figure(folder, *one) for one in row)}</div>" for row in block.rows)
-
-
-def _table(table: Table) -> str:
-    head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
-    rows = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in table.rows)
-    return f"<table><tr>{head}</tr>{rows}</table>"
-
-
-def _cell(value: str | float | int | None) -> str:
-    return f"<td class='text'>{escape(value)}</td>" if isinstance(value, str) else f"<td>{shown(value)}</td>"
-
-
-def _figure(folder: Path, caption: str, file: str) -> str:
-    """An image with its bytes inside; without it, where the file is gone."""
-    if not (folder / file).is_file():
-        return ""
-    with Image.open(folder / file) as file:
-        image = file.convert("RGB")
-    image.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
-    data = io.BytesIO()
-    image.save(data, "JPEG", quality=92, subsampling=0)
-    source = base64.b64encode(data.getvalue()).decode()
-    return f"<figure><img alt='{escape(caption)}' src='data:image/jpeg;base64,{source}'><figcaption>{escape(caption)}</figcaption></figure>"
+        return {"kind": "chart", "title": block.title, "svg": charts.svg(block)}
+    files = [[(caption, folder / file) for caption, file in row if (folder / file).is_file()] for row in block.rows]
+    jpegs = [[(caption, embedded_jpeg(file, LONGEST, quality=92, subsampling=0)) for caption, file in row] for row in files]
+    return {"kind": "images", "title": block.title, "rows": jpegs}

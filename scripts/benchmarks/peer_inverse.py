@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mitsuba's inverse rendering of a scene whose shape we give it, beside our second stage at equal time."""
+"""Mitsuba's inverse rendering of a scene with given shape, next to our second stage at equal time."""
 
 from __future__ import annotations
 
@@ -28,23 +28,30 @@ from .store import Results
 
 PREFIX = "inverse: "
 OURS, MITSUBA = "our second stage", "Mitsuba"
-TIMES = (1, 2, 4)  # as long as our second stage
+TIMES = (1, 2, 4)  # multiples of our second stage's time
 FIGURES = ("albedo_psnr", "roughness_mae", "metallic_mae", "environment_psnr", "nvs_psnr", "relight_psnr")
 UNITS = ("albedo dB ↑", "roughness error ↓", "metallic error ↓", "light dB ↑", "NVS dB ↑", "relit dB ↑")
-SHADED = 4  # test views that are shaded
+SHADED = 4  # test views that are rendered with light
 LAYER_SAMPLES, SHADED_SAMPLES = 16, 64
-PIXELS, SAMPLES, BOUNCES = 1024, 16, 1  # of an iteration; bounces of indirect light as our second stage has
+PIXELS, SAMPLES, BOUNCES = 1024, 16, 1  # of an iteration; as many bounces of indirect light as our second stage
 ROWS = 32  # of the light map
 RATES = {"vertex_albedo": 0.03, "vertex_roughness": 0.01, "vertex_metallic": 0.01, "light": 0.1}
-ROUGHNESS = 0.5  # of the start
+ROUGHNESS = 0.5  # initial value
 SEEDS = (0, 1, 2)
-NAMES = ("origin", "corner", "right", "down")  # of a view's rays
-SURE, SATURATED = 0.99, 254.5 / 255
+NAMES = ("origin", "corner", "right", "down")  # vectors of a view's rays
+OPAQUE, SATURATED = 0.99, 254.5 / 255  # alpha above the first: the object alone; colour from the second on: saturated
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What was reached after so many seconds: materials of the vertices, light (H, W, 3) in Mitsuba's frame of nodes."""
+    """Materials and light after some time of optimisation.
+
+    Attributes:
+        seconds: seconds spent, without compiling
+        iterations: iterations done
+        materials: vertex_albedo (V, 3), vertex_roughness and vertex_metallic (V,)
+        light: (H, W, 3) linear lat-long map
+    """
 
     seconds: float
     iterations: int
@@ -53,7 +60,18 @@ class State:
 
 
 def optimise(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[float], **changes) -> list[State]:
-    """States after each of the budgets in seconds. metal: what the first stage takes the object for, where it starts."""
+    """Optimise materials and light of a run's mesh by Mitsuba.
+
+    Args:
+        run: run folder with the mesh
+        views: training views
+        metal: initial metallic value: whether the first stage takes the object for metal
+        budgets: seconds, in rising order
+        **changes: values of the request that replace the defaults
+
+    Returns:
+        The states after each of the budgets.
+    """
     asset = mitsuba_peer.welded(run)
     count = len(asset["vertices"])
     pixels = pool(views)
@@ -70,9 +88,9 @@ def optimise(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[fl
 
 
 def _run_with_seeds(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The answer with the first of SEEDS that it comes to; raises Crashed where none does.
+    """Return the answer with the first of SEEDS that does not crash; raise Crashed where all do.
 
-    Mitsuba crashes now and then after some hundred updates of a scene (its issues 642 and 662); other pixels, and it goes on.
+    Mitsuba crashes now and then after some hundred updates of a scene (its issues 642 and 662); with other random pixels it continues.
     """
     for seed in SEEDS[:-1]:
         with contextlib.suppress(mitsuba_peer.Crashed):
@@ -81,24 +99,39 @@ def _run_with_seeds(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> t
 
 
 def _state(number: int, about: dict[str, float], found: dict[str, np.ndarray]) -> State:
+    """Return a saved state."""
     materials = {name: found[f"{name}_{number}"] for name in ("vertex_albedo", "vertex_roughness", "vertex_metallic")}
     return State(about["seconds"], int(about["iterations"]), materials, centred(found[f"light_{number}"]))
 
 
 def centred(light: np.ndarray) -> np.ndarray:
-    """A map (H, W, 3) whose first and last rows are at the poles, as ours (H, W, 3)."""
+    """Resample a light map whose first and last rows are at the poles to our layout, whose rows are half a texel away from them.
+
+    Args:
+        light: (H, W, 3)
+
+    Returns:
+        (H, W, 3).
+    """
     height = len(light)
     at = (np.arange(height) + 0.5) / height * (height - 1)
     low = np.minimum(at.astype(int), height - 2)
-    share = (at - low)[:, None, None].astype(np.float32)
-    return (1 - share) * light[low] + share * light[low + 1]
+    fraction = (at - low)[:, None, None].astype(np.float32)
+    return (1 - fraction) * light[low] + fraction * light[low + 1]
 
 
 def pool(views: Sequence[View]) -> dict[str, np.ndarray]:
-    """All pixels that show the object alone, encoded, and the cameras' rays; see `mitsuba_pixels.PixelSensor`."""
+    """Return all pixels that show the object alone, and the rays of their cameras; see `mitsuba_pixels.PixelSensor`.
+
+    Args:
+        views: training views
+
+    Returns:
+        pixel_view (K,), pixel_place (K, 2), pixel_colour (K, 3) sRGB-encoded, pixel_saturated (K, 3) bool, and view_<vector> (N, 3).
+    """
     number, place, colour, lens = [], [], [], []
     for i, view in enumerate(views):
-        inside = np.ones(view.colour.shape[:2], bool) if view.alpha is None else view.alpha > SURE
+        inside = np.ones(view.colour.shape[:2], bool) if view.alpha is None else view.alpha > OPAQUE
         row, column = np.nonzero(inside)
         number.append(np.full(len(row), i, np.uint32))
         place.append(np.stack([column, row], 1).astype(np.float32))
@@ -114,11 +147,17 @@ def pool(views: Sequence[View]) -> dict[str, np.ndarray]:
 
 
 def tasks(bench: Bench, scene: Scene) -> Iterator[Task]:
-    """Ours, and Mitsuba's state at each multiple of our time."""
+    """Yield the measurements of our second stage, and of Mitsuba's state at each multiple of its time.
+
+    Args:
+        bench: options, scenes and reconstructions
+        scene: scene to measure
+    """
     times, run = TIMES[:1] if bench.quick else TIMES, [bench.balanced()]
 
     @cache
     def states() -> list[State]:
+        """Optimise once, when the first task needs it."""
         made = bench.run(scene, bench.balanced())
         seconds = made.phase_seconds()["second stage"]
         return optimise(made.path, scene.data.train, Reconstruction.load(made.path).glossy, [n * seconds for n in times])
@@ -130,12 +169,12 @@ def tasks(bench: Bench, scene: Scene) -> Iterator[Task]:
 
 
 def _shaded_views(scene: Scene) -> list[View]:
-    """Test views far apart."""
+    """Return a few test views far apart."""
     return [scene.views[i] for i in np.unique(np.linspace(0, len(scene.views), SHADED, endpoint=False).astype(int))]
 
 
 def _ours(bench: Bench, scene: Scene) -> Measurement:
-    """What the run's evaluation says, images of the same views as Mitsuba's."""
+    """Return the metrics of the run's evaluation, and images of the views that Mitsuba renders."""
     run = bench.run(scene, bench.balanced())
     report, shaded = bench.evaluation(scene, run.path), _shaded_views(scene)
     few = averages([report["views"][view.name] for view in shaded], scene.relights)
@@ -151,7 +190,7 @@ def _ours(bench: Bench, scene: Scene) -> Measurement:
 
 
 def _theirs(bench: Bench, scene: Scene, states, number: int) -> Measurement:
-    """A state of Mitsuba's descent as Mitsuba shows it; the figures are ours' own functions."""
+    """Measure a state of Mitsuba's optimisation as Mitsuba renders it, by our own metrics."""
     state: State = states()[number]
     asset = mitsuba_peer.welded(bench.run(scene, bench.balanced()).path)
     cameras, shaded = {view.name: view.camera for view in scene.views}, _shaded_views(scene)
@@ -181,7 +220,7 @@ def _theirs(bench: Bench, scene: Scene, states, number: int) -> Measurement:
 
 
 def _prediction(camera: Camera, layers: dict[str, np.ndarray]) -> Prediction:
-    """Materials alone."""
+    """Return a prediction of the materials alone."""
     alpha = layers["alpha"]
     none = np.zeros((*alpha.shape, 3), np.float32)
     materials = (layers["albedo"], layers["roughness"], layers["metallic"])
@@ -189,19 +228,20 @@ def _prediction(camera: Camera, layers: dict[str, np.ndarray]) -> Prediction:
 
 
 def _albedo(albedo: np.ndarray, scale, alpha: np.ndarray) -> np.ndarray:
+    """Return an encoded image of albedo on black."""
     return visualisation.over(visualisation.colour(albedo * np.asarray(scale), alpha), 0.0)
 
 
 def _map(light: np.ndarray) -> np.ndarray:
-    """As bright on average as any other."""
+    """Return an encoded image of a light map at a common mean brightness."""
     return np.round(255 * encode_srgb(np.clip(0.5 * light / light.mean(), 0, 1))).astype(np.uint8)
 
 
-# --- what is shown
+# --- report
 
 
 def blocks(results: Results) -> Iterator[Block]:
-    """Figures of all scenes, and visualisation."""
+    """Yield the table of all scenes, and the images of albedo and light."""
     rows = [
         [r.scene, r.configuration.removeprefix(PREFIX), r.figures["seconds"], r.counted.get("iterations"), *map(r.figures.get, FIGURES)]
         for r in results.records(prefix=PREFIX)
@@ -209,10 +249,10 @@ def blocks(results: Results) -> Iterator[Block]:
     if not rows:
         return
     yield Note(
-        "Mitsuba gets our mesh, and what the first stage takes the object for (metal or not). Adam by path replay (prb) on the vertices' "
+        "Mitsuba gets our mesh, and whether the first stage takes the object for metal. Adam by path replay (prb) on the vertices' "
         f"albedo, roughness and metallic and on the logarithm of a {ROWS}-row light: {PIXELS} random pixels of all photographs at "
         f"{SAMPLES} samples an iteration, {BOUNCES} bounce of indirect light, our BRDF, our loss; with another seed where it crashes. Its "
-        f"seconds are without compiling. New views and relit ones are of {SHADED} test views, by each one's own renderer."
+        f"seconds are without compiling. New and relit views are {SHADED} test views, by the renderer of each."
     )
     yield Table("Materials and light at equal time, the shape given", ["scene", "by", "seconds", "iterations", *UNITS], rows)
     shown = [[(f"{r.scene}: {name}", file) for name, file in r.images.items()] for r in results.records(prefix=PREFIX)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ours, Mitsuba and Cycles relighting one object, in turns: error by seconds of each, each against its own converged image."""
+"""Comparison of ours, Mitsuba and Cycles relighting one object in turns: error over time, each against its own converged image."""
 
 from __future__ import annotations
 
@@ -15,18 +15,24 @@ from irgspp.core.progress.protocol import Silent
 
 from . import mitsuba_peer
 from .mitsuba_peer import Frame
-from .studio import Place, Studio, Way
+from .studio import LitView, RelightVariant, Studio
 from .timing import medians
 
 OURS, OURS_NOISY = "ours", "ours, not denoised"
 MITSUBA, CYCLES, CYCLES_NOISY = "Mitsuba", "Cycles", "Cycles, not denoised"
 PEERS = (MITSUBA, CYCLES, CYCLES_NOISY)
-EVERYONE = (OURS, OURS_NOISY, *PEERS)
+RENDERERS = (OURS, OURS_NOISY, *PEERS)
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Samples of each, of the peers' converged images, and how often all take turns."""
+    """Number of samples and of rounds of a comparison.
+
+    Attributes:
+        counts: samples per pixel by renderer
+        converged: samples per pixel of the peers' converged images
+        rounds: rounds in which all renderers alternate
+    """
 
     counts: dict[str, tuple[int, ...]]
     converged: int
@@ -49,7 +55,14 @@ QUICK = Effort({OURS: (16, 64), OURS_NOISY: (64,), MITSUBA: (1, 8, 64), CYCLES: 
 
 @dataclass(frozen=True)
 class Point:
-    """Of so many samples a pixel: seconds, CPU seconds of all threads, and PSNR in dB over the object to the own converged image."""
+    """Time and error of one renderer with a number of samples.
+
+    Attributes:
+        samples: samples per pixel
+        seconds: wall clock
+        cpu_seconds: CPU time of all threads
+        psnr: dB over the object against the renderer's own converged image
+    """
 
     samples: int
     seconds: float
@@ -58,25 +71,32 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False)
-class Duel:
-    """What was measured.
+class RendererComparison:
+    """Measured times and errors of all renderers.
 
     Attributes:
-        rounds: of each round, points by renderer. images: converged, by renderer, (H, W, 3) encoded.
+        rounds: points by renderer, of each round
+        images: converged images by renderer, (H, W, 3) encoded
     """
 
     rounds: list[dict[str, list[Point]]]
     images: dict[str, np.ndarray]
 
     def points(self, name: str) -> list[Point]:
-        """Of one renderer, medians over the rounds."""
+        """Return the points of a renderer, medians over the rounds."""
         of_rounds = zip(*(one[name] for one in self.rounds if name in one), strict=True)
         return [Point(*(statistics.median(values) for values in zip(*map(astuple, points), strict=True))) for points in of_rounds]
 
     def times_as_long(self, ours: Point, peer: str, clock: str = "seconds") -> float | None:
-        """By how much longer a peer takes for our error: the median of the rounds; None where it does not get there.
+        """Return how many times as long a peer takes to our error: the median of the rounds.
 
-        clock: or "cpu_seconds", which a busy machine changes less.
+        Args:
+            ours: our point to compare with
+            peer: name of the peer
+            clock: "seconds", or "cpu_seconds", which other load on the machine affects less
+
+        Returns:
+            The ratio; None where the peer does not reach the error.
         """
         ratios = []
         for one in self.rounds:
@@ -86,7 +106,15 @@ class Duel:
         return statistics.median(ratios) if ratios else None
 
     def at_our_time(self, ours: Point, peer: str) -> float | None:
-        """The peer's PSNR after our seconds: the median of the rounds; None where its first image takes longer."""
+        """Return the peer's PSNR after our seconds: the median of the rounds.
+
+        Args:
+            ours: our point to compare with
+            peer: name of the peer
+
+        Returns:
+            PSNR in dB; None where the peer's first image takes longer.
+        """
         found = []
         for one in self.rounds:
             mine = next(p for p in one[OURS] if p.samples == ours.samples)
@@ -95,21 +123,38 @@ class Duel:
         return statistics.median(found) if found else None
 
 
-def seconds_to(points: Sequence[Point], wanted: float, clock: str = "seconds") -> float | None:
-    """Seconds to a PSNR, between measured points by the logarithm of the time; None where it is not reached."""
+def seconds_to(points: Sequence[Point], target: float, clock: str = "seconds") -> float | None:
+    """Return the time to a PSNR, interpolated between points by the logarithm of time.
+
+    Args:
+        points: points in the order of their samples
+        target: PSNR in dB
+        clock: "seconds" or "cpu_seconds"
+
+    Returns:
+        Seconds; None where the PSNR is not reached.
+    """
     before = None
     for point in points:
-        if point.psnr >= wanted:
+        if point.psnr >= target:
             if before is None:
                 return getattr(point, clock)
-            share = (wanted - before.psnr) / max(point.psnr - before.psnr, 1e-9)
-            return float(getattr(before, clock) * (getattr(point, clock) / getattr(before, clock)) ** share)
+            fraction = (target - before.psnr) / max(point.psnr - before.psnr, 1e-9)
+            return float(getattr(before, clock) * (getattr(point, clock) / getattr(before, clock)) ** fraction)
         before = point
     return None
 
 
 def psnr_at(points: Sequence[Point], seconds: float) -> float | None:
-    """PSNR after so many seconds, between measured points by the logarithm of the time; None before the first image."""
+    """Return the PSNR after some time, interpolated between points by the logarithm of time.
+
+    Args:
+        points: points in the order of their samples
+        seconds: time in seconds
+
+    Returns:
+        PSNR in dB; None before the first image.
+    """
     if not points or seconds < points[0].seconds:
         return None
     times = np.maximum.accumulate([p.seconds for p in points])
@@ -117,57 +162,69 @@ def psnr_at(points: Sequence[Point], seconds: float) -> float | None:
 
 
 def renderer_of(name: str) -> str:
-    """OURS, MITSUBA or CYCLES, of one of EVERYONE."""
+    """Return OURS, MITSUBA or CYCLES for one of RENDERERS."""
     return name.partition(",")[0]
 
 
-def fight(studio: Studio, place: Place, light: np.ndarray, effort: Effort, absent: Container[str]) -> Duel:
-    """All renderers but those that are `absent`, in turns. light: (H, W, 3) of the place, which is the studio's first."""
+def compare_renderers(studio: Studio, lit_view: LitView, light: np.ndarray, effort: Effort, absent: Container[str]) -> RendererComparison:
+    """Render one view by all available renderers in turns.
+
+    Args:
+        studio: run to relight
+        lit_view: view and light, the studio's first
+        light: linear lat-long map (H, W, 3) of the view
+        effort: numbers of samples and rounds
+        absent: peers that are not available
+    """
     rounds, limits = [], {OURS: studio.converged("mesh", 0)}
     peers = [peer for name, peer in ((MITSUBA, _mitsuba), (CYCLES, _cycles)) if name not in absent]
     for number in range(effort.rounds):
-        frames = _ours(studio, place, effort)
+        frames = _ours(studio, lit_view, effort)
         for peer in peers:
-            found, converged = peer(studio, place, light, effort, number == 0)
+            found, converged = peer(studio, lit_view, light, effort, number == 0)
             frames |= found
             limits |= converged
-        rounds.append({name: _points(some, limits[renderer_of(name)], place.inside) for name, some in frames.items()})
-    return Duel(rounds, limits)
+        rounds.append({name: _points(some, limits[renderer_of(name)], lit_view.inside) for name, some in frames.items()})
+    return RendererComparison(rounds, limits)
 
 
 def _points(frames: list[Frame], limit: np.ndarray, inside: np.ndarray) -> list[Point]:
+    """Return time and error of each frame."""
     return [Point(one.samples, one.seconds, one.cpu_seconds, psnr(on_black(one.rgba), limit, inside)) for one in frames]
 
 
-def _ours(studio: Studio, place: Place, effort: Effort) -> dict[str, list[Frame]]:
-    ways = {OURS: Way(), OURS_NOISY: Way(denoise="off")}
-    return {name: [_our_frame(studio, place, way, n) for n in effort.counts[name]] for name, way in ways.items()}
+def _ours(studio: Studio, lit_view: LitView, effort: Effort) -> dict[str, list[Frame]]:
+    """Render by our relighter, denoised and not."""
+    variants = {OURS: RelightVariant(), OURS_NOISY: RelightVariant(denoise="off")}
+    return {name: [_our_frame(studio, lit_view, variant, n) for n in effort.counts[name]] for name, variant in variants.items()}
 
 
-def _our_frame(studio: Studio, place: Place, way: Way, samples: int) -> Frame:
-    """Median of three: a frame is short."""
-    one = studio.relighter(way, samples)
+def _our_frame(studio: Studio, lit_view: LitView, variant: RelightVariant, samples: int) -> Frame:
+    """Render one frame by our relighter; its time is a median of three, because it is short."""
+    one = studio.relighter(variant, samples)
     made: list[np.ndarray] = []
-    work = {"": lambda: made.append(one.relit(one.surface(place.view.camera), place.prepared).numpy())}
+    work = {"": lambda: made.append(one.relit(one.surface(lit_view.view.camera), lit_view.prepared).numpy())}
     seconds, cpu = (medians(work, 3, clock=clock)[""] for clock in (time.perf_counter, time.process_time))
     return Frame(samples, seconds, cpu, made[-1])
 
 
-Found = tuple[dict[str, list[Frame]], dict[str, np.ndarray]]
+FramesAndLimits = tuple[dict[str, list[Frame]], dict[str, np.ndarray]]
 
 
-def _mitsuba(studio: Studio, place: Place, light: np.ndarray, effort: Effort, first: bool) -> Found:
-    views, lights = {"view": place.view.camera}, {"light": light}
+def _mitsuba(studio: Studio, lit_view: LitView, light: np.ndarray, effort: Effort, first: bool) -> FramesAndLimits:
+    """Render the frames by Mitsuba, in the first round the converged image too."""
+    views, lights = {"view": lit_view.view.camera}, {"light": light}
     counts, converged = effort.counts[MITSUBA], effort.converged if first else 0
     shots = mitsuba_peer.images(mitsuba_peer.textured(studio.run), views, lights, counts, converged)["view", "light"]
     limit = {} if shots.converged is None else {MITSUBA: on_black(shots.converged)}
     return {MITSUBA: shots.frames}, limit
 
 
-def _cycles(studio: Studio, place: Place, light: np.ndarray, effort: Effort, first: bool) -> Found:
+def _cycles(studio: Studio, lit_view: LitView, light: np.ndarray, effort: Effort, first: bool) -> FramesAndLimits:
+    """Render the frames by Cycles, in the first round the converged image too."""
     passes = [CyclesPass(n, denoise) for name, denoise in ((CYCLES, True), (CYCLES_NOISY, False)) for n in effort.counts[name]]
     passes += [CyclesPass(effort.converged, False)] if first else []
-    made = cycles_images(studio.run, {"view": place.view.camera}, {"light": light}, passes, Silent())["view", "light"]
+    made = cycles_images(studio.run, {"view": lit_view.view.camera}, {"light": light}, passes, Silent())["view", "light"]
     limit = {CYCLES: on_black(made.pop().rgba)} if first else {}
     frames = [
         Frame(one.samples, image.seconds, image.cpu_seconds, image.rgba, one.denoise) for one, image in zip(passes, made, strict=False)

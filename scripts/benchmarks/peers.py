@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Peers on the same machine, in the same run: Mitsuba 3 and Cycles relighting our asset."""
+"""Section on peers: Mitsuba 3 and Cycles relight our asset on the same machine, in the same run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from irgspp.core.machine.blender_process import NoBlender, blender_command
 
 from . import mitsuba_peer, peer_inverse
 from .bench import Bench, Scene
-from .peer_relighting import CYCLES, EVERYONE, FULL, MITSUBA, OURS, PEERS, QUICK, Duel, fight, renderer_of
+from .peer_relighting import CYCLES, FULL, MITSUBA, OURS, PEERS, QUICK, RENDERERS, RendererComparison, compare_renderers, renderer_of
 from .section import Block, Chart, Figures, Images, Measurement, Note, Series, Table, Task
 from .store import Results
 from .studio import studio
@@ -24,46 +24,52 @@ TITLE = "Peers: Mitsuba 3 and Cycles"
 ABOUT = (
     "The exported mesh with its textures under a new light, by us, by Mitsuba 3 (path tracer, our BRDF as its plugin, all bounces; it has "
     "no denoiser for a CPU) and by Cycles (all bounces, with and without OpenImageDenoise), in as many threads. Error: PSNR over the "
-    "object's pixels, each renderer against its own converged image; what these differ by is told apart. We look at the Gaussians first "
-    "and at one bounce of indirect light, the others at the mesh. Seconds: of a frame with the scene loaded and everything compiled; all "
-    "took turns."
+    "object's pixels, each renderer against its own converged image; the differences of these are listed too. Our camera rays see the "
+    "Gaussians, with one bounce of indirect light; the others see the mesh. Seconds: of a frame with the scene loaded and everything "
+    "compiled; all alternate."
 )
 ONCE = False
 PRINCIPLED = "Mitsuba, its own BRDF"
-SHARE = 0.1  # difference that is white in the images
-SAMPLES = 64  # of the comparison of BRDFs
+WHITE = 0.1  # difference that is white in the images
+SAMPLES = 64  # per pixel, in the comparison of BRDFs
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    """Yield the measurements of relighting and of inverse rendering by the peers.
+
+    Args:
+        bench: options, scenes and reconstructions
+        scene: scene to measure
+    """
     assert scene is not None
     if not scene.relights:
         return
     run, effort = [bench.balanced()], QUICK if bench.quick else FULL
-    absent = without()
-    duels: dict[str, Duel] = {}
+    absent = absent_peers()
+    comparisons: dict[str, RendererComparison] = {}
 
-    def duel() -> Duel:
-        """Fought when the first task needs it."""
-        if scene.name not in duels:
+    def comparison() -> RendererComparison:
+        """Render by all renderers once, when the first task needs it."""
+        if scene.name not in comparisons:
             one = studio(bench, scene)
-            duels[scene.name] = fight(one, one.places[0], scene.truth.lights[one.places[0].light], effort, absent)
-        return duels[scene.name]
+            comparisons[scene.name] = compare_renderers(one, one.lit_views[0], scene.truth.lights[one.lit_views[0].light], effort, absent)
+        return comparisons[scene.name]
 
     seconds = 25.0 if bench.quick else 240.0
-    yield Task("difference", partial(_difference, duel, absent), seconds, run)
-    for name in EVERYONE:
+    yield Task("difference", partial(_difference, comparison, absent), seconds, run)
+    for name in RENDERERS:
         for samples in () if renderer_of(name) in absent else effort.counts[name]:
-            yield Task(f"{name}: {samples} samples", partial(_point, duel, name, samples), 0.1, run)
+            yield Task(f"{name}: {samples} samples", partial(_point, comparison, name, samples), 0.1, run)
     for samples in effort.counts[OURS]:
-        yield Task(f"to our error: {samples} samples", partial(_against, duel, samples), 0.1, run)
+        yield Task(f"to our error: {samples} samples", partial(_against, comparison, samples), 0.1, run)
     if not bench.quick and MITSUBA not in absent:
         yield Task(PRINCIPLED, partial(_principled, bench, scene), 20.0, run)
     if MITSUBA not in absent and mitsuba_peer.variant()[0] == mitsuba_peer.VARIANTS[0]:
         yield from peer_inverse.tasks(bench, scene)
 
 
-def without() -> dict[str, str]:
-    """The peers that are not there, each with the reason."""
+def absent_peers() -> dict[str, str]:
+    """Return the peers that are not available, each with the reason."""
     reasons = {MITSUBA: mitsuba_peer.missing(), CYCLES: ""}
     try:
         blender_command()
@@ -72,9 +78,9 @@ def without() -> dict[str, str]:
     return {name: reason for name, reason in reasons.items() if reason}
 
 
-def _difference(duel, absent: dict[str, str]) -> Measurement:
-    """Of the converged images, over the pixels that show the object in any."""
-    shown = duel().images
+def _difference(comparison, absent: dict[str, str]) -> Measurement:
+    """Compare the converged images over the pixels that show the object in either."""
+    shown = comparison().images
     figures: Figures = {"about Mitsuba": absent.get(MITSUBA) or mitsuba_peer.described()}
     figures["about Cycles"] = absent.get(CYCLES) or "of the Blender above"
     made = {name: np.round(255 * image.clip(0, 1)).astype(np.uint8) for name, image in shown.items()}
@@ -83,47 +89,49 @@ def _difference(duel, absent: dict[str, str]) -> Measurement:
             seen = (shown[a].max(-1) > 0) | (shown[b].max(-1) > 0)
             error = np.abs(shown[a] - shown[b])
             figures |= {f"{a} and {b}, mean": float(error[seen].mean()), f"{a} and {b}, psnr": psnr(shown[a], shown[b])}
-            made[f"{a} and {b}, difference to {SHARE}"] = visualisation.over(visualisation.heat(error.max(-1), SHARE), 0.0)
+            made[f"{a} and {b}, difference to {WHITE}"] = visualisation.over(visualisation.heat(error.max(-1), WHITE), 0.0)
     return Measurement(figures, {}, made)
 
 
-def _point(duel, name: str, samples: int) -> Measurement:
-    return Measurement(asdict(next(p for p in duel().points(name) if p.samples == samples)))
+def _point(comparison, name: str, samples: int) -> Measurement:
+    """Return time and error of a renderer with a number of samples."""
+    return Measurement(asdict(next(p for p in comparison().points(name) if p.samples == samples)))
 
 
-def _against(duel, samples: int) -> Measurement:
-    """What peers need for our error, and reach in our time."""
-    ours = next(p for p in duel().points(OURS) if p.samples == samples)
+def _against(comparison, samples: int) -> Measurement:
+    """Return the peers' time to our error, and their error at our time."""
+    ours = next(p for p in comparison().points(OURS) if p.samples == samples)
     figures: Figures = {"samples": samples, "psnr": ours.psnr, "seconds": ours.seconds}
     for peer in PEERS:
-        figures |= {f"{peer}: times as long": duel().times_as_long(ours, peer), f"{peer}: psnr": duel().at_our_time(ours, peer)}
-        figures[f"{peer}: times the CPU"] = duel().times_as_long(ours, peer, "cpu_seconds")
+        figures |= {f"{peer}: times as long": comparison().times_as_long(ours, peer), f"{peer}: psnr": comparison().at_our_time(ours, peer)}
+        figures[f"{peer}: times the CPU"] = comparison().times_as_long(ours, peer, "cpu_seconds")
     return Measurement(figures)
 
 
 def _principled(bench: Bench, scene: Scene) -> Measurement:
-    """Whether the plugin that is our BRDF costs Mitsuba time, and how far off its own is."""
+    """Measure whether our BRDF as a plugin costs Mitsuba time, and how far Mitsuba's own differs from it."""
     one = studio(bench, scene)
-    place, thing = one.places[0], mitsuba_peer.textured(one.run)
-    views, lights = {"view": place.view.camera}, {"light": scene.truth.lights[place.light]}
+    lit_view, asset = one.lit_views[0], mitsuba_peer.textured(one.run)
+    views, lights = {"view": lit_view.view.camera}, {"light": scene.truth.lights[lit_view.light]}
     figures, converged = {}, {}
     for brdf in ("ours", "principled"):
-        shots = mitsuba_peer.images(thing, views, lights, [SAMPLES], 4 * SAMPLES, brdf)["view", "light"]
+        shots = mitsuba_peer.images(asset, views, lights, [SAMPLES], 4 * SAMPLES, brdf)["view", "light"]
         assert shots.converged is not None
         figures[f"{brdf}: seconds"], converged[brdf] = shots.frames[0].seconds, on_black(shots.converged)
-    difference = np.abs(converged["ours"] - converged["principled"])[place.inside].mean()
-    one_bounce = mitsuba_peer.images(thing, views, lights, [SAMPLES], bounces=1)["view", "light"].frames[0].seconds
+    difference = np.abs(converged["ours"] - converged["principled"])[lit_view.inside].mean()
+    one_bounce = mitsuba_peer.images(asset, views, lights, [SAMPLES], bounces=1)["view", "light"].frames[0].seconds
     return Measurement({**figures, "one bounce: seconds": one_bounce, "samples": SAMPLES, "difference": float(difference)})
 
 
-# --- what is shown
+# --- report
 
 
 def blocks(results: Results) -> Iterator[Block]:
+    """Yield the charts, tables and images of the report."""
     scenes = [scene for scene in results.scenes if results.get(scene, "difference")]
     if not scenes:
         return
-    panels = {scene: [series for name in EVERYONE if (series := _series(results, scene, name)).x] for scene in scenes}
+    panels = {scene: [series for name in RENDERERS if (series := _series(results, scene, name)).x] for scene in scenes}
     yield Chart(
         "Relighting: error against time",
         "seconds a frame ↓",
@@ -149,11 +157,13 @@ def blocks(results: Results) -> Iterator[Block]:
 
 
 def _series(results: Results, scene: str, name: str) -> Series:
+    """Return the curve of a renderer on a scene."""
     points = sorted((r.figures for r in results.records(scene, f"{name}: ")), key=lambda f: f["samples"])
     return Series(name, [p["seconds"] for p in points], [p["psnr"] for p in points])
 
 
 def _differences(results: Results, scenes: list[str]) -> Iterator[Block]:
+    """Yield the tables on converged images and BRDFs, and the versions of the peers."""
     pairs = ((OURS, MITSUBA), (OURS, CYCLES), (MITSUBA, CYCLES))
     rows = [
         [scene, *(results.figure(scene, "difference", f"{a} and {b}, {what}") for a, b in pairs for what in ("mean", "psnr"))]
@@ -169,5 +179,5 @@ def _differences(results: Results, scenes: list[str]) -> Iterator[Block]:
         title = f"Mitsuba's seconds for {SAMPLES} samples by BRDF, and how far the two are apart"
         yield Table(title, ("scene", "our BRDF", "principled", "our BRDF, one bounce", "mean difference"), rows)
     for name in (MITSUBA, CYCLES):
-        said = {str(results.figure(scene, "difference", f"about {name}")) for scene in scenes}
-        yield Note(f"{name}: {'; '.join(sorted(said))}.")
+        versions = {str(results.figure(scene, "difference", f"about {name}")) for scene in scenes}
+        yield Note(f"{name}: {'; '.join(sorted(versions))}.")

@@ -1,23 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tile rasteriser in plain scalar loops: what `core/kernels/cpu/raster.py` would be without its vector type. For comparison only."""
+"""Tile rasteriser in plain scalar loops, for comparison with `core/kernels/cpu/raster.py` and its vector type."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from irgspp.core.kernels.constants import ALPHA_MAX, LOW_PASS, TILE, TRANSMITTANCE_MIN
-from irgspp.core.kernels.constants import HORIZON_MIN as _W_MIN
-from irgspp.core.kernels.constants import SPLAT_GRADIENTS as GEOMETRY
+from irgspp.core.kernels.constants import ALPHA_MAX, HORIZON_MIN, LOW_PASS, SPLAT_GRADIENTS, TILE, TRANSMITTANCE_MIN
 from irgspp.core.kernels.cpu.jit import kernel
 
 _ONE, _ZERO, _HALF, _FAR = np.float32(1.0), np.float32(0.0), np.float32(0.5), np.float32(1e9)
-_LOW, _MAX, _STOP, _BEHIND = np.float32(LOW_PASS), np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN), np.float32(_W_MIN)
+_LOW, _MAX, _STOP, _BEHIND = np.float32(LOW_PASS), np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN), np.float32(HORIZON_MIN)
 
 
 @kernel
 def _evaluate(record, g, dx, dy):
-    """Where one pixel's ray meets the disk: rho, 1/w, u, v and whether the low-pass filter won."""
+    """Intersect one pixel's ray with a surfel: rho, 1/w, u, v, and whether the low-pass filter decides."""
     w = _ONE + dx * record[g, 6] + dy * record[g, 7]
     ahead = w > _BEHIND
     iw = _ONE / (w if ahead else _ONE)
@@ -30,6 +28,7 @@ def _evaluate(record, g, dx, dy):
 
 @kernel
 def _exhausted(transmittance):
+    """Return True where every pixel of a tile is opaque."""
     for row in range(TILE):
         for column in range(TILE):
             if transmittance[row, column] > _STOP:
@@ -39,7 +38,7 @@ def _exhausted(transmittance):
 
 @kernel
 def plain_range(begin, end, start, entries, record, feature, box, columns, image, stride, plane):
-    """`rasterize_range`, one pixel at a time."""
+    """Rasterise a range of tiles into `image` (channels x plane,) as `rasterize_range` does, one pixel at a time."""
     features = feature.shape[1]
     acc = np.empty((features + 1, TILE, TILE), np.float32)
     transmittance = np.empty((TILE, TILE), np.float32)
@@ -79,7 +78,7 @@ def plain_range(begin, end, start, entries, record, feature, box, columns, image
 
 @kernel
 def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total):
-    """A tile's upstream gradients, as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
+    """Load a tile's upstream gradients (channels, TILE, TILE) as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
     for row in range(TILE):
         for column in range(TILE):
             at = (y0 + row) * stride + x0 + column
@@ -98,12 +97,12 @@ def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_
 
 @kernel
 def plain_backward_range(slot, begin, end, start, entries, record, feature, box, columns, image, gradient, stride, plane, slots):
-    """`rasterize_backward_range`, one pixel at a time."""
+    """Add the gradients of a range of tiles to `slots` (slots, N, channels) as `rasterize_backward_range` does, one pixel at a time."""
     features = feature.shape[1]
     g_tile = np.empty((features + 2, TILE, TILE), np.float32)
     s_total, s_run = np.empty((TILE, TILE), np.float32), np.empty((TILE, TILE), np.float32)
     transmittance = np.empty((TILE, TILE), np.float32)
-    sums = np.empty(GEOMETRY + features, np.float32)
+    sums = np.empty(SPLAT_GRADIENTS + features, np.float32)
     out = slots[slot]
     for tile in range(begin, end):
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
@@ -135,7 +134,7 @@ def plain_backward_range(slot, begin, end, start, entries, record, feature, box,
                     for channel in range(features):
                         gc = g_tile[channel, row, column]
                         q += gc * feature[g, channel]
-                        sums[GEOMETRY + channel] += weight * gc
+                        sums[SPLAT_GRADIENTS + channel] += weight * gc
                     run = s_run[row, column] + weight * q
                     s_run[row, column] = run
                     g_rho = _ZERO
@@ -161,5 +160,5 @@ def plain_backward_range(slot, begin, end, start, entries, record, feature, box,
                     sums[7] += gw * dy
                     sums[8] += gt * iw
             if touched:
-                for j in range(GEOMETRY + features):
+                for j in range(SPLAT_GRADIENTS + features):
                     out[g, j] += sums[j]

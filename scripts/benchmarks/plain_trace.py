@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ray tracer in plain scalar loops: what `core/kernels/cpu/trace.py` would be without its vector type. For comparison only."""
+"""Ray tracer of surfels in plain scalar loops, for comparison with `core/kernels/cpu/trace.py` and its vector type."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STOP, _MAX, _GRAZING = np.float32(TRANSMITTANCE_MIN), np.float32(ALPHA_MAX), np
 
 @kernel
 def _box(node, at, lane, o, inv):
-    """Where a ray enters and leaves one box of a node."""
+    """Return the distances at which a ray enters and leaves one box of a node."""
     enter, leave = _ZERO, _FAR
     for axis in range(3):
         near = node[at + axis * 8 + lane + (24 if inv[axis] < 0 else 0)]
@@ -43,8 +43,8 @@ def _box(node, at, lane, o, inv):
 
 
 @kernel
-def _disk(leaf, at, o, d, first, last):
-    """Distance and alpha of the hit with one disk of a leaf, alpha 0 where there is none between `first` and `last`."""
+def _surfel(leaf, at, o, d, first, last):
+    """Return distance and alpha of the hit with one surfel of a leaf, alpha 0 where there is none between `first` and `last`."""
     n = at + NORMAL * 8
     cosine = leaf[n] * d[0] + leaf[n + 8] * d[1] + leaf[n + 16] * d[2]
     if not cosine * cosine > _GRAZING:
@@ -65,6 +65,7 @@ def _disk(leaf, at, o, d, first, last):
 
 @kernel
 def _plain_nearest(o, d, inv, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t):
+    """Collect the nearest hits behind `last`, up to NEAREST, and return their number."""
     n, behind, furthest = 0, before, _EVERYBODY
     t_min, t_max = _distance(last), _FAR
     stack[0], stack_t[0], top = 0, _ZERO, 1
@@ -82,11 +83,11 @@ def _plain_nearest(o, d, inv, last, before, node, child, leaf, index, near, near
                 _push(stack, stack_t, bottom, top, below, enter)
                 top += 1
                 continue
-            for disk in range(8):
-                t, alpha = _disk(leaf, ~below * LEAF + disk, o, d, t_min, t_max)
+            for surfel in range(8):
+                t, alpha = _surfel(leaf, ~below * LEAF + surfel, o, d, t_min, t_max)
                 if alpha == 0:
                     continue
-                hit = _hit(t, index[~below * 8 + disk])
+                hit = _hit(t, index[~below * 8 + surfel])
                 if last < hit <= furthest:
                     n, behind = _insert(near, near_alpha, n, hit, alpha, behind)
                     if n == NEAREST or behind <= _SOLID:
@@ -97,7 +98,7 @@ def _plain_nearest(o, d, inv, last, before, node, child, leaf, index, near, near
 
 @kernel
 def plain_gather_range(begin, end, origin, direction, node, child, leaf, index, depth, count, left):
-    """`gather_range`, one box and one disk at a time."""
+    """Return the hits of a range of rays as `gather_range` does, one box and one surfel at a time: index, weight and distance (hits,)."""
     capacity = (end - begin) * 6 + NEAREST
     out_index, out_weight, out_t = np.empty(capacity, np.int32), np.empty(capacity, np.float32), np.empty(capacity, np.float32)
     near, near_alpha = np.empty(NEAREST, np.uint64), np.empty(NEAREST, np.float32)
@@ -128,7 +129,7 @@ def plain_gather_range(begin, end, origin, direction, node, child, leaf, index, 
 
 @kernel
 def plain_composite_range(begin, end, direction, start, index, weight, distance, left, record, rows, coefficients, extras, out, lit):
-    """`composite_range`, one number at a time."""
+    """Composite the hits of a range of rays into `out` (R, channels) as `composite_range` does, one number at a time."""
     offset = SH_ROW if coefficients > 0 else 0
     axes, values, spread = np.zeros(24, np.float32), np.zeros(128, np.float32), np.zeros(128, np.float32)
     block = -1
@@ -165,7 +166,7 @@ def plain_composite_range(begin, end, direction, start, index, weight, distance,
 
 @kernel
 def plain_composite_backward_range(slot, begin, end, direction, start, index, weight, lit, coefficients, extras, gradient, slots):
-    """`composite_backward_range`, one number at a time."""
+    """Add the gradients of a range of rays to `slots` (slots, N, channels) as `composite_backward_range` does, one number at a time."""
     out = slots[slot]
     offset = SH_ROW if coefficients > 0 else 0
     axes, values, spread = np.zeros(24, np.float32), np.zeros(128, np.float32), np.zeros(128, np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reconstruction: quality against time, what each part of the method brings, and the paper's headline."""
+"""Section on reconstruction: quality over time, the effect of each part of the method, and the paper's headline."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .bench import PRESETS, Bench, Scene
 from .runs import Run, RunPlan
 from .section import Block, Chart, Figures, Images, Measurement, Note, Series, Table, Task
 from .store import Results
-from .studio import Way, studio
+from .studio import RelightVariant, studio
 
 NAME = "reconstruction"
 TITLE = "Reconstruction: error against time"
 ABOUT = (
-    "The whole job, from photographs to a textured mesh; every run is another irgspp reconstruct, compared with held-back views. "
+    "The whole job, from photographs to a textured mesh; every run is an irgspp reconstruct of its own, compared with held-back views. "
     "NVS: views under the photographs' own light, rendered by recovered light and materials; relit: under other lights, with one scale of "
     "the albedo per channel. Seconds: wall clock of all phases. Time budgets and IRGS: on the first low-gloss and the first glossy scene."
 )
@@ -36,29 +36,34 @@ COLUMNS = {
     "roughness_mae": "roughness ↓",
     "metallic_mae": "metallic ↓",
 }
-NOTICED = 0.1  # dB
+NOTICED = 0.1  # dB that a longer time must lose to be reported
 IRGS = ("second.sampling=stratified", "second.samples=512")
-# What one part brings: title, then the configurations that are set side by side.
+# Effect of one part: title, then the configurations that are compared.
 PARTS = {
-    "Light between the object's parts, traced through the Gaussians (2DGRT), in training": ("balanced", "without indirect light"),
+    "Indirect light traced through the Gaussians (2DGRT) in training": ("balanced", "without indirect light"),
     "Stages": ("balanced", "first stage alone"),
     "Reflections in the first stage": ("balanced", "without reflections"),
 }
-HEADLINE = {  # IRGS, and IRGS++ twice: how a run is made, how it is relit
-    "IRGS": ("IRGS", Way("gaussian", denoise="off", sampling="stratified"), 512),
-    "IRGS++ HQ": ("balanced", Way("mesh"), "hq"),
-    "IRGS++ efficient": ("balanced", Way("mesh"), "efficient"),
+HEADLINE = {  # IRGS, and IRGS++ twice: plan of the run, variant and samples of relighting
+    "IRGS": ("IRGS", RelightVariant("gaussian", denoise="off", sampling="stratified"), 512),
+    "IRGS++ HQ": ("balanced", RelightVariant("mesh"), "hq"),
+    "IRGS++ efficient": ("balanced", RelightVariant("mesh"), "efficient"),
 }
 
 
 def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
-    """By configuration. What needs a run for each scene kind alone is made on the first scene of either kind."""
+    """Return the plans of a scene's runs by configuration; IRGS and time budgets on the first scene of either material class alone.
+
+    Args:
+        bench: options, scenes and reconstructions
+        scene: scene to reconstruct
+    """
     found = {preset: bench.plan(preset, preset=preset) for preset in bench.presets}
     found["without indirect light"] = bench.plan("no-indirect", "second.indirect=off", seconds=115)
     if scene.glossy:
         found["without reflections"] = bench.plan("no-reflections", materials="low-gloss")
     if scene in (bench.of_kind(True), bench.of_kind(False)):
-        # IRGS knows no metal, nor reflections in its first stage.
+        # IRGS has no metal, and no reflections in its first stage.
         found["IRGS"] = bench.plan("irgs", *IRGS, materials="low-gloss", seconds=150)
         for preset in bench.presets:
             for minutes in bench.budgets:
@@ -67,80 +72,91 @@ def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
 
 
 def _budget(bench: Bench, preset: str, minutes: float) -> RunPlan:
+    """Return the plan of a preset with a time budget."""
     seconds = max(1, round(60 * minutes))
     text = f"{seconds // 60}m" if seconds % 60 == 0 else f"{seconds}s"
     return bench.plan(f"{preset}-{text}", preset=preset, time=text, seconds=seconds)
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    """Yield the measurements of a scene: all plans, the first stage alone, and the paper's headline.
+
+    Args:
+        bench: options, scenes and reconstructions
+        scene: scene to measure
+    """
     assert scene is not None
     for configuration, plan in plans(bench, scene).items():
         yield Task(configuration, partial(_quality, bench, scene, plan), bench.evaluation_seconds, [plan])
     yield Task("first stage alone", partial(_first, bench, scene), 2 * bench.evaluation_seconds, [bench.balanced()])
     if scene.relights and "IRGS" in plans(bench, scene):
-        for name, (configuration, way, samples) in HEADLINE.items():
+        for name, (configuration, variant, samples) in HEADLINE.items():
             plan = plans(bench, scene)[configuration]
-            yield Task(f"headline, {name}", partial(_headline, bench, scene, plan, way, samples), bench.evaluation_seconds, [plan])
+            yield Task(f"headline, {name}", partial(_headline, bench, scene, plan, variant, samples), bench.evaluation_seconds, [plan])
 
 
 def _quality(bench: Bench, scene: Scene, plan: RunPlan) -> Measurement:
+    """Measure the evaluation's metrics and the costs of a plan's run."""
     run = bench.run(scene, plan)
     evaluated = bench.evaluation(scene, run.path)["figures"]
     return Measurement(_figures(evaluated) | costs(run), {"gaussians": _gaussians(run)})
 
 
 def costs(run: Run) -> Figures:
-    """Seconds, memory, and what the job says it left out."""
+    """Return seconds, memory and skipped work of a run."""
     about = run.about
     skipped = [name for name, rule in about.get("rules", {}).items() if rule["on"]]
     phases = {f"{name.replace(' ', '_')}_seconds": seconds for name, seconds in run.phase_seconds().items()}
-    whole = {"seconds": run.seconds, "cpu_seconds": run.cpu_seconds, "peak_memory_bytes": run.peak_memory}
-    return {**whole, **phases, "skipped": ", ".join(map(str, skipped))}
+    total = {"seconds": run.seconds, "cpu_seconds": run.cpu_seconds, "peak_memory_bytes": run.peak_memory}
+    return {**total, **phases, "skipped": ", ".join(map(str, skipped))}
 
 
 def _gaussians(run: Run) -> int:
+    """Return the number of Gaussians of a run."""
     return load_gaussians(run.path / "gaussians.ply").count
 
 
 def _figures(evaluated: dict[str, Any]) -> Figures:
-    wanted = (*FIGURES, "relight_ssim", "nvs_ssim", "albedo_ssim", "environment_ssim", "mesh_chamfer")
-    return {name: evaluated[name] for name in wanted if name in evaluated}
+    """Return those metrics of an evaluation that the section reports."""
+    names = (*FIGURES, "relight_ssim", "nvs_ssim", "albedo_ssim", "environment_ssim", "mesh_chamfer")
+    return {name: evaluated[name] for name in names if name in evaluated}
 
 
 def _first(bench: Bench, scene: Scene) -> Measurement:
-    """The first stage's own materials and light, relit through its Gaussians: there is no mesh yet."""
+    """Measure the first stage's own materials and light, relit through its Gaussians, because it has no mesh."""
     run = bench.run(scene, bench.balanced())
     if not (run.first / "reconstruction.json").is_file():
-        raise RuntimeError(f"{run.first} is missing: the first stage's result was not kept")
+        raise RuntimeError(f"{run.first} is missing: the result of the first stage was not copied")
     evaluated = bench.evaluation(scene, run.first, settings_of=run.path)["figures"]
     seconds = run.phase_seconds()
     return Measurement(_figures(evaluated) | {"seconds": seconds["read"] + seconds["first stage"]})
 
 
-def _headline(bench: Bench, scene: Scene, plan: RunPlan, way: Way, samples: str | int) -> Measurement:
-    """Against the true relit images of a few views, with the scale of the albedo that all views give."""
+def _headline(bench: Bench, scene: Scene, plan: RunPlan, variant: RelightVariant, samples: str | int) -> Measurement:
+    """Measure the error against the true relit images of a few views, with the albedo scale that all views give, and the frame rate."""
     run = bench.run(scene, plan)
     scale, one = bench.evaluation(scene, run.path)["albedo_scale"], studio(bench, scene, run.path)
-    relighter = one.relighter(way, samples).scaled(scale)
+    relighter = one.relighter(variant, samples).scaled(scale)
     rows, shown = [], {}
-    for place in one.places:
-        ours = metrics.on_black(relighter.relit(relighter.surface(place.view.camera), place.prepared).numpy())
-        rows.append((metrics.psnr(ours, place.true), metrics.ssim(ours, place.true)))
+    for lit_view in one.lit_views:
+        ours = metrics.on_black(relighter.relit(relighter.surface(lit_view.view.camera), lit_view.prepared).numpy())
+        rows.append((metrics.psnr(ours, lit_view.true), metrics.ssim(ours, lit_view.true)))
         if not shown:
-            error = visualisation.heat(np.abs(ours - place.true).max(-1), 0.2)[..., :3]
-            shown = {"true": place.true, "ours": ours, "error to 0.2": error}
-    seconds, turned = one.seconds(way, samples, bench.repeats), one.turned_seconds(way, samples, bench.repeats)
+            error = visualisation.heat(np.abs(ours - lit_view.true).max(-1), 0.2)[..., :3]
+            shown = {"true": lit_view.true, "ours": ours, "error to 0.2": error}
+    seconds, turned = one.seconds(variant, samples, bench.repeats), one.turned_seconds(variant, samples, bench.repeats)
     psnr, ssim = np.mean(rows, 0)
     figures = {"relight_psnr": float(psnr), "relight_ssim": float(ssim), "frame_seconds": seconds, "turned_seconds": turned}
-    about = {"train_seconds": run.seconds, "backend": way.backend if way.backend == "gaussian" else best_backend(run.path)}
+    about = {"train_seconds": run.seconds, "backend": variant.backend if variant.backend == "gaussian" else best_backend(run.path)}
     encoded = {name: np.round(255 * np.clip(image, 0, 1)).astype(np.uint8) for name, image in shown.items()}
     return Measurement({**figures, **about}, {"samples": sum(relighter.counts)}, encoded)
 
 
-# --- what is shown
+# --- report
 
 
 def blocks(results: Results) -> Iterator[Block]:
+    """Yield the charts, tables and images of the report."""
     scenes = [scene for scene in results.scenes if any(results.figure(scene, preset, "seconds") for preset in PRESETS)]
     timed = [scene for scene in scenes if any(" min" in r.configuration for r in results.records(scene))]
     for name, title, image in (
@@ -154,9 +170,9 @@ def blocks(results: Results) -> Iterator[Block]:
     rows = [_row(results, scene, c) for scene in scenes for c in _configurations(results, scene) if " min" in c or c in PRESETS]
     if rows:
         yield Table("Presets, and what a time budget gives", ["scene, configuration", "seconds ↓", *COLUMNS.values()], rows)
-    spoilt = [text for scene in timed for preset in PRESETS if (text := _spoilt(results, scene, preset))]
-    if spoilt:
-        yield Note(f"More time than did good: {'; '.join(spoilt)}.")
+    overtrained = [text for scene in timed for preset in PRESETS if (text := _overtrained(results, scene, preset))]
+    if overtrained:
+        yield Note(f"More time than did good: {'; '.join(overtrained)}.")
     for title, configurations in PARTS.items():
         rows = [
             _row(results, scene, c)
@@ -171,8 +187,8 @@ def blocks(results: Results) -> Iterator[Block]:
     yield from _phase_table(results)
 
 
-def _spoilt(results: Results, scene: str, preset: str) -> str:
-    """Where the longest budget relights worse than a shorter one: what it lost on the best."""
+def _overtrained(results: Results, scene: str, preset: str) -> str:
+    """Return how much the longest time budget loses in relighting against the best shorter one; "" where it does not."""
     found = sorted(
         (r.figures["seconds"], r.figures["relight_psnr"]) for r in results.records(scene, f"{preset}, ") if "relight_psnr" in r.figures
     )
@@ -185,17 +201,19 @@ def _spoilt(results: Results, scene: str, preset: str) -> str:
 
 
 def _configurations(results: Results, scene: str) -> list[str]:
+    """Return the configurations of a scene whose time was measured."""
     return [r.configuration for r in results.records(scene) if "seconds" in r.figures]
 
 
 def _row(results: Results, scene: str, configuration: str) -> list[Any]:
+    """Return a table's row of a scene and configuration."""
     record = results.get(scene, configuration)
     figures = {} if record is None else record.figures
     return [f"{scene}, {configuration}", *(figures.get(name) for name in ("seconds", *COLUMNS))]
 
 
 def _curves(results: Results, scene: str, name: str) -> Iterator[Series]:
-    """The presets with budgets as curves; the presets as they are as single points."""
+    """Yield the presets with time budgets as curves, and those without as single points."""
     for preset in PRESETS:
         found = [r.figures for r in results.records(scene, f"{preset}, ") if name in r.figures]
         found.sort(key=lambda figures: figures["seconds"])
@@ -207,6 +225,7 @@ def _curves(results: Results, scene: str, name: str) -> Iterator[Series]:
 
 
 def _headline_blocks(results: Results) -> Iterator[Block]:
+    """Yield the table and the images of the paper's headline."""
     rows = []
     for scene in results.scenes:
         slow = results.figure(scene, "headline, IRGS", "frame_seconds")
@@ -226,7 +245,7 @@ def _headline_blocks(results: Results) -> Iterator[Block]:
 
 
 def _headline_images(results: Results) -> Iterator[list[tuple[str, str]]]:
-    """A row for each scene: the true image, then each configuration's with its error (efficient looks like HQ)."""
+    """Yield a row for each scene: the true image, then each configuration's with its error (efficient looks like HQ)."""
     for scene in results.scenes:
         row = []
         for name in list(HEADLINE)[:2]:
@@ -239,7 +258,7 @@ def _headline_images(results: Results) -> Iterator[list[tuple[str, str]]]:
 
 
 def _phase_table(results: Results) -> Iterator[Block]:
-    """Where the time of the balanced run goes."""
+    """Yield the table of the balanced job's seconds by phase."""
     rows = []
     for record in results.records(prefix="balanced"):
         if record.configuration == "balanced":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relighting: error against time and samples, with and without each of its parts, and how fast frames come."""
+"""Section on relighting: error over time and samples, the effect of each part of the method, and frame rates."""
 
 # pyright: reportMissingImports=false
 # (`irgspp` is the folder above, known to pyright under no name)
@@ -20,43 +20,49 @@ from irgspp.core.relight.secondary_query import Hits, SurfaceQuery
 from .bench import Bench, Scene
 from .section import Block, Chart, Images, Measurement, Note, Series, Table, Task
 from .store import Results
-from .studio import Way, studio
+from .studio import RelightVariant, studio
 from .timing import medians
 
 NAME = "relighting"
 TITLE = "Relighting: error against time and samples"
 ABOUT = (
     "A view under a new light. Error: root mean square over the object's pixels against the converged image of the same renderer "
-    "(not denoised). Seconds of a frame: all of it, from the camera on, on a run that is open. full: multiple importance sampling "
+    "(not denoised). Seconds of a frame: from the camera to the image, on a run that is loaded. full: multiple importance sampling "
     "(MIS), denoised, secondary rays on the mesh. Without MIS: strata of the hemisphere; without mesh: secondary rays on the Gaussians."
 )
 ONCE = False
 COUNTS, QUICK_COUNTS = (16, 32, 64, 128, 256, 512), (16, 64, 256)
-MANY = 1024  # samples without MIS that 16 with it are set beside
+MANY = 1024  # samples without MIS, compared with 16 with it
 
 
-WAYS = {
-    "full": Way(),
-    "without denoiser": Way(denoise="off"),
-    "without MIS": Way(sampling="stratified"),
-    "without mesh": Way(backend="gaussian"),
-    "with neither MIS nor denoiser": Way(denoise="off", sampling="stratified"),
-    "with the paper's denoiser": Way(denoise="paper"),
+VARIANTS = {
+    "full": RelightVariant(),
+    "without denoiser": RelightVariant(denoise="off"),
+    "without MIS": RelightVariant(sampling="stratified"),
+    "without mesh": RelightVariant(backend="gaussian"),
+    "with neither MIS nor denoiser": RelightVariant(denoise="off", sampling="stratified"),
+    "with the paper's denoiser": RelightVariant(denoise="paper"),
 }
-MAIN = tuple(WAYS)[:3]  # of the images that are shown
+MAIN = tuple(VARIANTS)[:3]  # variants whose images the report shows
 TO_ERROR, ERRORS = "to an error", (0.02, 0.01, 0.005, 0.0025)
 PLAIN = "with neither MIS nor denoiser"
 SPEEDS = {"mesh": "mesh", "gaussian": "gaussian"}
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
+    """Yield the measurements of relighting a scene.
+
+    Args:
+        bench: options, scenes and reconstructions
+        scene: scene to measure
+    """
     assert scene is not None
     if not scene.relights:
         return
     run, counts = [bench.balanced()], QUICK_COUNTS if bench.quick else COUNTS
-    for way, samples in itertools.product(WAYS, counts):
-        expected = (samples / 512 * {"mesh": 5.0, "gaussian": 14.0}[WAYS[way].backend] + 0.5) / (10 if bench.quick else 1)
-        yield Task(f"{way}, {samples} samples", partial(_point, bench, scene, way, samples), expected, run)
+    for variant, samples in itertools.product(VARIANTS, counts):
+        expected = (samples / 512 * {"mesh": 5.0, "gaussian": 14.0}[VARIANTS[variant].backend] + 0.5) / (10 if bench.quick else 1)
+        yield Task(f"{variant}, {samples} samples", partial(_point, bench, scene, variant, samples), expected, run)
     yield Task(f"{PLAIN}, {MANY} samples", partial(_point, bench, scene, PLAIN, MANY), 1.0 if bench.quick else 20.0, run)
     for error in ERRORS[: 2 if bench.quick else None]:
         yield Task(f"{TO_ERROR}, {error}", partial(_to_error, bench, scene, error), 4.0, run)
@@ -67,101 +73,107 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     yield Task("pictures", partial(_shown, bench, scene), 2.0, run)
 
 
-def _point(bench: Bench, scene: Scene, way: str, samples: int) -> Measurement:
-    one, how = studio(bench, scene), WAYS[way]
+def _point(bench: Bench, scene: Scene, variant: str, samples: int) -> Measurement:
+    """Measure error and time of a variant with a number of samples."""
+    one, how = studio(bench, scene), VARIANTS[variant]
     figures = one.errors(how, samples) | {"seconds": one.seconds(how, samples, bench.repeats)}
-    pixels = len(one.relighter(how, samples).surface(one.places[0].view.camera).index)
+    pixels = len(one.relighter(how, samples).surface(one.lit_views[0].view.camera).index)
     return Measurement({"samples": samples, **figures}, {"pixels": pixels, "rays": pixels * samples})
 
 
 def _to_error(bench: Bench, scene: Scene, error: float) -> Measurement:
-    """As many samples as an error takes, tile by tile; `samples` is their mean."""
-    one, way = studio(bench, scene), Way(error=error)
-    figures = one.errors(way, 16) | {"seconds": one.seconds(way, 16, bench.repeats), "asked": error}
-    relighter = one.relighter(way, 16)
-    relighter.relit(relighter.surface(one.places[0].view.camera), one.places[0].prepared)
+    """Measure the adaptive samples of every tile that reach an error; `samples` is their mean."""
+    one, variant = studio(bench, scene), RelightVariant(error=error)
+    figures = one.errors(variant, 16) | {"seconds": one.seconds(variant, 16, bench.repeats), "asked": error}
+    relighter = one.relighter(variant, 16)
+    relighter.relit(relighter.surface(one.lit_views[0].view.camera), one.lit_views[0].prepared)
     counted = {"pixels": relighter.tally["pixels"], "rays": relighter.tally["traced"]}
     return Measurement({"samples": relighter.tally["samples"] / max(1, relighter.tally["pixels"]), **figures}, counted)
 
 
 def _indirect(bench: Bench, scene: Scene, indirect: bool) -> Measurement:
-    """Against the true images, with the albedo's scale that `evaluate` finds: only then does brightness say something."""
+    """Measure the error against the true images, with the albedo scale that `evaluate` finds: only then does brightness count."""
     one, run = studio(bench, scene), bench.run(scene, bench.balanced())
     scale = bench.evaluation(scene, run.path)["albedo_scale"]
     values = []
-    for place in one.places:
-        relighter = one.relighter(Way(indirect=indirect), 256).scaled(scale)
-        ours = metrics.on_black(relighter.relit(relighter.surface(place.view.camera), place.prepared).numpy())
-        values.append(metrics.psnr(ours, place.true))
+    for lit_view in one.lit_views:
+        relighter = one.relighter(RelightVariant(indirect=indirect), 256).scaled(scale)
+        ours = metrics.on_black(relighter.relit(relighter.surface(lit_view.view.camera), lit_view.prepared).numpy())
+        values.append(metrics.psnr(ours, lit_view.true))
     return Measurement({"true_psnr": float(np.mean(values))})
 
 
 def _speed(bench: Bench, scene: Scene) -> Measurement:
-    """Frames at the setting for interaction."""
+    """Measure the frame rate at the setting for interaction."""
     one, figures = studio(bench, scene), {}
     for backend in ("mesh", "gaussian"):
-        way = Way(backend)
-        figures[f"{backend}_seconds"] = one.seconds(way, "efficient", bench.repeats)
-        figures[f"{backend}_turned_seconds"] = one.turned_seconds(way, "efficient", bench.repeats)
-    camera = one.places[0].view.camera
-    return Measurement(figures, {"pixels": camera.width * camera.height, "samples": sum(one.relighter(Way(), "efficient").counts)})
+        variant = RelightVariant(backend)
+        figures[f"{backend}_seconds"] = one.seconds(variant, "efficient", bench.repeats)
+        figures[f"{backend}_turned_seconds"] = one.turned_seconds(variant, "efficient", bench.repeats)
+    camera = one.lit_views[0].view.camera
+    return Measurement(
+        figures, {"pixels": camera.width * camera.height, "samples": sum(one.relighter(RelightVariant(), "efficient").counts)}
+    )
 
 
 class _Recorder:
-    """A mesh as `SurfaceQuery` that notes what it is asked."""
+    """Mesh as `SurfaceQuery` that records its ray queries."""
 
     def __init__(self, query: SurfaceQuery) -> None:
         self._query, self.origins = query, query.origins
-        self.asked: list[tuple[str, torch.Tensor, torch.Tensor]] = []
+        self.queries: list[tuple[str, torch.Tensor, torch.Tensor]] = []
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
-        self.asked.append(("hits", origin, direction))
+        """Record and answer a query of the closest hits."""
+        self.queries.append(("hits", origin, direction))
         return self._query.hits(origin, direction)
 
     def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        self.asked.append(("hidden", origin, direction))
+        """Record and answer a query of occlusion."""
+        self.queries.append(("hidden", origin, direction))
         return self._query.hidden(origin, direction)
 
 
 def _rays(bench: Bench, scene: Scene) -> Measurement:
-    """The rays of a frame again: through the mesh's query, and through Embree alone in as many threads."""
-    one, place = studio(bench, scene).relighter(Way(), "efficient"), studio(bench, scene).places[0]
+    """Repeat the rays of a frame, through the mesh's query and through Embree alone in as many threads."""
+    one, lit_view = studio(bench, scene).relighter(RelightVariant(), "efficient"), studio(bench, scene).lit_views[0]
     mesh, recorder = one.query, _Recorder(one.query)
     assert isinstance(mesh, MeshQuery)
     watched = Relighter(one.reconstruction, recorder, one.settings, one.mesh)
-    watched.relit(watched.surface(place.view.camera), place.prepared)
-    alone = {"hits": mesh.closest, "hidden": mesh.hidden}  # whether a ray is hidden Embree says by itself
+    watched.relit(watched.surface(lit_view.view.camera), lit_view.prepared)
+    alone = {"hits": mesh.closest, "hidden": mesh.hidden}  # Embree answers occlusion directly
     works = {
-        "frame": lambda: one.relit(one.surface(place.view.camera), place.prepared),
-        "query": lambda: [getattr(mesh, question)(*rays) for question, *rays in recorder.asked],
-        "embree": lambda: [alone[question](*rays) for question, *rays in recorder.asked],
+        "frame": lambda: one.relit(one.surface(lit_view.view.camera), lit_view.prepared),
+        "query": lambda: [getattr(mesh, question)(*rays) for question, *rays in recorder.queries],
+        "embree": lambda: [alone[question](*rays) for question, *rays in recorder.queries],
     }
     found = medians(works, bench.repeats)
-    rays = sum(len(origin) for _, origin, _ in recorder.asked)
+    rays = sum(len(origin) for _, origin, _ in recorder.queries)
     figures = {f"{name}_seconds": seconds for name, seconds in found.items()}
     return Measurement({**figures, "embree_mrays_per_second": rays / found["embree"] / 1e6}, {"rays": rays})
 
 
 def _shown(bench: Bench, scene: Scene) -> Measurement:
-    """16 samples by each way beside the true image."""
+    """Render 16 samples by each variant, next to the true image."""
     one = studio(bench, scene)
-    place, shown = one.places[0], {"true": one.places[0].true, "converged": one.converged("mesh", 0)}
-    shown |= {f"{way}, 16 samples": one.image(WAYS[way], 16, place) for way in MAIN}
+    lit_view, shown = one.lit_views[0], {"true": one.lit_views[0].true, "converged": one.converged("mesh", 0)}
+    shown |= {f"{variant}, 16 samples": one.image(VARIANTS[variant], 16, lit_view) for variant in MAIN}
     error = visualisation.heat(np.abs(shown["full, 16 samples"] - shown["converged"]).max(-1), 0.2)[..., :3]
     shown["full to converged, error to 0.2"] = error
-    return Measurement({"light": place.light}, {}, {n: np.round(255 * p.clip(0, 1)).astype(np.uint8) for n, p in shown.items()})
+    return Measurement({"light": lit_view.light}, {}, {n: np.round(255 * p.clip(0, 1)).astype(np.uint8) for n, p in shown.items()})
 
 
-# --- what is shown
+# --- report
 
 
 def blocks(results: Results) -> Iterator[Block]:
+    """Yield the charts, tables and images of the report."""
     scenes = [scene for scene in results.scenes if any(results.records(scene, "full, "))]
     if scenes:
-        panels = {scene: [_series(results, scene, way, "seconds") for way in (*WAYS, TO_ERROR)] for scene in scenes}
+        panels = {scene: [_series(results, scene, variant, "seconds") for variant in (*VARIANTS, TO_ERROR)] for scene in scenes}
         label = "error (rms of encoded values) ↓"
         yield Chart("Error against time of a frame", "seconds a frame ↓", label, panels, image="benchmark_relighting")
-        panels = {scene: [_series(results, scene, way, "samples") for way in WAYS] for scene in scenes}
+        panels = {scene: [_series(results, scene, variant, "samples") for variant in VARIANTS] for scene in scenes}
         yield Chart("Error against samples a pixel", "samples a pixel", label, panels)
     for scene in scenes:
         yield _table(results, scene)
@@ -171,32 +183,38 @@ def blocks(results: Results) -> Iterator[Block]:
         yield Images("A view under a new light", shown)
 
 
-def _points(results: Results, scene: str, way: str) -> list[dict]:
-    found = [r.figures for r in results.records(scene, f"{way}, ")]
+def _points(results: Results, scene: str, variant: str) -> list[dict]:
+    """Return the metrics of a variant on a scene, in the order of its samples."""
+    found = [r.figures for r in results.records(scene, f"{variant}, ")]
     return sorted(found, key=lambda figures: figures["samples"])
 
 
-def _series(results: Results, scene: str, way: str, x: str) -> Series:
-    points = _points(results, scene, way)
-    return Series(way, [p[x] for p in points], [p["rms_error"] for p in points])
+def _series(results: Results, scene: str, variant: str, x: str) -> Series:
+    """Return the error of a variant as a curve over seconds or samples."""
+    points = _points(results, scene, variant)
+    return Series(variant, [p[x] for p in points], [p["rms_error"] for p in points])
 
 
 def _table(results: Results, scene: str) -> Table:
-    counts = sorted({p["samples"] for way in WAYS for p in _points(results, scene, way)})
+    """Return the table of PSNR and time by samples per pixel."""
+    counts = sorted({p["samples"] for variant in VARIANTS for p in _points(results, scene, variant)})
     rows = []
-    for way in WAYS:
-        known = {p["samples"]: p for p in _points(results, scene, way)}
+    for variant in VARIANTS:
+        known = {p["samples"]: p for p in _points(results, scene, variant)}
         row = [f"{known[n]['converged_psnr']:.1f} dB, {1000 * known[n]['seconds']:.0f} ms" if n in known else None for n in counts]
-        rows.append([way, *row])
+        rows.append([variant, *row])
     return Table(f"{scene}: PSNR to the converged image ↑, and time of a frame ↓, by samples a pixel", ["", *map(str, counts)], rows)
 
 
 def _summaries(results: Results) -> Iterator[Block]:
+    """Yield the tables that compare few samples with many, errors asked for, frame rates and rays."""
     rows = []
     for scene in results.scenes:
-        few, many = (results.figure(scene, f"{way}, {n} samples", "rms_error") for way, n in (("without denoiser", 16), (PLAIN, MANY)))
+        few, many = (
+            results.figure(scene, f"{variant}, {n} samples", "rms_error") for variant, n in (("without denoiser", 16), (PLAIN, MANY))
+        )
         fast = results.figure(scene, "full, 16 samples", "rms_error")
-        on, off = (results.figure(scene, f"indirect {way}", "true_psnr") for way in ("on", "off"))
+        on, off = (results.figure(scene, f"indirect {variant}", "true_psnr") for variant in ("on", "off"))
         slope = _slope(_points(results, scene, "without denoiser"))
         rows.append([scene, few, fast, many, slope, on, off])
     columns = (
@@ -209,9 +227,7 @@ def _summaries(results: Results) -> Iterator[Block]:
         "without dB ↑",
     )
     if rows:
-        yield Table(
-            "Few samples well placed against many; whether light between the object's parts helps, against the truth", columns, rows
-        )
+        yield Table("Few samples by MIS against many without; effect of indirect light, against the ground truth", columns, rows)
         yield Note(
             f"The paper: 16 samples with MIS are better than {MANY} without on its Teapot. Strata converge faster than plain Monte Carlo."
         )
@@ -220,7 +236,7 @@ def _summaries(results: Results) -> Iterator[Block]:
     ]
     if asked:
         columns = ("scene", "error asked for", "error reached ↓", "mean samples", "seconds ↓")
-        yield Table("Rendered to an error (--error): every tile gets the samples that it takes", columns, asked)
+        yield Table("Rendered to an error (--error): every tile gets the samples that it needs", columns, asked)
     speeds = [
         [r.scene, *(1 / r.figures[f"{b}{turned}_seconds"] for b in SPEEDS for turned in ("", "_turned"))]
         for r in results.records(prefix="speed")
@@ -232,11 +248,11 @@ def _summaries(results: Results) -> Iterator[Block]:
     if rays:
         columns = ("scene", "rays a frame", "frame s ↓", "its rays by the relighter's query s ↓", "by Embree alone s ↓", "Embree, Mray/s ↑")
         names = ("frame_seconds", "query_seconds", "embree_seconds", "embree_mrays_per_second")
-        yield Table("Where a frame's time goes", columns, [[scene, n, *(f[name] for name in names)] for scene, n, f in rays])
+        yield Table("Time of a frame and of its rays", columns, [[scene, n, *(f[name] for name in names)] for scene, n, f in rays])
 
 
 def _slope(points: list[dict]) -> float | None:
-    """Of log error over log samples."""
+    """Return the slope of log error over log samples."""
     if len(points) < 2:
         return None
     x, y = (np.log([p[name] for p in points]) for name in ("samples", "rms_error"))

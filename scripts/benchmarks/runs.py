@@ -23,13 +23,15 @@ POLL = 0.2  # seconds between looks at a running reconstruction
 
 @dataclass(frozen=True)
 class RunPlan:
-    """How a scene is reconstructed.
+    """Plan of a reconstruction.
 
     Attributes:
-        label: unique among a scene's runs; with the scene's name it is the folder's.
-        preset: to start from. options: `--set` each. materials: "" leaves the choice to the job.
-        time: as after `--time`; "" for as long as it takes.
-        seconds: expected on two cores.
+        label: unique among a scene's runs; with the scene's name it is the folder's name
+        preset: preset to start from
+        options: settings as `KEY=VALUE`, each after `--set`
+        materials: as after `--materials`; "" leaves the choice to the job
+        time: as after `--time`; "" for none
+        seconds: expected seconds on two cores
     """
 
     label: str
@@ -40,7 +42,7 @@ class RunPlan:
     seconds: float = 120.0
 
     def words(self) -> list[str]:
-        """Options of `irgspp reconstruct`."""
+        """Return the options of `irgspp reconstruct`."""
         words = ["--preset", self.preset]
         words += ["--materials", self.materials] if self.materials else []
         words += ["--time", self.time] if self.time else []
@@ -49,11 +51,14 @@ class RunPlan:
 
 @dataclass(frozen=True)
 class Run:
-    """A finished reconstruction.
+    """Finished reconstruction.
 
     Attributes:
-        path: the run folder. first: what the first stage alone found, as far as `Reconstruction.load` reads it.
-        seconds: wall clock of its phases together. process_seconds: of the process, its start included. cpu_seconds: of all threads.
+        path: run folder
+        first: folder with the result of the first stage alone, as far as `Reconstruction.load` reads it
+        seconds: wall clock of all phases together
+        process_seconds: wall clock of the process, its start included
+        cpu_seconds: CPU time of all threads
     """
 
     path: Path
@@ -64,21 +69,30 @@ class Run:
 
     @property
     def about(self) -> dict[str, Any]:
-        """run.json."""
+        """Content of run.json."""
         return read_run(self.path)
 
     @property
     def peak_memory(self) -> int:
-        """Bytes, of the hungriest phase."""
+        """Peak memory of the phase with the most, in bytes."""
         return max(phase["peak_memory"] for phase in self.about["phases"].values())
 
     def phase_seconds(self) -> dict[str, float]:
-        """Wall clock of each phase."""
+        """Return the wall clock of each phase."""
         return {name: phase["seconds"] for name, phase in self.about["phases"].items()}
 
 
 def finished(plan: RunPlan, dataset: Path, path: Path) -> Run | None:
-    """The run in the folder, where it is one of this plan and done; else None."""
+    """Return the finished run in a folder.
+
+    Args:
+        plan: plan of the reconstruction
+        dataset: folder of the dataset
+        path: run folder
+
+    Returns:
+        The run; None where the folder holds none of this plan, or an unfinished one.
+    """
     note = _note(path)
     try:
         about = json.loads(note.read_text(encoding="utf-8"))
@@ -90,10 +104,17 @@ def finished(plan: RunPlan, dataset: Path, path: Path) -> Run | None:
     return Run(path, _first(path), seconds, about["process_seconds"], about["cpu_seconds"])
 
 
-def make(plan: RunPlan, dataset: Path, path: Path, ticked: Callable[[], None]) -> Run:
-    """Reconstruct, or go on with what an interrupted benchmark left; `ticked` is called every now and then.
+def make(plan: RunPlan, dataset: Path, path: Path, on_tick: Callable[[], None]) -> Run:
+    """Reconstruct a dataset, or continue a reconstruction that an earlier benchmark left unfinished.
 
-    Raises IrgsppError with the job's last line where it fails.
+    Args:
+        plan: plan of the reconstruction
+        dataset: folder of the dataset
+        path: run folder
+        on_tick: called now and then
+
+    Raises:
+        IrgsppError: with the job's last line, where the job fails
     """
     before = _interrupted(plan, dataset, path)
     command = [sys.executable, "-P", "-m", "irgspp", "reconstruct", str(dataset), "-o", str(path), *plan.words()]
@@ -105,30 +126,30 @@ def make(plan: RunPlan, dataset: Path, path: Path, ticked: Callable[[], None]) -
     write_atomic(_note(path), json.dumps(about).encode())
     began, cpu = time.monotonic(), _children_seconds()
     try:
-        status, said = _watch(command, path, ticked)
+        status, last_line = _watch(command, path, on_tick)
     finally:
         about["process_seconds"] += time.monotonic() - began
         about["cpu_seconds"] += _children_seconds() - cpu
         write_atomic(_note(path), json.dumps(about).encode())
     if status:
-        raise IrgsppError(f"irgspp reconstruct ended with status {status}: {said}")
+        raise IrgsppError(f"irgspp reconstruct ended with status {status}: {last_line}")
     write_atomic(_note(path), json.dumps({**about, "done": True}).encode())
     run = finished(plan, dataset, path)
     assert run is not None
     return run
 
 
-def _watch(command: list[str], path: Path, ticked: Callable[[], None]) -> tuple[int, str]:
-    """Run to the end, keeping the first stage's result while it is there; the exit status, and the last line on stderr."""
+def _watch(command: list[str], path: Path, on_tick: Callable[[], None]) -> tuple[int, str]:
+    """Run a command to its end and copy the first stage's result while it exists; return the exit status and the last line on stderr."""
     first = _first(path)
     with path.with_name(path.name + ".log").open("w+", encoding="utf-8", errors="replace") as log:
         child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log)
         try:
             while (status := child.poll()) is None:
-                _keep_first(path, first)
-                ticked()
+                _copy_first(path, first)
+                on_tick()
                 time.sleep(POLL)
-        except BaseException:  # Ctrl-C: the job saves what it has, whether the terminal told it as well or not
+        except BaseException:  # Ctrl-C: the job saves its state, whether the terminal signalled it as well or not
             if path.is_dir():
                 (path / "cancel").touch()
             child.wait()
@@ -138,8 +159,8 @@ def _watch(command: list[str], path: Path, ticked: Callable[[], None]) -> tuple[
     return status, lines[-1] if lines else "no message"
 
 
-def _keep_first(path: Path, first: Path) -> None:
-    """Copy the first stage's result as soon as it is complete: the job removes it in the end."""
+def _copy_first(path: Path, first: Path) -> None:
+    """Copy the first stage's result as soon as it is complete, because the job removes it in the end."""
     source = path / FIRST_STAGE
     if first.is_dir() or not (source / "reconstruction.json").is_file():
         return
@@ -155,7 +176,7 @@ def _keep_first(path: Path, first: Path) -> None:
 
 
 def _interrupted(plan: RunPlan, dataset: Path, path: Path) -> dict[str, Any] | None:
-    """The note of a run of this plan that can be resumed."""
+    """Return the note of a run of this plan that can be resumed; None where there is none."""
     try:
         about = json.loads(_note(path).read_text(encoding="utf-8"))
         status = json.loads((path / "run.json").read_text(encoding="utf-8"))["status"]
@@ -165,18 +186,21 @@ def _interrupted(plan: RunPlan, dataset: Path, path: Path) -> dict[str, Any] | N
 
 
 def _plan(plan: RunPlan, dataset: Path) -> list[str]:
+    """Return the dataset and options that identify a plan."""
     return [str(dataset.resolve()), *plan.words()]
 
 
 def _first(path: Path) -> Path:
+    """Return the folder for the first stage's result."""
     return path.with_name(path.name + "-first")
 
 
 def _note(path: Path) -> Path:
+    """Return the file that says which plan a run is of, and whether it is finished."""
     return path.with_name(path.name + ".json")
 
 
 def _children_seconds() -> float:
-    """CPU seconds of the processes that were waited for; 0 on Windows, which does not tell."""
+    """Return the CPU seconds of all child processes that have ended; 0 on Windows, which does not count them."""
     times = os.times()
     return times.children_user + times.children_system

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a section of the benchmark is made of: tasks that measure, and blocks that show what was measured.
+"""Interface of a section of the benchmark: tasks that measure, and blocks of the report.
 
 A section is a module of this package, named in `benchmark.SECTIONS`, with
 
     NAME = "geometry"           # as after --sections, and in every record
     TITLE = "Geometry"          # of its chapter in the report
     ABOUT = "What is compared, how, and which direction is better."
-    ONCE = False                # True: tasks() is called once with scene None, for what no scene has a say in
+    ONCE = False                # True: tasks() is called once with scene None, for what does not depend on a scene
     def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]
     def blocks(results: Results) -> Iterator[Block]
 
-`tasks` only lists the work and measures nothing: a task whose record is in the store already is not done again, one that raises is recorded
-as failed with its line. `blocks` reads records alone, so that a report can be made from a results.json at any time, on any machine.
+`tasks` only lists the work and measures nothing: a task whose record is in the store is not repeated, one that raises is recorded as failed
+with its message. `blocks` reads records alone, so that a report can be made from a results.json at any time, on any machine.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ Figures = dict[str, float | int | str | None]
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What a task found.
+    """Result of a task.
 
     Attributes:
-        figures: name to number, or to a short text; units are in the name ("seconds", "relight_psnr").
-        counted: work done as counts (rays, hits, pixels, samples, iterations), which a busy machine does not change.
-        images: name to (H, W, 3) uint8; kept as PNG files beside the results.
+        figures: name to number, or to a short text; units are in the name ("seconds", "relight_psnr")
+        counted: work as counts (rays, hits, pixels, samples, iterations), which other load on the machine does not change
+        images: name to (H, W, 3) uint8; stored as PNG files next to the results
     """
 
     figures: Figures
@@ -43,13 +43,13 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One measurement to be made.
+    """One measurement to make.
 
     Attributes:
-        configuration: what distinguishes it within its section and scene; with these it is the record's key.
-        work: makes it.
-        seconds: expected on two cores, without its runs; for the time left alone.
-        runs: reconstructions that it needs (`Bench.run` makes them), which tasks share.
+        configuration: distinguishes the task within its section and scene; the three are the key of the record
+        work: makes the measurement
+        seconds: expected seconds on two cores without the runs, for the estimate of the remaining time
+        runs: reconstructions that the task needs and shares with others (`Bench.run` makes them)
     """
 
     configuration: str
@@ -58,21 +58,25 @@ class Task:
     runs: Sequence[RunPlan] = ()
 
 
-# --- what a report shows
+# --- blocks of a report
 
 
 @dataclass(frozen=True)
 class Note:
-    """A paragraph in plain words."""
+    """Paragraph of text."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text or numbers (None: not known, shown as a dash) under column titles; give units and ↑ or ↓ (which is better) in these.
+    """Table of text and numbers (None: not known, shown as a dash).
 
-    detail: for the report alone, too long for docs/.
+    Attributes:
+        title: title of the table
+        columns: headings with units and ↑ or ↓ for the better direction
+        rows: cells of each row
+        detail: True for the report alone, where it is too long for docs/
     """
 
     title: str
@@ -83,7 +87,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Series:
-    """Points joined by a line, or apart."""
+    """Points of a chart, joined by a line or not.
+
+    Attributes:
+        label: name in the legend
+        x: abscissae, (N,)
+        y: ordinates, (N,)
+        line: True to join the points
+    """
 
     label: str
     x: Sequence[float]
@@ -93,7 +104,17 @@ class Series:
 
 @dataclass(frozen=True)
 class Chart:
-    """Curves of one or several panels side by side (title of each to its series); `image` names the PNG that docs/ gets of it."""
+    """Chart of one or several panels side by side.
+
+    Attributes:
+        title: title of the chart
+        x: label of the abscissa
+        y: label of the ordinate
+        panels: series of each panel by its title
+        log_x: True for a logarithmic abscissa
+        log_y: True for a logarithmic ordinate
+        image: name of the PNG file in docs/; "" for none
+    """
 
     title: str
     x: str
@@ -115,8 +136,8 @@ class Images:
 Block = Note | Table | Chart | Images
 
 
-def shown(value: str | float | int | None) -> str:
-    """A cell's value as text: three or four digits that say something."""
+def formatted(value: str | float | int | None) -> str:
+    """Return a cell's value as text with three or four significant digits."""
     if value is None:
         return "–"
     if isinstance(value, str):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All tasks of a benchmark, one after the other: what is there is not done again, what fails is noted, the time left is told."""
+"""Session of a benchmark: does all tasks in order, skips finished ones, records failures and shows the remaining time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LIVE_SECONDS, PLAIN_SECONDS = 0.5, 30.0
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A task in its place."""
+    """Task with its section and scene."""
 
     section: str
     scene: Scene | None
@@ -33,12 +33,17 @@ class Step:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """Of its record."""
+        """Key of the task's record."""
         return (self.section, self.scene.name if self.scene else EVERYWHERE, self.task.configuration)
 
 
 def steps_of(bench: Bench, sections: Sequence[ModuleType]) -> list[Step]:
-    """All of them, section by section."""
+    """Return the tasks of all sections and scenes in order.
+
+    Args:
+        bench: options and scenes
+        sections: modules of the sections
+    """
     return [
         Step(section.NAME, scene, task)
         for section in sections
@@ -48,7 +53,14 @@ def steps_of(bench: Bench, sections: Sequence[ModuleType]) -> list[Step]:
 
 
 def expected_seconds(bench: Bench, steps: Sequence[Step]) -> list[float]:
-    """Of each step on two cores; a reconstruction counts where it is needed first, and not at all where it is there."""
+    """Return the expected seconds of each step on two cores.
+
+    A reconstruction counts where it is needed first, and not at all where it exists.
+
+    Args:
+        bench: options and reconstructions
+        steps: steps in order
+    """
     counted, seconds = set(), []
     for step in steps:
         own = step.task.seconds
@@ -62,24 +74,30 @@ def expected_seconds(bench: Bench, steps: Sequence[Step]) -> list[float]:
 
 
 class Session:
-    """Works the steps off and tells how far it is."""
+    """Worker of the steps that shows its progress on a terminal."""
 
     def __init__(self, bench: Bench, store: Store, stream: TextIO | None = None) -> None:
         self.bench, self.store, self._stream = bench, store, stream or sys.stderr
         self._live = self._stream.isatty()
         self._shown, self._width, self._line = 0.0, 0, ""
         self._began, self._left, self._own = 0.0, 0.0, 0.0
-        bench.ticked = self._tick
+        bench.on_tick = self._tick
 
     def work(self, steps: Sequence[Step]) -> int:
-        """Do what is not done; returns how many failed. KeyboardInterrupt passes, with everything done so far in the store."""
+        """Do all steps that are not done, and return how many failed.
+
+        KeyboardInterrupt passes; everything done so far is in the store.
+
+        Args:
+            steps: steps in order
+        """
         missing = [step for step in steps if not self.store.done(step.key)]
         seconds = expected_seconds(self.bench, missing)
-        self.say(f"{len(steps)} measurements, {len(steps) - len(missing)} of them there; about {clock(sum(seconds))} on two quiet cores")
+        self.say(f"{len(steps)} measurements, {len(steps) - len(missing)} of them done; about {clock(sum(seconds))} left on two idle cores")
         spent, planned, failures = 0.0, 0.0, 0
         for number, (step, own) in enumerate(zip(missing, seconds, strict=True), 1):
-            pace = spent / planned if planned > 60 else 1.0
-            self._left, self._own, self._began = pace * sum(seconds[number - 1 :]), pace * own, time.monotonic()
+            time_scale = spent / planned if planned > 60 else 1.0
+            self._left, self._own, self._began = time_scale * sum(seconds[number - 1 :]), time_scale * own, time.monotonic()
             self._line = f"{number}/{len(missing)} {' '.join(step.key)}"
             self._tick(True)
             record = self._measured(step)
@@ -90,11 +108,12 @@ class Session:
         return failures
 
     def _measured(self, step: Step) -> Record:
+        """Do a step and return its record; an exception makes it a failed one."""
         try:
             found = step.task.work()
             figures = {name: _plain(value) for name, value in found.figures.items()}
-            kept = {name: self._keep(step, name, image) for name, image in found.images.items()}
-            record = Record(*step.key, figures=figures, counted=found.counted, images=kept)
+            files = {name: self._save_image(step, name, image) for name, image in found.images.items()}
+            record = Record(*step.key, figures=figures, counted=found.counted, images=files)
         except Exception as error:
             line = f"{type(error).__name__}: {' '.join(str(error).split())}"
             self.say(f"failed: {' '.join(step.key)}: {line}")
@@ -103,20 +122,22 @@ class Session:
             record = Record(*step.key, status="failed", error=line)
         return replace(record, seconds=round(time.monotonic() - self._began, 3), environment=self.store.current)
 
-    def _keep(self, step: Step, name: str, image: np.ndarray) -> str:
+    def _save_image(self, step: Step, name: str, image: np.ndarray) -> str:
+        """Write an image as a PNG file and return its path relative to the store's folder."""
         file = Path("pictures", "-".join("".join(c if c.isalnum() else "_" for c in part) for part in (*step.key, name)) + ".png")
         (self.store.folder / "pictures").mkdir(parents=True, exist_ok=True)
         Image.fromarray(image).save(self.store.folder / file)
         return file.as_posix()
 
-    # --- the line on the terminal
+    # --- progress line
 
     def say(self, text: str) -> None:
-        """One line that stays."""
+        """Print a line that stays on the terminal."""
         self._end_line()
         print(text, file=self._stream, flush=True)
 
     def _tick(self, new: bool = False) -> None:
+        """Update the progress line, or print it now and then where there is no terminal."""
         now = time.monotonic()
         if now - self._shown < (LIVE_SECONDS if self._live else PLAIN_SECONDS) and not (new and self._live):
             return
@@ -129,13 +150,14 @@ class Session:
         self._width = len(line)
 
     def _end_line(self) -> None:
+        """End the progress line."""
         if self._live and self._width:
             print(file=self._stream, flush=True)
         self._width = 0
 
 
 def _plain(value: object) -> object:
-    """A number that JSON knows; what is not finite becomes text, which no plot shows."""
+    """Return a number that JSON can hold; NaN and infinity become text, which no chart shows."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The benchmark in a few lines: what came out, and where something else is better than we are."""
+"""Summary of the benchmark: the main results, and where another renderer or optimiser is better."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from .peer_inverse import FIGURES, MITSUBA, OURS, PREFIX, UNITS
-from .section import Block, Note, Table, shown
+from .section import Block, Note, Table, formatted
 from .store import Results, Store
 
-CLOSE = 1.05  # ratios up to this count as even
+CLOSE = 1.05  # time ratios up to this count as equal
 
 
 def blocks(store: Store) -> Iterator[Block]:
-    """A table with a row for each scene, and sentences on who is faster."""
+    """Yield a table with a row for each scene, and sentences on who is faster."""
     rows = [row for scene in store.scenes if any((row := _row(store, scene))[1:])]
     if rows:
         columns = (
@@ -26,20 +26,22 @@ def blocks(store: Store) -> Iterator[Block]:
             "relit frames/s ↑",
             "times IRGS' rate ↑",
         )
-        yield Table("In short: the balanced job, default settings", columns, rows)
-    raced: dict[str, list[tuple[float, str]]] = {}
-    for peer, where, ratio in _duels(store):
-        raced.setdefault(peer, []).append((ratio, where))
-    if raced:
-        yield Note("For the same, others take as many times as long: " + "; ".join(f"{p} {_range(r)}" for p, r in raced.items()) + ".")
-    worse = [f"{peer}, {where}, {ratio:.2g} times as long" for peer, r in raced.items() for ratio, where in r if ratio <= CLOSE]
+        yield Table("Summary: the balanced job, default settings", columns, rows)
+    ratios: dict[str, list[tuple[float, str]]] = {}
+    for peer, where, ratio in _time_ratios(store):
+        ratios.setdefault(peer, []).append((ratio, where))
+    if ratios:
+        yield Note(
+            "Time of others for the same result, relative to ours: " + "; ".join(f"{p} {_range(r)}" for p, r in ratios.items()) + "."
+        )
+    worse = [f"{peer}, {where}, {ratio:.2g} times as long" for peer, r in ratios.items() for ratio, where in r if ratio <= CLOSE]
     if worse:
         yield Note("Not faster than others: " + "; ".join(worse) + ".")
     yield from _inverse(store)
 
 
 def _inverse(store: Store) -> Iterator[Note]:
-    """How far Mitsuba's own inverse rendering came in the time of our second stage, and where it came further."""
+    """Yield how Mitsuba's inverse rendering compares with our second stage in the same time, and where it is better."""
     pairs = []
     for record in Results(store, "peers").records(prefix=f"{PREFIX}{MITSUBA}, 1 x"):
         ours = Results(store, "peers").get(record.scene, f"{PREFIX}{OURS}")
@@ -50,16 +52,17 @@ def _inverse(store: Store) -> Iterator[Note]:
     relit = "; ".join(f"{scene} {a['relight_psnr']:.1f} and {b['relight_psnr']:.1f} dB" for scene, a, b in pairs)
     yield Note(f"Relit after our second stage, and after as many seconds of Mitsuba's optimiser with our mesh: {relit}.")
     worse = [
-        f"{unit.rstrip(' ↑↓')} of {scene}, {shown(a[name])} and {shown(b[name])}"
+        f"{unit.rstrip(' ↑↓')} of {scene}, {formatted(a[name])} and {formatted(b[name])}"
         for scene, a, b in pairs
         for name, unit in zip(FIGURES, UNITS, strict=True)
         if name in a and name in b and (b[name] > a[name] if unit.endswith("↑") else b[name] < a[name])
     ]
     if worse:
-        yield Note(f"There Mitsuba's is better in: {'; '.join(worse)}.")
+        yield Note(f"Mitsuba's is better in: {'; '.join(worse)}.")
 
 
 def _row(store: Store, scene: str) -> list[str | float | None]:
+    """Return the main results of a scene."""
     job, relit = Results(store, "reconstruction"), Results(store, "relighting")
     parts = Results(store, "decomposition")
     seconds = relit.figure(scene, "speed", "mesh_seconds")
@@ -71,12 +74,13 @@ def _row(store: Store, scene: str) -> list[str | float | None]:
 
 
 def _range(ratios: list[tuple[float, str]]) -> str:
+    """Return the range of time ratios as text."""
     low, high = (f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.2g}" for ratio, _ in (min(ratios), max(ratios)))
     return low if low == high else f"{low} to {high}"
 
 
-def _duels(store: Store) -> Iterator[tuple[str, str, float]]:
-    """Who was raced against, over what, and how many times as long they take."""
+def _time_ratios(store: Store) -> Iterator[tuple[str, str, float]]:
+    """Yield who was compared, on what, and how many times as long they take."""
     for record in Results(store, "peers").records(prefix="to our error"):
         for name, ratio in record.figures.items():
             if name.endswith(": times as long") and isinstance(ratio, float):

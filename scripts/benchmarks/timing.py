@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Times that a busy machine distorts the least: medians of repeats, taken in turns where they are to be compared."""
+"""Timings that other load on the machine distorts little: medians of repeats, alternating where they are compared."""
 
 from __future__ import annotations
 
@@ -8,18 +8,34 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-ENOUGH = 2.0  # seconds after which no further repeat is made
+ENOUGH = 2.0  # seconds of one work after which it is not repeated again
 
 
 def median_seconds(work: Callable[[], Any], repeats: int, enough: float = ENOUGH) -> float:
-    """Wall clock of `work` after one run that does not count; fewer repeats where they take long."""
+    """Return the median wall clock of a function after one call that does not count.
+
+    Args:
+        work: function to time
+        repeats: calls to time
+        enough: seconds after which there are no further repeats
+    """
     return medians({"": work}, repeats, enough)[""]
 
 
 def medians(
     works: Mapping[str, Callable[[], Any]], repeats: int, enough: float = ENOUGH, clock: Callable[[], float] = time.perf_counter
 ) -> dict[str, float]:
-    """The median time of each; they take turns, so that what else goes on hits all alike. `clock`: process_time counts CPU seconds."""
+    """Return the median time of several functions, which alternate so that other load affects all alike.
+
+    Args:
+        works: functions by name
+        repeats: calls of each
+        enough: seconds for each after which there are no further repeats
+        clock: clock in seconds; `time.process_time` counts CPU time
+
+    Returns:
+        Seconds by name.
+    """
     times: dict[str, list[float]] = {name: [] for name in works}
     for work in works.values():
         work()

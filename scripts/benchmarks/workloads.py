@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work for the rasteriser's and the ray tracer's kernels: surfels all over a torus, seen by a camera, or by rays from its surface."""
+"""Workloads for the kernels of the rasteriser and the ray tracer: a torus of surfels, seen by a camera or by rays from its surface."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from irgspp.core.kernels.constants import NEAR, TILE
-from irgspp.core.kernels.constants import SPLAT_GRADIENTS as GEOMETRY
-from irgspp.core.kernels.constants import SPLAT_RECORD as RECORD
+from irgspp.core.kernels.constants import NEAR, SPLAT_GRADIENTS, SPLAT_RECORD, TILE
 from irgspp.core.kernels.cpu.binning import bin_tiles, depth_order
 from irgspp.core.kernels.cpu.bvh import SurfelTree, flat
 from irgspp.core.kernels.cpu.compositing import SH_ROW, SUMS, composite_backward_range, composite_range, pack_range
@@ -30,9 +28,9 @@ from irgspp.core.scene.gaussians import quaternion_to
 from .plain_raster import plain_backward_range, plain_range
 from .plain_trace import plain_composite_backward_range, plain_composite_range, plain_gather_range
 
-EXTRAS = 4  # with colour, normal, depth and opacity: 12 channels
+EXTRAS = 4  # extra channels; with colour, normal, depth and opacity 12
 MAJOR, MINOR = 1.0, 0.4  # radii of the torus
-OFFSET = 0.75  # where secondary rays start, along themselves, in spacings of the surfels
+OFFSET = 0.75  # distance along secondary rays at which they start, in spacings of the surfels
 OURS, PLAIN = "ours", "numba, plain loops"
 RASTER = {OURS: (rasterize_range, rasterize_backward_range), PLAIN: (plain_range, plain_backward_range)}
 TRACE = {
@@ -43,7 +41,7 @@ TRACE = {
 
 @dataclass(frozen=True)
 class Splats:
-    """A projected scene, and what the kernels write to; attributes as in `core/kernels/rasterize.py`."""
+    """Projected scene and the buffers that the kernels write to; attributes as in `core/kernels/rasterize.py`."""
 
     start: np.ndarray
     entries: np.ndarray
@@ -64,18 +62,28 @@ class Splats:
         return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
     def forward(self, kernel: Callable[..., None]) -> None:
-        """Fill `image`."""
+        """Fill `image` by a forward kernel."""
         lists = self.start, self.entries, self.record, self.feature, self.box, self.columns
         run_ranges(kernel, self.tiles, *lists, self.image, self.stride, self.plane)
 
     def backward(self, kernel: Callable[..., None]) -> None:
-        """Add to `slots`."""
+        """Add the gradients to `slots` by a backward kernel."""
         lists = self.start, self.entries, self.record, self.feature, self.box, self.columns
         run_ranges(kernel, self.tiles, *lists, self.image, self.gradient, self.stride, self.plane, self.slots, numbered=True)
 
 
 def torus(count: int, seed: int, extras: int = EXTRAS) -> list[np.ndarray]:
-    """Disks all over a torus, 1 to 1.5 times as large as their spacing, opacity 0.6 to 0.99: the arguments of `project_range`."""
+    """Return surfels all over a torus, 1 to 1.5 times as large as their spacing, opacity 0.6 to 0.99.
+
+    Args:
+        count: number of surfels
+        seed: seed of the random numbers
+        extras: extra channels
+
+    Returns:
+        The flat float32 arguments of `project_range`: position (3 N,), quaternion (4 N,), log_scale (2 N,), opacity (N,), sh (48 N,),
+        extra.
+    """
     rng = np.random.default_rng(seed)
     a, b = rng.uniform(0, 2 * np.pi, (2, 2 * count))
     fair = rng.random(2 * count) * (MAJOR + MINOR) < MAJOR + MINOR * np.cos(b)  # uniform by area
@@ -93,7 +101,7 @@ def torus(count: int, seed: int, extras: int = EXTRAS) -> list[np.ndarray]:
 
 
 def viewer(size: int) -> Camera:
-    """Looks at the torus from 35 degrees above."""
+    """Return a camera of size x size pixels that sees the torus from 35 degrees above."""
     back = np.array([0.0, -math.cos(math.radians(35)), math.sin(math.radians(35))])
     pose = np.eye(4)
     pose[:3] = np.stack([[1, 0, 0], np.cross(back, [1, 0, 0]), back, 4 * back], -1)
@@ -101,9 +109,16 @@ def viewer(size: int) -> Camera:
 
 
 def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splats:
-    """The torus in an image of size x size, with a random upstream gradient."""
+    """Project the torus into an image, with a random upstream gradient.
+
+    Args:
+        count: number of surfels
+        size: pixels along a side of the image
+        seed: seed of the random numbers
+        extras: extra channels
+    """
     camera = viewer(size)
-    record, feature = np.empty((count, RECORD), np.float32), np.empty((count, 6 + extras), np.float32)
+    record, feature = np.empty((count, SPLAT_RECORD), np.float32), np.empty((count, 6 + extras), np.float32)
     box, depth = np.empty((count, 4), np.int32), np.empty(count, np.float32)
     camera_array = camera_numbers(camera, NEAR)
     project_range(0, -(-count // 8), *torus(count, seed, extras), 16, camera_array, count, record, feature, box, depth)
@@ -113,13 +128,13 @@ def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splat
     tiles = balanced_ranges(np.diff(start) + 1, thread_count())
     image = np.empty((9 + extras) * plane, np.float32)
     gradient = np.random.default_rng(seed).normal(size=(8 + extras) * plane).astype(np.float32)
-    slots = np.zeros((len(tiles), count, GEOMETRY + 6 + extras), np.float32)
+    slots = np.zeros((len(tiles), count, SPLAT_GRADIENTS + 6 + extras), np.float32)
     return Splats(start, entries, record, feature, box, columns, image, gradient, stride, plane, slots, tiles)
 
 
 @dataclass
 class Rays:
-    """Secondary rays and what the kernels make of them; attributes as in `core/kernels/trace.py`."""
+    """Secondary rays and their hits; attributes as in `core/kernels/trace.py`."""
 
     tree: SurfelTree
     rows: np.ndarray
@@ -140,7 +155,7 @@ class Rays:
         return sum(value.nbytes for value in own if isinstance(value, np.ndarray))
 
     def forward(self, kernels: tuple[Callable[..., Any], Callable[..., None]]) -> None:
-        """Fill `hits` and `image`."""
+        """Fill `hits` and `image` by kernels that gather and composite."""
         gather, composite = kernels
         t = self.tree
         scene = t.node, t.child, t.leaf, t.index, t.depth, self.count, self.left
@@ -152,12 +167,18 @@ class Rays:
         self.hits = start, index, weight, lit
 
     def backward(self, kernel: Callable[..., None]) -> None:
-        """Add to `slots`."""
+        """Add the gradients to `slots` by a backward kernel."""
         run_ranges(kernel, self.ranges, self.direction, *self.hits, 16, 0, self.gradient, self.slots, numbered=True)
 
 
 def scatter(count: int, number: int, seed: int = 0) -> Rays:
-    """`number` rays over the hemispheres (cosine) of points that the viewer sees, with a random upstream gradient."""
+    """Return rays over the hemispheres (cosine) of points that the camera sees, with a random upstream gradient.
+
+    Args:
+        count: number of surfels
+        number: number of rays
+        seed: seed of the random numbers
+    """
     flat_arrays = [torch.from_numpy(a) for a in torus(count, seed)]
     parameters = [a.view(*shape, count) for a, shape in zip(flat_arrays[:4], [(3,), (4,), (2,), ()], strict=True)]
     tree = SurfelTree.build(*parameters)
@@ -186,9 +207,16 @@ def scatter(count: int, number: int, seed: int = 0) -> Rays:
 
 
 def disagreement(work: Splats | Rays, kernels: dict[str, Any]) -> dict[str, float]:
-    """How far both versions are apart: largest difference of a sum, relative L2 of all gradients.
+    """Compare two versions of the kernels, which also compiles them.
 
-    Also warms the kernels up. Pixels and rays exactly on a threshold may fall to either side of it.
+    Pixels and rays exactly on a threshold may fall to either side of it.
+
+    Args:
+        work: workload
+        kernels: forward and backward kernels by version
+
+    Returns:
+        Largest difference of a sum ("picture"), and relative L2 difference of all gradients ("gradient").
     """
     images, gradients = [], []
     for forward, backward in kernels.values():
@@ -202,7 +230,16 @@ def disagreement(work: Splats | Rays, kernels: dict[str, Any]) -> dict[str, floa
 
 
 def measure(work: Splats | Rays, kernels: dict[str, Any], repetitions: int) -> dict[str, dict[str, float]]:
-    """Median CPU milliseconds (all threads) of each kernel; the versions take turns, so that what else goes on hits both alike."""
+    """Return the median CPU milliseconds of all threads; the versions alternate so that other load affects both alike.
+
+    Args:
+        work: workload
+        kernels: forward and backward kernels by version
+        repetitions: calls of each
+
+    Returns:
+        Milliseconds of "forward" and "backward" by version.
+    """
     times: dict[str, dict[str, list[float]]] = {name: {"forward": [], "backward": []} for name in kernels}
     for _ in range(repetitions):
         for name, (forward, backward) in kernels.items():

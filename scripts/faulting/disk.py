@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Disks that are full, read-only or limited: one clear line, the last good state kept, and the job goes on once there is room."""
+"""Disks that are full, read-only or work_with_file_limit: one clear line, the last good state kept, and the job goes on once there is room."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stresses.case import Measured
 from .cases import case_of
 from .kill import unreadable
 from .mounts import LEFT_OUT, can_mount, mounted, remount
-from .tiny import Doom, Nursery, differing, said, undisturbed, work, write_dataset
+from .tiny import JobStarter, KillPoint, differing_files, reference_run, user_lines, work, write_dataset
 
 case = case_of("disk")
 PLENTY = 64 << 20
@@ -37,64 +37,66 @@ def filled(place: Path, left: int) -> Path:
     return ballast
 
 
-def starved(dataset: str, run: str, resume: bool, left: int) -> None:
+def work_on_full_disk(dataset: str, run: str, resume: bool, left: int) -> None:
     """The job, on a disk that is filled up to so many bytes once it has begun."""
-    _apart(dataset, run, resume, lambda job: filled(Path(run).parent, left))
+    _work_with_fault(dataset, run, resume, lambda job: filled(Path(run).parent, left))
 
 
-def limited(dataset: str, run: str, resume: bool, size: int) -> None:
+def work_with_file_limit(dataset: str, run: str, resume: bool, size: int) -> None:
     """The job, none of whose files may become larger than `size` once it has begun."""
-    _apart(dataset, run, resume, lambda job: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)))
+    _work_with_fault(dataset, run, resume, lambda job: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)))
 
 
-def read_only(dataset: str, run: str, resume: bool) -> None:
+def work_on_read_only_disk(dataset: str, run: str, resume: bool) -> None:
     """The job, on a disk that becomes read-only once it has begun."""
 
     def harden(job: pipeline.Job) -> None:
         job.folder.close()  # its lock is a file open for writing, with which no disk can be made read-only
         remount(Path(run).parent, "ro")
 
-    _apart(dataset, run, resume, harden)
+    _work_with_fault(dataset, run, resume, harden)
 
 
-def _apart(dataset: str, run: str, resume: bool, fault: Callable[[pipeline.Job], object] = lambda job: None) -> None:
+def _work_with_fault(dataset: str, run: str, resume: bool, fault: Callable[[pipeline.Job], object] = lambda job: None) -> None:
     """The work itself, with a fault once it has begun; what it says goes where there is room."""
     begin = pipeline.Job.run
 
-    def struck(job: pipeline.Job) -> None:
+    def run_with_fault(job: pipeline.Job) -> None:
         fault(job)
         begin(job)
 
-    pipeline.Job.run = struck
-    work(dataset, run, resume, Doom(), said_to=str(Path(run).parent.parent / "said.txt"))
+    pipeline.Job.run = run_with_fault
+    work(dataset, run, resume, KillPoint(), output=str(Path(run).parent.parent / "said.txt"))
 
 
-def told(measured: Measured, folder: Path, status: int, wanted: int, words: str, where: str) -> None:
+def check_message(measured: Measured, folder: Path, status: int, wanted: int, words: str, where: str) -> None:
     """One line for the user with these words, and no traceback."""
-    lines = said(folder / "said.txt")
+    lines = user_lines(folder / "said.txt")
     measured.holds(f"{where}: exit status {wanted}, not {status}", status == wanted)
     measured.holds(f"{where}: one line with {words!r}, not {lines}", len(lines) == 1 and words in lines[0])
 
 
-def survives(measured: Measured, size: int, faults: list[tuple]) -> None:
+def check_faults(measured: Measured, size: int, faults: list[tuple]) -> None:
     """Each fault (name, function, further arguments, words, how to mend it) and the next start, on one small disk."""
     if not can_mount():
         measured.note(LEFT_OUT)
         return
-    nursery = Nursery()
+    starter = JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name, small_disk(Path(name), size) as disk:
         folder = Path(name)
-        data, calm, _ = undisturbed()
+        data, reference, _ = reference_run()
         for label, function, more, words, mend in faults:
             run = disk / "run"
-            told(measured, folder, nursery.run(function, str(data), str(run), False, *more), 1, words, label)
+            check_message(measured, folder, starter.run(function, str(data), str(run), False, *more), 1, words, label)
             mend(disk)
             for what in unreadable(run):
                 measured.holds(f"{label}: {what} is readable", False)
-            status = nursery.run(work, str(data), str(run), True, Doom())
-            measured.holds(f"{label}: goes on with room, not status {status}: {said(Path(f'{run}.txt'))}", status == 0)
-            unlike = differing(run, calm)
-            measured.holds(f"{label}: the same bits, not others in {', '.join(unlike)}", not unlike and read_run(run)["status"] == "done")
+            status = starter.run(work, str(data), str(run), True, KillPoint())
+            measured.holds(f"{label}: goes on with room, not status {status}: {user_lines(Path(f'{run}.txt'))}", status == 0)
+            different = differing_files(run, reference)
+            measured.holds(
+                f"{label}: the same bits, not others in {', '.join(different)}", not different and read_run(run)["status"] == "done"
+            )
             shutil.rmtree(run)
         measured.note(f"{len(faults)} faults")
 
@@ -107,21 +109,21 @@ def free(disk: Path) -> None:
 @case(
     "full while the job works",
     """A disk in memory that runs full at different moments: exit status 1, one line that says so, what is under a final name can be read,
-    and the next start, with room, ends with the same bits as an undisturbed run.""",
+    and the next start, with room, ends with the same bits as an reference_run run.""",
 )
 def full(measured: Measured) -> None:
-    survives(measured, PLENTY, [("700 kB left", starved, (700_000,), "the disk is full", free)])
+    check_faults(measured, PLENTY, [("700 kB left", work_on_full_disk, (700_000,), "the disk is full", free)])
 
 
 @case("full at 11 moments", "The same with from 0 bytes to 2 MB left.", quick=False)
 def full_often(measured: Measured) -> None:
     sizes = (0, 8192, 40_000, 120_000, 250_000, 350_000, 500_000, 700_000, 1_000_000, 1_500_000, 2_000_000)
-    survives(measured, PLENTY, [(f"{left} bytes left", starved, (left,), "the disk is full", free) for left in sizes])
+    check_faults(measured, PLENTY, [(f"{left} bytes left", work_on_full_disk, (left,), "the disk is full", free) for left in sizes])
 
 
 @case("read-only while the job works", "A disk that becomes read-only: the same.", quick=False)
 def hardened(measured: Measured) -> None:
-    survives(measured, PLENTY, [("read-only", read_only, (), "can only be read", lambda disk: remount(disk, "rw"))])
+    check_faults(measured, PLENTY, [("read-only", work_on_read_only_disk, (), "can only be read", lambda disk: remount(disk, "rw"))])
 
 
 @case(
@@ -131,7 +133,7 @@ def hardened(measured: Measured) -> None:
 )
 def quota(measured: Measured) -> None:
     sizes = (100_000, 300_000, 600_000)
-    survives(measured, PLENTY, [(f"{size} bytes", limited, (size,), "larger than", lambda disk: None) for size in sizes])
+    check_faults(measured, PLENTY, [(f"{size} bytes", work_with_file_limit, (size,), "larger than", lambda disk: None) for size in sizes])
 
 
 @case(
@@ -143,13 +145,13 @@ def no_room(measured: Measured) -> None:
     if not can_mount():
         measured.note(LEFT_OUT)
         return
-    nursery = Nursery()
+    starter = JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name, small_disk(Path(name), 1 << 20) as disk:
         folder = Path(name)
         data, run = write_dataset(folder / "photographs"), disk / "run"
-        told(measured, folder, nursery.run(_apart, str(data), str(run), False), 2, "the job needs about", "little room")
+        check_message(measured, folder, starter.run(_work_with_fault, str(data), str(run), False), 2, "the job needs about", "little room")
         remount(disk, "ro")
-        told(measured, folder, nursery.run(_apart, str(data), str(run), False), 2, "is not writable", "read-only")
+        check_message(measured, folder, starter.run(_work_with_fault, str(data), str(run), False), 2, "is not writable", "read-only")
         remount(disk, "rw")
         measured.holds("nothing is left behind", not list(disk.iterdir()))
-        measured.note("both are told in one line")
+        measured.note("both are check_message in one line")

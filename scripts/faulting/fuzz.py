@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every reader against many wrong files: an InputError in one line or a result, within a second and half a gigabyte."""
+"""Every reader against many wrong files: an InputError in one line or a result, time_limit a second and half a gigabyte."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import psutil
 from stresses.case import Measured
 
 from .cases import case_of
-from .fuzz_child import MEMORY, SECONDS, keep
+from .fuzz_child import MEMORY, SECONDS, keep_fault
 from .readers import READERS, Reader
 
 case = case_of("fuzz")
@@ -35,7 +35,7 @@ EVENLY = 1_000_003  # a prime: no two shares draw the same
 SHOWN = 5  # failures of a kind that are told
 
 
-class Child:
+class ReaderProcess:
     """The process that reads: started when it is needed, and again once it has died or read SHARE files."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class Child:
         assert process.stdin and process.stdout
         (place / "progress").write_bytes(bytes(8))
         print(json.dumps({"reader": reader, "place": str(place), "seed": seed, "count": count}), file=process.stdin, flush=True)
-        stuck = _watched(process, place / "progress")
+        stuck = _wait_for_answer(process, place / "progress")
         answer = process.stdout.readline().strip()
         if answer == "done":
             return count, None
@@ -82,7 +82,7 @@ def _number(progress: Path) -> int:
     return struct.unpack("<Q", progress.read_bytes())[0]
 
 
-def _watched(process: subprocess.Popen[str], progress: Path) -> str | None:
+def _wait_for_answer(process: subprocess.Popen[str], progress: Path) -> str | None:
     """Wait until a process has answered or ended; why it was ended where it made no progress."""
     watched, before, since, asleep = psutil.Process(process.pid), 0, None, 0
     assert process.stdout
@@ -98,40 +98,40 @@ def _watched(process: subprocess.Popen[str], progress: Path) -> str | None:
     return None
 
 
-CHILD = Child()
+READER_PROCESS = ReaderProcess()
 
 
-def hammer(reader: Reader, cases: int, seed: int, kept: Path | None = None) -> tuple[int, Counter[str]]:
+def read_mutated(reader: Reader, cases: int, seed: int, kept: Path | None = None) -> tuple[int, Counter[str]]:
     """How many wrong files were read, and the faults that showed, with how often each. kept: where files that show one are copied."""
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as name:
         place, done = Path(name), 0
         log = place / "log"
         log.mkdir()
         while done < cases:
-            count, ended = CHILD.read(reader.name, place, seed + EVENLY * done, min(SHARE, cases - done))
+            count, ended = READER_PROCESS.read(reader.name, place, seed + EVENLY * done, min(SHARE, cases - done))
             done += count
             if ended is not None:
-                _keep_broken(reader, place, ended)
+                _keep_broken_files(reader, place, ended)
         faults = Counter(fault.read_text() for fault in log.glob("*.fault"))
         if kept is not None and faults:
             shutil.copytree(log, kept / reader.name.replace(" ", "_"), dirs_exist_ok=True)
     return done, faults
 
 
-def _keep_broken(reader: Reader, place: Path, ended: str) -> None:
+def _keep_broken_files(reader: Reader, place: Path, ended: str) -> None:
     """Note the file over which a process came to its end."""
     broken = [f for f in reader.files if (place / "scene" / f).read_bytes() != (place / "right" / f).read_bytes()]
     for file in broken or reader.files[:1]:  # it may be as it was: a wrong version can be a right one
-        keep(place / "log", ended, Path(file).name, (place / "scene" / file).read_bytes())
+        keep_fault(place / "log", ended, Path(file).name, (place / "scene" / file).read_bytes())
 
 
 def _case(reader: Reader, cases: int, quick: bool) -> None:
-    text = f"{cases:,} wrong files: each is read or refused in one line, within {SECONDS:g} s and {MEMORY >> 20} MB, without a crash."
+    text = f"{cases:,} wrong files: each is read or refused in one line, time_limit {SECONDS:g} s and {MEMORY >> 20} MB, without a crash."
 
     @case(f"{reader.name}, {cases:,} files", text, quick)
     def run(measured: Measured) -> None:
         kept = os.environ.get("IRGSPP_KEEP_FAULTS")
-        done, faults = hammer(reader, cases, 1 if quick else 2, Path(kept) if kept else None)
+        done, faults = read_mutated(reader, cases, 1 if quick else 2, Path(kept) if kept else None)
         measured.at_least("files", done, cases)
         for fault, times in faults.most_common(SHOWN):
             measured.holds(f"{fault} ({times} times)", False)

@@ -40,7 +40,7 @@ class Hang(BaseException):
 
 
 @contextmanager
-def within(seconds: float) -> Iterator[None]:
+def time_limit(seconds: float) -> Iterator[None]:
     """Raise Hang in the block after so much processor time."""
 
     def end(*_: object) -> None:
@@ -58,7 +58,7 @@ def within(seconds: float) -> Iterator[None]:
 def fault_of(reader: Reader, folder: Path, file: Path) -> str | None:
     """What is wrong with how a file is read; None where it is read, or refused in one line."""
     try:
-        with within(SECONDS):
+        with time_limit(SECONDS):
             reader.read(folder, file)
     except InputError as error:
         if "\n" in str(error) or len(str(error)) > 4500:
@@ -79,7 +79,7 @@ def _place() -> str:
 
 
 @contextmanager
-def limited(more: int) -> Iterator[None]:
+def memory_limit(more: int) -> Iterator[None]:
     """In the block, let this process have at most `more` bytes of address space beyond what it has."""
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (psutil.Process().memory_info().vms + more, before[1]))
@@ -89,7 +89,7 @@ def limited(more: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def keep(log: Path, fault: str, name: str, data: bytes) -> None:
+def keep_fault(log: Path, fault: str, name: str, data: bytes) -> None:
     """Note a fault, and the file that shows it."""
     number = sum(1 for _ in log.iterdir())
     (log / f"{number:06}-{name}").write_bytes(data)
@@ -109,7 +109,7 @@ def read_share(reader: str, place: str, seed: int, count: int) -> None:
     shutil.copytree(right, scene)
     for file in chosen.files:
         chosen.read(scene, scene / file)  # right files are read
-    with open(root / "progress", "r+b") as file, mmap.mmap(file.fileno(), 8) as progress, limited(MEMORY):
+    with open(root / "progress", "r+b") as file, mmap.mmap(file.fileno(), 8) as progress, memory_limit(MEMORY):
         _read_wrong(chosen, scene, random.Random(seed), count, progress, root / "log")
 
 
@@ -123,7 +123,7 @@ def _read_wrong(reader: Reader, folder: Path, chance: random.Random, count: int,
         progress[:8] = struct.pack("<Q", number)
         fault = fault_of(reader, folder, files[which])
         if fault is not None:
-            keep(log, fault, files[which].name, data)
+            keep_fault(log, fault, files[which].name, data)
         files[which].write_bytes(right[which])
 
 

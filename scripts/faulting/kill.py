@@ -16,29 +16,29 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from stresses.case import Measured
 
 from .cases import case_of
-from .tiny import Doom, Nursery, differing, kill_after, phase_of, phase_seconds, settings, undisturbed, work
+from .tiny import JobStarter, KillPoint, differing_files, kill_after, phase_of, phase_seconds, reference_run, settings, work
 
 case = case_of("kill")
 
 
-def killed_and_resumed(measured: Measured, moments: int, seed: int = 0) -> None:
+def check_kills(measured: Measured, moments: int, seed: int = 0) -> None:
     """Half of the moments are of the clock, half are just before an operation on the run's files."""
-    chance, nursery = random.Random(seed), Nursery()
+    chance, starter = random.Random(seed), JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
-        data, calm, operations = undisturbed()
-        lengths, phases = phase_seconds(calm), Counter()
+        data, reference, operations = reference_run()
+        lengths, phases = phase_seconds(reference), Counter()
         for i in range(moments):
             share = (i // 2 + chance.random()) / ((moments + 1) // 2)  # spread over the whole job
             run = folder / "run"
             if i % 2:
-                killed = nursery.run(work, str(data), str(run), False, Doom(1 + int(0.9 * share * operations))) == -9
+                killed = starter.run(work, str(data), str(run), False, KillPoint(1 + int(0.9 * share * operations))) == -9
             else:
                 phase, seconds = lengths[int(share * len(lengths))]
-                process = nursery.start(work, str(data), str(run), False, Doom())
+                process = starter.start(work, str(data), str(run), False, KillPoint())
                 killed = kill_in(process, run, phase, chance.uniform(0, 0.8) * seconds)
             phases[phase_of(run) if killed else "too late"] += 1
-            _resumed(measured, nursery, data, run, calm, f"moment {i} ({phase_of(run)})")
+            _resumed(measured, starter, data, run, reference, f"moment {i} ({phase_of(run)})")
             shutil.rmtree(run)
         measured.note(f"killed while at {', '.join(f'{phase} {n}' for phase, n in phases.items())}")
         measured.at_least("moments", moments - phases["too late"], 0.8 * moments)
@@ -51,17 +51,17 @@ def kill_in(process: BaseProcess, run: Path, phase: str, seconds: float) -> bool
     return kill_after(process, seconds)
 
 
-def _resumed(measured: Measured, nursery: Nursery, data: Path, run: Path, calm: Path, where: str) -> None:
+def _resumed(measured: Measured, starter: JobStarter, data: Path, run: Path, reference: Path, where: str) -> None:
     """Go on with a killed run."""
     for what in unreadable(run):
         measured.holds(f"{where}: {what} is readable", False)
     there = (run / "run.json").is_file()
-    status = nursery.run(work, str(data), str(run), there, Doom())
+    status = starter.run(work, str(data), str(run), there, KillPoint())
     measured.holds(f"{where}: the next start ends well, not with status {status}", status == 0)
     if status == 0:
         measured.holds(f"{where}: run.json says done", read_run(run)["status"] == "done")
-        unlike = differing(run, calm)
-        measured.holds(f"{where}: the same bits, not others in {', '.join(unlike)}", not unlike)
+        different = differing_files(run, reference)
+        measured.holds(f"{where}: the same bits, not others in {', '.join(different)}", not different)
 
 
 def unreadable(run: Path) -> list[str]:
@@ -91,41 +91,41 @@ def _try(found: list[str], name: str, read: Callable[[], object]) -> None:
 @case(
     "2 moments of a job of seconds",
     """SIGKILL at random moments of the clock and before random operations on files: what is on the disk can be read, and the next start
-    ends with the same bits as an undisturbed run.""",
+    ends with the same bits as an reference_run run.""",
 )
 def some_moments(measured: Measured) -> None:
-    killed_and_resumed(measured, 2)
+    check_kills(measured, 2)
 
 
 @case("50 moments of a job of seconds", "The same at 50 moments, spread over all phases.", quick=False)
 def many_moments(measured: Measured) -> None:
-    killed_and_resumed(measured, 50, seed=1)
+    check_kills(measured, 50, seed=1)
 
 
 @case(
     "replacing another run",
     """A job that replaces another run is killed before each of its operations on the old run's files: the next start has nothing of the
-    old run left, and the same bits as an undisturbed run.""",
+    old run left, and the same bits as an reference_run run.""",
     quick=False,
 )
 def replaced(measured: Measured) -> None:
-    nursery = Nursery()
+    starter = JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
-        data, calm, _ = undisturbed()
+        data, reference, _ = reference_run()
         for operation in range(1, 12):
-            run = shutil.copytree(calm, folder / "run")
+            run = shutil.copytree(reference, folder / "run")
             (run / "checkpoint").mkdir(exist_ok=True)
             (run / "checkpoint" / "first_stage.pt").write_bytes(b"another run's")
-            status = nursery.run(work, str(data), str(run), False, Doom(operation), True)
+            status = starter.run(work, str(data), str(run), False, KillPoint(operation), True)
             measured.holds(f"operation {operation} is met", status == -9)
-            _resumed_or_replaced(measured, nursery, data, run, calm, operation)
+            _resumed_or_replaced(measured, starter, data, run, reference, operation)
             shutil.rmtree(run)
 
 
-def _resumed_or_replaced(measured: Measured, nursery: Nursery, data: Path, run: Path, calm: Path, operation: int) -> None:
+def _resumed_or_replaced(measured: Measured, starter: JobStarter, data: Path, run: Path, reference: Path, operation: int) -> None:
     done = read_run(run)["status"] == "done"  # killed before anything was changed
-    status = nursery.run(work, str(data), str(run), not done, Doom(), done)
+    status = starter.run(work, str(data), str(run), not done, KillPoint(), done)
     measured.holds(f"operation {operation}: the next start ends well, not with status {status}", status == 0)
-    unlike = differing(run, calm)
-    measured.holds(f"operation {operation}: the same bits, not others in {', '.join(unlike)}", not unlike)
+    different = differing_files(run, reference)
+    measured.holds(f"operation {operation}: the same bits, not others in {', '.join(different)}", not different)

@@ -19,7 +19,7 @@ CHILD = Path(__file__).with_name("queue_child.py")
 GROWTH = 4.0  # MB of memory
 
 
-def queued(measured: Measured, count: int) -> None:
+def check_queue(measured: Measured, count: int) -> None:
     """The jobs, and what is left of them."""
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as folder:
         environment = {**os.environ, "BLENDER_USER_RESOURCES": os.path.join(folder, "user")}
@@ -43,9 +43,9 @@ def queued(measured: Measured, count: int) -> None:
 
 @case("20 jobs with random cancels", "After them Blender has no more open files, threads, processes, timers or memory than before.")
 def few(measured: Measured) -> None:
-    queued(measured, 20)
+    check_queue(measured, 20)
 
 
 @case("200 jobs with random cancels", "The same.", quick=False)
 def many(measured: Measured) -> None:
-    queued(measured, 200)
+    check_queue(measured, 200)

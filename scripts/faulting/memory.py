@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Memory: foreseen before a job starts, and where it is short, less of it is taken, or one clear line says what is needed."""
+"""Memory: compare_estimate before a job starts, and where it is short, less of it is taken, or one clear line says what is needed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from irgspp.core.settings.schema import Settings, preset
 from stresses.case import Measured
 
 from .cases import case_of
-from .tiny import Doom, Nursery, differing, said, settings, undisturbed, work, write_dataset
+from .tiny import JobStarter, KillPoint, differing_files, reference_run, settings, user_lines, work, write_dataset
 
 case = case_of("memory")
 WITHIN = 0.25  # of the measured peak
@@ -46,34 +46,40 @@ def peak(run: Path) -> int:
     return max(phase["peak_memory"] for phase in read_run(run)["phases"].values())
 
 
-def foreseen(measured: Measured, name: str, dataset: Path, how: Settings, run: Path) -> None:
+def compare_estimate(measured: Measured, name: str, dataset: Path, how: Settings, run: Path) -> None:
     """Compare estimate and peak."""
     estimate, found = estimate_memory(how, load_dataset(dataset, how.data).pixels()), peak(run)
-    measured.at_most(f"{name}: {estimate / MIB:.0f} MB foreseen, {found / MIB:.0f} taken, off by", abs(estimate / found - 1), WITHIN)
+    measured.at_most(
+        f"{name}: {estimate / MIB:.0f} MB compare_estimate, {found / MIB:.0f} taken, off by", abs(estimate / found - 1), WITHIN
+    )
 
 
-@case("estimate of a job of seconds", f"The estimate before the start is within {WITHIN:.0%} of the measured peak.", quick=False)
+@case("estimate of a job of seconds", f"The estimate before the start is time_limit {WITHIN:.0%} of the measured peak.", quick=False)
 def estimate(measured: Measured) -> None:
-    nursery = Nursery()
+    starter = JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data, run = write_dataset(Path(name, "photographs")), Path(name, "run")
-        measured.holds("the job ends well", nursery.run(work, str(data), str(run), False, Doom()) == 0)
-        foreseen(measured, "tiny", data, settings(), run)
+        measured.holds("the job ends well", starter.run(work, str(data), str(run), False, KillPoint()) == 0)
+        compare_estimate(measured, "tiny", data, settings(), run)
 
 
-@case("estimates of presets", f"On the demonstration's photographs, within {WITHIN:.0%} for draft, balanced, and more points.", quick=False)
+@case(
+    "estimates of presets",
+    f"On the demonstration's photographs, time_limit {WITHIN:.0%} for draft, balanced, and more points.",
+    quick=False,
+)
 def estimates(measured: Measured) -> None:
-    nursery = Nursery()
+    starter = JobStarter()
     for title, (name, changes) in STATED.items():
         if title == "tiny":
             continue
         with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as folder:
             run = Path(folder, "run")
-            measured.holds(f"{title} ends well", nursery.run(job, str(DEMO_DATA), str(run), name, changes) == 0)
-            foreseen(measured, title, DEMO_DATA, with_overrides(preset(name), changes), run)
+            measured.holds(f"{title} ends well", starter.run(job, str(DEMO_DATA), str(run), name, changes) == 0)
+            compare_estimate(measured, title, DEMO_DATA, with_overrides(preset(name), changes), run)
 
 
-def confined(dataset: str, run: str, more: int) -> None:
+def work_with_memory_limit(dataset: str, run: str, more: int) -> None:
     """The job, with at most `more` bytes of address space beyond what its libraries take."""
     from irgspp.core import pipeline
 
@@ -86,7 +92,7 @@ def confined(dataset: str, run: str, more: int) -> None:
         return data
 
     pipeline.load_dataset = limited
-    work(dataset, run, False, Doom())
+    work(dataset, run, False, KillPoint())
 
 
 @case(
@@ -96,18 +102,18 @@ def confined(dataset: str, run: str, more: int) -> None:
     quick=False,
 )
 def limits(measured: Measured) -> None:
-    nursery, ends = Nursery(), []
+    starter, ends = JobStarter(), []
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
-        data, calm, _ = undisturbed()
+        data, reference, _ = reference_run()
         for more in (2000, 1200, 900, 700, 500, 350, 200, 100, 20):
             run = folder / "run"
-            status, lines = nursery.run(confined, str(data), str(run), more * MIB), said(Path(f"{run}.txt"))
+            status, lines = starter.run(work_with_memory_limit, str(data), str(run), more * MIB), user_lines(Path(f"{run}.txt"))
             fewer = "memory is short" in Path(f"{run}.txt").read_text("utf-8")
             ends.append(f"{more} MB: {'fewer rays' if fewer else 'well' if status == 0 else f'status {status}'}")
             if status == 0:
-                unlike = differing(run, calm)
-                measured.holds(f"{more} MB: the same bits, not others in {', '.join(unlike)}", not unlike)
+                different = differing_files(run, reference)
+                measured.holds(f"{more} MB: the same bits, not others in {', '.join(different)}", not different)
             else:
                 measured.holds(f"{more} MB: status 1 or 2, not {status}", status in (1, 2))
                 measured.holds(f"{more} MB: one line on memory, not {lines}", len(lines) == 1 and "memory" in lines[0])
@@ -117,10 +123,10 @@ def limits(measured: Measured) -> None:
 
 @case("no memory at all", "With 20 MB to spare nothing is begun: exit status 2 and one line that says what is needed.")
 def none(measured: Measured) -> None:
-    nursery = Nursery()
+    starter = JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data, run = write_dataset(Path(name, "photographs")), Path(name, "run")
-        status, lines = nursery.run(confined, str(data), str(run), 20 * MIB), said(Path(f"{run}.txt"))
+        status, lines = starter.run(work_with_memory_limit, str(data), str(run), 20 * MIB), user_lines(Path(f"{run}.txt"))
         measured.holds(f"exit status 2, not {status}", status == 2)
         measured.holds(f"one line, not {lines}", len(lines) == 1 and "the job needs about" in lines[0] and "ulimit -v" in lines[0])
         measured.holds("nothing is left behind", not run.exists())

@@ -21,7 +21,7 @@ from stresses.case import Measured
 
 from .cases import case_of
 from .mounts import LEFT_OUT, can_mount, mounted, remount
-from .tiny import SETTINGS, Doom, Nursery, differing, undisturbed, work, write_dataset
+from .tiny import SETTINGS, JobStarter, KillPoint, differing_files, reference_run, work, write_dataset
 
 case = case_of("places")
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,14 +29,14 @@ ODD = Path("mit Leerzeichen & 'Strich'", "写真 é ü %s {0}", "lang" * 25, "ti
 GERMAN = "de_DE.UTF-8"
 
 
-def same_elsewhere(measured: Measured, nursery: Nursery, data: Path, run: Path, function: Callable[..., None] = work) -> None:
+def check_same_bits(measured: Measured, starter: JobStarter, data: Path, run: Path, function: Callable[..., None] = work) -> None:
     """A job there has the same bits as one in a plain folder."""
-    _, calm, _ = undisturbed()
-    status = nursery.run(function, str(data), str(run), False, Doom())
+    _, reference, _ = reference_run()
+    status = starter.run(function, str(data), str(run), False, KillPoint())
     measured.holds(f"the job ends well, not with status {status}: {Path(f'{run}.txt').read_text('utf-8')[-300:]}", status == 0)
     if status == 0:
-        unlike = [name for name in differing(run, calm) if name != "cameras.json"]  # names the photographs' folder
-        measured.holds(f"the same bits, not others in {', '.join(unlike)}", not unlike)
+        different = [name for name in differing_files(run, reference) if name != "cameras.json"]  # names the photographs' folder
+        measured.holds(f"the same bits, not others in {', '.join(different)}", not different)
         measured.holds("with scene.blend", (run / "scene.blend").is_file())
 
 
@@ -45,16 +45,16 @@ def names(measured: Measured) -> None:
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         odd = Path(name) / ODD
         data, run = write_dataset(odd / "Fotos ä"), odd / "Läufe 1"
-        same_elsewhere(measured, Nursery(), data, run)
+        check_same_bits(measured, JobStarter(), data, run)
         measured.note(f"{len(os.fsencode(run))} bytes of path")
 
 
-def in_german(dataset: str, run: str, resume: bool, doom: Doom) -> None:
+def work_in_german_locale(dataset: str, run: str, resume: bool, kill_point: KillPoint) -> None:
     """The job where a half is written 0,5, in libraries of C too."""
     os.environ |= {"LOCPATH": str(Path(dataset).parent), "LC_ALL": GERMAN, "LANG": GERMAN}  # of Blender's process, too
     locale.setlocale(locale.LC_ALL, GERMAN)
     assert locale.localeconv()["decimal_point"] == ","
-    work(dataset, run, resume, doom)
+    work(dataset, run, resume, kill_point)
 
 
 @case("German decimals", f"A job under {GERMAN}, set in its process for C as well: the same bits as elsewhere.", quick=False)
@@ -66,7 +66,7 @@ def decimals(measured: Measured) -> None:
             return
         subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(folder / GERMAN)], check=True)
         data = write_dataset(folder / "Fotos")
-        same_elsewhere(measured, Nursery(), data, folder / "run", in_german)
+        check_same_bits(measured, JobStarter(), data, folder / "run", work_in_german_locale)
         measured.note("0,5 in the job's process")
 
 
@@ -105,12 +105,12 @@ def one_case(measured: Measured) -> None:
         subprocess.run(["mkfs.ext4", "-q", "-O", "casefold", "-E", "encoding=utf8", str(image)], check=True)
         try:
             with mounted("-o", "loop", str(image), place=Path(name) / "disk") as disk:
-                _crowd(measured, disk)
+                _check_view_names(measured, disk)
         except OSError as error:
             measured.note(f"left out: {error}")
 
 
-def _crowd(measured: Measured, disk: Path) -> None:
+def _check_view_names(measured: Measured, disk: Path) -> None:
     """Views of such names, saved there."""
     runs = disk / "runs"
     runs.mkdir()

@@ -62,33 +62,33 @@ def write_dataset(folder: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Doom:
+class KillPoint:
     """When a process ends itself: before its so-manieth operation on files of the run, 0 for never. counted: where to note how many."""
 
     operation: int = 0
     counted: str = ""
 
 
-def work(dataset: str, run: str, resume: bool, doom: Doom, overwrite: bool = False, said_to: str = "") -> None:
+def work(dataset: str, run: str, resume: bool, kill_point: KillPoint, overwrite: bool = False, output: str = "") -> None:
     """The job, from its command line, what it says to RUN.txt unless told elsewhere; ends the process with its exit status."""
-    with open(said_to or f"{run}.txt", "w", encoding="utf-8") as said:
+    with open(output or f"{run}.txt", "w", encoding="utf-8") as said:
         for stream in (1, 2):
             os.dup2(said.fileno(), stream)
     from irgspp.core.cli.main import main
     from irgspp.core.stages.first import trainer
 
     trainer.CHECKPOINT_SECONDS = CHECKPOINT_SECONDS
-    operations = _watch(Path(run), doom)
+    operations = _watch(Path(run), kill_point)
     words = [word for text in SETTINGS for word in ("--set", text)]
     given = [] if resume else ["--preset", "draft", *words]
     status = main(["reconstruct", dataset, "-o", run, *given, *(["--resume"] if resume else []), *(["--overwrite"] if overwrite else [])])
-    if doom.counted:
-        Path(doom.counted).write_text(str(len(operations)), encoding="utf-8")
+    if kill_point.counted:
+        Path(kill_point.counted).write_text(str(len(operations)), encoding="utf-8")
     sys.stdout.flush()
     os._exit(status)
 
 
-def _watch(run: Path, doom: Doom) -> list[str]:
+def _watch(run: Path, kill_point: KillPoint) -> list[str]:
     """Count what is done to the run's files, and die before the one that is named."""
     operations: list[str] = []
 
@@ -100,14 +100,14 @@ def _watch(run: Path, doom: Doom) -> list[str]:
         if not writes or not path.startswith(str(run)) or path.endswith(CHATTER):
             return
         operations.append(f"{event} {path}")
-        if len(operations) == doom.operation:
+        if len(operations) == kill_point.operation:
             os.kill(os.getpid(), signal.SIGKILL)
 
     sys.addaudithook(look)
     return operations
 
 
-class Nursery:
+class JobStarter:
     """Starts jobs quickly: a process that has loaded the libraries is copied for each."""
 
     def __init__(self) -> None:
@@ -131,14 +131,14 @@ class Nursery:
 
 
 @functools.cache
-def undisturbed() -> tuple[Path, Path, int]:
+def reference_run() -> tuple[Path, Path, int]:
     """(photographs, run folder of a job that nobody disturbed, how many operations on files that took): made once in a process."""
     folder = Path(tempfile.mkdtemp(prefix="irgspp-faults-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    data, run, count = write_dataset(folder / "photographs"), folder / "calm", folder / "operations"
-    status = Nursery().run(work, str(data), str(run), False, Doom(counted=str(count)))
+    data, run, count = write_dataset(folder / "photographs"), folder / "reference", folder / "operations"
+    status = JobStarter().run(work, str(data), str(run), False, KillPoint(counted=str(count)))
     if status:
-        raise RuntimeError(f"the undisturbed job ended with status {status}: {said(Path(f'{run}.txt'))}")
+        raise RuntimeError(f"the reference_run job ended with status {status}: {user_lines(Path(f'{run}.txt'))}")
     return data, run, int(count.read_text("utf-8"))
 
 
@@ -152,7 +152,7 @@ def kill_after(process: BaseProcess, seconds: float) -> bool:
     return True
 
 
-def differing(run: Path, other: Path) -> list[str]:
+def differing_files(run: Path, other: Path) -> list[str]:
     """Names of the files that are not the same in both runs, bit by bit, or are in one alone."""
     names = {p.relative_to(f).as_posix() for f in (run, other) for p in f.rglob("*") if p.is_file()}
     kept = [n for n in sorted(names) if not n.endswith((*UNLIKE, *CHATTER)) and not n.startswith("previews/") and n != ".lock"]
@@ -179,6 +179,6 @@ def _events(run: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines if line.endswith("}")]  # a killed process may have left half a line
 
 
-def said(file: Path) -> list[str]:
+def user_lines(file: Path) -> list[str]:
     """The lines that a job ended with: those for the user."""
     return [line for line in file.read_text("utf-8").splitlines() if line.startswith(("irgspp: ", "Traceback"))]

@@ -3,25 +3,19 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from irgspp.core.evaluation.html_report import STYLE
-from PIL import Image
+from reports.pages import Cell, embedded_jpeg, render
+from reports.pages import Row as PageRow
 
 PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
 MEASURED = "measured here"
 LONGEST = 1400  # pixels of a contact sheet that is shown
-TABLE_STYLE = (
-    "td:first-child, td.text, th { text-align: left } tr.ours td { color: #f2c14e } .failed { color: #e8718d } img { max-width: 100% }"
-)
 
 
 @dataclass(frozen=True)
@@ -124,7 +118,7 @@ def as_markdown(tables: Sequence[Table]) -> str:
 def _markdown(table: Table) -> str:
     lines = [f"## {table.title}", "", _line(["scene", "by", "source", *table.columns.values()])]
     lines.append(_line(["---"] * 3 + ["---:"] * len(table.columns)))
-    lines += [_line([row.of, row.by, row.source, *(shown(row.figures.get(key)) for key in table.columns)]) for row in table.rows]
+    lines += [_line([row.of, row.by, row.source, *(formatted(row.figures.get(key)) for key in table.columns)]) for row in table.rows]
     return "\n".join([*lines, "", *(f"- {note}" for note in table.notes)])
 
 
@@ -138,40 +132,35 @@ def as_json(tables: Sequence[Table]) -> list[dict[str, Any]]:
 
 
 def as_html(tables: Sequence[Table], results: Sequence[Result]) -> str:
-    """One page with everything inside, and each scene's contact sheet."""
-    parts = "".join(_html(table) for table in tables)
-    troubles = "".join(f"<p class='failed'>{escape(r.scene)}: {escape(r.trouble)}</p>" for r in results if r.trouble)
-    sheets = "".join(_sheet(result) for result in results if result.sheet is not None and result.sheet.is_file())
-    style = STYLE + TABLE_STYLE
-    head = f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Reproduction</title><style>{style}</style>"
-    return f"{head}<h1>Published tables and ours</h1>{troubles}{parts}{sheets}</html>\n"
+    """Return one page with all tables and the contact sheet of each scene inside.
+
+    Args:
+        tables: Tables in the order of the page.
+        results: Results of all scenes; those without one are listed with the reason.
+
+    Returns:
+        The HTML text.
+    """
+    values = {
+        "title": "Reproduction",
+        "troubles": [f"{result.scene}: {result.trouble}" for result in results if result.trouble],
+        "tables": [_page_table(table) for table in tables],
+        "sheets": [(r.scene, embedded_jpeg(r.sheet, LONGEST, quality=90)) for r in results if r.sheet is not None and r.sheet.is_file()],
+    }
+    return render("reproduction", **values)
 
 
-def _html(table: Table) -> str:
-    heads = "".join(f"<th>{escape(text)}</th>" for text in ("scene", "by", "source", *table.columns.values()))
-    rows = "".join(
-        f"<tr{' class=ours' if row.source == MEASURED else ''}>"
-        + "".join(f"<td class='text'>{escape(text)}</td>" for text in (row.of, row.by, row.source))
-        + "".join(f"<td>{shown(row.figures.get(key))}</td>" for key in table.columns)
-        + "</tr>"
-        for row in table.rows
-    )
-    notes = "<br>".join(escape(note) for note in table.notes)
-    return f"<h2>{escape(table.title)}</h2><table><tr>{heads}</tr>{rows}</table><p>{notes}</p>"
+def _page_table(table: Table) -> dict[str, Any]:
+    """Return a table as the template takes it."""
+    rows = []
+    for row in table.rows:
+        numbers = [Cell(formatted(row.figures.get(key)), is_text=False) for key in table.columns]
+        rows.append(PageRow([*map(Cell, (row.of, row.by, row.source)), *numbers], "ours" if row.source == MEASURED else ""))
+    columns = ["scene", "by", "source", *table.columns.values()]
+    return {"title": table.title, "columns": columns, "rows": rows, "notes": table.notes}
 
 
-def _sheet(result: Result) -> str:
-    assert result.sheet is not None
-    with Image.open(result.sheet) as file:
-        image = file.convert("RGB")
-    image.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
-    data = io.BytesIO()
-    image.save(data, "JPEG", quality=90)
-    source = base64.b64encode(data.getvalue()).decode()
-    return f"<h2>{escape(result.scene)}</h2><img alt='{escape(result.scene)}' src='data:image/jpeg;base64,{source}'>"
-
-
-def shown(value: float | None) -> str:
+def formatted(value: float | None) -> str:
     """A figure in as many digits as tables have; a dash where there is none."""
     if value is None:
         return "–"

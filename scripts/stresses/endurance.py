@@ -25,7 +25,7 @@ from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, MaterialClass
 
 from .case import Measured, group
-from .gaussians import thread_setting
+from .threads import threads_set_to
 from .training import TINY, cameras, checks, photographs, trainer, values
 
 case = group("endurance")
@@ -94,7 +94,7 @@ def very_long(measured: Measured) -> None:
     for kind, masked in ((LOW_GLOSS, True), (LOW_GLOSS, False), (METAL, True)):
         settings = replace(TINY.first, iterations=20_000, gaussians=100 if masked else 400)
         fitted = trainer(photographs(cameras(9, 16), checks, masked), kind, settings)
-        with thread_setting(1):  # so little work is done sooner by one
+        with threads_set_to(1):  # so little work is done sooner by one
             losses = np.array([fitted.step() for _ in range(20_000)])
         name = f"{kind.name}{'' if masked else ' without masks'}"
         measured.holds(f"{name}: every loss finite", bool(np.isfinite(losses).all()))
@@ -111,18 +111,18 @@ def very_long(measured: Measured) -> None:
 def fast_learning(measured: Measured) -> None:
     dataset, settings = photographs(cameras(12, 24)), replace(TINY.first, iterations=450)
     for kind in (LOW_GLOSS, COATED, METAL):
-        calm = _accident(dataset, kind, settings, 1.0)
+        undisturbed = _psnr_after_fast_start(dataset, kind, settings, 1.0)
         for factor in (10.0, 100.0):
             try:
-                psnr = _accident(dataset, kind, settings, factor)
+                psnr = _psnr_after_fast_start(dataset, kind, settings, factor)
             except IrgsppError as error:
                 measured.note(f"{kind.name} x{factor:g}: {error}")
                 measured.holds("told in one line", "\n" not in str(error))
                 continue
-            measured.at_least(f"{kind.name} x{factor:g}: dB", psnr, calm - 2)
+            measured.at_least(f"{kind.name} x{factor:g}: dB", psnr, undisturbed - 2)
 
 
-def _accident(dataset: Dataset, kind: MaterialClass, settings: FirstStageSettings, factor: float) -> float:
+def _psnr_after_fast_start(dataset: Dataset, kind: MaterialClass, settings: FirstStageSettings, factor: float) -> float:
     """PSNR of held-back views after 150 iterations at rates times `factor` and 300 at the proper ones."""
     fitted = trainer(dataset, kind, settings)
     proper = fitted.optimizer.rates
@@ -151,7 +151,7 @@ def whole_jobs(measured: Measured) -> None:
     with tempfile.TemporaryDirectory() as folder:
         runs = []
         for name, threads in (("first", 2), ("again", 2), ("single", 1)):
-            with thread_setting(threads):
+            with threads_set_to(threads):
                 runs.append(reconstruct(DEMO_DATA, Path(folder) / name, settings))
         for file in ("gaussians.ply", "environment.exr", "mesh.ply", "textures/albedo.png"):
             measured.holds(f"{file}: same bits when done again", (runs[0] / file).read_bytes() == (runs[1] / file).read_bytes())

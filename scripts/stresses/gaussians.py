@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -17,19 +14,20 @@ from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.trace import hit_lists, trace, transmittance
 
 from .case import Measured, group
-from .twins import ALLOWED, GEOMETRY, Limits, Rays, Surfels, agree_along_rays, agree_in_images, camera, cloud, scattered, towards
+from .references import ALLOWED, GEOMETRY, Limits, Rays, Surfels, camera, cloud, compare_images, compare_rays, scattered, towards
+from .threads import threads_set_to
 
 case = group("gaussians")
 AGREE = "Sums and gradients are finite and those of the float64 twins, "
 IDENTITY = torch.tensor([1.0, 0.0, 0.0, 0.0])
 
 
-def in_both(
-    measured: Measured, what: str, values: Surfels, twin: Surfels | None = None, rays: Rays | None = None, limits: Limits = ALLOWED
+def compare_both(
+    measured: Measured, what: str, values: Surfels, reference: Surfels | None = None, rays: Rays | None = None, limits: Limits = ALLOWED
 ) -> None:
-    """Pictures and rays agree with the twins."""
-    agree_in_images(measured, what, values, camera(), 1.0, twin, limits)
-    agree_along_rays(measured, what, values, rays or scattered(300), twin, limits)
+    """Pictures and rays compare with the twins."""
+    compare_images(measured, what, values, camera(), 1.0, reference, limits)
+    compare_rays(measured, what, values, rays or scattered(300), reference, limits)
 
 
 def aimed(values: Surfels, distance: float) -> Rays:
@@ -45,10 +43,10 @@ def aimed(values: Surfels, distance: float) -> Rays:
 def scales(measured: Measured) -> None:
     mixed = cloud(48)
     mixed["log_scale"] = torch.linspace(math.log(1e-7), math.log(1e3), 48).repeat(2, 1)
-    in_both(measured, "all", mixed)
+    compare_both(measured, "all", mixed)
     for size in (1e-7, 1e-4, 1.0, 1e3):
         values = cloud(24, 1, size)
-        in_both(measured, f"{size:g}", values, rays=aimed(values, 10 * size))
+        compare_both(measured, f"{size:g}", values, rays=aimed(values, 10 * size))
 
 
 @case("aspect of 1e6", AGREE + "for needles 1 long and 1e-6 wide, 1e-3 and 1e-9, 1e3 and 1e-3.")
@@ -56,7 +54,7 @@ def needles(measured: Measured) -> None:
     for length in (1.0, 1e-3, 1e3):
         values = cloud(24, 2)
         values["log_scale"] = torch.tensor([[math.log(length)], [math.log(length) - math.log(1e6)]]).repeat(1, 24)
-        in_both(measured, f"{length:g}", values, rays=aimed(values, 10 * length))
+        compare_both(measured, f"{length:g}", values, rays=aimed(values, 10 * length))
 
 
 @case("opacity 0, 1e-8, 1 - 1e-7 and 1", AGREE + "0 and 1 given as infinite logits; opacity 0 and 1e-8 leave no trace, bit by bit.")
@@ -64,14 +62,14 @@ def opacities(measured: Measured) -> None:
     for opacity in (0.0, 1e-8, 1 - 1e-7, 1.0):
         values = cloud(60, 3)
         values["opacity"][:20] = torch.logit(torch.tensor(opacity, dtype=torch.float64)).float()
-        in_both(measured, f"{opacity:g}", values)
+        compare_both(measured, f"{opacity:g}", values)
         if opacity < 0.5:
             rest = {name: value[..., 20:].contiguous() for name, value in values.items()}
-            same = all(torch.equal(a, b) for a, b in zip(_seen(values), _seen(rest), strict=True))
+            same = all(torch.equal(a, b) for a, b in zip(_render_both(values), _render_both(rest), strict=True))
             measured.holds(f"opacity {opacity:g} leaves no trace", same)
 
 
-def _seen(values: Surfels) -> tuple[torch.Tensor, torch.Tensor]:
+def _render_both(values: Surfels) -> tuple[torch.Tensor, torch.Tensor]:
     tree = SurfelTree.build(*(values[name] for name in GEOMETRY))
     return rasterize(*values.values(), camera(), 1.0)[0], trace(*values.values(), *scattered(300), tree)
 
@@ -82,7 +80,7 @@ def coincident(measured: Measured) -> None:
     values["position"][:, :40], values["log_scale"][:, :40] = 0.0, -1.0
     values["quaternion"][:, :40] = IDENTITY[:, None]  # their planes are z = 0 exactly: no rounding error breaks the tie
     values["opacity"][:40] -= 3.0
-    in_both(measured, "coincident", values, limits=Limits(shaken=("log_scale", "opacity")))  # noise in places would break it
+    compare_both(measured, "coincident", values, limits=Limits(perturbed=("log_scale", "opacity")))  # noise in places would break it
 
 
 @case("4096 surfels at one depth", AGREE + "more than the tracer's buffer of nearest hits holds, of which none may be lost or met twice.")
@@ -94,10 +92,10 @@ def one_depth(measured: Measured) -> None:
     values["opacity"][::7] = -5.2  # visible, and so faint that hundreds of them are met by each ray
     values["log_scale"] += 0.5
     above = camera(8, (0.0, 0.0, 4.0))
-    flat = Limits(0.2, shaken=("log_scale", "opacity"))  # each ray passes hundreds of edges
-    agree_in_images(measured, "4096", values, above, limits=flat)
+    flat = Limits(0.2, perturbed=("log_scale", "opacity"))  # each ray passes hundreds of edges
+    compare_images(measured, "4096", values, above, limits=flat)
     rays = towards(np.array([0.0, 0.0, 4.0]), torch.tensor([[0.013 * i, 0.02 * i - 0.3, 0.0] for i in range(32)]))
-    agree_along_rays(measured, "4096", values, rays, limits=flat)
+    compare_rays(measured, "4096", values, rays, limits=flat)
     tree = SurfelTree.build(*(values[name] for name in GEOMETRY))
     lists = hit_lists(tree, *rays)
     twice = max(int(np.bincount(lists.index[a:b]).max(initial=0)) for a, b in zip(lists.start[:-1], lists.start[1:], strict=True))
@@ -114,11 +112,11 @@ def edge_on(measured: Measured) -> None:
         aside = torch.nn.functional.normalize(
             torch.linalg.cross(sight, torch.randn(3, 40, generator=torch.Generator().manual_seed(1)), dim=0), dim=0
         )
-        values["quaternion"] = turned_to(aside + lean * sight)
-        in_both(measured, f"{lean:g}", values, limits=Limits(tries=16))
+        values["quaternion"] = quaternions_of(aside + lean * sight)
+        compare_both(measured, f"{lean:g}", values, limits=Limits(tries=16))
 
 
-def turned_to(normal: torch.Tensor) -> torch.Tensor:
+def quaternions_of(normal: torch.Tensor) -> torch.Tensor:
     """(3, N) to (4, N) quaternions that turn +Z to them."""
     unit = torch.nn.functional.normalize(normal, dim=0)
     return torch.stack([1 + unit[2], -unit[1], unit[0], torch.zeros_like(unit[0])])
@@ -134,11 +132,11 @@ def around_the_camera(measured: Measured) -> None:
     for i, depth in enumerate((-2.0, -0.01, 0.0, 0.5)):
         values["position"][:, i] = eye + depth * forward
     values["log_scale"][:, 3:10] = 1.5  # reach beyond the camera on all sides
-    twin = values | {"position": values["position"].clone()}
-    twin["position"][:, 2] = eye - 2 * forward  # the twin knows no direction to a disk in the camera
-    agree_in_images(measured, "disks", values, view, twin=twin)
-    agree_along_rays(measured, "disks", values, scattered(300))
-    agree_along_rays(measured, "from the camera", values, towards(view.centre, values["position"].T[8:]))
+    reference = values | {"position": values["position"].clone()}
+    reference["position"][:, 2] = eye - 2 * forward  # the reference knows no direction to a disk in the camera
+    compare_images(measured, "disks", values, view, reference=reference)
+    compare_rays(measured, "disks", values, scattered(300))
+    compare_rays(measured, "from the camera", values, towards(view.centre, values["position"].T[8:]))
 
 
 @case("on the near plane", AGREE + "for surfels on the near plane exactly, which are not seen, and one rounding before and behind it.")
@@ -149,7 +147,7 @@ def near_plane(measured: Measured) -> None:
     values["position"][:, :9] *= 0.01
     values["position"][2, :9] = torch.cat([plane, plane.nextafter(torch.zeros(())), plane.nextafter(torch.full((), 9.0))])
     values["log_scale"][:, :9] -= 4.0
-    agree_in_images(measured, "disks", values, view, near / NEAR, limits=Limits(shaken=GEOMETRY[1:]))
+    compare_images(measured, "disks", values, view, near / NEAR, limits=Limits(perturbed=GEOMETRY[1:]))
     radius = rasterize(*values.values(), view, near / NEAR)[1].radius > 0
     measured.holds("seen: exactly those behind the plane", radius[:9].tolist() == [False] * 3 + [True] * 3 + [False] * 3)
 
@@ -179,9 +177,9 @@ def odd_rays(measured: Measured) -> None:
         measured.finite(f"{name}: transmittance", transmittance(tree, *(r.contiguous() for r in rays)))
         if name != "on":
             measured.at_most(f"{name}: hits", len(lists.index), 0)
-    fixed = Limits(shaken=("log_scale", "opacity", "direction"))
-    agree_along_rays(measured, "on", values, (on, up.expand_as(on).contiguous()), limits=fixed)
-    agree_along_rays(measured, "just above", values, (on + 1e-3 * up, scattered(40)[1]), limits=fixed)
+    fixed = Limits(perturbed=("log_scale", "opacity", "direction"))
+    compare_rays(measured, "on", values, (on, up.expand_as(on).contiguous()), limits=fixed)
+    compare_rays(measured, "just above", values, (on + 1e-3 * up, scattered(40)[1]), limits=fixed)
 
 
 @case(
@@ -194,9 +192,9 @@ def far_away(measured: Measured) -> None:
     offset = 1e5
     values["position"] += offset
     eye = (offset + 3.0, offset + 1.25, offset + 2.0)
-    agree_in_images(measured, "far", values, camera(24, eye, (offset, offset, offset)))
+    compare_images(measured, "far", values, camera(24, eye, (offset, offset, offset)))
     origin, direction = scattered(300)
-    agree_along_rays(measured, "far", values, (origin + offset, direction))
+    compare_rays(measured, "far", values, (origin + offset, direction))
 
 
 @case("0, 1 and 2 Gaussians", AGREE + "and nothing at all is a black, transparent image.")
@@ -204,9 +202,9 @@ def few(measured: Measured) -> None:
     for count in (1, 2, 7):
         values = cloud(count, 10, 0.5)
         values["position"] *= 0.3
-        in_both(measured, str(count), values)
+        compare_both(measured, str(count), values)
     none = cloud(0, 10)
-    image, along = _seen(none)
+    image, along = _render_both(none)
     measured.holds("none: an image of nothing", image.shape == (10, 24, 24) and not image.any())
     measured.holds("none: rays meet nothing", along.shape == (300, 10) and not along.any())
 
@@ -219,19 +217,19 @@ def quaternions(measured: Measured) -> None:
     for length in (1e-9, 1e-3, 1e6, 1e18):
         values = cloud(40, 11)
         values["quaternion"] = length * torch.nn.functional.normalize(values["quaternion"], dim=0)
-        in_both(measured, f"{length:g}", values)
+        compare_both(measured, f"{length:g}", values)
     values = cloud(40, 11)
     values["quaternion"][:, :10] = 0.0
-    twin = values | {"quaternion": torch.where(torch.arange(40) < 10, IDENTITY[:, None], values["quaternion"])}
-    _unturned(measured, values, twin)
+    reference = values | {"quaternion": torch.where(torch.arange(40) < 10, IDENTITY[:, None], values["quaternion"])}
+    _compare_zero_quaternions(measured, values, reference)
 
 
-def _unturned(measured: Measured, values: Surfels, twin: Surfels) -> None:
+def _compare_zero_quaternions(measured: Measured, values: Surfels, reference: Surfels) -> None:
     """Zero quaternions give the sums of the identity, and finite gradients."""
-    for what, zero, unit in zip(("picture", "rays"), _seen(values), _seen(twin), strict=True):
+    for what, zero, unit in zip(("picture", "rays"), _render_both(values), _render_both(reference), strict=True):
         measured.at_most(f"zero, {what}: error", float((zero - unit).abs().max()), 1e-6)
     leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
-    sum(seen.square().sum() for seen in _seen(leaves)).backward()  # type: ignore[union-attr]
+    sum(seen.square().sum() for seen in _render_both(leaves)).backward()  # type: ignore[union-attr]
     measured.finite("zero: gradients", [leaf.grad for leaf in leaves.values()])
 
 
@@ -243,36 +241,21 @@ def repeated(measured: Measured) -> None:
     values = cloud(400, 12)
     values["log_scale"] = torch.linspace(math.log(1e-4), math.log(10), 400).repeat(2, 1)
     values["quaternion"][:, :5] = 0.0
-    first = _everything(values)
-    measured.holds("same bits when done again", all(torch.equal(a, b) for a, b in zip(first, _everything(values), strict=True)))
+    first = _sums_and_gradients(values)
+    measured.holds("same bits when done again", all(torch.equal(a, b) for a, b in zip(first, _sums_and_gradients(values), strict=True)))
     apart = 0.0
     for threads in (1, 2, 3, 5):
-        with thread_setting(threads):
-            for one, other in zip(first, _everything(values), strict=True):
+        with threads_set_to(threads):
+            for one, other in zip(first, _sums_and_gradients(values), strict=True):
                 apart = max(apart, float((one - other).norm() / one.norm()))
     measured.at_most("apart on other numbers of threads", apart, 1e-5)
 
 
-def _everything(values: Surfels) -> list[torch.Tensor]:
+def _sums_and_gradients(values: Surfels) -> list[torch.Tensor]:
     leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
-    seen = _seen(leaves)
+    seen = _render_both(leaves)
     sum(s.square().sum() for s in seen).backward()  # type: ignore[union-attr]
     return [*(s.detach() for s in seen), *(leaf.grad for leaf in leaves.values() if leaf.grad is not None)]
-
-
-@contextmanager
-def thread_setting(threads: int) -> Iterator[None]:
-    """Kernels and torch on so many threads."""
-    before, torch_before = os.environ.get("IRGSPP_THREADS"), torch.get_num_threads()
-    os.environ["IRGSPP_THREADS"] = str(threads)
-    torch.set_num_threads(threads)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(torch_before)
-        os.environ.pop("IRGSPP_THREADS")
-        if before is not None:
-            os.environ["IRGSPP_THREADS"] = before
 
 
 @case(
@@ -286,6 +269,6 @@ def many(measured: Measured) -> None:
     origin, direction = scattered(16)
     for half in range(2):  # of the twins' memory
         strip = replace(close, height=2, cy=close.cy - 2 * half)
-        agree_in_images(measured, f"half {half + 1}", values, strip, limits=limits)
+        compare_images(measured, f"half {half + 1}", values, strip, limits=limits)
         part = slice(8 * half, 8 * half + 8)
-        agree_along_rays(measured, f"half {half + 1}", values, (origin[part], direction[part]), limits=limits)
+        compare_rays(measured, f"half {half + 1}", values, (origin[part], direction[part]), limits=limits)

@@ -15,7 +15,6 @@ from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.environment_files import DIM, repaired
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.shading.brdf import ggx_alpha, ggx_distribution
 from irgspp.core.shading.environment_lookup import direction_to_uv, lookup, solid_angles, texel_directions
 from irgspp.core.shading.light_distribution import LightDistribution
 from irgspp.core.shading.rendering_equation import reflect_light
@@ -24,29 +23,11 @@ from irgspp.core.shading.split_sum import LEVELS, diffuse_light, specular_light
 from irgspp.core.stages.first.initialization import surfels
 
 from .case import Measured, group, relative
-from .twins import camera
+from .light_maps import filtered, lattice, maps, quadrature
+from .references import camera
 
 case = group("lights")
 SAMPLES = 4096
-
-
-def maps(height: int = 32) -> dict[str, torch.Tensor]:
-    """Extreme lights by name, (H, W, 3)."""
-    black = torch.zeros(height, 2 * height, 3)
-    lamp, pole, seam = black.clone(), black.clone(), black.clone()
-    lamp[height // 3, height // 2] = 1e6
-    pole[0, 3] = 1e6
-    seam[height // 2, [0, -1]] = 1e6
-    wild = torch.rand(height, 2 * height, 3, generator=torch.Generator().manual_seed(0)) ** 20 * 1e6
-    tiny = torch.tensor([[[1.0, 0.5, 0.2], [0.0, 3.0, 1e6]]])
-    named = {"a texel of 1e6": lamp, "at the pole": pole, "on the seam": seam, "1e-12": black + 1e-12, "white": black + 1, "black": black}
-    return named | {"0 to 1e6": wild, "2x1": tiny, "1x1": torch.ones(1, 1, 3), "1x2": tiny.transpose(0, 1).contiguous()}
-
-
-def lattice(count: int) -> torch.Tensor:
-    """(count, 2) float64 points spread evenly over the unit square."""
-    i = torch.arange(count, dtype=torch.float64)
-    return torch.stack([(i + 0.5) / count, (i * 0.6180339887498949) % 1], 1)
 
 
 @case(
@@ -116,17 +97,6 @@ def filters(measured: Measured) -> None:
     measured.at_least("least", least, 0.0)
     measured.at_most("error of the brightest", error, 1e-6)
     measured.at_most("white off by", off, 1e-6)
-
-
-def filtered(light: torch.Tensor, roughness: float | None) -> torch.Tensor:
-    """(H, W, 3) float64: every texel as the weighted mean of all others; roughness None is the cosine filter."""
-    height, width = light.shape[:2]
-    towards = texel_directions(height, width, torch.float64).reshape(-1, 3)
-    cosine = (towards @ towards.T).clamp(-1, 1)
-    weight = solid_angles(height, width, torch.float64).repeat_interleave(width) * cosine.clamp_min(0)
-    if roughness is not None:
-        weight = weight * ggx_distribution(((1 + cosine) / 2).sqrt(), ggx_alpha(torch.tensor(roughness, dtype=torch.float64)))
-    return (weight / weight.sum(1, keepdim=True) @ light.double().reshape(-1, 3)).view(height, width, 3)
 
 
 @case(
@@ -217,14 +187,6 @@ def irradiance(measured: Measured) -> None:
         diffuse, _ = reflect_light(normal, normal, white, torch.ones(16), black, samples, incoming, conserving=False)
         exact = quadrature(light, normal.double())
         measured.at_most(name, float((diffuse.double().mean(0) - exact.mean(0)).abs().max() / exact.mean(0).max()), 0.03)
-
-
-def quadrature(light: torch.Tensor, normal: torch.Tensor, finer: int = 8) -> torch.Tensor:
-    """(P, 3) float64 irradiance / pi of planes under a map, bilinear between texels, on a grid so many times finer."""
-    height, width = finer * light.shape[0], finer * light.shape[1]
-    towards = texel_directions(height, width, torch.float64).reshape(-1, 3)
-    shining = lookup(light.double(), towards) * solid_angles(height, width, torch.float64).repeat_interleave(width)[:, None]
-    return (normal @ towards.T).clamp_min(0) @ shining / math.pi
 
 
 @case(

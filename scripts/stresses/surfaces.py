@@ -26,6 +26,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from .case import Measured, group
+from .shapes import ball, box, joined, mobius, round_box
 from .training import cameras
 
 case = group("surfaces")
@@ -38,49 +39,6 @@ BAKED = "UVs lie in the square and hardly overlap, all is finite, normals are un
 def colour_of(points: np.ndarray) -> np.ndarray:
     """A smooth colour for every place, (..., 3) in 0..1."""
     return 0.5 + 0.4 * np.sin(points * np.array([2.0, 3.0, 2.5]) + np.array([0.0, 1.0, 2.0]))
-
-
-def ball(rows: int, radius: float = 1.0, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Triangles:
-    """A sphere of 4 rows (rows - 2) triangles, without its poles' caps but for a triangle fan each."""
-    columns = 2 * rows
-    theta, phi = np.meshgrid(np.arange(1, rows) / rows * np.pi, np.arange(columns) / columns * 2 * np.pi, indexing="ij")
-    ring = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
-    i, j = np.arange((rows - 2) * columns).reshape(rows - 2, columns), np.roll(np.arange(columns), -1)
-    a, b, c, d = i, i[:, j], i[:, j] + columns, i + columns
-    sides = np.concatenate([np.stack([a, d, c], -1).reshape(-1, 3), np.stack([a, c, b], -1).reshape(-1, 3)])
-    north, south, last = len(ring), len(ring) + 1, (rows - 2) * columns
-    around = np.arange(columns)
-    caps = [np.stack([around * 0 + north, around, j], -1), np.stack([around * 0 + south, last + j, last + around], -1)]
-    vertices = np.concatenate([ring, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]) * radius + np.array(centre)
-    return Triangles(vertices, np.concatenate([sides, *caps]))
-
-
-def box(size: tuple[float, float, float], cells: int = 10) -> Triangles:
-    """A closed box of these half widths, each side a grid of cells x cells squares, whose borders are not sewn together."""
-    u, v = np.meshgrid(np.linspace(-1, 1, cells + 1), np.linspace(-1, 1, cells + 1), indexing="ij")
-    i = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1)
-    side = np.concatenate([np.stack([i, i + cells + 1, i + cells + 2], -1), np.stack([i, i + cells + 2, i + 1], -1)])
-    vertices, faces = [], []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            points = np.roll(np.stack([u, sign * v, np.full_like(u, sign)], -1).reshape(-1, 3), axis + 1, axis=-1)
-            faces.append(side + (cells + 1) ** 2 * len(vertices))
-            vertices.append(points * np.array(size))
-    return Triangles(np.concatenate(vertices), np.concatenate(faces))
-
-
-def round_box(cells: int) -> Triangles:
-    """A unit sphere of 12 cells^2 triangles of like size, sewn together."""
-    mesh = box((1.0, 1.0, 1.0), cells)
-    vertices, welded = np.unique(mesh.vertices.round(9), axis=0, return_inverse=True)
-    return Triangles(vertices / np.linalg.norm(vertices, axis=-1, keepdims=True), welded.reshape(-1)[mesh.faces])
-
-
-def joined(*parts: Triangles) -> Triangles:
-    """All of them as one mesh."""
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
-    return Triangles(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
 def seen(mesh: Triangles, views: list[Camera]) -> list[GBuffer]:
@@ -110,17 +68,17 @@ def samples(mesh: Triangles) -> SurfaceSamples:
     return SurfaceSamples(points, normal, np.full(len(points), 0.9, np.float32), colour, colour[:, 1], colour[:, 2])
 
 
-def reconstructed(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS) -> Surface:
-    """From what 12 cameras see of a mesh to a surface, checked, unwrapped and baked."""
+def check_reconstruction(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS) -> Surface:
+    """From what 12 cameras see of a mesh to a surface, checked, unwrapped and check_baking."""
     views = seen(mesh, cameras(12, 96, 4.5))
     surface = extract_geometry(views, samples(mesh), BOUND, settings, Silent())
     measured.holds(f"{what}: vertices finite", bool(np.isfinite(surface.vertices).all() and np.isfinite(surface.normals).all()))
     measured.at_most(f"{what}: triangles", len(surface.faces), settings.triangles)
-    baked(measured, what, surface, views, samples(mesh), settings)
+    check_baking(measured, what, surface, views, samples(mesh), settings)
     return surface
 
 
-def baked(
+def check_baking(
     measured: Measured, what: str, surface: Surface, views: list[GBuffer], own: SurfaceSamples, settings: SurfaceSettings = SETTINGS
 ) -> Mesh:
     """Unwrap and bake, and compare the texels with the colour of the places they show."""
@@ -171,7 +129,7 @@ def empty(measured: Measured) -> None:
     + BAKED,
 )
 def thin(measured: Measured) -> None:
-    surface = reconstructed(measured, "plate", box((1.0, 0.8, 0.002)))
+    surface = check_reconstruction(measured, "plate", box((1.0, 0.8, 0.002)))
     beyond = np.abs(surface.vertices) - np.array([1.0, 0.8, 0.002])
     voxels, sides = np.maximum(beyond, 0).max(1) / surface.voxel, (beyond[:, :2] < -0.15).all(1)
     measured.at_most("voxels from its sides", float(voxels[sides].max()), 1.0)
@@ -186,7 +144,7 @@ def thin(measured: Measured) -> None:
 )
 def components(measured: Measured) -> None:
     parts = ball(24, 0.6, (-0.7, 0, 0)), ball(24, 0.4, (0.7, 0.2, 0.3)), ball(8, 0.03, (0.2, 1.0, -0.8))
-    surface = reconstructed(measured, "balls", joined(*parts))
+    surface = check_reconstruction(measured, "balls", joined(*parts))
     mesh = Triangles(surface.vertices, surface.faces)
     count, _ = connected_components(_adjacency(mesh), directed=False)
     measured.holds(f"two components, not {count}", count == 2)
@@ -206,27 +164,17 @@ def _open_edges(faces: np.ndarray) -> int:
     return int((count == 1).sum())
 
 
-def bare(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS, size: int = 96) -> None:
+def check_as_is(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS, size: int = 96) -> None:
     """Unwrap and bake a mesh as it is."""
     surface = Surface(mesh.vertices, vertex_normals(mesh), mesh.faces, VOXEL)
     measured.finite(f"{what}: normals", torch.from_numpy(surface.normals))
-    baked(measured, what, surface, seen(mesh, cameras(12, size, 4.5)), samples(mesh), settings)
-
-
-def mobius(count: int = 40) -> Triangles:
-    """A strip with one side: no orientation of its faces agrees."""
-    t = np.arange(count) / count * 2 * np.pi
-    rim = [np.stack([(1 + s * np.cos(t / 2)) * np.cos(t), (1 + s * np.cos(t / 2)) * np.sin(t), s * np.sin(t / 2)], -1) for s in (-0.3, 0.3)]
-    a, b = np.arange(count), np.roll(np.arange(count), -1)
-    lower, upper = np.where(b == 0, count, b), np.where(b == 0, 0, b + count)
-    faces = np.concatenate([np.stack([a, lower, a + count], -1), np.stack([lower, upper, a + count], -1)])
-    return Triangles(np.concatenate(rim), faces)
+    check_baking(measured, what, surface, seen(mesh, cameras(12, size, 4.5)), samples(mesh), settings)
 
 
 @case(
     "non-manifold",
     """Three sheets on one edge, two cones on one vertex, a one-sided strip, faces repeated, turned over, without area or on one line, lone
-    vertices: unwrapped and baked as they are; cleaned, smoothed and decimated they stay finite. """
+    vertices: unwrapped and check_baking as they are; cleaned, smoothed and decimated they stay finite. """
     + BAKED,
 )
 def non_manifold(measured: Measured) -> None:
@@ -239,7 +187,7 @@ def non_manifold(measured: Measured) -> None:
     spoilt = np.concatenate([whole.faces, whole.faces[:5], whole.faces[5:9, ::-1], [[0, 0, 1], [3, 3, 3], [0, 1, len(whole.vertices)]]])
     lone = np.concatenate([whole.vertices, [(whole.vertices[0] + whole.vertices[1]) / 2, [9.0, 9.0, 9.0]]])
     for name, mesh in (("book", book), ("hourglass", hourglass), ("strip", mobius()), ("spoilt ball", Triangles(lone, spoilt))):
-        bare(measured, name, mesh)
+        check_as_is(measured, name, mesh)
         mended = decimated(smoothed(main_components(cleaned(mesh), 0.0), 5), max(4, len(mesh.faces) // 2))
         measured.finite(f"{name} cleaned, smoothed, decimated", torch.from_numpy(mended.vertices))
         measured.holds(f"{name}: something is left", len(mended.faces) > 0)
@@ -251,12 +199,12 @@ def ten(measured: Measured) -> None:
     vertices = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1), [[0, 0, 1.0], [0, 0, -1.0]]])
     a, b = np.arange(5), np.roll(np.arange(5), -1)
     faces = np.concatenate([np.stack([a, b, a * 0 + 5], -1), np.stack([b, a, a * 0 + 6], -1)])
-    bare(measured, "10", Triangles(vertices, faces))
-    bare(measured, "long", Triangles(vertices * np.array([1.0, 1e-3, 1e-3]), faces))
+    check_as_is(measured, "10", Triangles(vertices, faces))
+    check_as_is(measured, "long", Triangles(vertices * np.array([1.0, 1e-3, 1e-3]), faces))
     small = Triangles(1e-6 * vertices, faces)
     near = [replace(view, to_world=_closer(view.to_world, 1e-6)) for view in cameras(12, 96, 4.5)]
     surface = Surface(small.vertices, vertex_normals(small), small.faces, 1e-6 * VOXEL)
-    baked(measured, "1e-6", surface, seen(small, near), samples(small))
+    check_baking(measured, "1e-6", surface, seen(small, near), samples(small))
 
 
 def _closer(pose: np.ndarray, factor: float) -> np.ndarray:
@@ -267,7 +215,7 @@ def _closer(pose: np.ndarray, factor: float) -> np.ndarray:
 
 @case(
     "2 million triangles",
-    """A ball of 2 million, smoothed, decimated to 20,000 as every surface is, within 0.002 of the sphere, closed; that unwrapped and baked.
+    """A ball of 2 million, smoothed, decimated to 20,000 as every surface is, within 0.002 of the sphere, closed; that unwrapped and check_baking.
     (Unwrapping the 2 million themselves is not tried: xatlas takes minutes from 100,000 on.) """
     + BAKED,
     quick=False,
@@ -279,4 +227,4 @@ def huge(measured: Measured) -> None:
     measured.at_most("decimated: triangles", len(few.faces), 20_500)
     measured.at_most("from the sphere", float(np.abs(np.linalg.norm(few.vertices, axis=-1) - 1).max()), 2e-3)
     measured.at_most("open edges", _open_edges(few.faces), 0)
-    bare(measured, "2 million", few, replace(SETTINGS, texture=512), 256)
+    check_as_is(measured, "2 million", few, replace(SETTINGS, texture=512), 256)

@@ -28,12 +28,12 @@ from irgspp.core.stages.first.trainer import Trainer
 from PIL import Image
 
 from .case import Measured, group
-from .gaussians import thread_setting
+from .threads import threads_set_to
 
 case = group("training")
 TINY = with_overrides(preset("draft"), ["first.gaussians=200", "first.light_height=8", "first.iterations=40"])
 COUNT = 200  # Gaussians
-Painter = Callable[[np.ndarray], np.ndarray]
+ColourFunction = Callable[[np.ndarray], np.ndarray]
 
 
 def cameras(count: int, size: int, distance: float = 4.0) -> list[Camera]:
@@ -50,17 +50,17 @@ def checks(points: np.ndarray) -> np.ndarray:
     return np.where(odd, [0.9, 0.6, 0.2], [0.15, 0.3, 0.5])
 
 
-def flat(value: float) -> Painter:
+def flat(value: float) -> ColourFunction:
     """One grey for every place."""
     return lambda points: np.full((*points.shape[:-1], 3), value)
 
 
-def half_clipped(points: np.ndarray) -> np.ndarray:
+def saturated(points: np.ndarray) -> np.ndarray:
     """Saturated on one side, black on the other."""
     return np.where(points[..., :1] > 0, np.ones(3), np.zeros(3))
 
 
-def photographs(views: list[Camera], assign_materials: Painter = checks, masked: bool = True) -> Dataset:
+def photographs(views: list[Camera], colour_at: ColourFunction = checks, masked: bool = True) -> Dataset:
     """A unit ball of these colours; its surroundings look like a far wall painted alike."""
     images = []
     for i, camera in enumerate(views):
@@ -69,7 +69,7 @@ def photographs(views: list[Camera], assign_materials: Painter = checks, masked:
         b = rays @ camera.centre
         inside = b * b - camera.centre @ camera.centre + 1
         far = np.where(inside > 0, -b - np.sqrt(np.maximum(inside, 0)), 8.0)
-        colour = assign_materials(camera.centre + far[..., None] * rays).astype(np.float32)
+        colour = colour_at(camera.centre + far[..., None] * rays).astype(np.float32)
         alpha = (inside > 0).astype(np.float32) if masked else None
         images.append(View(f"{i}", camera, Path(f"{i}.png"), colour, alpha))
     return Dataset(Path("ball"), "transforms", images, [], Bound((0.0, 0.0, 0.0), 1.5), np.eye(4))
@@ -86,7 +86,7 @@ def values(trained: Trainer) -> list[torch.Tensor]:
     return [*trained.optimizer.leaves.values(), *trained.optimizer.others.values()]
 
 
-def finite_training(measured: Measured, what: str, dataset: Dataset, steps: int = 25) -> None:
+def check_training(measured: Measured, what: str, dataset: Dataset, steps: int = 25) -> None:
     """Steps of what may be metal and of what may not, each density control included, leave finite values and losses."""
     settings = replace(TINY.first, iterations=steps)
     for kind in (LOW_GLOSS, METAL):
@@ -102,12 +102,12 @@ def finite_training(measured: Measured, what: str, dataset: Dataset, steps: int 
 )
 def flat_images(measured: Measured) -> None:
     views = cameras(9, 16)
-    for name, assign_materials in (("white", flat(1.0)), ("black", flat(0.0)), ("saturated", half_clipped)):
+    for name, colour_at in (("white", flat(1.0)), ("black", flat(0.0)), ("saturated", saturated)):
         for masked in (True, False):
-            finite_training(measured, f"{name}{' masked' if masked else ''}", photographs(views, assign_materials, masked))
+            check_training(measured, f"{name}{' masked' if masked else ''}", photographs(views, colour_at, masked))
         if name == "saturated":
             continue
-        dataset = photographs(views, assign_materials)
+        dataset = photographs(views, colour_at)
         result, _ = train(dataset, replace(TINY, materials="low-gloss", first=replace(TINY.first, iterations=60)))
         measured.finite(f"{name}: first stage", [*result.gaussians.tensors().values(), result.environment])
         seen, target = render_gbuffer(result, views[0]), dataset.train[0]
@@ -124,19 +124,21 @@ def flat_images(measured: Measured) -> None:
 def smallest(measured: Measured) -> None:
     for size in (1, 2, 3):
         for masked in (True, False):
-            _held_or_told(measured, f"{size}x{size}{' masked' if masked else ''}", photographs(cameras(9, size), flat(0.6), masked))
+            _check_training_or_error(
+                measured, f"{size}x{size}{' masked' if masked else ''}", photographs(cameras(9, size), flat(0.6), masked)
+            )
     for masked in (True, False):
-        finite_training(measured, f"one view{' masked' if masked else ''}", photographs(cameras(1, 16), checks, masked))
+        check_training(measured, f"one view{' masked' if masked else ''}", photographs(cameras(1, 16), checks, masked))
     with tempfile.TemporaryDirectory() as folder:
         for name, count, size in (("one view", 1, 32), ("one pixel", 9, 1)):
-            refused = _refusal(write(Path(folder) / name.replace(" ", "_"), cameras(count, size)))
+            refused = _error_of(write(Path(folder) / name.replace(" ", "_"), cameras(count, size)))
             measured.note(f"{name}: {refused}")
             measured.holds(f"{name} is refused in one line", bool(refused) and "\n" not in refused)
 
 
-def _held_or_told(measured: Measured, what: str, dataset: Dataset) -> None:
+def _check_training_or_error(measured: Measured, what: str, dataset: Dataset) -> None:
     try:
-        finite_training(measured, what, dataset)
+        check_training(measured, what, dataset)
     except IrgsppError as error:
         measured.note(f"{what}: {error}")
         measured.holds(f"{what}: told in one line", bool(str(error)) and "\n" not in str(error))
@@ -155,7 +157,7 @@ def write(folder: Path, views: list[Camera]) -> Path:
     return folder
 
 
-def _refusal(folder: Path) -> str:
+def _error_of(folder: Path) -> str:
     try:
         load_dataset(folder)
     except InputError as error:
@@ -181,7 +183,9 @@ def wrong_poses(measured: Measured) -> None:
         for masked in (True, False):
             seen = photographs(right, checks, masked).train
             views = [replace(view, camera=camera) for view, camera in zip(seen, poses, strict=True)]
-            _held_or_told(measured, f"{name}{' masked' if masked else ''}", replace(photographs(right, checks, masked), train=views))
+            _check_training_or_error(
+                measured, f"{name}{' masked' if masked else ''}", replace(photographs(right, checks, masked), train=views)
+            )
 
 
 @case(
@@ -194,7 +198,7 @@ def same_seed(measured: Measured) -> None:
     for kind, masked in ((LOW_GLOSS, True), (LOW_GLOSS, False), (METAL, True)):
         dataset, losses, bits = photographs(cameras(9, 16), checks, masked), [], []
         for threads in (2, 2, 1, 5):
-            with thread_setting(threads):
+            with threads_set_to(threads):
                 fitted = trainer(dataset, kind)
                 losses.append(torch.tensor([fitted.step() for _ in range(20)], dtype=torch.float64))
             bits.append(digest(values(fitted)))

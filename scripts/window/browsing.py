@@ -5,28 +5,29 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import bpy
-import hands
+import driver
 
 
 def from_menu(x: float, entry: str) -> Iterator[float]:
     """A click on a menu of the top bar, and its entry by the menu's own search."""
-    yield from hands.click_at(x, hands.window().height - 12)
-    hands.key("space")
+    yield from driver.click_at(x, driver.window().height - 12)
+    driver.key("space")
     yield 1.0
-    hands.write(entry)
+    driver.write(entry)
     yield 2.0
-    hands.shot(f"30_menu_{entry.split()[-1]}")
-    hands.key("Return")
+    driver.shot(f"30_menu_{entry.split()[-1]}")
+    driver.key("Return")
     yield 0.5
 
 
 def confirm_files(name: str, directory: Path | None = None, file: str = "") -> Iterator[float]:
     """The file browser: an image of it, then Return with the mouse over it."""
-    yield from hands.wait(file_area, 10)
+    yield from driver.wait(file_area, 10)
     yield 1.5
     found = file_area()
     assert found is not None, "the file browser is gone again"
@@ -38,8 +39,8 @@ def confirm_files(name: str, directory: Path | None = None, file: str = "") -> I
         params.filename = file
     area.tag_redraw()
     yield 1.5
-    hands.shot(name)
-    place = hands.region("EXECUTE", area)
+    driver.shot(name)
+    place = driver.region("EXECUTE", area)
     with bpy.context.temp_override(window=window, area=area, region=place):
         bpy.ops.file.execute("INVOKE_DEFAULT")
     yield 1.0
@@ -82,7 +83,7 @@ def reach(wanted: str, across: float = 0.4) -> Iterator[float]:
         if scroll:
             yield from scrolled(scroll)
         try:
-            yield from hands.find(wanted, across=across)
+            yield from driver.find(wanted, across=across)
             return
         except RuntimeError:
             if scroll == "scroll_up":
@@ -92,19 +93,34 @@ def reach(wanted: str, across: float = 0.4) -> Iterator[float]:
 def press_button(wanted: str, across: float = 0.4) -> Iterator[float]:
     """A real click on a button wherever the sidebar has to be scrolled to."""
     yield from reach(wanted, across)
-    hands.click_here()
+    driver.click_here()
     yield 1.0
 
 
+def started_job() -> Generator[float, None, Any]:
+    """Wait until a job of the extension runs, and return it."""
+    queue = driver.extension_module("irgspp_addon.jobs.queue")
+    yield from driver.wait(queue.running, 30)
+    return queue.running()[0]
+
+
+def new_world(name: str) -> bpy.types.World:
+    """Return a new World with a node tree."""
+    world = bpy.data.worlds.new(name)
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    return world
+
+
 def frame_selected() -> Iterator[float]:
-    with hands.override():
+    with driver.override():
         bpy.ops.view3d.view_selected()
     yield 1.0
 
 
 def scrolled(way: str) -> Iterator[float]:
     """The sidebar at its end ("scroll_down") or beginning."""
-    with hands.override("UI"):
+    with driver.override("UI"):
         for _ in range(60):
             getattr(bpy.ops.view2d, way)()
     yield 1.0

@@ -11,23 +11,23 @@ from pathlib import Path
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import bpy
-import hands
+import browsing
+import driver
 
-MODULE = "bl_ext.user_default.irgspp"
 # A small part of the work, so that the story ends in a minute or two; the images are of 64x64 pixels anyway.
 SETTINGS = "first.iterations=300 first.trial_iterations=60 first.gaussians=8000 surface.voxels=96 surface.triangles=8000"
 
 
 def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
-    demo = Path(str(sys.modules[MODULE].__file__)).parent / "core" / "demo_data"
+    demo = Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data"
     photographs = Path(shutil.copytree(demo, work / "monkey"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "first_day.blend"))  # so that the folder can be named relative to it
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
-    hands.view3d().spaces[0].overlay.show_relationship_lines = False
-    time_everything()
-    yield from hands.open_sidebar("IRGS++")
+    driver.view3d().spaces[0].overlay.show_relationship_lines = False
+    time_callbacks()
+    yield from driver.open_sidebar("IRGS++")
     yield from set_up_engine()
     yield from look_at(photographs)
     yield from reconstruct(work / "monkey_irgspp")
@@ -37,30 +37,30 @@ def story() -> Iterator[float]:
     shutil.rmtree(work, ignore_errors=True)
 
 
-def time_everything() -> None:
+def time_callbacks() -> None:
     """Every panel's drawing, every operator's start, and what looks after the jobs."""
-    for cls in sys.modules[f"{MODULE}.panels.registration"].CLASSES:
+    for cls in driver.extension_module("panels.registration").CLASSES:
         for name in ("draw", "invoke"):
             if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
-                hands.time_calls(cls, name, f"{cls.__name__}.{name}")
-    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.jobs.queue"], "poll", "jobs.poll")
-    hands.time_calls(sys.modules[f"{MODULE}.irgspp_addon.relight.live_image"], "beat", "relight_follow.beat")
+                driver.time_calls(cls, name, f"{cls.__name__}.{name}")
+    driver.time_calls(driver.extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
+    driver.time_calls(driver.extension_module("irgspp_addon.relight.live_image"), "beat", "relight.live_image.beat")
 
 
 def set_up_engine() -> Iterator[float]:
     """Without an engine the panel leads to the preferences."""
-    hands.sidebar_shot("01_no_engine")
-    yield from hands.find("preferences.addon_show")
-    preferences = bpy.context.preferences.addons[MODULE].preferences
-    preferences.engine_python = hands.ENGINE
+    driver.sidebar_shot("01_no_engine")
+    yield from driver.find("preferences.addon_show")
+    preferences = bpy.context.preferences.addons[driver.MODULE].preferences
+    preferences.engine_python = driver.ENGINE
     yield 1.0
-    hands.sidebar_shot("02_engine_unchecked")
-    yield from hands.click("irgspp.check_engine")
-    engine = sys.modules[f"{MODULE}.irgspp_addon.engine.process"]
-    yield from hands.wait(lambda: engine.status().state == "ok", 120)
+    driver.sidebar_shot("02_engine_unchecked")
+    yield from driver.click("irgspp.check_engine")
+    engine = driver.extension_module("irgspp_addon.engine.process")
+    yield from driver.wait(lambda: engine.status().state == "ok", 120)
     yield 1.0
-    hands.shot("03_start")
-    hands.sidebar_shot("03_start_sidebar")
+    driver.shot("03_start")
+    driver.sidebar_shot("03_start_sidebar")
 
 
 def look_at(photographs: Path) -> Iterator[float]:
@@ -68,15 +68,15 @@ def look_at(photographs: Path) -> Iterator[float]:
     settings = bpy.context.scene.irgspp
     settings.dataset = f"//{photographs.name}"
     yield 1.0
-    hands.sidebar_shot("04_chosen")
-    yield from hands.click("irgspp.inspect_dataset", across=0.25)
-    yield from hands.wait(lambda: settings.inspected, 60)
+    driver.sidebar_shot("04_chosen")
+    yield from driver.click("irgspp.inspect_dataset", across=0.25)
+    yield from driver.wait(lambda: settings.inspected, 60)
     yield 1.0
-    hands.sidebar_shot("05_inspected")
-    yield from hands.click("irgspp.import_dataset", across=0.7)
-    yield from hands.wait(lambda: any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects), 60)
+    driver.sidebar_shot("05_inspected")
+    yield from driver.click("irgspp.import_dataset", across=0.7)
+    yield from driver.wait(lambda: any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects), 60)
     yield from frame_all()
-    hands.shot("06_cameras")
+    driver.shot("06_cameras")
 
 
 def reconstruct(run: Path) -> Iterator[float]:
@@ -84,29 +84,27 @@ def reconstruct(run: Path) -> Iterator[float]:
     settings = bpy.context.scene.irgspp
     settings.preset, settings.overrides = "draft", SETTINGS
     assert settings.run_path() == run
-    jobs = sys.modules[f"{MODULE}.irgspp_addon.jobs.queue"]
-    yield from hands.click("irgspp.reconstruct")
-    yield from hands.wait(lambda: jobs.running(), 30)
-    job = jobs.running()[0]
-    yield from hands.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), 300)
+    yield from driver.click("irgspp.reconstruct")
+    job = yield from browsing.started_job()
+    yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), 300)
     yield 1.0
-    hands.shot("07_running")
-    hands.sidebar_shot("07_running_sidebar")
-    yield from hands.wait(lambda: job.finished, 600)
+    driver.shot("07_running")
+    driver.sidebar_shot("07_running_sidebar")
+    yield from driver.wait(lambda: job.finished, 600)
     yield 2.0
-    hands.shot("08_done")
+    driver.shot("08_done")
     assert job.state == "done" and not job.error, (job.state, job.error)
 
 
 def show_result() -> Iterator[float]:
     """The object, selected and in view."""
-    yield from frame_selected()
-    hands.view3d().spaces[0].shading.type = "MATERIAL"
+    yield from browsing.frame_selected()
+    driver.view3d().spaces[0].shading.type = "MATERIAL"
     yield 40.0  # shaders are compiled
-    hands.shot("09_result")
-    hands.sidebar_shot("09_result_sidebar")
+    driver.shot("09_result")
+    driver.sidebar_shot("09_result_sidebar")
     yield from look_through_a_camera()
-    hands.view3d().spaces[0].shading.type = "SOLID"
+    driver.view3d().spaces[0].shading.type = "SOLID"
 
 
 def look_through_a_camera() -> Iterator[float]:
@@ -114,15 +112,15 @@ def look_through_a_camera() -> Iterator[float]:
     photographed = [thing for thing in bpy.context.scene.objects if thing.type == "CAMERA" and thing.data.background_images]
     bpy.context.view_layer.objects.active = photographed[-1]
     yield 1.0
-    yield from hands.click("irgspp.look_through")
+    yield from driver.click("irgspp.look_through")
     background = bpy.context.scene.camera.data.background_images[0]
     yield 3.0
-    hands.shot("09_through_camera")
+    driver.shot("09_through_camera")
     background.display_depth, background.alpha = "FRONT", 0.5
     yield 2.0
-    hands.shot("09_through_camera_mixed")
+    driver.shot("09_through_camera_mixed")
     background.display_depth, background.alpha = "BACK", 1.0
-    hands.view3d().spaces[0].region_3d.view_perspective = "PERSP"
+    driver.view3d().spaces[0].region_3d.view_perspective = "PERSP"
     bpy.context.view_layer.objects.active = next(thing for thing in bpy.context.selected_objects)
 
 
@@ -131,33 +129,31 @@ def relight(hdri: Path) -> Iterator[float]:
     mapping = sunset_world(hdri)
     editor = open_image_editor()
     yield 1.0
-    yield from frame_selected()
-    yield from scroll_to_end()
-    yield from hands.click("irgspp.relight_preview")
-    preview = sys.modules[f"{MODULE}.irgspp_addon.relight.preview"]
-    follow = sys.modules[f"{MODULE}.irgspp_addon.relight.live_image"]
+    yield from browsing.frame_selected()
+    yield from browsing.scrolled("scroll_down")
+    yield from driver.click("irgspp.relight_preview")
+    preview = driver.extension_module("irgspp_addon.relight.preview")
+    follow = driver.extension_module("irgspp_addon.relight.live_image")
     follower = follow.follower_of(preview.CHANNEL)
-    yield from hands.wait(lambda: follower.done or follower.failed, 120)
+    yield from driver.wait(lambda: follower.done or follower.failed, 120)
     assert not follower.failed, follower.message
-    with hands.override(area=editor):
+    with driver.override(area=editor):
         bpy.ops.image.view_all(fit_view=True)
     yield 1.0
-    hands.shot("10_relit")
+    driver.shot("10_relit")
     mapping.inputs["Rotation"].default_value[2] = 2.0
-    yield from hands.wait(lambda: not follower.done, 10, step=0.02)
-    yield from hands.wait(lambda: follower.done, 60)
+    yield from driver.wait(lambda: not follower.done, 10, step=0.02)
+    yield from driver.wait(lambda: follower.done, 60)
     yield 1.0
-    hands.shot("11_turned")
-    hands.sidebar_shot("11_turned_sidebar")
-    yield from hands.click("irgspp.relight_stop")
+    driver.shot("11_turned")
+    driver.sidebar_shot("11_turned_sidebar")
+    yield from driver.click("irgspp.relight_stop")
     assert not preview.preview_running()
 
 
 def sunset_world(hdri: Path) -> bpy.types.Node:
     """A World lit by an HDRI; the node that turns it."""
-    world = bpy.data.worlds.new("Sunset")
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
+    world = browsing.new_world("Sunset")
     nodes, links = world.node_tree.nodes, world.node_tree.links
     coordinates, mapping, texture = (nodes.new(f"ShaderNode{name}") for name in ("TexCoord", "Mapping", "TexEnvironment"))
     texture.image = bpy.data.images.load(str(hdri))
@@ -171,41 +167,28 @@ def sunset_world(hdri: Path) -> bpy.types.Node:
 
 def open_image_editor() -> bpy.types.Area:
     """Beside the 3D View, in a part of its area."""
-    before = {area.as_pointer() for area in hands.window().screen.areas}
-    with hands.override():
+    before = {area.as_pointer() for area in driver.window().screen.areas}
+    with driver.override():
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
-    new = next(area for area in hands.window().screen.areas if area.as_pointer() not in before)
+    new = next(area for area in driver.window().screen.areas if area.as_pointer() not in before)
     new.ui_type = "IMAGE_EDITOR"
     return new
 
 
 def see_jobs() -> Iterator[float]:
     """The list of what was done."""
-    yield from scroll_to_end()
-    part = hands.region()
-    yield from hands.click_at(part.x + 60, part.y + 14)  # the last panel is closed at first; its header is the last row
-    yield from scroll_to_end()
-    hands.shot("12_jobs")
-    hands.sidebar_shot("12_jobs_sidebar")
-
-
-def scroll_to_end() -> Iterator[float]:
-    with hands.override("UI"):
-        for _ in range(40):
-            bpy.ops.view2d.scroll_down()
-    yield 1.0
+    yield from browsing.scrolled("scroll_down")
+    part = driver.region()
+    yield from driver.click_at(part.x + 60, part.y + 14)  # the last panel is closed at first; its header is the last row
+    yield from browsing.scrolled("scroll_down")
+    driver.shot("12_jobs")
+    driver.sidebar_shot("12_jobs_sidebar")
 
 
 def frame_all() -> Iterator[float]:
-    with hands.override():
+    with driver.override():
         bpy.ops.view3d.view_all(use_all_regions=False)
     yield 1.0
 
 
-def frame_selected() -> Iterator[float]:
-    with hands.override():
-        bpy.ops.view3d.view_selected()
-    yield 1.0
-
-
-hands.tell(story)
+driver.run_story(story)

@@ -12,14 +12,7 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import bpy
 import browsing
-import hands
-
-MODULE = "bl_ext.user_default.irgspp"
-
-
-def part(name: str):
-    """A module of the extension."""
-    return sys.modules[f"{MODULE}.irgspp_addon.{name}"]
+import driver
 
 
 def story() -> Iterator[float]:
@@ -29,11 +22,11 @@ def story() -> Iterator[float]:
     for name in ("Cube", "Light"):
         bpy.data.objects.remove(bpy.data.objects[name])
     browsing.open_panels("IRGSPP_PT_bake", "IRGSPP_PT_export", "IRGSPP_PT_relight_files")
-    time_everything()
-    bpy.context.preferences.addons[MODULE].preferences.engine_python = hands.ENGINE
-    yield from hands.open_sidebar("IRGS++")
+    time_callbacks()
+    bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
+    yield from driver.open_sidebar("IRGS++")
     yield from browsing.press_button("irgspp.check_engine")
-    yield from hands.wait(lambda: part("engine").status().state == "ok", 120)
+    yield from driver.wait(lambda: driver.extension_module("irgspp_addon.engine.process").status().state == "ok", 120)
     yield from open_run(run)
     yield from bake_again()
     yield from export(run)
@@ -45,29 +38,28 @@ def story() -> Iterator[float]:
     shutil.rmtree(work, ignore_errors=True)
 
 
-def time_everything() -> None:
+def time_callbacks() -> None:
     """Whatever Blender has to wait for while jobs and previews go on."""
-    hands.time_calls(part("jobs"), "poll", "jobs.poll")
-    hands.time_calls(part("relight_follow"), "beat", "relight_follow.beat")
-    for cls in sys.modules[f"{MODULE}.panels.registration"].CLASSES:
+    driver.time_calls(driver.extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
+    driver.time_calls(driver.extension_module("irgspp_addon.relight.live_image"), "beat", "relight.live_image.beat")
+    for cls in driver.extension_module("panels.registration").CLASSES:
         if issubclass(cls, bpy.types.Panel) and "draw" in vars(cls):
-            hands.time_calls(cls, "draw", f"{cls.__name__}.draw")
+            driver.time_calls(cls, "draw", f"{cls.__name__}.draw")
 
 
 def demo_and_cancel() -> Iterator[float]:
     """The demonstration by its button, and out of it again."""
     yield from browsing.press_button("irgspp.demo")
     yield 1.0
-    hands.shot("59_demo_asked")
-    yield from hands.wait(part("jobs").running, 30)
-    job = part("jobs").running()[0]
-    yield from hands.wait(lambda: job.finished or (job.phase == "first stage" and job.step), 120)
+    driver.shot("59_demo_asked")
+    job = yield from browsing.started_job()
+    yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.step), 120)
     yield 3.0
-    hands.sidebar_shot("60_demo_running")
+    driver.sidebar_shot("60_demo_running")
     yield from browsing.press_button("irgspp.job_cancel", across=0.7)
-    yield from hands.wait(lambda: job.finished, 60)
+    yield from driver.wait(lambda: job.finished, 60)
     yield 1.5
-    hands.sidebar_shot("61_demo_cancelled")
+    driver.sidebar_shot("61_demo_cancelled")
     assert job.state == "cancelled", job.state
 
 
@@ -75,42 +67,41 @@ def open_run(run: Path) -> Iterator[float]:
     """File > Import > IRGS++ Run, and its file browser."""
     yield from browsing.from_menu(45, "IRGS++ Run")
     yield from browsing.confirm_files("35_open_run", directory=run)
-    yield from hands.wait(lambda: any(thing.type == "MESH" for thing in bpy.context.scene.objects), 60)
+    yield from driver.wait(lambda: any(thing.type == "MESH" for thing in bpy.context.scene.objects), 60)
     yield from browsing.frame_selected()
-    hands.shot("36_opened")
+    driver.shot("36_opened")
 
 
 def bake_again() -> Iterator[float]:
     """Textures of another size."""
     bpy.context.scene.irgspp.texture_size = 512
     yield 1.0
-    hands.sidebar_shot("37_bake_panel")
+    driver.sidebar_shot("37_bake_panel")
     yield from browsing.press_button("irgspp.bake")
-    yield from hands.wait(part("jobs").running, 30)
-    job = part("jobs").running()[0]
+    job = yield from browsing.started_job()
     yield 1.5
-    hands.sidebar_shot("38_baking")
+    driver.sidebar_shot("38_baking")
     yield from ended(job)
-    hands.shot("39_baked")
+    driver.shot("39_baked")
     nodes = bpy.context.object.active_material.node_tree.nodes
     assert {tuple(node.image.size) for node in nodes if node.bl_idname == "ShaderNodeTexImage"} == {(512, 512)}
 
 
 def export(run: Path) -> Iterator[float]:
     """An asset and a .blend by their buttons."""
-    hands.sidebar_shot("40_export_panel")
+    driver.sidebar_shot("40_export_panel")
     yield from browsing.reach("irgspp.export")
     for number, suffix in enumerate((".glb", ".blend")):
         yield from browsing.reach("irgspp.export")
         if number:
             yield from browsing.below()
-        hands.click_here()
+        driver.click_here()
         yield 1.0
         yield from browsing.confirm_files(f"41_export{suffix}", file=f"exported{suffix}")
-        yield from hands.wait((run / f"exported{suffix}").is_file, 120)
-        yield from hands.wait(lambda: not part("jobs").unfinished(), 30)
+        yield from driver.wait((run / f"exported{suffix}").is_file, 120)
+        yield from driver.wait(lambda: not driver.extension_module("irgspp_addon.jobs.queue").unfinished(), 30)
         yield 1.5
-        hands.sidebar_shot(f"42_exported{suffix}")
+        driver.sidebar_shot(f"42_exported{suffix}")
         assert (run / f"exported{suffix}").stat().st_size > 10_000
 
 
@@ -119,18 +110,20 @@ def relight_by_sky() -> Iterator[float]:
     bpy.context.scene.world, sky = sky_world()
     yield from browsing.scrolled("scroll_down")
     yield from browsing.press_button("irgspp.relight_preview")
-    follower = part("relight_follow").follower_of(part("preview").CHANNEL)
+    follower = driver.extension_module("irgspp_addon.relight.live_image").follower_of(
+        driver.extension_module("irgspp_addon.relight.preview").CHANNEL
+    )
     yield 2.0
-    hands.sidebar_shot("44_sky_coming")
-    yield from hands.wait(lambda: follower.done or follower.failed, 180)
+    driver.sidebar_shot("44_sky_coming")
+    yield from driver.wait(lambda: follower.done or follower.failed, 180)
     yield 1.5
-    hands.shot("45_sky")
+    driver.shot("45_sky")
     assert not follower.failed, follower.message
     sky.sun_rotation = 2.5
-    yield from hands.wait(lambda: not follower.done, 60, step=0.02)
-    yield from hands.wait(lambda: follower.done, 120)
+    yield from driver.wait(lambda: not follower.done, 60, step=0.02)
+    yield from driver.wait(lambda: follower.done, 120)
     yield 1.0
-    hands.shot("46_sky_turned")
+    driver.shot("46_sky_turned")
     yield from browsing.close_other_windows()
     yield from browsing.scrolled("scroll_down")
     yield from browsing.press_button("irgspp.relight_stop")
@@ -138,9 +131,7 @@ def relight_by_sky() -> Iterator[float]:
 
 def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
     """A World with a Sky Texture."""
-    world = bpy.data.worlds.new("Sky")
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
+    world = browsing.new_world("Sky")
     nodes = world.node_tree.nodes
     sky = nodes.new("ShaderNodeTexSky")
     background = next(node for node in nodes if node.bl_idname == "ShaderNodeBackground")
@@ -151,22 +142,21 @@ def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
 
 def write_files(work: Path) -> Iterator[float]:
     """The World as a light map, and photographed views, relit."""
-    hands.sidebar_shot("47_files_panel")
+    driver.sidebar_shot("47_files_panel")
     yield from browsing.press_button("irgspp.world_to_map")
     yield from browsing.confirm_files("48_world_map", directory=work, file="sky.exr")
-    yield from hands.wait(lambda: (work / "sky.exr").is_file(), 60)
+    yield from driver.wait(lambda: (work / "sky.exr").is_file(), 60)
     yield 1.0
-    hands.shot("49_world_map_written")
+    driver.shot("49_world_map_written")
     yield from browsing.press_button("irgspp.render_views")
-    yield from hands.wait(part("jobs").running, 30)
-    job = part("jobs").running()[0]
-    yield from hands.wait(lambda: job.finished or job.step > 1, 200)
+    job = yield from browsing.started_job()
+    yield from driver.wait(lambda: job.finished or job.step > 1, 200)
     yield 1.0
-    hands.sidebar_shot("50_views_rendering")
-    with hands.override():
+    driver.sidebar_shot("50_views_rendering")
+    with driver.override():
         bpy.ops.irgspp.job_cancel(job=job.id)
     yield from ended(job)
-    hands.shot("51_views_stopped")
+    driver.shot("51_views_stopped")
 
 
 def render(work: Path) -> Iterator[float]:
@@ -183,22 +173,22 @@ def render(work: Path) -> Iterator[float]:
     bpy.app.handlers.render_cancel.append(lambda *_: ends.append("cancel"))
     yield from browsing.from_menu(126, "Render Image")
     yield 2.0
-    hands.shot("52_f12_begun")
-    yield from hands.wait(lambda: ends, 200)
+    driver.shot("52_f12_begun")
+    yield from driver.wait(lambda: ends, 200)
     yield 2.0
-    hands.shot("53_f12_done")
+    driver.shot("53_f12_done")
     assert ends == ["complete"], ends
-    bpy.data.images["Render Result"].save_render(str(hands.OUTPUT / "f12.png"))
+    bpy.data.images["Render Result"].save_render(str(driver.OUTPUT / "f12.png"))
     scene.irgspp.relight_samples = 4096
     ends.clear()
     yield from browsing.close_other_windows()  # they have the keyboard
     yield from browsing.from_menu(126, "Render Image")
     yield 4.0
-    hands.shot("54_f12_before_escape")
-    hands.key("Escape")  # the render's window has the keyboard
-    yield from hands.wait(lambda: ends, 30)
+    driver.shot("54_f12_before_escape")
+    driver.key("Escape")  # the render's window has the keyboard
+    yield from driver.wait(lambda: ends, 30)
     yield 2.0
-    hands.shot("55_f12_escaped")
+    driver.shot("55_f12_escaped")
     assert ends == ["cancel"], ends
     scene.irgspp.relight_samples = 32
     yield from browsing.close_other_windows()
@@ -206,28 +196,28 @@ def render(work: Path) -> Iterator[float]:
 
 def rendered_shading() -> Iterator[float]:
     """Rendered shading of the 3D View by IRGS++."""
-    hands.view3d().spaces[0].shading.type = "RENDERED"
+    driver.view3d().spaces[0].shading.type = "RENDERED"
     yield 2.0
-    follow = part("relight_follow")
-    view = next(iter(part("render_engine")._viewports.values()))
-    yield from hands.wait(lambda: (f := follow.follower_of(view.channel)) is not None and (f.done or f.failed), 120)
+    follow = driver.extension_module("irgspp_addon.relight.live_image")
+    view = next(iter(driver.extension_module("irgspp_addon.relight.render_engine")._viewports.values()))
+    yield from driver.wait(lambda: (f := follow.follower_of(view.channel)) is not None and (f.done or f.failed), 120)
     yield 2.0
-    hands.shot("56_rendered")
-    with hands.override():
+    driver.shot("56_rendered")
+    with driver.override():
         bpy.ops.view3d.view_orbit(angle=0.7, type="ORBITRIGHT")
-    yield from hands.wait(lambda: not follow.follower_of(view.channel).done, 10, step=0.02)
+    yield from driver.wait(lambda: not follow.follower_of(view.channel).done, 10, step=0.02)
     yield 0.5
-    hands.shot("57_rendered_turning")
-    yield from hands.wait(lambda: follow.follower_of(view.channel).done, 60)
+    driver.shot("57_rendered_turning")
+    yield from driver.wait(lambda: follow.follower_of(view.channel).done, 60)
     yield 1.0
-    hands.shot("58_rendered_turned")
+    driver.shot("58_rendered_turned")
 
 
 def ended(job) -> Iterator[float]:
     """Until a job has ended and the panels know."""
-    yield from hands.wait(lambda: job.finished, 300)
+    yield from driver.wait(lambda: job.finished, 300)
     yield 1.5
     assert not (job.state == "failed" or (job.error and job.state == "done")), (job.state, job.error)
 
 
-hands.tell(story)
+driver.run_story(story)

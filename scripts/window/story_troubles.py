@@ -11,80 +11,78 @@ from pathlib import Path
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import bpy
-import hands
-
-MODULE = "bl_ext.user_default.irgspp"
+import browsing
+import driver
 
 
 def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "troubles.blend"))
-    settings, jobs = bpy.context.scene.irgspp, sys.modules[f"{MODULE}.irgspp_addon.jobs.queue"]
-    yield from hands.open_sidebar("IRGS++")
+    settings, jobs = bpy.context.scene.irgspp, driver.extension_module("irgspp_addon.jobs.queue")
+    yield from driver.open_sidebar("IRGS++")
     yield from open_preferences()
-    yield from hands.open_sidebar("IRGS++")
-    yield from hands.click("irgspp.check_engine")
-    yield from hands.wait(lambda: sys.modules[f"{MODULE}.irgspp_addon.engine.process"].status().state == "ok", 120)
+    yield from driver.open_sidebar("IRGS++")
+    yield from driver.click("irgspp.check_engine")
+    yield from driver.wait(lambda: driver.extension_module("irgspp_addon.engine.process").status().state == "ok", 120)
 
     (work / "empty").mkdir()
     settings.dataset = "//empty"
     yield 1.0
-    yield from hands.click("irgspp.inspect_dataset", across=0.25)
-    yield from hands.wait(lambda: not jobs.unfinished(), 60)
+    yield from driver.click("irgspp.inspect_dataset", across=0.25)
+    yield from driver.wait(lambda: not jobs.unfinished(), 60)
     yield 1.5
-    hands.sidebar_shot("22_no_dataset")
+    driver.sidebar_shot("22_no_dataset")
 
-    demo = Path(str(sys.modules[MODULE].__file__)).parent / "core" / "demo_data"
+    demo = Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data"
     shutil.copytree(demo, work / "monkey")
     settings.dataset = "//monkey"
     settings.overrides = "first.iterations=many"
     yield 1.0
-    yield from hands.click("irgspp.reconstruct")
-    yield from hands.wait(lambda: not jobs.unfinished(), 60)
+    yield from driver.click("irgspp.reconstruct")
+    yield from driver.wait(lambda: not jobs.unfinished(), 60)
     yield 1.5
-    hands.sidebar_shot("23_bad_setting")
+    driver.sidebar_shot("23_bad_setting")
 
     settings.overrides, settings.preset = "first.iterations=3000", "draft"
     yield 1.0
-    yield from hands.click("irgspp.reconstruct")
-    yield from hands.wait(jobs.running, 30)
-    job = jobs.running()[0]
-    yield from hands.wait(lambda: job.phase == "first stage" and job.step > 20, 300)
-    yield from hands.click("irgspp.job_cancel", across=0.7)
-    yield from hands.wait(lambda: job.finished, 60)
+    yield from driver.click("irgspp.reconstruct")
+    job = yield from browsing.started_job()
+    yield from driver.wait(lambda: job.phase == "first stage" and job.step > 20, 300)
+    yield from driver.click("irgspp.job_cancel", across=0.7)
+    yield from driver.wait(lambda: job.finished, 60)
     yield 1.5
-    hands.sidebar_shot("24_cancelled")
+    driver.sidebar_shot("24_cancelled")
     assert job.state == "cancelled", job.state
 
-    yield from hands.click("irgspp.reconstruct", across=0.7)
+    yield from driver.click("irgspp.reconstruct", across=0.7)
     yield 1.0
-    hands.shot("25_replace")
-    hands.key("Escape")
+    driver.shot("25_replace")
+    driver.key("Escape")
     yield 1.0
     assert not jobs.unfinished()
-    yield from hands.click("irgspp.job_resume", across=0.25)
-    yield from hands.wait(lambda: job.state == "running" and job.step > 20, 120)
-    yield from hands.click("irgspp.job_finish", across=0.25)
+    yield from driver.click("irgspp.job_resume", across=0.25)
+    yield from driver.wait(lambda: job.state == "running" and job.step > 20, 120)
+    yield from driver.click("irgspp.job_finish", across=0.25)
     yield 1.0
-    hands.sidebar_shot("26_finishing_early")
-    yield from hands.wait(lambda: job.finished, 600)
+    driver.sidebar_shot("26_finishing_early")
+    yield from driver.wait(lambda: job.finished, 600)
     assert job.state == "done" and not job.error, (job.state, job.error)
     shutil.rmtree(work, ignore_errors=True)
 
 
 def open_preferences() -> Iterator[float]:
     """By the panel's button; they come in a window of their own."""
-    yield from hands.click("preferences.addon_show")
-    yield from hands.wait(lambda: len(bpy.context.window_manager.windows) > 1, 10)
+    yield from driver.click("preferences.addon_show")
+    yield from driver.wait(lambda: len(bpy.context.window_manager.windows) > 1, 10)
     yield 2.0
-    hands.shot("20_preferences")
-    bpy.context.preferences.addons[MODULE].preferences.engine_python = hands.ENGINE
-    hands.redraw()
+    driver.shot("20_preferences")
+    bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
+    driver.redraw()
     yield 2.0
-    hands.shot("21_preferences_existing")
+    driver.shot("21_preferences_existing")
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):
         bpy.ops.wm.window_close()
     yield 1.0
 
 
-hands.tell(story)
+driver.run_story(story)

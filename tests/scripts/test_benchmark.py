@@ -103,7 +103,7 @@ def test_the_report_holds_everything_itself(work, task, script, tmp_path):
     text = script("benchmarks.page").write(store, [section()]).read_text()
     assert "<svg" in text and "data:image/jpeg;base64," in text and "<td>1.25</td>" in text
     assert "Worse than &lt;others&gt;." in text and "ValueError: broke" in text and "ball (glossy, 64 px)" in text
-    assert "src='pictures" not in text and "http" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
+    assert 'src="pictures' not in text and "http" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
         "http://creativecommons.org", ""
     ).replace("https://matplotlib.org", "")
     store.write_tables()
@@ -137,7 +137,7 @@ def test_sections_tell_their_engines_apart_where_there_are_several(work, task, s
 
 def test_results_of_something_else_are_refused(script, tmp_path):
     (tmp_path / "results.json").write_text("[1]")
-    with pytest.raises(InputError, match="is no benchmark's results"):
+    with pytest.raises(InputError, match="does not hold results of a benchmark"):
         script("benchmarks.store").Store(tmp_path)
 
 
@@ -148,18 +148,18 @@ def test_scenes_are_found_in_folders(script, tmp_path):
     scenes = script("benchmarks.scenes")
     (tmp_path / "all").mkdir()
     (tmp_path / "all" / "demo").symlink_to(DEMO_DATA)
-    assert [scene.name for scene in scenes.named([tmp_path / "all"])] == ["demo"]
-    with pytest.raises(InputError, match="is no scene"):
-        scenes.named([tmp_path])
-    with pytest.raises(InputError, match="one name"):
-        scenes.named([tmp_path / "all", tmp_path / "all" / "demo"])
+    assert [scene.name for scene in scenes.find_scenes([tmp_path / "all"])] == ["demo"]
+    with pytest.raises(InputError, match="is neither a scene"):
+        scenes.find_scenes([tmp_path])
+    with pytest.raises(InputError, match="two scenes have the same name"):
+        scenes.find_scenes([tmp_path / "all", tmp_path / "all" / "demo"])
 
 
 def test_every_section_lists_tasks_that_the_command_line_understands(script, tmp_path):
     """Names are unique, nothing is measured by listing, and plans of reconstructions are valid options."""
     benchmark, bench = script("benchmark"), script("benchmarks.bench")
-    scene = script("benchmarks.scenes").embedded()[0]
-    steps = script("benchmarks.session").steps_of(bench.Bench(tmp_path, [scene]), benchmark.chosen(",".join(benchmark.SECTIONS)))
+    scene = script("benchmarks.scenes").demo_scenes()[0]
+    steps = script("benchmarks.session").steps_of(bench.Bench(tmp_path, [scene]), benchmark.sections_of(",".join(benchmark.SECTIONS)))
     assert len({step.key for step in steps}) == len(steps) > 50
     plans = {plan for step in steps for plan in step.task.runs}
     assert len({plan.label for plan in plans}) == len(plans) > 3
@@ -184,7 +184,7 @@ def test_a_plan_is_not_taken_for_another(script, tmp_path):
 
 def test_a_reconstruction_that_fails_is_tried_once(script, tmp_path, monkeypatch):
     """In a process of its own it has no say; the error is the job's own line."""
-    bench = script("benchmarks.bench").Bench(tmp_path, script("benchmarks.scenes").embedded())
+    bench = script("benchmarks.bench").Bench(tmp_path, script("benchmarks.scenes").demo_scenes())
     plan, tried = script("benchmarks.runs").RunPlan("bad", options=("nonsense=1",)), []
     make = script("benchmarks.runs").make
     monkeypatch.setattr(script("benchmarks.runs"), "make", lambda *args: tried.append(1) or make(*args))

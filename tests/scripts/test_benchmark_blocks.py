@@ -95,4 +95,4 @@ def test_what_another_optimiser_does_better_in_the_same_time_is_told(script, tmp
     kept.add(store.Record("peers", "ball", "inverse: Mitsuba, 1 x", figures={**figures, "relight_psnr": 25.0, "environment_psnr": 17.0}))
     relit, worse = (block.text for block in script("benchmarks.summary").blocks(kept))
     assert relit.endswith("ball 30.0 and 25.0 dB.")
-    assert worse == "There Mitsuba's is better in: light dB of ball, 14.00 and 17.00."
+    assert worse == "Mitsuba's is better in: light dB of ball, 14.00 and 17.00."

@@ -44,11 +44,11 @@ def write_balls(folder: Path, material: tuple[float, ...]) -> Path:
     return folder
 
 
-def place(script, light: np.ndarray):
+def lit_view(script, light: np.ndarray):
     """What a camera sees of the balls under a light; the true image is left out."""
     camera = Camera(48, 48, 60.0, 60.0, 24.0, 24.0, look_at((1.5, -4.0, 2.0), (0.4, -0.1, 0.3)))
     inside = np.ones((48, 48), bool)
-    return script("benchmarks.studio").Place(SimpleNamespace(camera=camera), "light", prepare(light), np.zeros((48, 48, 3)), inside)
+    return script("benchmarks.studio").LitView(SimpleNamespace(camera=camera), "light", prepare(light), np.zeros((48, 48, 3)), inside)
 
 
 @pytest.fixture(scope="module")
@@ -56,14 +56,14 @@ def studio(script, tmp_path_factory):
     """The balls in the sun."""
     run = write_balls(tmp_path_factory.mktemp("balls"), MATERIAL)
     light = LIGHTS["sunset"](32, 64)
-    return script("benchmarks.studio").Studio(run, [place(script, light)], {"mesh": 2048, "gaussian": 1024})
+    return script("benchmarks.studio").Studio(run, [lit_view(script, light)], {"mesh": 2048, "gaussian": 1024})
 
 
 @pytest.fixture(scope="module")
 def error(script, studio):
-    """Root mean square error of a way of section relighting at so many samples."""
-    ways = script("benchmarks.relighting").WAYS
-    return lambda way, samples: studio.errors(ways[way], samples)["rms_error"]
+    """Root mean square error of a variant of section relighting at so many samples."""
+    variants = script("benchmarks.relighting").VARIANTS
+    return lambda variant, samples: studio.errors(variants[variant], samples)["rms_error"]
 
 
 def test_light_sampling_beats_strata(error, script):
@@ -93,11 +93,11 @@ def test_indirect_light_comes_closer_to_the_truth(script, tmp_path):
     """In an even light what absorbs nothing is as bright as the light, wherever it is: no shadow between the balls stays."""
     studio = script("benchmarks.studio")
     run = write_balls(tmp_path, (1.0, 1.0, 1.0, 0.9, 0.0))
-    one = studio.Studio(run, [place(script, np.full((16, 32, 3), 0.5, np.float32))], {"mesh": 64, "gaussian": 64})
+    one = studio.Studio(run, [lit_view(script, np.full((16, 32, 3), 0.5, np.float32))], {"mesh": 64, "gaussian": 64})
     dark = []
     for indirect in (True, False):
-        relighter = one.relighter(studio.Way(denoise="off", indirect=indirect), 256)
-        rgba = relighter.relit(relighter.surface(one.places[0].view.camera), one.places[0].prepared).numpy()
+        relighter = one.relighter(studio.RelightVariant(denoise="off", indirect=indirect), 256)
+        rgba = relighter.relit(relighter.surface(one.lit_views[0].view.camera), one.lit_views[0].prepared).numpy()
         solid = rgba[..., 3] > 0.99
         dark.append(np.abs(rgba[solid][:, :3] - 0.5).mean())
     assert solid.sum() > 300

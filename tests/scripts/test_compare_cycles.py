@@ -14,7 +14,7 @@ LIMIT = 0.03  # mean relative difference of a pixel, the noise of both included
 @pytest.fixture(scope="module")
 def script():
     with scripts_on_path() as script:
-        yield script("compare_cycles")
+        yield script("cycles_comparison.compare")
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 sys.path.insert(0, str(SCRIPTS))
 faults = importlib.import_module("faults")
-stress = importlib.import_module("stress")
+runner = importlib.import_module("stresses.runner")
 case_module = importlib.import_module("stresses.case")
 for name in faults.GROUPS:
     importlib.import_module(f"faulting.{name}")
 sys.path.remove(str(SCRIPTS))
-QUICK = stress.selected(faults.CASES, quick=True, only="")
+QUICK = runner.selected(faults.CASES, quick=True, only="")
 
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda case: f"{case.group}: {case.name}")

@@ -50,7 +50,7 @@ def fuzz(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(SCRIPTS))
     module = importlib.import_module("faulting.fuzz")
     (tmp_path / "child.py").write_text(CHILD)
-    child = module.Child()
+    child = module.ReaderProcess()
     monkeypatch.setattr(module, "PROGRAM", (str(tmp_path / "child.py"),))
     monkeypatch.setattr(module, "CHILD", child)
     monkeypatch.setattr(module, "STUCK", 1.5)
@@ -72,7 +72,7 @@ def fuzz(monkeypatch, tmp_path):
     ],
 )
 def test_faults_are_told(fuzz, tmp_path, name, words):
-    done, faults = fuzz.hammer(SimpleNamespace(name=name, files=("a",)), COUNT, 5, tmp_path / "kept")
+    done, faults = fuzz.read_mutated(SimpleNamespace(name=name, files=("a",)), COUNT, 5, tmp_path / "kept")
     assert done == COUNT
     if words is None:
         assert not faults
@@ -84,14 +84,14 @@ def test_faults_are_told(fuzz, tmp_path, name, words):
 
 def test_process_that_fails_by_itself_is_an_error(fuzz):
     with pytest.raises(RuntimeError, match="SystemExit: 3"):
-        fuzz.hammer(SimpleNamespace(name="gives up", files=("a",)), COUNT, 5)
+        fuzz.read_mutated(SimpleNamespace(name="gives up", files=("a",)), COUNT, 5)
     with pytest.raises(RuntimeError, match="StopIteration"):
-        fuzz.hammer(SimpleNamespace(name="is not there", files=("a",)), COUNT, 5)
+        fuzz.read_mutated(SimpleNamespace(name="is not there", files=("a",)), COUNT, 5)
 
 
 def test_same_seed_gives_the_same_files(fuzz, tmp_path):
     reader = SimpleNamespace(name="errs", files=("a",))
     for name, seed in (("one", 5), ("two", 5), ("other", 6)):
-        fuzz.hammer(reader, 40, seed, tmp_path / name)
+        fuzz.read_mutated(reader, 40, seed, tmp_path / name)
     one, two, other = ([p.read_bytes() for p in sorted((tmp_path / name).rglob("*-a"))] for name in ("one", "two", "other"))
     assert len(one) > 10 and one == two != other

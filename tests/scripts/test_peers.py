@@ -92,7 +92,7 @@ def test_time_to_an_error_and_error_at_a_time(load):
     assert relighting.psnr_at(points, 10**0.5) == pytest.approx(35)
     assert relighting.psnr_at(points, 1e3) == pytest.approx(40)
     ours = [relighting.Point(16, 1.0, 4.0, 30.0)]
-    duel = relighting.Duel([{relighting.OURS: ours, relighting.MITSUBA: points}], {})
+    duel = relighting.RendererComparison([{relighting.OURS: ours, relighting.MITSUBA: points}], {})
     assert duel.times_as_long(ours[0], relighting.MITSUBA) == pytest.approx(1.0)
     assert duel.times_as_long(ours[0], relighting.MITSUBA, "cpu_seconds") == pytest.approx(0.5)
     assert duel.at_our_time(ours[0], relighting.CYCLES) is None
@@ -108,9 +108,9 @@ def test_another_seed_where_mitsuba_crashes(load, monkeypatch):
             raise peer.Crashed(module)
         return {"states": []}, {}
 
-    monkeypatch.setattr(peer, "ask", ask)
+    monkeypatch.setattr(peer, "run_child", ask)
     survives = inverse.SEEDS[-1]
-    assert inverse._survived({"budgets": [1.0]}, {}) == ({"states": []}, {}) and asked == list(inverse.SEEDS)
+    assert inverse._run_with_seeds({"budgets": [1.0]}, {}) == ({"states": []}, {}) and asked == list(inverse.SEEDS)
     survives += 1
     with pytest.raises(peer.Crashed):
-        inverse._survived({"budgets": [1.0]}, {})
+        inverse._run_with_seeds({"budgets": [1.0]}, {})

@@ -96,7 +96,7 @@ def test_a_benchmark_ends_in_tables_with_published_rows(bench, tmp_path, capsys)
     assert "relit dB ↑" in tensoir["columns"].values() and "mesh_chamfer" not in tensoir["columns"]
     assert any("Ours is not a mean over the published scenes (armadillo, ficus, hotdog, lego)" in note for note in tensoir["notes"])
     html = (tmp_path / "out" / "tables.html").read_text()
-    assert html.count("<img") == 3 and set(re.findall(r"src='([^']{5})", html)) == {"data:"} and html.count("class=ours") == 5
+    assert html.count("<img") == 3 and set(re.findall(r'src="([^"]{5})', html)) == {"data:"} and html.count('class="ours"') == 5
 
 
 def test_what_is_done_is_not_done_again_and_what_failed_is(bench, tmp_path, capsys):

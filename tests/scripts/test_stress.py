@@ -7,10 +7,10 @@ import pytest
 from scripts_folder import scripts_on_path
 
 with scripts_on_path() as script:
-    stress, case_module = script("stress"), script("stresses.case")
+    stress, runner, case_module = script("stress"), script("stresses.runner"), script("stresses.case")
     for name in stress.GROUPS:
         script(f"stresses.{name}")
-QUICK = stress.selected(case_module.CASES, quick=True, only="")
+QUICK = runner.selected(case_module.CASES, quick=True, only="")
 
 
 @pytest.mark.parametrize("case", QUICK, ids=lambda case: f"{case.group}: {case.name}")

@@ -14,7 +14,6 @@ from irgspp.core.io.exr import read_exr, rgb_channels, write_exr
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.gaussians import SH_COEFFICIENTS, Gaussians, quaternion_to
 from irgspp.irgspp_addon.world.light_to_world import node_tree, world_from_map
-
 from scenes.cycles_ground_truth import place_camera
 
 RADIUS, HEIGHT = 0.5, 0.55  # of the sphere: it floats, so that no ray starts between two touching surfaces

@@ -2,11 +2,11 @@
 """Disks seen by the rasteriser and the ray tracer in float32 and by their twins in float64, and how far these are apart.
 
 Both kernels take decisions: alpha below 1/255 is nothing, below 2 % of the light left a ray is done, the nearer disk comes first. Where
-one hangs by a rounding error, float32 and float64 may rightly differ. Such rays are found by the twin alone: it is asked again with
+one hangs by a rounding error, float32 and float64 may rightly differ. Such rays are found by the reference alone: it is asked again with
 NOISE in its inputs, a few units in float32's last place, and where its own answer moves by more than UNDECIDED, a share of what is
-tolerated, the ray counts as undecided. Their share is said in the table and limited; on all others the kernels must agree with the twin.
+tolerated, the ray counts as undecided. Their share is said in the table and limited; on all others the kernels must compare with the reference.
 
-What is shaken: directions and logarithms; in images the place relative to the camera, along rays their direction. Differences of
+What is perturbed: directions and logarithms; in images the place relative to the camera, along rays their direction. Differences of
 places are exact in float32, so that nothing else has a rounding error that depends on where the scene lies.
 """
 
@@ -30,13 +30,13 @@ from .case import Measured, relative
 NOISE = 2.0**-21
 UNDECIDED = 0.3  # of what is tolerated
 TOLERANCE = 1e-4  # of a sum, relative where it is above 1
-GRADIENT = 1e-3  # relative L2 of each parameter's gradient, or 10 times what NOISE does to the twin's
+GRADIENT = 1e-3  # relative L2 of each parameter's gradient, or 10 times what NOISE does to the reference's
 GEOMETRY = ("position", "quaternion", "log_scale", "opacity")
 
 Surfels = dict[str, torch.Tensor]
 Rays = tuple[torch.Tensor, torch.Tensor]
-Viewer = Callable[[Surfels], torch.Tensor]
-Shake = Callable[[Surfels, int], Surfels]
+Evaluator = Callable[[Surfels], torch.Tensor]
+Perturb = Callable[[Surfels, int], Surfels]
 
 
 def cloud(count: int, seed: int = 0, size: float = 0.12) -> Surfels:
@@ -61,27 +61,27 @@ def scattered(count: int, seed: int = 0, spread: float = 0.7) -> Rays:
 
 
 @dataclass
-class Seen:
+class Evaluation:
     """What one of two viewers made of the surfels: rows of sums (P, C), and gradients by parameter."""
 
     rows: torch.Tensor
     gradients: dict[str, torch.Tensor | None]
 
 
-def viewed(viewer: Viewer, values: Surfels, weight: torch.Tensor | None, dtype: torch.dtype) -> Seen:
-    """Sums of a viewer, and gradients of their sum weighted by (P, C)."""
+def evaluated(evaluator: Evaluator, values: Surfels, weight: torch.Tensor | None, dtype: torch.dtype) -> Evaluation:
+    """Sums of a evaluator, and gradients of their sum weighted by (P, C)."""
     leaves = {name: value.detach().to(dtype).clone().requires_grad_() for name, value in values.items()}
-    rows = viewer(leaves)
+    rows = evaluator(leaves)
     if weight is not None and rows.requires_grad:
         (rows * weight.to(dtype)).sum().backward()
-    return Seen(rows.detach(), {name: leaf.grad for name, leaf in leaves.items()})
+    return Evaluation(rows.detach(), {name: leaf.grad for name, leaf in leaves.items()})
 
 
-def noisy(values: Surfels, shaken: Sequence[str], eye: np.ndarray | None, seed: int) -> Surfels:
+def perturbed_values(values: Surfels, perturbed: Sequence[str], eye: np.ndarray | None, seed: int) -> Surfels:
     """The values in float64, those named with NOISE: of directions, logarithms, and distances from `eye` (3,)."""
     g = torch.Generator().manual_seed(seed)
     moved = {name: value.double() for name, value in values.items()}
-    for name in shaken:
+    for name in perturbed:
         value = moved[name]
         size = value.nan_to_num(posinf=0.0, neginf=0.0).abs()
         if name == "position":
@@ -96,60 +96,68 @@ def noisy(values: Surfels, shaken: Sequence[str], eye: np.ndarray | None, seed: 
 class Limits:
     """What a comparison allows: the share of undecided rays and the error of the others.
 
-    shaken: what noise is added to, `tries` times; None: all that the viewer's rounding errors come from.
+    perturbed: what noise is added to, `tries` times; None: all that the evaluator's rounding errors come from.
     """
 
     undecided: float = 0.1
     tolerance: float = TOLERANCE
-    shaken: Sequence[str] | None = None
+    perturbed: Sequence[str] | None = None
     tries: int = 4
 
 
 ALLOWED = Limits()
 
 
-def agree(measured: Measured, what: str, pair: tuple[Viewer, Viewer], values: Surfels, twin: Surfels, shake: Shake, limits: Limits) -> None:
-    """Compare a kernel, which sees `values`, with its twin, which sees `twin`: sums over the rays that are decided, and gradients of
+def compare(
+    measured: Measured, what: str, pair: tuple[Evaluator, Evaluator], values: Surfels, reference: Surfels, perturb: Perturb, limits: Limits
+) -> None:
+    """Compare a kernel, which sees `values`, with its reference, which sees `reference`: sums over the rays that are decided, and gradients of
     their randomly weighted sum."""
     fast, slow = pair
-    exact = viewed(slow, twin, None, torch.float64).rows
-    moved = torch.stack([viewed(slow, shake(twin, seed), None, torch.float64).rows for seed in range(limits.tries)])
+    exact = evaluated(slow, reference, None, torch.float64).rows
+    moved = torch.stack([evaluated(slow, perturb(reference, seed), None, torch.float64).rows for seed in range(limits.tries)])
     size = exact.abs().clamp_min(1)
     decided = ((moved - exact) / size).abs().amax((0, 2)) <= UNDECIDED * limits.tolerance
     weight = torch.randn(exact.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
-    everything = viewed(fast, values, weight, torch.float32)
-    measured.finite(f"{what}: the twin's own sums", exact)
+    everything = evaluated(fast, values, weight, torch.float32)
+    measured.finite(f"{what}: the reference's own sums", exact)
     measured.finite(f"{what}: sums", everything.rows)
     measured.finite(f"{what}: gradients", list(everything.gradients.values()))
     error = ((everything.rows.double() - exact) / size).abs().amax(1)
     measured.at_most(f"{what}: error", float(error[decided].max()) if decided.any() else 0.0, limits.tolerance)
     measured.at_most("undecided", 1 - float(decided.double().mean()), limits.undecided)
-    _gradients_agree(measured, pair, values, twin, shake, weight * decided[:, None])
+    _compare_gradients(measured, pair, values, reference, perturb, weight * decided[:, None])
 
 
-def _gradients_agree(
-    measured: Measured, pair: tuple[Viewer, Viewer], values: Surfels, twin: Surfels, shake: Shake, weight: torch.Tensor
+def _compare_gradients(
+    measured: Measured, pair: tuple[Evaluator, Evaluator], values: Surfels, reference: Surfels, perturb: Perturb, weight: torch.Tensor
 ) -> None:
     """The largest relative error of a gradient, against its limit."""
-    ours, theirs = viewed(pair[0], values, weight, torch.float32), viewed(pair[1], twin, weight, torch.float64)
-    moved = [viewed(pair[1], shake(twin, seed), weight, torch.float64) for seed in range(2)]
+    ours, theirs = evaluated(pair[0], values, weight, torch.float32), evaluated(pair[1], reference, weight, torch.float64)
+    moved = [evaluated(pair[1], perturb(reference, seed), weight, torch.float64) for seed in range(2)]
     worst, limit = 0.0, GRADIENT
     for name, true in theirs.gradients.items():
         mine = ours.gradients[name]
         if true is None or mine is None or not true.any():
             continue
-        shaken = [relative(other.gradients[name], true) for other in moved]  # type: ignore[arg-type]
-        error, allowed = relative(mine, true), max(GRADIENT, 10 * max(shaken))
+        perturbed = [relative(other.gradients[name], true) for other in moved]  # type: ignore[arg-type]
+        error, allowed = relative(mine, true), max(GRADIENT, 10 * max(perturbed))
         if error / allowed > worst / limit:
             worst, limit = error, allowed
     measured.at_most("gradient", worst, limit)
 
 
-def agree_in_images(
-    measured: Measured, what: str, values: Surfels, view: Camera, radius: float = 1.0, twin: Surfels | None = None, limits: Limits = ALLOWED
+def compare_images(
+    measured: Measured,
+    what: str,
+    values: Surfels,
+    view: Camera,
+    radius: float = 1.0,
+    reference: Surfels | None = None,
+    limits: Limits = ALLOWED,
 ) -> None:
-    """The rasteriser against its twin."""
-    shaken = GEOMETRY if limits.shaken is None else limits.shaken
+    """The rasteriser against its reference."""
+    perturbed = GEOMETRY if limits.perturbed is None else limits.perturbed
 
     def fast(v: Surfels) -> torch.Tensor:
         return rasterize(*v.values(), view, radius)[0].flatten(1).T
@@ -157,18 +165,18 @@ def agree_in_images(
     def slow(v: Surfels) -> torch.Tensor:
         return rasterize_reference(*v.values(), view, radius).flatten(1).T
 
-    def shake(v: Surfels, seed: int) -> Surfels:
-        return noisy(v, shaken, view.centre, seed)
+    def perturb(v: Surfels, seed: int) -> Surfels:
+        return perturbed_values(v, perturbed, view.centre, seed)
 
-    agree(measured, f"{what}, image", (fast, slow), values, values if twin is None else twin, shake, limits)
+    compare(measured, f"{what}, image", (fast, slow), values, values if reference is None else reference, perturb, limits)
 
 
-def agree_along_rays(
-    measured: Measured, what: str, values: Surfels, rays: Rays, twin: Surfels | None = None, limits: Limits = ALLOWED
+def compare_rays(
+    measured: Measured, what: str, values: Surfels, rays: Rays, reference: Surfels | None = None, limits: Limits = ALLOWED
 ) -> None:
-    """The ray tracer against its twin."""
+    """The ray tracer against its reference."""
     both = {"origin": rays[0], "direction": rays[1]}
-    shaken = (*GEOMETRY[1:], "direction") if limits.shaken is None else limits.shaken
+    perturbed = (*GEOMETRY[1:], "direction") if limits.perturbed is None else limits.perturbed
 
     def fast(v: Surfels) -> torch.Tensor:
         return trace(*v.values(), tree=SurfelTree.build(*(v[name] for name in GEOMETRY)))
@@ -176,10 +184,10 @@ def agree_along_rays(
     def slow(v: Surfels) -> torch.Tensor:
         return trace_reference(*v.values())
 
-    def shake(v: Surfels, seed: int) -> Surfels:
-        return noisy(v, shaken, None, seed)
+    def perturb(v: Surfels, seed: int) -> Surfels:
+        return perturbed_values(v, perturbed, None, seed)
 
-    agree(measured, f"{what}, rays", (fast, slow), values | both, (values if twin is None else twin) | both, shake, limits)
+    compare(measured, f"{what}, rays", (fast, slow), values | both, (values if reference is None else reference) | both, perturb, limits)
 
 
 def towards(eye: np.ndarray, points: torch.Tensor) -> Rays:

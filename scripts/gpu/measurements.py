@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is measured on a GPU, one figure after the other."""
+"""What is measured on a GPU, one measurement after the other."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PROFILED_STEPS = 5  # in so many iterations
 
 
 @dataclass(frozen=True)
-class Figure:
+class Measurement:
     """A line of the table."""
 
     name: str
@@ -74,13 +74,13 @@ def seconds_each(work: Callable[[], object], size: Size, device: torch.device) -
     return (synchronised(device) - began) / size.repeats
 
 
-def correctness(device: torch.device, quick: bool) -> Figure:
+def correctness(device: torch.device, quick: bool) -> Measurement:
     """The kernels' tests on this device."""
     what = ["tests/core/kernels/test_devices.py"] if quick else ["tests/core", "-m", "cuda"]
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *what, *(["-k", "warp"] if quick else [])]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     said = (done.stdout.strip().splitlines() or ["nothing was said"])[-1]
-    return Figure(f"correctness: tests on {device.type}", f"{'green' if done.returncode == 0 else 'FAILED'}: {said}", "green")
+    return Measurement(f"correctness: tests on {device.type}", f"{'green' if done.returncode == 0 else 'FAILED'}: {said}", "green")
 
 
 def refinement(work: Work, size: Size) -> Refinement:
@@ -97,7 +97,7 @@ def trainer(work: Work, size: Size) -> Trainer:
     return Trainer(work.dataset, settings, work.reconstruction.gaussians, KINDS[1], 0, 0)
 
 
-def steps(work: Work, size: Size, device: torch.device) -> list[Figure]:
+def steps(work: Work, size: Size, device: torch.device) -> list[Measurement]:
     """Of both stages."""
     second, first = refinement(work, size), trainer(work, size)
     rays = size.pixels * size.samples
@@ -105,12 +105,12 @@ def steps(work: Work, size: Size, device: torch.device) -> list[Figure]:
     later = seconds_each(second.step, size, device)
     sooner = seconds_each(first.step, size, device)
     return [
-        Figure(f"second stage's iteration, {about}, {rays:,} rays", f"{1000 * later:.2f} ms", "<= 12 ms"),
-        Figure(f"first stage's iteration, {about}", f"{1000 * sooner:.2f} ms", "<= 9 ms (for 50,000 in 10 minutes)"),
+        Measurement(f"second stage's iteration, {about}, {rays:,} rays", f"{1000 * later:.2f} ms", "<= 12 ms"),
+        Measurement(f"first stage's iteration, {about}", f"{1000 * sooner:.2f} ms", "<= 9 ms (for 50,000 in 10 minutes)"),
     ]
 
 
-def relighting(work: Work, size: Size, device: torch.device) -> list[Figure]:
+def relighting(work: Work, size: Size, device: torch.device) -> list[Measurement]:
     """Pictures a second, mesh backend, each with a camera of its own: nothing is kept from one to the next."""
     query = MeshQuery(work.mesh, RADIUS, device)
     light = prepare(work.reconstruction.environment_map(), device)
@@ -120,30 +120,30 @@ def relighting(work: Work, size: Size, device: torch.device) -> list[Figure]:
         cameras = iter(ring(size.warm + size.repeats, size.image))
         each = seconds_each(lambda r=relighter, c=cameras: r.relit(r.surface(next(c)), light), size, device)
         name = f"relighting, {size.image}x{size.image}, {samples} samples, mesh of {len(work.mesh.faces):,} triangles"
-        found.append(Figure(name, f"{1 / each:.1f} FPS", ">= 60 FPS (paper, RTX 3090: 25)"))
+        found.append(Measurement(name, f"{1 / each:.1f} FPS", ">= 60 FPS (paper, RTX 3090: 25)"))
     return found
 
 
-def memory(device: torch.device) -> Figure:
+def memory(device: torch.device) -> Measurement:
     """Most of the GPU's memory that was in use."""
     if device.type != "cuda":
-        return Figure("the GPU's memory at most", "no GPU", "about 10 GB (paper)")
-    return Figure("the GPU's memory at most", f"{torch.cuda.max_memory_allocated(device) / 1e9:.2f} GB", "about 10 GB (paper)")
+        return Measurement("the GPU's memory at most", "no GPU", "about 10 GB (paper)")
+    return Measurement("the GPU's memory at most", f"{torch.cuda.max_memory_allocated(device) / 1e9:.2f} GB", "about 10 GB (paper)")
 
 
-def job(dataset: Path, run: Path, device: str, changes: tuple[str, ...]) -> list[Figure]:
+def job(dataset: Path, run: Path, device: str, changes: tuple[str, ...]) -> list[Measurement]:
     """A whole reconstruction by the preset `paper`."""
     settings = with_overrides(replace(preset("paper"), device=device), changes)
     reconstruct(dataset, run, settings, overwrite=True)
     state = json.loads((run / "run.json").read_text())
     phases = {name: phase["seconds"] for name, phase in state["phases"].items()}
     psnr = state["training"].get("test_radiance_psnr")
-    found = [Figure(f"whole job, paper, {dataset.name}", f"{sum(phases.values()) / 60:.1f} min", "<= 10 min (paper: 40)")]
-    found += [Figure(f"  of it: {name}", f"{seconds:.0f} s") for name, seconds in phases.items()]
-    return found + ([] if psnr is None else [Figure("its test views", f"{psnr:.2f} dB PSNR (own radiance)")])
+    found = [Measurement(f"whole job, paper, {dataset.name}", f"{sum(phases.values()) / 60:.1f} min", "<= 10 min (paper: 40)")]
+    found += [Measurement(f"  of it: {name}", f"{seconds:.0f} s") for name, seconds in phases.items()]
+    return found + ([] if psnr is None else [Measurement("its test views", f"{psnr:.2f} dB PSNR (own radiance)")])
 
 
-def profile(work: Work, size: Size, device: torch.device) -> list[Figure]:
+def profile(work: Work, size: Size, device: torch.device) -> list[Measurement]:
     """Where the time of both stages' iterations goes."""
     second, first = refinement(work, size), trainer(work, size)
     kinds = [torch.profiler.ProfilerActivity.CPU, *([torch.profiler.ProfilerActivity.CUDA] if device.type == "cuda" else [])]
@@ -159,11 +159,11 @@ def profile(work: Work, size: Size, device: torch.device) -> list[Figure]:
         total = sum(time for time, _ in spent) or 1
         for time_spent, event in sorted(spent, key=lambda pair: -pair[0])[:PROFILED]:
             each, calls = time_spent / 1000 / PROFILED_STEPS, event.count // PROFILED_STEPS
-            found.append(Figure(f"  {name}: {event.key[:70]}", f"{each:.3f} ms an iteration, {time_spent / total:.0%}, {calls} calls"))
+            found.append(Measurement(f"  {name}: {event.key[:70]}", f"{each:.3f} ms an iteration, {time_spent / total:.0%}, {calls} calls"))
     return found
 
 
-def bandwidth(work: Work, size: Size, device: torch.device) -> Figure:
+def bandwidth(work: Work, size: Size, device: torch.device) -> Measurement:
     """What the loss's passes move through memory a second: they read and write planes in order, and compute little."""
     from irgspp.core.kernels.photometric import photometric_loss
 
@@ -172,4 +172,4 @@ def bandwidth(work: Work, size: Size, device: torch.device) -> Figure:
     each = seconds_each(lambda: photometric_loss(a, b), size, device)
     planes = (2 + 5) + (5 + 4) + (3 + 3) + (5 + 1) + (3 + 1)  # read and written by each of its four passes, and by what takes the means
     moved = planes * a.numel() * 4
-    return Figure("bandwidth of the loss's passes", f"{moved / each / 1e9:.0f} GB/s", "4,800 GB/s is an H200's peak")
+    return Measurement("bandwidth of the loss's passes", f"{moved / each / 1e9:.0f} GB/s", "4,800 GB/s is an H200's peak")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Eyes and hands inside a Blender window: images, real mouse and keys, and waiting while Blender goes on.
+"""Eyes and driver inside a Blender window: images, real mouse and keys, and waiting while Blender goes on.
 
 A story is a generator: each `yield SECONDS` gives the time back to Blender. Coordinates are Blender's, with the origin below left.
 """
@@ -15,21 +15,23 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import bpy
 
 sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # Blender is ended without ceremony
 OUTPUT, ENGINE = Path(sys.argv[-2]), sys.argv[-1]
+MODULE = "bl_ext.user_default.irgspp"  # name of the installed extension
 STEP = 7  # pixels between places that are looked at for a button: less than its height
 
 
-def tell(story: Callable[[], Iterator[float]]) -> None:
+def run_story(story: Callable[[], Iterator[float]]) -> None:
     """Run a story in the window's event loop, write down how it ended, and quit."""
-    telling = story()
+    steps = story()
 
     def go_on() -> float | None:
         try:
-            return next(telling)
+            return next(steps)
         except StopIteration:
             _end(None)
         except BaseException:
@@ -67,9 +69,14 @@ def time_calls(owner: object, name: str, label: str) -> None:
         finally:
             seconds.append(time.thread_time() - began)
 
-    # Blender hands over as many arguments as the method's code says it takes.
+    # Blender driver over as many arguments as the method's code says it takes.
     takes = {0: lambda: timed(), 2: lambda self, context: timed(self, context), 3: lambda self, context, event: timed(self, context, event)}
     setattr(owner, name, takes[method.__code__.co_argcount])
+
+
+def extension_module(name: str) -> ModuleType:
+    """Return a loaded module of the extension by its name below the extension, such as `irgspp_addon.jobs.queue`."""
+    return sys.modules[f"{MODULE}.{name}"]
 
 
 def window() -> bpy.types.Window:
