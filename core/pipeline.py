@@ -16,7 +16,6 @@ from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
 from .machine.devices import choose, computing_on
 from .machine.disk_space import check_disk_space
-from .machine.job_memory import fit_into_memory
 from .machine.peak_memory import peak_memory, reset_peak_memory
 from .progress.protocol import Progress, Silent
 from .progress.recorder import ProgressRecorder
@@ -28,6 +27,7 @@ from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
 from .settings import overrides
 from .settings.schema import Settings
+from .stages.common.memory_layout import fit_into_memory
 from .stages.common.time_budget import FUSED
 from .stages.first.train import train
 from .stages.phase_results import FIRST_STAGE, GEOMETRY, PhaseResults

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..progress.protocol import Progress
-from ..scene.dataset import Dataset
-from ..settings.schema import Settings
-from .cpu_memory import MOST_RAYS, rays_that_fit
-from .devices import Chosen
-from .gpu_memory import plan
+from ...machine.cpu_memory import MOST_RAYS, rays_that_fit
+from ...machine.devices import Chosen
+from ...machine.gpu_memory import plan
+from ...progress.protocol import Progress
+from ...scene.dataset import Dataset
+from ...settings.schema import Settings
 
 
 @dataclass(frozen=True)
