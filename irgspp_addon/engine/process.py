@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine as a process of its own: torch and the kernels never enter Blender's."""
+"""The engine as a separate process, so that torch and the kernels are never loaded into Blender: its Python, command line and status."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import bpy
 from ...core.errors import InputError
 from ...core.machine.version import NEWER, VERSION
 from ..user_folder import user_folder
-from . import managed as managed_engine
+from . import managed
 from .child import detached
 from .foreground import run_here
 from .managed import LAUNCHER
@@ -29,12 +29,12 @@ HOW_TO_GET_ONE = "choose one under Edit > Preferences > Add-ons > IRGS++"
 
 @dataclass(frozen=True)
 class Status:
-    """What is known of the engine.
+    """Status of the engine as far as it is known.
 
     Attributes:
         state: "unknown" (not checked yet), "ok", "missing", "broken", or "version" (another version than this extension needs).
-        text: one line for a person.
-        devices: what `irgspp devices --json` said; empty where it wasn't asked.
+        text: one line for the user.
+        devices: answer of `irgspp devices --json`; empty if the engine was not asked.
     """
 
     state: str
@@ -43,15 +43,15 @@ class Status:
 
     @property
     def usable(self) -> bool:
-        """True unless it is known not to work."""
+        """True unless the engine is known not to work."""
         return self.state in ("ok", "unknown")
 
 
-_known: dict[str, Status] = {}  # by the Python's path and time of change, what a check said
+_known: dict[str, Status] = {}  # results of checks, by the key of `_key`
 
 
 def engine_kind() -> str:
-    """ "EXISTING", "MANAGED" or "INTERPRETER"; $IRGSPP_PYTHON makes it EXISTING."""
+    """Return the kind of the chosen engine: "EXISTING", "MANAGED" or "INTERPRETER"; it is "EXISTING" if $IRGSPP_PYTHON is set."""
     if os.environ.get("IRGSPP_PYTHON"):
         return "EXISTING"
     chosen = preferences()
@@ -59,23 +59,27 @@ def engine_kind() -> str:
 
 
 def engine_python() -> str:
-    """The Python that runs the engine: $IRGSPP_PYTHON or what the preferences say; "" where they name none."""
+    """Return the Python that runs the engine, from $IRGSPP_PYTHON or the preferences; "" if neither names one."""
     kind, chosen = engine_kind(), preferences()
     if kind == "INTERPRETER":
         return sys.executable
     if kind == "MANAGED":
-        return str(managed_engine.python())
+        return str(managed.python())
     named = os.environ.get("IRGSPP_PYTHON") or (bpy.path.abspath(chosen.engine_python) if chosen is not None else "")
-    return str(_inside(Path(named))) if named else ""
+    return str(_interpreter(Path(named))) if named else ""
 
 
-def _inside(path: Path) -> Path:
-    """A folder of a virtual environment stands for the Python in it."""
-    return managed_engine.python_of(path) if path.is_dir() else path
+def _interpreter(path: Path) -> Path:
+    """Return the Python inside `path` if it is the folder of a virtual environment, otherwise `path` itself."""
+    return managed.python_of(path) if path.is_dir() else path
 
 
 def engine_command(*arguments: str) -> list[str]:
-    """The command line that runs `irgspp ARGUMENTS` in the engine. Raises InputError where no engine is chosen."""
+    """Return the command line that runs `irgspp ARGUMENTS` in the engine.
+
+    Raises:
+        InputError: if no engine is chosen.
+    """
     python = engine_python()
     if not python:
         raise InputError("engine", "no Python is chosen", HOW_TO_GET_ONE)
@@ -83,28 +87,28 @@ def engine_command(*arguments: str) -> list[str]:
 
 
 def engine_environment() -> dict[str, str]:
-    """The variables of the engine's processes: Blender's own Python must not show through, except where it is the engine."""
-    kept = dict(os.environ)
+    """Return the environment variables of the engine's processes, without those for Blender's Python unless that is the engine."""
+    variables = dict(os.environ)
     if engine_kind() != "INTERPRETER":
         for name in ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "__PYVENV_LAUNCHER__"):
-            kept.pop(name, None)
-        kept["PYTHONNOUSERSITE"] = "1"
+            variables.pop(name, None)
+        variables["PYTHONNOUSERSITE"] = "1"
     if bpy.app.binary_path:
-        kept["IRGSPP_BLENDER"] = bpy.app.binary_path  # writes the .blend where the engine has no bpy
-    return kept | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "OMP_WAIT_POLICY": "PASSIVE"}
+        variables["IRGSPP_BLENDER"] = bpy.app.binary_path  # writes the .blend if the engine has no bpy
+    return variables | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "OMP_WAIT_POLICY": "PASSIVE"}
 
 
 def keep_running() -> bool:
-    """True where jobs shall go on after Blender has ended."""
+    """Return True if jobs continue after Blender has ended."""
     chosen = preferences()
     return bool(chosen is not None and chosen.keep_running)
 
 
 def run_engine(arguments: Sequence[str]) -> int:
-    """Run the command line (`irgspp ARGUMENTS`) to its end, on this process's terminal; its exit status."""
-    found = status()
-    if not found.usable:
-        print(f"irgspp: {found.text}", file=sys.stderr)
+    """Run `irgspp ARGUMENTS` in the foreground until it ends, and return its exit status."""
+    engine = status()
+    if not engine.usable:
+        print(f"irgspp: {engine.text}", file=sys.stderr)
         return 2
     try:
         return run_here(engine_command(*arguments), engine_environment())
@@ -113,18 +117,18 @@ def run_engine(arguments: Sequence[str]) -> int:
         return 2
 
 
-# --- whether it works
+# --- status
 
 
 def status() -> Status:
-    """What is known without starting anything; looks at the disk, so that an engine that was deleted is told at once."""
+    """Return the engine's status without starting it; the files are looked up each time, so that a deleted engine is noticed at once."""
     kind, python = engine_kind(), engine_python()
     if not python:
         return Status("missing", f"No engine: {HOW_TO_GET_ONE}")
     if kind == "MANAGED":
-        told = managed_engine.trouble()
-        if told is not None:
-            return Status(*told)
+        problem = managed.problem()
+        if problem is not None:
+            return Status(*problem)
     try:
         key = _key(python)
     except OSError:
@@ -135,19 +139,23 @@ def status() -> Status:
 
 
 def require_engine() -> None:
-    """Raise InputError where the engine is known not to work."""
-    found = status()
-    if not found.usable:
-        raise InputError("engine", found.text.removeprefix("No engine: "))
+    """Check that the engine is not known to be unusable.
+
+    Raises:
+        InputError: if the engine is known not to work.
+    """
+    engine = status()
+    if not engine.usable:
+        raise InputError("engine", engine.text.removeprefix("No engine: "))
 
 
 def check() -> Status:
-    """Start the engine, ask what it is, remember the answer. Takes seconds: for scripts and background mode."""
-    found = status()
-    if found.state == "missing":
-        return found
+    """Start the engine, ask for its version and devices, and remember the answer; it takes seconds, for scripts and background mode."""
+    known = status()
+    if known.state == "missing":
+        return known
     try:
-        done = subprocess.run(
+        answer = subprocess.run(
             engine_command("devices", "--json"),
             capture_output=True,
             text=True,
@@ -159,52 +167,59 @@ def check() -> Status:
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return remember(Status("broken", f"{engine_python()} can't be started ({error})"))
-    return remember(judged(done.returncode, done.stdout, done.stderr))
+    return remember(check_result(answer.returncode, answer.stdout, answer.stderr))
 
 
-def judged(returned: int, output: str, errors: str) -> Status:
-    """What the answer to `devices --json` says of an engine."""
+def check_result(exit_status: int, output: str, errors: str) -> Status:
+    """Return the status that follows from a run of `irgspp devices --json`.
+
+    Args:
+        exit_status: exit status of the process.
+        output: text it wrote to stdout.
+        errors: text it wrote to stderr.
+    """
     lines = [line.strip() for line in errors.splitlines() if line.strip()]
-    last = lines[-1].removeprefix("irgspp: ") if lines else f"ended with status {returned}"
-    if returned:
+    last = lines[-1].removeprefix("irgspp: ") if lines else f"ended with status {exit_status}"
+    if exit_status:
         return Status("version" if NEWER in last else "broken", f"The engine does not work: {last}")
     try:
-        found = json.loads(output)
-        version, python, cpu = found["irgspp"], found["python"], found["cpu"]["name"]
+        devices = json.loads(output)
+        version, python, cpu = devices["irgspp"], devices["python"], devices["cpu"]["name"]
     except (ValueError, KeyError, TypeError):
-        return Status("broken", "The engine does not work: it gave no answer that is understood")
+        return Status("broken", "The engine does not work: it gave no answer that this extension understands")
     if version != VERSION:
-        text = f"The engine is version {version}, this extension is {VERSION}: choose or install one of this version"
-        return Status("version", text, found)
-    cards = ", ".join(card["name"] for card in found["cuda"])
-    return Status("ok", f"Engine {version} on Python {python}, {cards or cpu}", found)
+        text = f"The engine is version {version}, this extension is {VERSION}: choose or install an engine of version {VERSION}"
+        return Status("version", text, devices)
+    cards = ", ".join(card["name"] for card in devices["cuda"])
+    return Status("ok", f"Engine {version} on Python {python}, {cards or cpu}", devices)
 
 
-def remember(found: Status) -> Status:
-    """Keep what a check of the present engine said, on disk too."""
+def remember(result: Status) -> Status:
+    """Store the result of a check of the chosen engine, also on disk, and return it."""
     try:
-        _known[_key(engine_python())] = found
-        kept = {key: asdict(value) for key, value in _known.items() if value.state == "ok"}
-        (user_folder() / "engines.json").write_text(json.dumps(kept), encoding="utf-8")
+        _known[_key(engine_python())] = result
+        working = {key: asdict(value) for key, value in _known.items() if value.state == "ok"}
+        (user_folder() / "engines.json").write_text(json.dumps(working), encoding="utf-8")
     except OSError:
-        return found  # it is asked again the next time
-    return found
+        return result  # the engine is checked again the next time
+    return result
 
 
 def forget_checks() -> None:
-    """Check anew what was checked."""
+    """Forget the results of all checks, in memory and on disk."""
     _known.clear()
     (user_folder() / "engines.json").unlink(missing_ok=True)
 
 
 def _key(python: str) -> str:
-    """Changes when another Python stands in the place, or the extension is another. Raises OSError where there is none."""
+    """Return a key that changes when the Python at this path is replaced or the extension has another version; OSError without a file."""
     return f"{python}|{os.stat(python).st_mtime_ns}|{VERSION}"
 
 
 def _remembered() -> dict[str, Status]:
+    """Read the results of earlier checks from disk."""
     try:
-        kept = json.loads((user_folder() / "engines.json").read_text("utf-8"))
-        return {key: Status(**value) for key, value in kept.items()}
+        stored = json.loads((user_folder() / "engines.json").read_text("utf-8"))
+        return {key: Status(**value) for key, value in stored.items()}
     except (OSError, ValueError, TypeError, AttributeError):
         return {}

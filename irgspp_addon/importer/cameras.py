@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras of a dataset or run as Blender cameras, with their photographs behind."""
+"""Blender cameras for the cameras of a dataset or run, with their photographs as background images."""
 
 from __future__ import annotations
 
@@ -18,47 +18,68 @@ from .ownership import Owner, link, put
 def place_cameras(
     owner: Owner, records: Sequence[PlacedCamera], root: bpy.types.Object, parent: bpy.types.Collection, photographs: bool = True
 ) -> list[bpy.types.Object]:
-    """The cameras in a collection of their own below `parent`, each with its photograph where that is there."""
-    folder = owner.kept(bpy.data.collections, "cameras", f"{parent.name} cameras")
-    link(folder, parent)
-    rig = _rig(owner, root, folder)
+    """Create a Blender camera for each camera, in a collection of their own.
+
+    Args:
+        owner: owner of the datablocks.
+        records: cameras with their names, splits and photographs.
+        root: empty above all imported objects.
+        parent: collection that receives the collection of cameras.
+        photographs: True to show the photographs that exist as background images.
+
+    Returns:
+        Camera objects in the order of `records`.
+    """
+    cameras = owner.reuse(bpy.data.collections, "cameras", f"{parent.name} cameras")
+    link(cameras, parent)
+    rig = _rig(owner, root, cameras)
     distance = float(np.median([np.linalg.norm(record.camera.centre) for record in records])) if records else 1.0
     placed = []
     for record in records:
         name = f"{record.split} {record.name}"
-        lens = owner.kept(bpy.data.cameras, f"lens {name}", name)
-        thing = owner.object(f"camera {name}", name, lens, rig)
-        set_camera(thing, record.camera)
+        lens = owner.reuse(bpy.data.cameras, f"lens {name}", name)
+        camera = owner.object(f"camera {name}", name, lens, rig)
+        set_camera(camera, record.camera)
         lens.display_size, lens.clip_start, lens.clip_end = 0.025 * distance, 0.01 * distance, 100 * distance
         _replace_background(lens, record.image if photographs and record.image.is_file() else None)  # it may have moved since
-        put(thing, folder)
-        placed.append(thing)
+        put(camera, cameras)
+        placed.append(camera)
     return placed
 
 
-def _rig(owner: Owner, root: bpy.types.Object, folder: bpy.types.Collection) -> bpy.types.Object:
-    """What the cameras hang on: hidden, so that no dotted line leads from each of them to the empty that carries everything."""
-    known = owner.find(bpy.data.objects, "camera rig")
-    rig = owner.object("camera rig", folder.name, None, root)
-    if known is None:
+def _rig(owner: Owner, root: bpy.types.Object, cameras: bpy.types.Collection) -> bpy.types.Object:
+    """Return the empty above the cameras: it is hidden, so that Blender draws no relationship line from each camera to the root."""
+    existing = owner.find(bpy.data.objects, "camera rig")
+    rig = owner.object("camera rig", cameras.name, None, root)
+    if existing is None:
         rig.hide_viewport = rig.hide_select = True
     rig.matrix_parent_inverse = rig.matrix_basis = Matrix()
-    put(rig, folder)
+    put(rig, cameras)
     return rig
 
 
 def set_camera(placed: bpy.types.Object, camera: Camera) -> None:
-    """The same projection, relative to the object's parent; sizes are kept as custom properties for `look_through`."""
+    """Set the projection and pose of a Blender camera, and store the image size as custom properties for `look_through`.
+
+    Args:
+        placed: camera object; its pose is set relative to its parent.
+        camera: projection and pose.
+    """
     lens = placed.data
     set_lens(lens, camera)
-    placed.rotation_mode = "QUATERNION"  # three angles lose digits near the vertical
+    placed.rotation_mode = "QUATERNION"  # Euler angles lose precision near the vertical
     placed.matrix_parent_inverse = Matrix()
     placed.matrix_basis = Matrix(camera.to_world.tolist())
     lens["width"], lens["height"], lens["pixel_aspect"] = camera.width, camera.height, camera.fx / camera.fy
 
 
 def set_lens(lens: bpy.types.Camera, camera: Camera) -> None:
-    """Focal length and principal point; unequal focal lengths need the scene's pixel aspect as well (`look_through`)."""
+    """Set focal length and principal point; unequal focal lengths also need the scene's pixel aspect, see `look_through`.
+
+    Args:
+        lens: Blender camera data.
+        camera: camera whose intrinsics are taken.
+    """
     lens.type, lens.sensor_fit, lens.sensor_width = "PERSP", "HORIZONTAL", 36.0
     lens.lens = camera.fx / camera.width * lens.sensor_width
     # Blender measures both shifts in image widths, after the pixel aspect.
@@ -67,7 +88,12 @@ def set_lens(lens: bpy.types.Camera, camera: Camera) -> None:
 
 
 def look_through(scene: bpy.types.Scene, placed: bpy.types.Object) -> None:
-    """Make an imported camera the active one and give the scene its image size."""
+    """Make an imported camera the scene's active camera and set the scene's resolution and pixel aspect to the camera's.
+
+    Args:
+        scene: scene to change.
+        placed: camera object with the custom properties of `set_camera`.
+    """
     scene.camera = placed
     render, lens = scene.render, placed.data
     render.resolution_x, render.resolution_y, render.resolution_percentage = lens["width"], lens["height"], 100
@@ -78,7 +104,7 @@ def look_through(scene: bpy.types.Scene, placed: bpy.types.Object) -> None:
 def _replace_background(lens: bpy.types.Camera, photograph: Path | None) -> None:
     before = [background.image for background in lens.background_images if background.image]
     for background in lens.background_images:
-        background.image = None  # Blender goes on counting it as a user otherwise
+        background.image = None  # else Blender still counts it as a user
     lens.background_images.clear()
     lens.show_background_images = False
     if photograph is not None:
@@ -89,7 +115,12 @@ def _replace_background(lens: bpy.types.Camera, photograph: Path | None) -> None
 
 
 def set_background(lens: bpy.types.Camera, image: Path) -> None:
-    """Show a photograph behind the view through the camera; it stays a link to the file."""
+    """Show a photograph as the camera's background image, linked to its file and not packed.
+
+    Args:
+        lens: Blender camera data.
+        image: file of the photograph.
+    """
     background = lens.background_images.new()
     background.image = bpy.data.images.load(str(image.resolve()), check_existing=True)
     background.alpha, background.display_depth, background.frame_method = 0.5, "BACK", "STRETCH"

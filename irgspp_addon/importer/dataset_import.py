@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A dataset as Blender datablocks: cameras with photographs and the point cloud, in one collection under one empty.
+"""Import of a dataset as Blender datablocks: cameras with photographs and the point cloud, in one collection under one empty.
 
-The engine reads the dataset (it knows lenses and file formats) and leaves plain files; Blender builds from these.
+The engine reads the dataset, since it knows lens models and file formats, and exports plain files from which Blender builds the scene.
 """
 
 from __future__ import annotations
@@ -30,7 +30,15 @@ DESCRIPTION = "dataset.json"
 
 @dataclass(frozen=True)
 class ImportedDataset:
-    """What `build_dataset` made: everything lies below the empty `root`, in the frame that the engine works in."""
+    """Result of `build_dataset`: all objects are children of the empty `root`, in the engine's frame.
+
+    Attributes:
+        collection: collection of all objects.
+        root: empty above them.
+        cameras: camera objects.
+        points: object of the point cloud, or None.
+        facts: the engine's description of the dataset.
+    """
 
     collection: bpy.types.Collection
     root: bpy.types.Object
@@ -40,7 +48,11 @@ class ImportedDataset:
 
 
 def checked(path: str) -> Path:
-    """The absolute path of a dataset that a person named. Raises InputError where nothing is there."""
+    """Return the absolute path of a dataset that the user chose.
+
+    Raises:
+        InputError: if none is chosen or it does not exist.
+    """
     if not path:
         raise InputError("dataset", "none is chosen", "choose the folder of photographs")
     dataset = Path(bpy.path.abspath(path))
@@ -50,7 +62,7 @@ def checked(path: str) -> Path:
 
 
 def export_folder(dataset: Path) -> Path:
-    """Where the engine's files of a dataset are kept: in the extension's own folder, since a dataset may not be writable."""
+    """Return the folder for the engine's export of a dataset, in the extension's own folder, since a dataset may not be writable."""
     digest = hashlib.sha1(str(dataset.resolve()).encode(), usedforsecurity=False).hexdigest()[:12]
     folder = user_folder("datasets") / f"{dataset.stem or 'dataset'}-{digest}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -58,16 +70,26 @@ def export_folder(dataset: Path) -> Path:
 
 
 def export_arguments(dataset: Path, folder: Path) -> list[str]:
-    """The engine's command that fills the folder."""
+    """Return the arguments of `irgspp` that export a dataset.
+
+    Args:
+        dataset: the dataset.
+        folder: folder for the export.
+    """
     return ["inspect", str(dataset), "--json", "--export", str(folder)]
 
 
 def is_fresh(dataset: Path, folder: Path) -> bool:
-    """True where the folder holds what the dataset is now: nothing that describes it or lies beside it is younger."""
+    """Return True if the export is newer than all files of the dataset and next to it.
+
+    Args:
+        dataset: the dataset.
+        folder: folder of its export.
+    """
     try:
-        made = (folder / DESCRIPTION).stat().st_mtime
-        beside = [dataset, *dataset.glob("*"), *dataset.glob("sparse/**/*")] if dataset.is_dir() else [dataset, dataset.parent]
-        return all(path.stat().st_mtime < made for path in beside)
+        exported = (folder / DESCRIPTION).stat().st_mtime
+        sources = [dataset, *dataset.glob("*"), *dataset.glob("sparse/**/*")] if dataset.is_dir() else [dataset, dataset.parent]
+        return all(path.stat().st_mtime < exported for path in sources)
     except OSError:
         return False
 
@@ -80,21 +102,30 @@ def build_dataset(
     points: bool = True,
     scene: bpy.types.Scene | None = None,
 ) -> ImportedDataset:
-    """Build what the engine left in `folder`, in place of what an earlier import of the dataset made, in a scene (default: the current).
+    """Build a dataset's datablocks in a scene, in place of those of an earlier import.
 
-    Raises InputError where the folder does not hold it, before anything is made.
+    Args:
+        dataset: the dataset.
+        folder: folder of its export.
+        placement: placement in Blender's world.
+        photographs: True to show the photographs behind the cameras.
+        points: True to build the point cloud.
+        scene: scene to build in; None for the current one.
+
+    Raises:
+        InputError: if the export is missing or damaged; then no datablock has been created.
     """
     facts, records, cloud = _facts(folder), load_run_cameras(folder / "cameras.json"), _points(folder) if points else None
     owner = Owner(dataset)
     name = dataset.stem or dataset.resolve().name
-    collection = owner.kept(bpy.data.collections, "collection", name)
+    collection = owner.reuse(bpy.data.collections, "collection", name)
     link_to_scene(collection, scene or bpy.context.scene)
     root = new_root(owner, f"{collection.name} frame", collection)
     root[DATASET] = str(owner.folder)
     place(root, placement, np.array(facts["to_world"]), facts["centre"])
     placed = place_cameras(owner, records, root, collection, photographs)
     shown = None if cloud is None else build_points(owner, f"{collection.name} points", *cloud, facts["radius"], root, collection)
-    owner.drop_rest()
+    owner.remove_unused()
     return ImportedDataset(collection, root, placed, shown, facts)
 
 
@@ -103,7 +134,7 @@ def _facts(folder: Path) -> dict[str, Any]:
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
         if np.array(facts["to_world"], float).shape != (4, 4) or np.array([*facts["centre"], facts["radius"]], float).shape != (4,):
-            raise ValueError("frame or bound of a wrong shape")
+            raise ValueError("to_world, centre or radius has the wrong shape")
         return facts
     except OSError as error:
         raise InputError(path, f"can't be read ({error.strerror})", "read the dataset again") from error
@@ -112,7 +143,7 @@ def _facts(folder: Path) -> dict[str, Any]:
 
 
 def _points(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
-    """Positions (P, 3) float32 and colours (P, 3) float32 sRGB 0..1, or None where the dataset has none."""
+    """Return positions (P, 3) float32 and sRGB colours (P, 3) float32, 0..1; None if the dataset has no points."""
     path = folder / "points.npz"
     if not path.is_file():
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh object that a person has edited or made anew, on its way to be baked onto."""
+"""Export of a mesh that the user has edited or modelled, for the engine to bake textures onto."""
 
 from __future__ import annotations
 
@@ -17,9 +17,21 @@ from .scene_builder import RUN, find_roots
 
 
 def save_edited(context: bpy.types.Context, thing: bpy.types.Object, run: Path) -> Path:
-    """Write the object as it is shown, modifiers and all, in the run's frame; the file. Raises InputError where it has no faces."""
+    """Write a mesh object, with its modifiers applied, as a PLY file in the run's frame.
+
+    Args:
+        context: Blender's context.
+        thing: mesh object.
+        run: run folder.
+
+    Returns:
+        Path of the file.
+
+    Raises:
+        InputError: if the object is not a mesh or has no faces.
+    """
     if thing.type != "MESH":
-        raise InputError(thing.name, "is not a mesh", "name a mesh object")
+        raise InputError(thing.name, "is not a mesh", "choose a mesh object")
     if thing.mode == "EDIT":
         thing.update_from_editmode()
     root = next((root for root in find_roots(context.scene, RUN) if Path(root[RUN]) == run.resolve()), None)
@@ -40,7 +52,7 @@ def _write(path: Path, mesh: bpy.types.Mesh, to_run: np.ndarray, name: str) -> N
     if not len(mesh.loop_triangles):
         raise InputError(name, "has no faces")
     loops = _values(mesh.loop_triangles, "loops", 3, np.int32)
-    if np.linalg.det(to_run[:3, :3]) < 0:  # a mirrored object is inside out otherwise
+    if np.linalg.det(to_run[:3, :3]) < 0:  # else a mirrored object would be inside out
         loops = loops[:, ::-1]
     corners = loops.reshape(-1)
     vertex_of = _values(mesh.loops, "vertex_index", 1, np.int32)[:, 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Principled material of a run: it holds both its textures and the mesh's attributes, and reads one of them."""
+"""Principled material of a run: it has nodes for both the textures and the mesh's attributes, and reads one of the two."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..world.light_to_world import node_tree
 
 TEXTURES = ("albedo", "roughness", "metallic", "normal")
 SOURCES = ("textures", "attributes")
-# Which node and output feeds each input of the Principled BSDF. Linking the one or the other is the whole switch: nothing has to be
-# computed for what is not read, and exporters find the images where they look for them.
+# Node and output for each input of the Principled BSDF. Switching the source means linking other nodes: the unused source costs no
+# render time, and exporters find the images directly at the Principled BSDF.
 LINKS = {
     "textures": {
         "Base Color": ("albedo texture", "Color"),
@@ -36,13 +36,19 @@ FRAMES = {
 
 
 def build_material(material: bpy.types.Material, images: Mapping[str, bpy.types.Image], source: str) -> None:
-    """Fill a material anew: `images` by the names in TEXTURES, or none where the run has only attributes."""
+    """Rebuild the nodes of a material.
+
+    Args:
+        material: material to fill.
+        images: image datablocks by the names in TEXTURES; empty if the run has only attributes.
+        source: "textures" or "attributes".
+    """
     nodes, links = node_tree(material)
     principled, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
     output.location = (350, 0)
     links.new(principled.outputs["BSDF"], output.inputs["Surface"])
     principled.inputs["IOR"].default_value, principled.inputs["Specular IOR Level"].default_value = 1.5, 0.5  # F0 = 0.04
-    principled.distribution = "GGX"  # as our BRDF; the default makes rough metals up to a tenth brighter
+    principled.distribution = "GGX"  # as in the engine's BRDF; Blender's default makes rough metals up to 10 % brighter
     if images:
         _add_textures(nodes, links, images)
     _add_attributes(nodes)
@@ -78,13 +84,13 @@ def _node(nodes: bpy.types.Nodes, kind: str, name: str, frame: bpy.types.Node, p
 
 
 def principled_of(material: bpy.types.Material) -> bpy.types.Node | None:
-    """Its Principled BSDF, if it has one."""
+    """Return the material's Principled BSDF, or None."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"), None)
 
 
 def available_sources(material: bpy.types.Material) -> list[str]:
-    """Those of SOURCES that the material can read: their nodes are there."""
+    """Return the items of SOURCES for which the material has nodes."""
     tree, principled = material.node_tree, principled_of(material)
     if tree is None or principled is None:
         return []
@@ -92,15 +98,23 @@ def available_sources(material: bpy.types.Material) -> list[str]:
 
 
 def source_of(material: bpy.types.Material) -> str | None:
-    """What the material reads: "textures", "attributes", or None where a person has linked something else."""
+    """Return the source that the material reads, "textures" or "attributes"; None if the user has linked something else."""
     principled = principled_of(material)
-    fed = principled.inputs["Base Color"].links if principled else ()
-    name = fed[0].from_node.name if fed else ""
+    links = principled.inputs["Base Color"].links if principled else ()
+    name = links[0].from_node.name if links else ""
     return next((source for source in SOURCES if LINKS[source]["Base Color"][0] == name), None)
 
 
 def use_source(material: bpy.types.Material, source: str) -> None:
-    """Let the material read its textures or the mesh's attributes. Raises InputError where it lacks them."""
+    """Let the material read its textures or the mesh's attributes.
+
+    Args:
+        material: material to change.
+        source: "textures" or "attributes".
+
+    Raises:
+        InputError: if the material has no nodes for this source.
+    """
     if source not in available_sources(material):
         raise InputError(material.name, f"has no nodes for {source}", "import the run again")
     tree, principled = material.node_tree, principled_of(material)
@@ -117,17 +131,17 @@ def _get_source(material: bpy.types.Material) -> int:
 
 
 def _set_source(material: bpy.types.Material, value: int) -> None:
-    if SOURCES[value] in available_sources(material):  # else the switch stays where it is: the getter says what is linked
+    if SOURCES[value] in available_sources(material):  # else nothing changes: the getter returns the source that is linked
         use_source(material, SOURCES[value])
 
 
 def register() -> None:
-    """`material.irgspp_source`: the switch as a property, which has no memory of its own but says how the nodes are linked."""
+    """Add the property `material.irgspp_source`, which stores nothing: it reads and changes the links between nodes."""
     bpy.types.Material.irgspp_source = EnumProperty(
-        name="Material Reads", description="Where the material has its values from", items=SOURCE_ITEMS, get=_get_source, set=_set_source
+        name="Material Reads", description="Source of the material's values", items=SOURCE_ITEMS, get=_get_source, set=_set_source
     )
 
 
 def unregister() -> None:
-    """Take it off."""
+    """Remove the property `material.irgspp_source`."""
     del bpy.types.Material.irgspp_source

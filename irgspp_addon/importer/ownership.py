@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which datablocks belong to an imported folder: found again on the next import, so that it replaces and never duplicates."""
+"""Ownership of datablocks by imported folders, so that importing a folder again updates its datablocks and creates no duplicates."""
 
 from __future__ import annotations
 
@@ -8,31 +8,36 @@ from typing import Any, TypeVar
 
 import bpy
 
-KEY = "irgspp"  # custom property that names the folder and the part of it that a datablock shows
+KEY = "irgspp"  # custom property of a datablock: folder and part, as FOLDER#PART
 
 Block = TypeVar("Block", bound=bpy.types.ID)
 
 
 class Owner:
-    """The datablocks of one folder.
+    """Datablocks of one imported folder.
 
-    Objects, collections, cameras and materials are kept and filled anew, so that what a person did to them (moved, renamed, put a
-    modifier on, chose as the scene's camera) stays; images, meshes and Worlds are exchanged wherever they are used.
-    Made for one import and not kept: it remembers datablocks, which Blender may free afterwards.
+    Objects, collections, cameras and materials are reused and filled again, so that the user's changes to them (position, name,
+    modifiers, being the scene's camera) stay; images, meshes and Worlds are replaced wherever they are used.
+    An instance serves one import and must not be kept: it refers to datablocks, which Blender may free afterwards.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
         self._parts: set[str] = set()
-        self._known: dict[str, dict[str, Any]] = {}  # by kind and key: a look through everything for each of many cameras takes long
+        self._known: dict[str, dict[str, Any]] = {}  # by type and key, because a search of all datablocks for each of many cameras is slow
 
     def key(self, part: str) -> str:
-        """What the datablock of a part carries."""
+        """Return the key for the datablock of a part, and record that the part is in use."""
         self._parts.add(part)
         return f"{self.folder}#{part}"
 
     def find(self, blocks: Any, part: str) -> Any | None:
-        """The folder's datablock of that part among e.g. `bpy.data.objects`; of a person's copies the one with the shortest name."""
+        """Return the folder's datablock of a part, or None; if the user has copied it, the one with the shortest name.
+
+        Args:
+            blocks: collection of datablocks, such as `bpy.data.objects`.
+            part: name of the part.
+        """
         return self._of_kind(blocks).get(f"{self.folder}#{part}")
 
     def _of_kind(self, blocks: Any) -> dict[str, Any]:
@@ -43,58 +48,89 @@ class Owner:
             self._known[kind] = {block[KEY]: block for block in found}
         return self._known[kind]
 
-    def _keep(self, blocks: Any, part: str, block: Any) -> Any:
+    def _claim(self, blocks: Any, part: str, block: Any) -> Any:
+        """Mark a datablock as the folder's and return it."""
         block[KEY] = self.key(part)
         self._of_kind(blocks)[block[KEY]] = block
         return block
 
-    def kept(self, blocks: Any, part: str, name: str, *arguments: Any) -> Any:
-        """The datablock of the part, or a new one of this name."""
-        return self._keep(blocks, part, self.find(blocks, part) or blocks.new(name, *arguments))
+    def reuse(self, blocks: Any, part: str, name: str, *arguments: Any) -> Any:
+        """Return the folder's datablock of a part, or create it.
 
-    def exchanged(self, blocks: Any, part: str, new: Block) -> Block:
-        """`new` in the place of the part's old datablock, which goes."""
+        Args:
+            blocks: collection of datablocks, such as `bpy.data.cameras`.
+            part: name of the part.
+            name: name of a new datablock.
+            *arguments: further arguments of `blocks.new`.
+        """
+        return self._claim(blocks, part, self.find(blocks, part) or blocks.new(name, *arguments))
+
+    def replace(self, blocks: Any, part: str, new: Block) -> Block:
+        """Replace the folder's datablock of a part wherever it is used, remove it, and return the new one.
+
+        Args:
+            blocks: collection of datablocks, such as `bpy.data.meshes`.
+            part: name of the part.
+            new: new datablock, which takes over the old one's name.
+        """
         old = self.find(blocks, part)
         if old is not None:
             name = old.name
             old.user_remap(new)
             blocks.remove(old)
             new.name = name
-        return self._keep(blocks, part, new)
+        return self._claim(blocks, part, new)
 
     def object(self, part: str, name: str, data: bpy.types.ID | None, parent: bpy.types.Object | None) -> bpy.types.Object:
-        """The object of the part with this data, in its place below `parent`."""
+        """Return the folder's object of a part, created if needed.
+
+        Args:
+            part: name of the part.
+            name: name of a new object.
+            data: its data; None for an empty.
+            parent: its parent object.
+        """
         placed = self.find(bpy.data.objects, part)
         if placed is None or (placed.data is None) != (data is None):
             placed = bpy.data.objects.new(name, data)
         elif data is not None and placed.data is not data:
             placed.data = data
         placed.parent = parent
-        return self._keep(bpy.data.objects, part, placed)
+        return self._claim(bpy.data.objects, part, placed)
 
-    def drop_rest(self) -> None:
-        """Remove objects and cameras of the folder whose part was not asked for: it is not in the folder any more."""
-        kept = {f"{self.folder}#{part}" for part in self._parts}
+    def remove_unused(self) -> None:
+        """Remove the folder's objects, cameras and meshes whose part was not used, because the folder no longer contains it."""
+        used = {f"{self.folder}#{part}" for part in self._parts}
         for blocks in (bpy.data.objects, bpy.data.cameras, bpy.data.meshes):
             for key, block in list(self._of_kind(blocks).items()):
-                if key not in kept:
+                if key not in used:
                     blocks.remove(block)
         self._known.clear()
 
 
 def link(collection: bpy.types.Collection, parent: bpy.types.Collection) -> None:
-    """Put a collection below another, once."""
+    """Link a collection into another, unless it is there already.
+
+    Args:
+        collection: collection to link.
+        parent: collection that receives it.
+    """
     if collection.name not in parent.children:
         parent.children.link(collection)
 
 
 def put(thing: bpy.types.Object, collection: bpy.types.Collection) -> None:
-    """Put an object into a collection, unless it is in one of the scene already (a person may have sorted it elsewhere)."""
+    """Link an object into a collection, unless it is in any collection already, such as one that the user moved it to.
+
+    Args:
+        thing: object to link.
+        collection: collection that receives it.
+    """
     if not thing.users_collection:
         collection.objects.link(thing)
 
 
 def folder_of(block: bpy.types.ID | None) -> Path | None:
-    """The imported folder that a datablock belongs to."""
+    """Return the imported folder that a datablock belongs to, or None."""
     key = block.get(KEY, "") if block is not None else ""
     return Path(key.rpartition("#")[0]) if "#" in key else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How an imported dataset or run lies in Blender's world: one transform on the empty above everything."""
+"""Placement of an imported dataset or run in Blender's world, by one transform on the empty above all its objects."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ CHOSEN, TO_WORLD = "irgspp_placement", "irgspp_to_world"  # custom properties of
 
 @dataclass(frozen=True)
 class Placement:
-    """What a person chose on importing.
+    """Placement chosen by the user at the import.
 
     Attributes:
-        up_axis: "AS_IS" keeps the upright frame that the engine found; "Y_UP" and so on turn that axis of the dataset's own frame to
-            +Z. So "Z_UP" at scale 1 is the dataset's own frame.
-        scale: size in Blender, relative to the dataset's units.
-        recentre: the object's middle comes to the origin.
+        up_axis: "AS_IS" keeps the upright frame that the engine estimated; "Y_UP" and so on rotate that axis of the dataset's own frame
+            to +Z. "Z_UP" with scale 1 is therefore the dataset's own frame.
+        scale: scale in Blender, relative to the dataset's units.
+        recentre: True to move the object's centre to the origin.
     """
 
     up_axis: str = "AS_IS"
@@ -33,12 +33,17 @@ class Placement:
     recentre: bool = False
 
     def matrix(self, to_world: np.ndarray, centre: Sequence[float]) -> np.ndarray:
-        """(4, 4) from the engine's frame, which the imported things are stored in, to Blender's world.
+        """Return the (4, 4) matrix from the engine's frame, in which imported objects are stored, to Blender's world.
 
-        `to_world` (4, 4) leads from the dataset's own frame to the engine's; `centre` is the object's middle in the engine's.
+        Args:
+            to_world: (4, 4) matrix from the dataset's own frame to the engine's frame.
+            centre: (3,) centre of the object in the engine's frame.
+
+        Raises:
+            InputError: if `up_axis` is unknown.
         """
         if self.up_axis != "AS_IS" and self.up_axis not in AXES:
-            raise InputError(self.up_axis, "is no way up", f"use AS_IS, {', '.join(AXES)}")
+            raise InputError(self.up_axis, "is not a known up axis", f"use AS_IS, {', '.join(AXES)}")
         matrix = np.eye(4)
         if self.up_axis != "AS_IS":
             matrix[:3, :3] = rotation_to_z(np.array(AXES[self.up_axis], float))
@@ -50,22 +55,35 @@ class Placement:
 
 
 def place(root: bpy.types.Object, chosen: Placement, to_world: np.ndarray, centre: Sequence[float]) -> None:
-    """Put the empty where the choice says; where it stands already by the same choice it is left, as a person may have moved it."""
-    words = f"{chosen.up_axis} {chosen.scale:.9g} {chosen.recentre}"
-    if root.get(CHOSEN) != words:
+    """Set the transform of the empty, unless it was placed by the same choice before: the user may have moved it since.
+
+    Args:
+        root: empty above the imported objects.
+        chosen: placement.
+        to_world: (4, 4) matrix from the dataset's own frame to the engine's frame.
+        centre: (3,) centre of the object in the engine's frame.
+    """
+    description = f"{chosen.up_axis} {chosen.scale:.9g} {chosen.recentre}"
+    if root.get(CHOSEN) != description:
         root.matrix_world = Matrix(chosen.matrix(to_world, centre).tolist())
-        root[CHOSEN] = words
+        root[CHOSEN] = description
     root[TO_WORLD] = np.asarray(to_world, float).reshape(-1).tolist()
 
 
-def place_beside(root: bpy.types.Object, other: bpy.types.Object, to_world: np.ndarray) -> None:
-    """Put the empty so that what is below it covers what is below another one of the same dataset."""
+def place_over(root: bpy.types.Object, other: bpy.types.Object, to_world: np.ndarray) -> None:
+    """Place the empty of a run so that its objects coincide with those of the imported dataset.
+
+    Args:
+        root: empty of the run.
+        other: empty of the dataset.
+        to_world: (4, 4) matrix from the dataset's own frame to the run's frame.
+    """
     between = Matrix(np.array(other[TO_WORLD]).reshape(4, 4) @ np.linalg.inv(to_world))
     root.matrix_world = other.matrix_world @ between
     root[CHOSEN], root[TO_WORLD] = other[CHOSEN], np.asarray(to_world, float).reshape(-1).tolist()
 
 
 def to_dataset(root: bpy.types.Object) -> Matrix:
-    """From Blender's world to the dataset's own frame, wherever the empty has been moved since."""
+    """Return the matrix (4, 4) from Blender's world to the dataset's own frame, for the current position of the empty."""
     own = Matrix(np.linalg.inv(np.array(root[TO_WORLD]).reshape(4, 4)).tolist())
     return own @ root.matrix_world.inverted()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Binary PLY with numpy alone: Blender's Python has no reader that keeps all attributes."""
+"""Reader and writer of binary PLY files with numpy alone: Blender's own importer does not keep all attributes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ TYPES = {
 
 
 def read_ply(path: Path) -> dict[str, np.ndarray]:
-    """Elements of a binary little-endian PLY by name, as structured arrays; every list property must hold three values (triangles)."""
+    """Read a binary little-endian PLY whose lists all have three values (triangles).
+
+    Returns:
+        Structured arrays by the elements' names; a list property is a field of shape (3,).
+
+    Raises:
+        InputError: if the file can't be read, is damaged, or has other lists.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -29,7 +36,7 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
     for name, count, fields in _elements(head.decode("ascii", "replace"), path):
         layout = np.dtype(fields)
         if offset + count * layout.itemsize > len(data):
-            raise InputError(path, "ends too early")
+            raise InputError(path, "is truncated")
         elements[name] = np.frombuffer(data, layout, count, offset)
         if any((elements[name][field] != 3).any() for field in layout.names or () if field.startswith("count of ")):
             raise InputError(path, f"element {name} has a list whose length is not 3")
@@ -38,7 +45,7 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
 
 
 def _elements(head: str, path: Path) -> list[tuple[str, int, list[tuple]]]:
-    """Name, count and numpy fields of each element in a PLY header."""
+    """Return name, count and numpy fields of each element in a PLY header."""
     elements: list[tuple[str, int, list[tuple]]] = []
     try:
         for words in map(str.split, head.splitlines()):
@@ -54,7 +61,18 @@ def _elements(head: str, path: Path) -> list[tuple[str, int, list[tuple]]]:
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, uvs: np.ndarray | None) -> None:
-    """Write triangles (F, 3) over vertices (V, 3) with normals (V, 3) and UVs (V, 2), whole or not at all."""
+    """Write a triangle mesh as a binary PLY, atomically.
+
+    Args:
+        path: file to write.
+        vertices: (V, 3) positions.
+        faces: (F, 3) vertex indices of the triangles.
+        normals: (V, 3) unit normals.
+        uvs: (V, 2) texture coordinates, or None.
+
+    Raises:
+        InputError: if the file can't be written.
+    """
     columns = {"x": vertices[:, 0], "y": vertices[:, 1], "z": vertices[:, 2], "nx": normals[:, 0], "ny": normals[:, 1], "nz": normals[:, 2]}
     if uvs is not None:
         columns |= {"s": uvs[:, 0], "t": uvs[:, 1]}

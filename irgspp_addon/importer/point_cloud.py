@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points of a dataset: vertices with colours, shown as little balls by geometry nodes."""
+"""Point cloud of a dataset: a mesh of vertices with colours, shown as small spheres by geometry nodes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,16 @@ def build_points(
     root: bpy.types.Object,
     collection: bpy.types.Collection,
 ) -> bpy.types.Object:
-    """A mesh of bare vertices (P, 3) with a point attribute of colours (P, 3) sRGB 0..1; `radius` is the object's size.
+    """Create a mesh object of vertices with a colour attribute, visible in viewports but not in renders.
 
-    The points are there to look at: they don't render.
+    Args:
+        owner: owner of the datablocks.
+        name: name of new datablocks.
+        position: (P, 3) positions.
+        colour: (P, 3) sRGB colours, 0..1.
+        radius: radius of the scene's object, which sets the size of the shown points.
+        root: parent of the object.
+        collection: collection of the object.
     """
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(position))
@@ -35,19 +42,19 @@ def build_points(
     attribute.data.foreach_set("color_srgb", np.c_[colour, np.ones(len(colour))].astype(np.float32).reshape(-1))
     mesh.color_attributes.active_color = attribute
     mesh.update()
-    mesh = owner.exchanged(bpy.data.meshes, "points data", mesh)
-    material = owner.kept(bpy.data.materials, "points material", name)
+    mesh = owner.replace(bpy.data.meshes, "points data", mesh)
+    material = owner.reuse(bpy.data.materials, "points material", name)
     _show_colour(material)
     mesh.materials.append(material)
     cloud = owner.object("points", name, mesh, root)
     cloud.hide_render = True
-    _show_as_balls(owner, cloud, material, 0.004 * radius)
+    _show_as_spheres(owner, cloud, material, 0.004 * radius)
     put(cloud, collection)
     return cloud
 
 
 def _show_colour(material: bpy.types.Material) -> None:
-    """The colours glow as they are: they were photographed, light and all."""
+    """Show the colours by emission, since they come from photographs and already include the light."""
     nodes, links = node_tree(material)
     attribute, glow, output = (nodes.new(f"ShaderNode{kind}") for kind in ("Attribute", "Emission", "OutputMaterial"))
     attribute.attribute_type, attribute.attribute_name = "GEOMETRY", COLOUR
@@ -56,11 +63,11 @@ def _show_colour(material: bpy.types.Material) -> None:
     links.new(glow.outputs["Emission"], output.inputs["Surface"])
 
 
-def _show_as_balls(owner: Owner, cloud: bpy.types.Object, material: bpy.types.Material, radius: float) -> None:
-    """Bare vertices are next to invisible; a modifier turns them into points of a radius."""
+def _show_as_spheres(owner: Owner, cloud: bpy.types.Object, material: bpy.types.Material, radius: float) -> None:
+    """Add a modifier that turns the vertices, which are hardly visible by themselves, into points with a radius."""
     group = owner.find(bpy.data.node_groups, "points nodes")
     if group is None:
-        group = owner.kept(bpy.data.node_groups, "points nodes", cloud.name, "GeometryNodeTree")
+        group = owner.reuse(bpy.data.node_groups, "points nodes", cloud.name, "GeometryNodeTree")
         group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
         group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     group.nodes.clear()

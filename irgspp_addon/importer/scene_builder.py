@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run folder as Blender datablocks: mesh, material, light and cameras, in one collection under one empty."""
+"""Import of a run folder as Blender datablocks: mesh, material, light and cameras, in one collection under one empty."""
 
 from __future__ import annotations
 
@@ -16,17 +16,25 @@ from ..world.light_to_world import load_image, world_from_map
 from .cameras import look_through, place_cameras
 from .materials import SOURCES, TEXTURES, build_material
 from .ownership import Owner, folder_of, link, put
-from .placement import Placement, place, place_beside
+from .placement import Placement, place, place_over
 from .ply import read_ply
 from .run_frame import ALBEDO_SCALE
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
-RUN, DATASET = "irgspp_run", "irgspp_dataset"  # custom properties of the empty: the folders it shows
+RUN, DATASET = "irgspp_run", "irgspp_dataset"  # custom properties of the empty: the imported folders
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What `import_run` made: everything but the World lies below the empty `root`, in the frame that the engine works in."""
+    """Result of `import_run`: all objects are children of the empty `root`, in the engine's frame.
+
+    Attributes:
+        collection: collection of all objects.
+        root: empty above them.
+        mesh: mesh object.
+        cameras: camera objects.
+        world: World with the recovered light.
+    """
 
     collection: bpy.types.Collection
     root: bpy.types.Object
@@ -42,85 +50,113 @@ def import_run(
     placement: Placement | None = None,
     scene: bpy.types.Scene | None = None,
 ) -> Imported:
-    """Build everything of a finished run in a scene (default: the current), in place of what an earlier import of the folder made.
+    """Build the datablocks of a finished run in a scene, in place of those of an earlier import; the scene's settings and World stay.
 
-    The scene's render settings and World stay as they are. `source` says what the material reads, "textures" or "attributes"; `pack`
-    puts textures and light into the .blend; without `placement` the run lies over its imported dataset, or as the engine found it.
-    Raises InputError where the folder is not a finished run, before anything is made.
+    Args:
+        run: run folder.
+        source: source of the material's values, "textures" or "attributes".
+        pack: True to pack textures and light into the .blend.
+        placement: placement in Blender's world; None places the run over its imported dataset, or else in the engine's upright frame.
+        scene: scene to build in; None for the current one.
+
+    Raises:
+        InputError: if the folder is not a finished run, or the imported mesh is in Edit Mode; then no datablock has been created.
     """
     cameras, elements = load_run_cameras(run / "cameras.json"), _read_mesh(run / "mesh.ply")
     _check_files(run, source)
     to_world, centre = _frame(run)
     owner = Owner(run)
-    edited = owner.find(bpy.data.objects, "mesh")
-    if edited is not None and edited.mode == "EDIT":
-        raise InputError(edited.name, "is being edited", "leave Edit Mode and import again")
+    existing = owner.find(bpy.data.objects, "mesh")
+    if existing is not None and existing.mode == "EDIT":
+        raise InputError(existing.name, "is being edited", "leave Edit Mode and import again")
     name = owner.folder.name
-    collection = owner.kept(bpy.data.collections, "collection", name)
+    collection = owner.reuse(bpy.data.collections, "collection", name)
     scene = scene or bpy.context.scene
     link_to_scene(collection, scene)
     root = new_root(owner, f"{collection.name} frame", collection)
     root[RUN] = str(owner.folder)
     dataset = _dataset_root(run, scene)
     if placement is None and dataset is not None:
-        place_beside(root, dataset, to_world)
+        place_over(root, dataset, to_world)
     else:
         place(root, placement or Placement(), to_world, centre)
-    mesh = owner.object("mesh", name, owner.exchanged(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
+    mesh = owner.object("mesh", name, owner.replace(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
     put(mesh, collection)
-    _offer_albedo_scale(mesh)
+    _add_albedo_scale(mesh)
     mesh.data.materials.append(_material(owner, name, run / "textures", source, pack))
     placed = place_cameras(owner, cameras, root, collection)
     world = _light(owner, run / "environment.exr", f"{name} light", pack, root)
-    owner.drop_rest()
+    owner.remove_unused()
     return Imported(collection, root, mesh, placed, world)
 
 
 def _check_files(run: Path, source: str) -> None:
-    """What is read only after the first datablock was made."""
+    """Check the files that are read only after the first datablock has been created."""
     if source not in SOURCES:
         raise InputError(source, "is not a material source", "use textures or attributes")
     for needed in ["environment.exr", *(f"textures/{name}.png" for name in TEXTURES if source == "textures")]:
         if not (run / needed).is_file():
-            raise InputError(run / needed, "is missing", "the run is not finished" if source == "attributes" else "or use the attributes")
+            fix = "finish the run" if source == "attributes" else "finish the run, or let the material read attributes"
+            raise InputError(run / needed, "is missing", fix)
 
 
-def _offer_albedo_scale(mesh: bpy.types.Object) -> None:
-    """The factor of relighting as a custom property, with 1 to begin with."""
+def _add_albedo_scale(mesh: bpy.types.Object) -> None:
+    """Add the custom property for the albedo factor of relighting, initially 1."""
     if ALBEDO_SCALE not in mesh:
         mesh[ALBEDO_SCALE] = 1.0
-        about = "Factor of the object's albedo where IRGS++ relights: as the light was unknown, so is the brightness of all albedo"
-        mesh.id_properties_ui(ALBEDO_SCALE).update(min=0.0, soft_max=4.0, description=about)
+        description = "Factor for the albedo when IRGS++ relights. Light and albedo are recovered only up to a common factor"
+        mesh.id_properties_ui(ALBEDO_SCALE).update(min=0.0, soft_max=4.0, description=description)
 
 
 def link_to_scene(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Show the collection in the scene, unless a person has put it somewhere in it already."""
+    """Link a collection into a scene, unless it is anywhere in the scene already.
+
+    Args:
+        collection: collection to link.
+        scene: scene that receives it.
+    """
     if collection not in scene.collection.children_recursive:
         link(collection, scene.collection)
 
 
 def new_root(owner: Owner, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """The empty above everything."""
+    """Return the empty above all imported objects, created if needed.
+
+    Args:
+        owner: owner of the datablocks.
+        name: name of a new empty.
+        collection: collection of the empty.
+    """
     root = owner.object("root", name, None, None)
     put(root, collection)
     return root
 
 
 def find_roots(scene: bpy.types.Scene, folder_property: str) -> list[bpy.types.Object]:
-    """The empties of all imported runs (RUN) or datasets (DATASET) of a scene."""
+    """Return the empties of all imported runs or datasets in a scene.
+
+    Args:
+        scene: scene to search.
+        folder_property: RUN or DATASET.
+    """
     return [thing for thing in scene.objects if folder_property in thing and thing.type == "EMPTY"]
 
 
 def run_of(thing: bpy.types.Object | None) -> Path | None:
-    """The run folder that an object was imported from."""
-    folder, above = folder_of(thing), thing
-    while above is not None and RUN not in above:
-        above = above.parent
-    return folder if folder == folder_of(above) else None
+    """Return the run folder from which an object was imported, or None."""
+    folder, ancestor = folder_of(thing), thing
+    while ancestor is not None and RUN not in ancestor:
+        ancestor = ancestor.parent
+    return folder if folder == folder_of(ancestor) else None
 
 
 def show_as_photographed(scene: bpy.types.Scene, imported: Imported) -> None:
-    """Light the scene by the recovered light and look through the first camera, without Blender's tone curve."""
+    """Light a scene by the recovered light and look through the first camera, without a tone curve.
+
+    Args:
+        scene: scene to change.
+        imported: imported run.
+    """
     scene.world = imported.world
     scene.render.engine = "CYCLES"
     scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
@@ -134,12 +170,12 @@ def _read_mesh(path: Path) -> dict[str, np.ndarray]:
     found = [name for element in ("vertex", "face") if element in elements for name in elements[element].dtype.names or ()]
     missing = [name for name in COLUMNS if name not in found]
     if missing:
-        raise InputError(path, f"lacks {', '.join(missing)}", "give the folder of a run")
+        raise InputError(path, f"lacks {', '.join(missing)}", "choose the folder of a finished run")
     return elements
 
 
 def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:
-    """The mesh with its seams welded: Blender keeps UVs per corner, so that the surface stays one piece for sculpting and smoothing."""
+    """Build the mesh with welded UV seams, a connected surface for sculpting and smoothing: Blender stores UVs per corner."""
     vertex, face = elements["vertex"], elements["face"]
     corners = face["vertex_indices"].astype(np.int64)
     positions, first, welded = np.unique(_columns(vertex, "x", "y", "z"), axis=0, return_index=True, return_inverse=True)
@@ -155,7 +191,7 @@ def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:
 
 
 def _set_triangles(mesh: bpy.types.Mesh, positions: np.ndarray, faces: np.ndarray) -> None:
-    """As `from_pydata`, without a Python object for each number."""
+    """Set vertices and triangles as `from_pydata` does, without a Python object for each number."""
     mesh.vertices.add(len(positions))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(positions, np.float32).reshape(-1))
     mesh.loops.add(faces.size)
@@ -175,53 +211,53 @@ def _set_attributes(mesh: bpy.types.Mesh, vertex: np.ndarray) -> None:
 
 
 def _columns(vertex: np.ndarray, *names: str) -> np.ndarray:
-    """(N, len(names)) float32 of a PLY element."""
+    """Return columns of a PLY element as (N, len(names)) float32."""
     return np.stack([vertex[name] for name in names], -1).astype(np.float32)
 
 
 def _material(owner: Owner, name: str, textures: Path, source: str, pack: bool) -> bpy.types.Material:
-    """One material that can read either source, where there are textures at all."""
+    """Create the material, which can read textures (if there are any) and attributes."""
     images = {}
     if all((textures / f"{texture}.png").is_file() for texture in TEXTURES):
         for texture in TEXTURES:
             image = load_image(textures / f"{texture}.png", "sRGB" if texture == "albedo" else "Non-Color", pack)
-            images[texture] = owner.exchanged(bpy.data.images, f"{texture} texture", image)
-    material = owner.kept(bpy.data.materials, "material", name)
+            images[texture] = owner.replace(bpy.data.images, f"{texture} texture", image)
+    material = owner.reuse(bpy.data.materials, "material", name)
     build_material(material, images, source)
     return material
 
 
 def _light(owner: Owner, path: Path, name: str, pack: bool, root: bpy.types.Object) -> bpy.types.World:
-    """The recovered light as a World, turned like the empty: the object is lit as it was photographed, however it was placed."""
-    fresh = world_from_map(path, name, pack)
-    nodes = {node.bl_idname: node for node in fresh.node_tree.nodes}
-    owner.exchanged(bpy.data.images, "light", nodes["ShaderNodeTexEnvironment"].image)
-    # The Mapping node turns the direction that is looked up: from Blender's world into the engine's frame.
-    turned = root.matrix_world.to_quaternion().inverted()
-    nodes["ShaderNodeMapping"].inputs["Rotation"].default_value = turned.to_euler()
-    world = owner.exchanged(bpy.data.worlds, "world", fresh)
+    """Create a World of the recovered light with the rotation of the empty, so that the object is lit as in the photographs."""
+    new = world_from_map(path, name, pack)
+    nodes = {node.bl_idname: node for node in new.node_tree.nodes}
+    owner.replace(bpy.data.images, "light", nodes["ShaderNodeTexEnvironment"].image)
+    # The Mapping node rotates the lookup direction from Blender's world into the engine's frame.
+    rotation = root.matrix_world.to_quaternion().inverted()
+    nodes["ShaderNodeMapping"].inputs["Rotation"].default_value = rotation.to_euler()
+    world = owner.replace(bpy.data.worlds, "world", new)
     world.use_fake_user = True
     return world
 
 
 def _frame(run: Path) -> tuple[np.ndarray, tuple[float, float, float]]:
-    """(4, 4) from the dataset's own frame to the run's, and the object's middle in it."""
+    """Return the matrix (4, 4) from the dataset's own frame to the run's, and the object's centre (3,) in the run's frame."""
     path = run / "reconstruction.json"
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        x, y, z = map(float, about["bound"]["centre"])
-        return np.array(about["to_world"], float).reshape(4, 4), (x, y, z)
+        values = json.loads(path.read_text(encoding="utf-8"))
+        x, y, z = map(float, values["bound"]["centre"])
+        return np.array(values["to_world"], float).reshape(4, 4), (x, y, z)
     except OSError as error:
-        raise InputError(path, f"can't be read ({error.strerror})", "the run is not finished") from error
+        raise InputError(path, f"can't be read ({error.strerror})", "finish the run") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(path, f"does not tell the run's frame ({error!r})") from error
+        raise InputError(path, f"does not describe the run's frame ({error!r})", "run the reconstruction again") from error
 
 
 def _dataset_root(run: Path, scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """The empty of the dataset that the run was made from, where that has been imported too."""
+    """Return the empty of the run's dataset if that has been imported too, else None."""
     try:
         dataset = json.loads((run / "run.json").read_text(encoding="utf-8"))["dataset"]
     except (OSError, ValueError, KeyError, TypeError):
-        return None  # the run may have been given on without its notes
+        return None  # the run folder may have been passed on without run.json
     roots = find_roots(scene, DATASET)
     return next((root for root in roots if Path(root[DATASET]) == Path(dataset).resolve()), None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Write a run folder as a .blend: `python -m irgspp.irgspp_addon.importer.write_blend RUN OUT.blend`, a process of its own with `bpy`."""
+"""Write a run folder as a .blend, in a separate process with `bpy`: `launch.py irgspp_addon.importer.write_blend RUN OUT.blend`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,17 @@ from .scene_builder import SOURCES, import_run, show_as_photographed
 
 
 def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = True) -> None:
-    """Replace the open file by the run's scene and save it; `target` appears whole or not at all."""
+    """Replace the open file by the run's scene and save it atomically.
+
+    Args:
+        run: run folder.
+        target: .blend file to write.
+        source: source of the material's values, "textures" or "attributes".
+        pack: True to pack textures and light into the .blend.
+
+    Raises:
+        InputError: if the folder is not a finished run.
+    """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     imported = import_run(run, source, pack)
     show_as_photographed(bpy.context.scene, imported)
@@ -27,7 +37,7 @@ def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = 
 
 
 def _relative(path: str, folder: Path) -> str:
-    """Blender's form of a path relative to the .blend, so that both can move together."""
+    """Return a path relative to the .blend in Blender's form, so that both can be moved together."""
     try:
         return "//" + os.path.relpath(bpy.path.abspath(path), folder).replace(os.sep, "/")
     except ValueError:  # another drive of Windows
@@ -35,6 +45,7 @@ def _relative(path: str, folder: Path) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Run the command line and return its exit status."""
     parser = argparse.ArgumentParser(prog="irgspp.irgspp_addon.importer.write_blend", description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("target", type=Path)

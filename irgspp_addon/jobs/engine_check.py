@@ -1,36 +1,36 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine checked by a job, so that Blender needs not wait for torch."""
+"""Check of the engine as a background job, so that Blender does not wait for the import of torch."""
 
 from __future__ import annotations
 
-from ..engine import process as engine
-from . import queue as jobs
+from ..engine import process as engine_process
+from . import queue
 from .job import Job
 
 
 def check_in_background() -> Job | None:
-    """Ask the engine what it is; `engine.status()` says it soon after. None where there is nothing to ask."""
-    if engine.status().state == "missing":
+    """Start a job that checks the engine, after which `engine.process.status()` has the result; None if no engine is installed."""
+    if engine_process.status().state == "missing":
         return None
-    for job in jobs.all_jobs():
+    for job in queue.all_jobs():
         if job.kind == "check" and not job.finished:
             return job
-    return jobs.start("check", "Check engine", None, ["devices", "--json"], data={"python": engine.engine_python()})
+    return queue.start("check", "Check engine", None, ["devices", "--json"], data={"python": engine_process.engine_python()})
 
 
-def take_check(job: Job) -> None:
-    """Remember what a check found; nobody wants to see that job afterwards."""
-    if job.data.get("python") == engine.engine_python():  # else another engine was chosen meanwhile
-        said = "\n".join(job.log_tail()) or job.error or ""
-        engine.remember(engine.judged(0 if job.state == "done" else 1, job.output(), said))
-    jobs.forget(job)
+def finish_check(job: Job) -> None:
+    """Remember the result of a check and remove its job from the list."""
+    if job.data.get("python") == engine_process.engine_python():  # else another engine has been chosen meanwhile
+        errors = "\n".join(job.log_tail()) or job.error or ""
+        engine_process.remember(engine_process.check_result(0 if job.state == "done" else 1, job.output(), errors))
+    queue.forget(job)
 
 
-def take_installation(job: Job) -> None:
-    """A new engine is there: the installer has asked it already."""
-    engine.forget_checks()
-    if job.state == "done" and engine.engine_kind() == "MANAGED":
-        engine.remember(engine.judged(0, job.output(), ""))
+def finish_installation(job: Job) -> None:
+    """Remember the status of a newly installed engine, which its installer has already checked."""
+    engine_process.forget_checks()
+    if job.state == "done" and engine_process.engine_kind() == "MANAGED":
+        engine_process.remember(engine_process.check_result(0, job.output(), ""))
 
 
-ON_END = {"check": take_check, "install": take_installation}
+ON_END = {"check": finish_check, "install": finish_installation}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One job: what it is to do, where it stands, and the folder in which both outlive Blender."""
+"""Job of the engine: its command, its progress, and the folder in which both are kept after Blender has ended."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ...core.errors import IrgsppError
 from ...core.io.atomic import replace
 
 UNFINISHED = ("queued", "running")
-KEPT = ("id", "kind", "title", "program", "arguments", "on_done", "data", "state", "owner", "made", "began", "ended", "error", "message")
-TAIL_BYTES = 65536  # of the events, from which the present state is read again after a restart
+STORED = ("id", "kind", "title", "program", "arguments", "on_done", "data", "state", "owner", "made", "began", "ended", "error", "message")
+TAIL_BYTES = 65536  # at the end of events.jsonl, from which the progress is read after a restart
 LOG_LINES = 12
 
 
@@ -25,20 +25,22 @@ class Job:
     """A job of the engine.
 
     Attributes:
+        id: name of its private folder.
         kind: "reconstruct", "demo", "render", "bake", "export", "inspect", "check" or "install".
-        title: for the list of jobs.
-        folder: what it works on or writes, such as the run folder.
-        notes: its private folder: events.jsonl, log.txt, output.txt (what it printed), files `cancel` and `finish`, and job.json.
+        title: text in the list of jobs.
+        folder: folder that it reads or writes, such as the run folder.
+        notes: its private folder: events.jsonl, log.txt, output.txt (stdout), the request files `cancel` and `finish`, and job.json.
         program: "engine", or the path of a script that Blender's own Python runs.
-        arguments: the words after `irgspp`, or those for the script.
-        on_done: name in `jobs.ON_DONE` of what is called, in Blender, once it is done.
-        data: what that function needs to know; JSON.
-        state: "queued", "running", "done", "failed", "cancelled" or "lost" (it ended while nobody looked, without saying how).
-        owner: name of the session file of the Blender that looks after it.
-        phase, step, of, eta, figures, message: the last that the engine told; eta in seconds.
-        preview: image of what is there so far, or None.
-        error: one line that says why it failed.
-        stopping: True once somebody asked it to stop.
+        arguments: command-line arguments of `irgspp`, or of the script.
+        on_done: name in `queue.ON_DONE` of the function that Blender calls when the job is done.
+        data: JSON data for that function.
+        state: "queued", "running", "done", "failed", "cancelled" or "lost" (it ended unobserved, without an exit status).
+        owner: name of the session file of the Blender that manages it.
+        made, began, ended: times of its creation, start and end in seconds since the epoch.
+        phase, step, of, eta, figures, message: progress last reported by the engine; eta in seconds.
+        preview: image of the state so far, or None.
+        error: reason of a failure, in one line.
+        stopping: True after a request to stop.
     """
 
     id: str
@@ -64,80 +66,84 @@ class Job:
     message: str = ""
     preview: Path | None = None
     stopping: bool = False
-    _read: int = 0  # bytes of events.jsonl
+    _read: int = 0  # bytes of events.jsonl read so far
 
     @property
     def fraction(self) -> float:
-        """Share of the present phase that is done, 0..1."""
+        """Fraction of the current phase that is done, 0..1."""
         return min(self.step / self.of, 1.0) if self.of > 0 else 0.0
 
     @property
     def finished(self) -> bool:
-        """True once nothing more will happen."""
+        """True after the job has ended, however it ended."""
         return self.state not in UNFINISHED
 
     @property
     def resumable(self) -> bool:
-        """True where `jobs.resume` can go on with it."""
+        """True if `queue.resume` can continue the job."""
         return self.state in ("failed", "cancelled", "lost") and self.kind in ("reconstruct", "demo")
 
     @property
     def can_finish_early(self) -> bool:
-        """True while it optimises something that may be left as it is."""
+        """True while the job runs a reconstruction, whose current phase can be ended early."""
         return self.state == "running" and self.kind in ("reconstruct", "demo") and not self.stopping
 
     @property
     def log(self) -> Path:
-        """The file with everything that it said on stderr."""
+        """Path of the log file, which holds the job's stderr."""
         return self.notes / "log.txt"
 
     def log_tail(self, lines: int = LOG_LINES) -> list[str]:
-        """The last lines of the log."""
+        """Return the last lines of the log."""
         return _tail(self.log, 8192).splitlines()[-lines:]
 
     def output(self) -> str:
-        """What it printed as its result."""
+        """Return the text that the job wrote to stdout, its result."""
         try:
             return (self.notes / "output.txt").read_text("utf-8", errors="replace")
         except OSError:
             return ""
 
     def seconds(self) -> float | None:
-        """How long it has worked, or worked until its end."""
+        """Return the seconds that the job has been running, or ran until its end; None before its start."""
         return None if self.began is None else (self.ended or time.time()) - self.began
 
     # --- on disk
 
     def save(self) -> None:
-        """Write job.json whole."""
-        values = {key: getattr(self, key) for key in KEPT} | {"folder": str(self.folder)}
+        """Write job.json atomically."""
+        values = {key: getattr(self, key) for key in STORED} | {"folder": str(self.folder)}
         partial = self.notes / "job.json.part"
         partial.write_text(json.dumps(values, indent=1), encoding="utf-8")
         replace(partial, self.notes / "job.json")
 
     def save_if_possible(self) -> None:
-        """The same where a full disk must not stop what is going on; the message says so."""
+        """Write job.json, but only report in `message` if that fails, such as on a full disk."""
         try:
             self.save()
         except OSError as error:
-            self.message = f"this can't be noted down: {error.strerror or error}"
+            self.message = f"the job's state can't be saved: {error.strerror or error}"
 
-    def wish(self, name: str) -> None:
-        """Leave the file `cancel` or `finish` for the process. Raises IrgsppError where that can't be written."""
+    def request(self, name: str) -> None:
+        """Write the request file `cancel` or `finish`, which the job's process looks for.
+
+        Raises:
+            IrgsppError: if it can't be written.
+        """
         try:
             (self.notes / name).touch()
         except OSError as error:
             raise IrgsppError(f"{self.notes / name}: can't be written ({error.strerror})") from error
 
     def reload(self) -> None:
-        """Take over what another Blender wrote in job.json since."""
-        fresh = load_job(self.notes)
-        if fresh is not None:
-            for key in KEPT:
-                setattr(self, key, getattr(fresh, key))
+        """Read job.json again, which another Blender may have changed."""
+        stored = load_job(self.notes)
+        if stored is not None:
+            for key in STORED:
+                setattr(self, key, getattr(stored, key))
 
     def read_events(self) -> bool:
-        """Take over what the engine told since the last call; True where that was anything."""
+        """Read the progress reported since the last call, and return True if there was any."""
         self.stopping = self.stopping or (self.notes / "cancel").exists()
         before = self.preview
         self._look_for_preview()
@@ -150,16 +156,16 @@ class Job:
                 data = file.read()
         except OSError:
             return self.preview is not before
-        whole = data.rfind(b"\n") + 1  # a line may just be being written
-        self._read = size - len(data) + whole
-        for line in data[:whole].splitlines():
-            self._take(line)
-        return whole > 0
+        complete = data.rfind(b"\n") + 1  # the last line may not be complete yet
+        self._read = size - len(data) + complete
+        for line in data[:complete].splitlines():
+            self._apply_event(line)
+        return complete > 0
 
-    def _take(self, line: bytes) -> None:
+    def _apply_event(self, line: bytes) -> None:
         try:
             event = json.loads(line)
-        except ValueError:  # the first line of a tail, or one cut off by a full disk
+        except ValueError:  # a line without its beginning, or one cut off by a full disk
             return
         if not isinstance(event, dict):
             return
@@ -180,19 +186,27 @@ class Job:
 
 
 def new_job(root: Path, kind: str, title: str, folder: Path | None, **values: Any) -> Job:
-    """A queued job with a folder for its notes under `root`."""
+    """Create a queued job and its private folder.
+
+    Args:
+        root: folder that holds the private folders of all jobs.
+        kind: kind of the job.
+        title: text in the list of jobs.
+        folder: folder that the job reads or writes; None for its private folder alone.
+        **values: further attributes of the job.
+    """
     now = time.time()
     name = time.strftime("%Y%m%d-%H%M%S-", time.localtime(now)) + secrets.token_hex(3)
     notes = root / name
-    notes.mkdir(parents=True, mode=0o700)  # logs name what its user works on, and `cancel` in it stops the job
+    notes.mkdir(parents=True, mode=0o700)  # private: logs name the user's files, and a file `cancel` in it stops the job
     return Job(name, kind, title, folder or notes, notes, made=now, **values)
 
 
 def load_job(notes: Path) -> Job | None:
-    """The job whose notes are in that folder; None where job.json is missing or broken."""
+    """Load the job from its private folder; None if job.json is missing or damaged."""
     try:
         values = json.loads((notes / "job.json").read_text("utf-8"))
-        return Job(folder=Path(values.pop("folder")), notes=notes, **{key: values[key] for key in KEPT})
+        return Job(folder=Path(values.pop("folder")), notes=notes, **{key: values[key] for key in STORED})
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The process of a job: started, looked after, ended; and what its end means."""
+"""Process of a job: start, observation, forced end, and the job's final state from its exit status."""
 
 from __future__ import annotations
 
@@ -20,11 +20,20 @@ from .session import is_held, session_file
 
 WORKER = Path(__file__).resolve().parents[1] / "engine" / "worker.py"
 
-_processes: dict[str, subprocess.Popen] = {}  # of the jobs that this Blender started, by id
+_processes: dict[str, subprocess.Popen] = {}  # by job id, of the jobs that this Blender started
 
 
 def spawn(job: Job, keep_running: bool) -> None:
-    """Start the job's process. Raises OSError where that is not possible, InputError where no engine is chosen."""
+    """Start the job's process.
+
+    Args:
+        job: job to start.
+        keep_running: True if the process continues after this Blender has ended.
+
+    Raises:
+        OSError: if the process can't be started or its files can't be written.
+        InputError: if no engine is chosen.
+    """
     for name in ("cancel", "finish", "exit.json", "worker.json", "events.jsonl", "output.txt"):
         (job.notes / name).unlink(missing_ok=True)
     if keep_running:
@@ -38,13 +47,13 @@ def spawn(job: Job, keep_running: bool) -> None:
 def _command(job: Job) -> list[str]:
     wrapped = [str(WORKER), str(job.notes), str(session_file())]
     if job.program == "engine":
-        python, *words = engine_command(*job.arguments)
-        return [python, *wrapped, *words]
+        python, *arguments = engine_command(*job.arguments)
+        return [python, *wrapped, *arguments]
     return [sys.executable, *bpy.app.python_args, *wrapped, job.program, *job.arguments]
 
 
 def is_alive(job: Job) -> bool:
-    """True while the job's process runs, whichever Blender started it."""
+    """Return True while the job's process runs, whichever Blender started it."""
     process = _processes.get(job.id)
     if process is not None:
         return process.poll() is None
@@ -52,7 +61,7 @@ def is_alive(job: Job) -> bool:
 
 
 def kill(job: Job) -> None:
-    """End the process and those that it started, at once."""
+    """Kill the job's process and the processes that it started."""
     if not is_alive(job):
         return
     process = _processes.get(job.id)
@@ -61,37 +70,37 @@ def kill(job: Job) -> None:
         return
     try:
         if sys.platform == "win32":
-            os.kill(number, signal.SIGTERM)  # ends it without asking, on Windows
+            os.kill(number, signal.SIGTERM)  # on Windows this ends the process at once
         else:
             os.killpg(number, signal.SIGKILL)
     except OSError:
-        return  # it ended by itself just now, for which Windows has an error of its own
+        return  # the process has just ended by itself; Windows has its own error for that
 
 
 def finish(job: Job) -> None:
-    """Set state, error and time of end from how the process ended."""
-    process, said = _processes.pop(job.id, None), _read(job.notes / "exit.json")
-    status = said.get("status", process.returncode if process is not None else None)
-    job.ended = said.get("ended") or time.time()
+    """Set the job's state, error and time of end from the exit status of its process."""
+    process, record = _processes.pop(job.id, None), _read(job.notes / "exit.json")
+    status = record.get("status", process.returncode if process is not None else None)
+    job.ended = record.get("ended") or time.time()
     job.read_events()
-    if status == 0 and said:
+    if status == 0 and record:
         job.state, job.error = "done", None
-    elif status == 130 or (job.stopping and not said):
+    elif status == 130 or (job.stopping and not record):
         job.state, job.error = "cancelled", None
     elif status is None:
-        job.state, job.error = "lost", "ended while Blender did not look, without saying how"
+        job.state, job.error = "lost", "ended without an exit status while no Blender observed it; its log may say why"
     else:
-        job.state, job.error = "failed", _reason(job, status, bool(said))
+        job.state, job.error = "failed", _reason(job, status, bool(record))
 
 
-def _reason(job: Job, status: int, orderly: bool) -> str:
-    """Why it failed, in one line: the engine's own last word, or how the process ended."""
+def _reason(job: Job, status: int, has_record: bool) -> str:
+    """Return the reason of a failure in one line: the engine's last message, or the signal that ended the process."""
     lines = job.log_tail(50)
-    if orderly:
+    if has_record:
         own = [line.removeprefix("irgspp: ") for line in lines if line.startswith("irgspp: ")]
         return own[-1] if own else (lines[-1].strip() if lines else f"ended with status {status} and no message")
     if status < 0:
-        return f"{ended_by(-status)}; the log's last lines say what it did"
+        return f"{ended_by(-status)}; the last lines of the log show what it was doing"
     return f"the engine ended with status {status}: {lines[-1].strip() if lines else 'no message'}"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The result of a finished reconstruction into the scene that it was started from."""
+"""Import of a finished job's result into the scene from which the job was started."""
 
 from __future__ import annotations
 
@@ -13,26 +13,37 @@ from ...core.errors import IrgsppError
 from .job import Job
 from .session import session_file
 
-_loads = 0  # files that this Blender has opened
+_loads = 0  # number of files that this Blender has opened
 
 
 def another_file() -> None:
-    """A file was loaded."""
+    """Note that another file has been opened."""
     global _loads
     _loads += 1
 
 
 def place_of(scene: bpy.types.Scene, material: str = "textures", pack: bool = True) -> dict[str, Any]:
-    """What a job must know to put its result into the scene later."""
+    """Return the data that a job needs to import its result into a scene later.
+
+    Args:
+        scene: scene for the result.
+        material: source of the material's values, "textures" or "attributes".
+        pack: True to pack textures and light into the .blend.
+    """
     place = {"session": session_file().name, "loads": _loads, "file": bpy.data.filepath, "scene": scene.name}
     return {"place": place, "material": material, "pack": pack}
 
 
 @contextmanager
 def started_from(job: Job, otherwise: str) -> Iterator[bpy.types.Scene]:
-    """Within the block the scene that the job was started from is the context's.
+    """Make the scene from which the job was started the context's scene within the block.
 
-    Raises IrgsppError where another file is open now; `otherwise` says how to get the result then.
+    Args:
+        job: finished job with the data of `place_of`.
+        otherwise: advice for the error message, how to get the result in another file.
+
+    Raises:
+        IrgsppError: if another file has been opened since.
     """
     place = job.data["place"]
     same = (place["session"], place["loads"]) == (session_file().name, _loads)
@@ -50,7 +61,7 @@ def started_from(job: Job, otherwise: str) -> Iterator[bpy.types.Scene]:
 
 
 def import_result(job: Job) -> None:
-    """Import the run where its scene is still open; say how to get it where another file is open now."""
+    """Import a finished run into the scene from which it was started; raise IrgsppError if another file has been opened since."""
     with started_from(job, f"get the result by File > Import > IRGS++ Run from {job.folder}"):
         bpy.ops.irgspp.import_run("EXEC_DEFAULT", True, directory=str(job.folder), material=job.data["material"], pack=job.data["pack"])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""This Blender among others on the same machine: a file that it keeps locked, so that anyone can tell whether it still runs.
+"""Session file of this Blender: a file that it keeps locked, so that other processes on the machine can tell whether it still runs.
 
 The operating system frees the lock however Blender ends, and unlike a process number a file name is never used again.
 """
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import secrets
+from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 
 from ...core.io.file_lock import FileLock
@@ -19,7 +21,7 @@ _held: dict[Path, FileLock] = {}  # at most one
 
 
 def session_file() -> Path:
-    """The file that this process keeps locked; made and locked at the first call."""
+    """Return the session file of this process, which is created and locked at the first call."""
     for path in _held:
         return path
     path = user_folder("jobs") / f"{os.getpid()}-{secrets.token_hex(4)}{ENDING}"
@@ -28,7 +30,7 @@ def session_file() -> Path:
 
 
 def end_session() -> None:
-    """Give the lock back: this process no longer looks after its jobs."""
+    """Release the lock and delete the session file: this process no longer manages its jobs."""
     for path, lock in list(_held.items()):
         lock.release()
         path.unlink(missing_ok=True)
@@ -36,7 +38,7 @@ def end_session() -> None:
 
 
 def is_held(path: Path) -> bool:
-    """True where some process, be it this one, holds the lock of a file."""
+    """Return True if any process, including this one, holds the lock of a file."""
     if path in _held:
         return True
     if not path.exists():
@@ -45,6 +47,19 @@ def is_held(path: Path) -> bool:
         FileLock(path).release()
     except BlockingIOError:
         return True
-    except OSError:  # gone meanwhile
+    except OSError:  # deleted meanwhile
         return False
     return False
+
+
+def remove_unheld(folder: Path, owners: Collection[str]) -> None:
+    """Delete the session files of ended processes that own no job.
+
+    Args:
+        folder: folder of the session files.
+        owners: names of the session files that jobs refer to.
+    """
+    for file in folder.glob(f"*{ENDING}"):
+        if file.name not in owners and not is_held(file):
+            with suppress(OSError):  # Windows: another Blender is testing its lock
+                file.unlink()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The relit object as the image "IRGS++ Relight", kept up to date while a person works."""
+"""Live preview: the relit object as the image "IRGS++ Relight", updated while the user works."""
 
 from __future__ import annotations
 
@@ -19,28 +19,38 @@ IMAGE = "IRGS++ Relight"
 CHANNEL = "image"
 
 
-def start_preview(scene: bpy.types.Scene, run: Path, how: dict[str, Any], resolution: int, area: bpy.types.Area | None = None) -> Follower:
-    """Follow the scene: from its camera, or as the 3D View `area` shows it. how: overrides of `settings_of`.
+def start_preview(
+    scene: bpy.types.Scene, run: Path, overrides: dict[str, Any], resolution: int, area: bpy.types.Area | None = None
+) -> Follower:
+    """Start the preview, which follows the scene from now on.
 
-    Raises InputError where there is no camera to begin with.
+    Args:
+        scene: scene whose World lights the object.
+        run: run folder.
+        overrides: values that replace those of `settings_of`.
+        resolution: longer side of the image in pixels.
+        area: 3D View to look from; None for the scene's camera.
+
+    Raises:
+        InputError: if the scene has no camera to look from.
     """
     if area is None and scene.camera is None:
         raise InputError(f"scene {scene.name}", "has no camera", "add one, or look from the 3D View")
-    spot = _View(area) if area is not None else None
+    view = _View(area) if area is not None else None
 
     def size(scene: bpy.types.Scene) -> tuple[int, int]:
         render = scene.render
-        wide, high = spot.size() if spot else (render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y)
-        scale = resolution / max(wide, high)
-        return max(1, round(wide * scale)), max(1, round(high * scale))
+        width, height = view.size() if view else (render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y)
+        scale = resolution / max(width, height)
+        return max(1, round(width * scale)), max(1, round(height * scale))
 
-    def eye(scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
-        if spot is not None:
-            return view_camera(spot.view(), width, height, frame, spot.size())
-        # Sizes are those of the image as it is shown, so pixels are square.
+    def camera(scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
+        if view is not None:
+            return view_camera(view.region_3d(), width, height, frame, view.size())
+        # The size is that of the image as shown, so its pixels are square.
         return scene_camera(scene, bpy.context.evaluated_depsgraph_get(), width, height, frame, square=True)
 
-    follower = Follower(CHANNEL, scene, run, eye, size, lambda scene: {**settings_of(scene), **how}, _show)
+    follower = Follower(CHANNEL, scene, run, camera, size, lambda scene: {**settings_of(scene), **overrides}, _show)
     follow(follower)
     return follower
 
@@ -51,50 +61,50 @@ def stop_preview() -> None:
 
 
 def preview_running() -> bool:
-    """True while the image follows the scene."""
+    """Return True while the image follows the scene."""
     follower = follower_of(CHANNEL)
     return follower is not None and not follower.ended
 
 
 def preview_message() -> str:
-    """What the preview is at, or why it ended, in words; "" where there was none."""
+    """Return the preview's progress or the reason of its end as text; "" if there was none."""
     follower = follower_of(CHANNEL)
     return follower.message if follower is not None else ""
 
 
 def settings_of(scene: bpy.types.Scene) -> dict[str, Any]:
-    """What the scene says of relighting."""
-    said = scene.irgspp
+    """Return the scene's settings of relighting: samples, denoise, backend and use_world."""
+    settings = scene.irgspp
     return {
-        "samples": said.relight_samples,
-        "denoise": said.relight_denoise,
-        "backend": said.relight_backend,
-        "use_world": said.use_world,
+        "samples": settings.relight_samples,
+        "denoise": settings.relight_denoise,
+        "backend": settings.relight_backend,
+        "use_world": settings.use_world,
     }
 
 
 class _View:
-    """A 3D View, found again as long as it is there."""
+    """3D View, which is looked up at each access, since the user may close it."""
 
     def __init__(self, area: bpy.types.Area) -> None:
         self._area = area.as_pointer()
 
-    def view(self) -> bpy.types.RegionView3D:
-        return self._found().spaces.active.region_3d
+    def region_3d(self) -> bpy.types.RegionView3D:
+        return self._find().spaces.active.region_3d
 
     def size(self) -> tuple[int, int]:
-        region = next(region for region in self._found().regions if region.type == "WINDOW")
+        region = next(region for region in self._find().regions if region.type == "WINDOW")
         return max(1, region.width), max(1, region.height)
 
-    def _found(self) -> bpy.types.Area:
+    def _find(self) -> bpy.types.Area:
         for area in areas("VIEW_3D"):
             if area.as_pointer() == self._area:
                 return area
-        raise InputError("preview", "the 3D View it looks through was closed", "start it anew from another")
+        raise InputError("preview", "its 3D View was closed", "start the preview again from another 3D View")
 
 
 def _show(pixels: np.ndarray, size: tuple[int, int], done: bool) -> None:
-    """Put an image into the image; coarse ones are enlarged to `size`."""
+    """Write pixels (H, W, 4) into the image datablock, enlarged to `size` (width, height)."""
     image = preview_image(*size)
     image.pixels.foreach_set(enlarged(pixels, *size))
     image.update()
@@ -102,11 +112,11 @@ def _show(pixels: np.ndarray, size: tuple[int, int], done: bool) -> None:
     redraw("IMAGE_EDITOR", "VIEW_3D")
 
 
-_fitted: dict[int, tuple[int, int]] = {}  # Image Editor -> size of the image that fills it; zooming is a person's then
+_fitted: dict[int, tuple[int, int]] = {}  # Image Editor -> size of the image it was fitted to; afterwards the user may zoom
 
 
 def _fit(image: bpy.types.Image, size: tuple[int, int]) -> None:
-    """Let the image fill the editors that show it, once for each of its sizes."""
+    """Fit the view of the Image Editors that show the image, once for each of its sizes."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "IMAGE_EDITOR" and area.spaces.active.image == image and _fitted.get(area.as_pointer()) != size:
@@ -117,10 +127,15 @@ def _fit(image: bpy.types.Image, size: tuple[int, int]) -> None:
 
 
 def preview_image(width: int, height: int) -> bpy.types.Image:
-    """The image datablock in this size: linear, premultiplied, shown like a render."""
+    """Return the image datablock of the preview: linear, premultiplied, shown through the view transform like a render.
+
+    Args:
+        width: its width in pixels.
+        height: its height in pixels.
+    """
     image = bpy.data.images.get(IMAGE)
     if image is not None and not (image.is_float and image.source == "GENERATED" and image.library is None):
-        image.name = f"{IMAGE} old"  # a person's own of that name
+        image.name = f"{IMAGE} old"  # an image of the user that has this name
         image = None
     if image is None:
         image = bpy.data.images.new(IMAGE, width, height, alpha=True, float_buffer=True)
@@ -131,7 +146,7 @@ def preview_image(width: int, height: int) -> bpy.types.Image:
 
 
 def show_image(context: bpy.types.Context) -> None:
-    """Show the image in an Image Editor, one that is open or a window of its own."""
+    """Show the image in an open Image Editor, or else in a new window."""
     image = preview_image(*(bpy.data.images[IMAGE].size if IMAGE in bpy.data.images else (256, 256)))
     area = next((area for area in areas("IMAGE_EDITOR") if area.ui_type == "IMAGE_EDITOR"), None)
     if area is None:

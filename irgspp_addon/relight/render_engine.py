@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""IRGS++ among Blender's render engines: F12, and Rendered shading of 3D Views."""
+"""IRGS++ as a render engine of Blender: final renders (F12) and Rendered shading of 3D Views."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -16,18 +17,18 @@ from ..windows import enlarged, redraw
 from ..world.world_light import world_light
 from .live_image import Follower, follow, follower_of, stop
 from .preview import settings_of
-from .session import Answer, Wish, session_of
+from .session import Answer, RelightRequest, session_of
 
 ENGINE = "IRGSPP"
-WHOLE = 1 << 14  # more pixels than any image has along a side
-SCALE = 0.5  # of a large 3D View's pixels that are computed
-LARGE = 700  # pixels along its longer side
-# Panels for what the engine leaves out: stereo, freestyle, Grease Pencil, motion blur, simplification of scenes
+WHOLE = 1 << 14  # upper limit of an image's width and height in pixels
+SCALE = 0.5  # scale of the rendered image in large 3D Views, along each side
+LARGE = 700  # longer side of a large 3D View in pixels
+# Panels of features that the engine does not have: stereo, Freestyle, Grease Pencil, motion blur, simplification of scenes
 EXCLUDED = {"RENDER_PT_stereoscopy", "RENDER_PT_freestyle", "RENDER_PT_gpencil", "RENDER_PT_simplify", "RENDER_PT_motion_blur"}
 
 
 class IRGSPP_RenderEngine(bpy.types.RenderEngine):
-    """Relights the reconstructed object by the World, as the engine sees it"""
+    """Render engine that relights the reconstructed object by the scene's World."""
 
     bl_idname = ENGINE
     bl_label = "IRGS++"
@@ -35,11 +36,11 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
     bl_use_eevee_viewport = True  # Material Preview
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """F12: the image of one view layer."""
+        """Render the final image (F12) of one view layer."""
         try:
             self._render(depsgraph)
         except Cancelled:
-            return  # Blender keeps what was shown so far
+            return  # Blender keeps the image shown so far
         except IrgsppError as error:
             self.report({"ERROR"}, str(error))
 
@@ -49,28 +50,38 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
         try:
             size = (result.resolution_x, result.resolution_y)
             self.update_stats("", "Starting")
-            wish, run = final_wish(depsgraph, size)
+            request, run = final_request(depsgraph, size)
             session = session_of(run)
             self.update_stats("", "Relighting" if session.ready else "Starting the engine")
-            image = session.wait("final", wish, lambda answer: self._show(result, size, answer), self.test_break)
+            image = session.wait("final", request, lambda answer: self._show(result, size, answer), self.test_break)
             _fill(result, size, image)
             finished = True
         finally:
             self.end_result(result, cancel=not finished)
 
     def _show(self, result: bpy.types.RenderResult, size: tuple[int, int], answer: Answer) -> None:
-        self.update_progress(answer.share)
-        self.update_stats("", f"Relighting {answer.share:.0%}")
+        self.update_progress(answer.fraction)
+        self.update_stats("", f"Relighting {answer.fraction:.0%}")
         if answer.image is not None and not answer.done:
             _fill(result, size, answer.image)
             self.update_result(result)
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Something in the scene changed; the follower sees for itself."""
+        """Register the 3D View when it or the scene has changed; its follower finds the changes itself.
+
+        Args:
+            context: context of the 3D View.
+            depsgraph: evaluated dependency graph, unused.
+        """
         viewport_of(context)
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Draw the latest image there is, and say what is wrong where there is none."""
+        """Draw the latest image into a 3D View, and show progress or error as text.
+
+        Args:
+            context: context of the 3D View.
+            depsgraph: evaluated dependency graph.
+        """
         view = viewport_of(context)
         follower = follower_of(view.channel)
         if follower is not None and not follower.failed:
@@ -78,29 +89,37 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
         self.update_stats("IRGS++", follower.message if follower is not None else "")
 
 
-def final_wish(depsgraph: bpy.types.Depsgraph, size: tuple[int, int]) -> tuple[Wish, Any]:
-    """What F12 wants of which run; size: of the border, where one is set. Raises InputError."""
+def final_request(depsgraph: bpy.types.Depsgraph, size: tuple[int, int]) -> tuple[RelightRequest, Path]:
+    """Return the request for a final image and the run folder it is for.
+
+    Args:
+        depsgraph: evaluated dependency graph.
+        size: width and height in pixels, of the render border if there is one.
+
+    Raises:
+        InputError: if there is no run, object, camera or World to render.
+    """
     scene = depsgraph.scene.original
     run = chosen_run(scene, depsgraph.view_layer)
     thing = run_object(scene, run, depsgraph.view_layer)
     if thing is None:
-        raise InputError(f"scene {scene.name}", "holds no object of the run", "import the run")
+        raise InputError(f"scene {scene.name}", "has no object of the run", "import the run")
     frame = frame_of(thing.evaluated_get(depsgraph))
     camera = frame.camera(_cropped(scene_camera(scene, depsgraph, *_full_size(scene.render), frame), scene.render, size))
-    how = settings_of(scene)
-    use_world = how.pop("use_world")
+    settings = settings_of(scene)
+    use_world = settings.pop("use_world")
     light = world_light(depsgraph.scene.world, scene.frame_current).turned(frame.rotation) if use_world else None
     backdrop = use_world and not scene.render.film_transparent
-    return Wish(camera, light, albedo_scale=albedo_scale(thing), backdrop=backdrop, **how), run
+    return RelightRequest(camera, light, albedo_scale=albedo_scale(thing), backdrop=backdrop, **settings), run
 
 
 def _full_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
-    share = render.resolution_percentage / 100
-    return max(1, int(render.resolution_x * share)), max(1, int(render.resolution_y * share))
+    scale = render.resolution_percentage / 100
+    return max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))
 
 
 def _cropped(camera: Camera, render: bpy.types.RenderSettings, size: tuple[int, int]) -> Camera:
-    """The part of a camera's image inside the border, which counts from the bottom left."""
+    """Crop a camera to the render border of `size` (width, height), whose origin is the bottom left corner."""
     if size == (camera.width, camera.height):
         return camera
     left, top = int(render.border_min_x * camera.width), camera.height - int(render.border_min_y * camera.height) - size[1]
@@ -108,7 +127,7 @@ def _cropped(camera: Camera, render: bpy.types.RenderSettings, size: tuple[int, 
 
 
 def _fill(result: bpy.types.RenderResult, size: tuple[int, int], image: np.ndarray) -> None:
-    """Put an image into the result; coarse ones are enlarged."""
+    """Write an image (H, W, 4) into the render result, enlarged to `size` (width, height)."""
     result.layers[0].passes["Combined"].rect.foreach_set(enlarged(image, *size))
 
 
@@ -117,37 +136,59 @@ def _fill(result: bpy.types.RenderResult, size: tuple[int, int], image: np.ndarr
 
 @dataclass(eq=False)
 class Viewport:
-    """A 3D View in Rendered shading."""
+    """3D View in Rendered shading.
+
+    Attributes:
+        region: address of its region, which identifies it.
+        channel: name of its channel at the worker.
+        matrices: matrices (4, 4) from the camera to Blender's world, and of the projection.
+        size: width and height of the region in pixels.
+        image: latest image (H, W, 4) float32, bottom row first, or None.
+        texture: the image as a GPU texture, or None.
+    """
 
     region: int
     channel: str
-    matrices: tuple[Any, Any] = (None, None)  # camera to world, projection
+    matrices: tuple[Any, Any] = (None, None)
     size: tuple[int, int] = (1, 1)
     image: np.ndarray | None = None
     texture: Any = None
 
-    def see(self, context: bpy.types.Context) -> None:
-        """Remember where it is seen from."""
+    def update(self, context: bpy.types.Context) -> None:
+        """Store the current point of view and size."""
         view, region = context.region_data, context.region
         self.matrices = view.view_matrix.inverted(), view.window_matrix.copy()
         self.size = max(1, region.width), max(1, region.height)
 
-    def eye(self, scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
-        """Its camera, for an image of so many pixels."""
+    def camera(self, scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
+        """Return the camera of the view, in Blender's world.
+
+        Args:
+            scene: scene, unused.
+            frame: frame of the object.
+            width: width of the image in pixels.
+            height: height of the image in pixels.
+        """
         return camera_of(*self.matrices, *self.size, frame).resized(width, height)
 
-    def pixels(self, scene: bpy.types.Scene) -> tuple[int, int]:
-        """How many pixels are computed."""
+    def image_size(self, scene: bpy.types.Scene) -> tuple[int, int]:
+        """Return the width and height of the rendered image in pixels; the scene is unused."""
         scale = SCALE if max(self.size) > LARGE else 1.0
         return max(1, round(self.size[0] * scale)), max(1, round(self.size[1] * scale))
 
     def show(self, image: np.ndarray, size: tuple[int, int], done: bool) -> None:
-        """Take a new image; it is drawn at the next occasion."""
+        """Store a new image and request a redraw.
+
+        Args:
+            image: (H, W, 4) linear premultiplied RGBA, top row first.
+            size: width and height of the finished image in pixels, unused.
+            done: True for the finished image, unused.
+        """
         self.image, self.texture = np.ascontiguousarray(np.clip(image[::-1], 0, 6e4), np.float32), None
         redraw("VIEW_3D")
 
-    def wanted(self) -> bool:
-        """False when the region is gone, in another shading or another engine's; then it is forgotten."""
+    def is_visible(self) -> bool:
+        """Return False, and drop the viewport, if its region was closed or no longer has Rendered shading by this engine."""
         for window in bpy.context.window_manager.windows:
             for area in window.screen.areas:
                 if area.type == "VIEW_3D" and any(region.as_pointer() == self.region for region in area.regions):
@@ -160,7 +201,12 @@ class Viewport:
         return False
 
     def draw(self, engine: bpy.types.RenderEngine, scene: bpy.types.Scene) -> None:
-        """Over the whole region, in linear colour, which Blender takes through the view transform."""
+        """Draw the image over the whole region, in linear colour, which Blender converts by the view transform.
+
+        Args:
+            engine: the render engine that draws.
+            scene: scene with the colour management settings.
+        """
         if self.image is None:
             return
         import gpu  # pyright: ignore[reportMissingImports]
@@ -181,42 +227,42 @@ _viewports: dict[int, Viewport] = {}
 
 
 def viewport_of(context: bpy.types.Context) -> Viewport:
-    """The drawn region's viewport, with a follower that keeps it up to date as long as the region is in Rendered shading."""
+    """Return the viewport of the context's region, and start the follower that updates it while it has Rendered shading."""
     key = context.region.as_pointer()
     view = _viewports.setdefault(key, Viewport(key, f"view{key:x}"))
-    view.see(context)
+    view.update(context)
     follower = follower_of(view.channel)
     if follower is None or follower.stale:
-        follow(Follower(view.channel, context.scene, None, view.eye, view.pixels, _viewport_settings, view.show, view.wanted))
+        follow(Follower(view.channel, context.scene, None, view.camera, view.image_size, _viewport_settings, view.show, view.is_visible))
     return view
 
 
 def _viewport_settings(scene: bpy.types.Scene) -> dict[str, Any]:
-    how = settings_of(scene)
-    return {**how, "backdrop": how["use_world"] and not scene.render.film_transparent}
+    settings = settings_of(scene)
+    return {**settings, "backdrop": settings["use_world"] and not scene.render.film_transparent}
 
 
 # --- registration
 
 
 def compatible_panels() -> list[type]:
-    """Blender's panels that make sense for this engine: those of every engine without EEVEE's, Cycles' or Workbench's own settings."""
-    return [panel for panel in bpy.types.Panel.__subclasses__() if _fits(panel)]
+    """Return Blender's panels that apply to this engine: those common to all engines, without those of EEVEE, Cycles or Workbench."""
+    return [panel for panel in bpy.types.Panel.__subclasses__() if _is_compatible(panel)]
 
 
-def _fits(panel: type) -> bool:
+def _is_compatible(panel: type) -> bool:
     engines = getattr(panel, "COMPAT_ENGINES", None)
     return isinstance(engines, set) and "BLENDER_RENDER" in engines and panel.__name__ not in EXCLUDED
 
 
 def register() -> None:
-    """Show Blender's own panels to those who choose the engine."""
+    """Show Blender's own panels when this engine is chosen."""
     for panel in compatible_panels():
         panel.COMPAT_ENGINES.add(ENGINE)
 
 
 def unregister() -> None:
-    """Take the engine out of all panels, and let go of viewports."""
+    """Remove the engine from all panels and stop the followers of all viewports."""
     for view in _viewports.values():
         stop(view.channel)
     _viewports.clear()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warm workers (`irgspp serve`), one per run: wishes go there and images come back as files, and Blender never waits."""
+"""Client of the relighting workers (`irgspp serve`), one per run: requests and images are files, so that Blender never waits."""
 
 from __future__ import annotations
 
@@ -25,13 +25,24 @@ from ...core.scene.environment_map import EnvironmentMap
 from ..engine.child import detached
 from ..engine.process import engine_command, engine_environment, require_engine
 
-STATE = ("gaussians.ply", "mesh.ply", "environment.exr", "reconstruction.json")  # what a worker has loaded
+STATE = ("gaussians.ply", "mesh.ply", "environment.exr", "reconstruction.json")  # files that a worker loads
 PATIENCE = 180.0  # seconds that a worker may take to get ready
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
-    """An image that is wanted; camera and light are in the run's frame. light: None is the recovered one."""
+class RelightRequest:
+    """Request for an image.
+
+    Attributes:
+        camera: camera in the run's frame.
+        light: environment map in the run's frame; None for the recovered light.
+        samples: light samples per pixel, or the name of a setting such as "hq".
+        denoise: True to denoise the image.
+        backend: "mesh" or "gaussian", the geometry that secondary rays are traced on.
+        albedo_scale: RGB factors for the albedo.
+        backdrop: True to show the light behind the object, False for a transparent background.
+        progressive: True to receive coarse images before the finished one.
+    """
 
     camera: Camera
     light: EnvironmentMap | None
@@ -43,34 +54,41 @@ class Wish:
     progressive: bool = True
 
     def key(self) -> tuple:
-        """Equal for wishes of the same image."""
+        """Return a key that is equal for requests of the same image."""
         c, light = self.camera, self.light
-        lens = (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.to_world.tobytes())
-        shine = None if light is None else (id(light.texels), light.turn.tobytes(), light.strength)
-        return (lens, shine, self.samples, self.denoise, self.backend, self.albedo_scale, self.backdrop, self.progressive)
+        view = (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.to_world.tobytes())
+        lighting = None if light is None else (id(light.texels), light.turn.tobytes(), light.strength)
+        return (view, lighting, self.samples, self.denoise, self.backend, self.albedo_scale, self.backdrop, self.progressive)
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What the worker says of a wish: the latest image (H, W, 4) linear premultiplied, top row first, or None; the share of work done."""
+    """Answer of the worker to a request.
+
+    Attributes:
+        number: number of the request.
+        image: latest image, (H, W, 4) linear premultiplied RGBA, top row first, or None.
+        fraction: fraction of the work done, 0..1.
+        done: True for the finished image.
+    """
 
     number: int
     image: np.ndarray | None
-    share: float
+    fraction: float
     done: bool
 
 
 class Session:
-    """One worker on one run. Raises InputError where the engine or the run is missing."""
+    """Connection to one worker process that has loaded one run; the constructor raises InputError if no engine works."""
 
     def __init__(self, run: Path) -> None:
         require_engine()
         self.run, self.stamp = run, stamp(run)
         self._folder = Path(tempfile.mkdtemp(prefix="irgspp-relight-"))
         self._numbers: dict[str, int] = {}
-        self._shown: dict[str, str] = {}  # channel -> the answer read last
-        self._written = 0
-        self._lights: dict[str, np.ndarray] = {}  # file -> texels, which keeps their id
+        self._last_answers: dict[str, str] = {}  # channel -> text of the answer read last
+        self._light_count = 0
+        self._lights: dict[str, np.ndarray] = {}  # file -> texels, a reference that keeps their id() unique
         self._log = self._folder / "log.txt"
         command = engine_command("serve", str(run), "--session", str(self._folder))
         try:
@@ -84,7 +102,7 @@ class Session:
 
     @property
     def ready(self) -> bool:
-        """True when the run is loaded; wishes may be made before."""
+        """True when the run is loaded; requests can be sent before."""
         return (self._folder / "ready.json").is_file()
 
     @property
@@ -92,46 +110,75 @@ class Session:
         """True while the worker runs."""
         return self._worker.poll() is None
 
-    def ask(self, channel: str, wish: Wish) -> int:
-        """Wish for an image in the place of the channel's earlier wish; its number."""
+    def send(self, channel: str, request: RelightRequest) -> int:
+        """Send a request, which replaces the channel's earlier one.
+
+        Args:
+            channel: name of the channel.
+            request: requested image.
+
+        Returns:
+            Number of the request.
+
+        Raises:
+            IrgsppError: if the worker has stopped or the request can't be written.
+        """
         light = None
-        if wish.light is not None:
-            turn = wish.light.turn.reshape(-1).tolist()
-            light = {"map": self._keep(wish.light.texels), "turn": turn, "strength": float(wish.light.strength)}
-        camera = {name: getattr(wish.camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-        values = {name: getattr(wish, name) for name in ("samples", "denoise", "backend", "albedo_scale", "backdrop", "progressive")}
-        return self._put(channel, {"camera": {**camera, "to_world": wish.camera.to_world.tolist()}, "light": light, **values})
+        if request.light is not None:
+            turn = request.light.turn.reshape(-1).tolist()
+            light = {"map": self._light_file(request.light.texels), "turn": turn, "strength": float(request.light.strength)}
+        camera = {name: getattr(request.camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+        values = {name: getattr(request, name) for name in ("samples", "denoise", "backend", "albedo_scale", "backdrop", "progressive")}
+        return self._write(channel, {"camera": {**camera, "to_world": request.camera.to_world.tolist()}, "light": light, **values})
 
     def cancel(self, channel: str) -> None:
-        """Nothing is wanted any more."""
+        """Cancel the channel's request."""
         if self.alive and channel in self._numbers:
-            self._put(channel, {"cancel": True})
+            self._write(channel, {"cancel": True})
 
-    def look(self, channel: str) -> Answer | None:
-        """What is new for the channel's latest wish, or None. Raises IrgsppError where the worker failed, in its words."""
-        about = self._read(channel)
-        if about is None:
+    def poll(self, channel: str) -> Answer | None:
+        """Return the new answer to the channel's latest request, or None; raise IrgsppError with the worker's message if it failed."""
+        values = self._read(channel)
+        if values is None:
             if not self.alive:
-                raise IrgsppError(f"the engine stopped: {self.last_words()}")
+                raise IrgsppError(f"the engine stopped: {self.last_log_line()}")
             return None
-        if about["error"]:
-            raise IrgsppError(about["error"])
+        if values["error"]:
+            raise IrgsppError(values["error"])
         image = None
-        if about["picture"]:
+        if values["picture"]:
             try:
-                image = np.load(self._folder / about["picture"], allow_pickle=False)
+                image = np.load(self._folder / values["picture"], allow_pickle=False)
             except (OSError, ValueError):
-                return None  # a newer one has just replaced it
-        return Answer(about["number"], image, about["share"], about["done"])
+                return None  # a newer image has just replaced it
+        return Answer(values["number"], image, values["share"], values["done"])
 
     def wait(
-        self, channel: str, wish: Wish, show: Callable[[Answer], None] = lambda answer: None, stop: Callable[[], bool] = lambda: False
+        self,
+        channel: str,
+        request: RelightRequest,
+        show: Callable[[Answer], None] = lambda answer: None,
+        stop: Callable[[], bool] = lambda: False,
     ) -> np.ndarray:
-        """The finished image, `show`ing what comes before. Raises Cancelled when `stop`, IrgsppError where it can't be had."""
-        self.ask(channel, wish)
+        """Send a request and wait for the finished image.
+
+        Args:
+            channel: name of the channel.
+            request: requested image.
+            show: function called with each answer.
+            stop: function that returns True to cancel.
+
+        Returns:
+            (H, W, 4) linear premultiplied RGBA, top row first.
+
+        Raises:
+            Cancelled: if `stop` returned True.
+            IrgsppError: if the worker fails or does not get ready in time.
+        """
+        self.send(channel, request)
         began = time.monotonic()
         while True:
-            answer = self.look(channel)
+            answer = self.poll(channel)
             if answer is not None:
                 show(answer)
                 if answer.done and answer.image is not None:
@@ -140,13 +187,13 @@ class Session:
                 self.cancel(channel)
                 raise Cancelled("the image was cancelled")
             if not self.ready and time.monotonic() - began > PATIENCE:
-                raise IrgsppError(f"the engine was not ready within {PATIENCE:.0f} seconds: {self.last_words()}")
+                raise IrgsppError(f"the engine was not ready within {PATIENCE:.0f} seconds: {self.last_log_line()}")
             time.sleep(0.01)
 
     def close(self) -> None:
-        """End the worker and leave no file."""
+        """End the worker and delete its files."""
         if self._worker.stdin is not None:
-            self._worker.stdin.close()  # which it takes for the end
+            self._worker.stdin.close()  # the worker ends at the end of its stdin
         try:
             self._worker.wait(3)
         except subprocess.TimeoutExpired:
@@ -154,29 +201,30 @@ class Session:
             self._worker.wait()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def last_words(self) -> str:
-        """The last line that the worker printed."""
+    def last_log_line(self) -> str:
+        """Return the last line of the worker's log."""
         try:
             lines = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         except OSError:
             lines = []
-        return lines[-1].removeprefix("irgspp: ") if lines else "it said nothing"
+        return lines[-1].removeprefix("irgspp: ") if lines else "its log is empty"
 
     def _read(self, channel: str) -> dict[str, Any] | None:
-        """The answer to the channel's latest wish where it was not read before."""
+        """Return the answer to the channel's latest request, or None if there is none or it was read before."""
         try:
             text = (self._folder / f"answer-{channel}.json").read_text("utf-8")
-            about = json.loads(text)
+            values = json.loads(text)
         except (OSError, ValueError):
-            return None  # not there, or just being replaced
-        if about["number"] != self._numbers.get(channel) or text == self._shown.get(channel):
+            return None  # not written yet, or just being replaced
+        if values["number"] != self._numbers.get(channel) or text == self._last_answers.get(channel):
             return None
-        self._shown[channel] = text
-        return about
+        self._last_answers[channel] = text
+        return values
 
-    def _put(self, channel: str, values: dict[str, Any]) -> int:
+    def _write(self, channel: str, values: dict[str, Any]) -> int:
+        """Write a request file and return the request's number."""
         if not self.alive:
-            raise IrgsppError(f"the engine stopped: {self.last_words()}")
+            raise IrgsppError(f"the engine stopped: {self.last_log_line()}")
         number = self._numbers[channel] = self._numbers.get(channel, 0) + 1
         partial = self._folder / f".request-{channel}.part"
         try:
@@ -186,13 +234,13 @@ class Session:
             raise IrgsppError(f"{self._folder}: can't be written ({error.strerror})") from error
         return number
 
-    def _keep(self, texels: np.ndarray) -> str:
-        """The file of a light, written once; of earlier ones a few stay, which the worker may still be reading."""
-        for name, kept in self._lights.items():
-            if kept is texels:
+    def _light_file(self, texels: np.ndarray) -> str:
+        """Return the name of the file of an environment map (H, W, 3), written once; the last few files stay for the worker to read."""
+        for name, written in self._lights.items():
+            if written is texels:
                 return name
-        self._written += 1  # a name stands for what it holds, so none is used twice
-        name = f"light-{self._written}.npy"
+        self._light_count += 1  # the worker identifies a light by its file's name, so no name is used twice
+        name = f"light-{self._light_count}.npy"
         partial = self._folder / f".{name}.part.npy"
         try:
             np.save(partial, texels)
@@ -201,7 +249,7 @@ class Session:
             raise IrgsppError(f"{self._folder}: the light can't be written ({error.strerror})") from error
         for old in list(self._lights)[: max(0, len(self._lights) - 3)]:
             del self._lights[old]
-            with suppress(OSError):  # Windows: being read; it goes with the folder
+            with suppress(OSError):  # Windows: being read; it is deleted with the folder
                 (self._folder / old).unlink()
         self._lights[name] = texels
         return name
@@ -211,7 +259,12 @@ _sessions: dict[Path, Session] = {}
 
 
 def session_of(run: Path) -> Session:
-    """The warm worker of a run: the one there is, or a new one where that died or the run was made anew meanwhile."""
+    """Return the session of a run's worker; a new worker is started if there is none, it has stopped, or the run has changed.
+
+    Raises:
+        InputError: if no engine works.
+        IrgsppError: if the worker can't be started.
+    """
     run = run.resolve()
     session = _sessions.get(run)
     if session is not None and session.alive and session.stamp == stamp(run):
@@ -223,22 +276,22 @@ def session_of(run: Path) -> Session:
 
 
 def stamp(run: Path) -> tuple:
-    """What changes when the run's result does."""
+    """Return the modification times of the run's files, which change when its result does."""
     return tuple((run / name).stat().st_mtime_ns if (run / name).is_file() else 0 for name in STATE)
 
 
 def close_all() -> None:
-    """End all workers."""
+    """End all workers and delete their files."""
     while _sessions:
         _sessions.popitem()[1].close()
 
 
 def register() -> None:
-    """Workers end with Blender."""
+    """End all workers when Blender ends."""
     atexit.register(close_all)
 
 
 def unregister() -> None:
-    """And with the extension."""
+    """End all workers when the extension is disabled."""
     atexit.unregister(close_all)
     close_all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders the one World of a .blend as a light map: a Blender of its own, so that the artist's is not disturbed.
+"""Render the World of a .blend as an environment map, in a separate Blender that does not disturb the user's.
 
 blender --background --factory-startup --python bake_child.py -- WORLD.blend MAP.npy ROWS FRAME    or    python bake_child.py -- ...
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 
 def _world_module():
-    """`light_to_world.py` beside this file, which needs Blender alone."""
+    """Load `light_to_world.py` next to this file without the package; it needs nothing but Blender."""
     spec = importlib.util.spec_from_file_location("irgspp_world", Path(__file__).with_name("light_to_world.py"))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -24,12 +24,19 @@ def _world_module():
 
 
 def bake(blend: str, target: str, rows: int, frame: int) -> None:
-    """Append the World, render it, write (rows, 2 rows, 3) float32."""
+    """Append the first World of a .blend, render it, and write the environment map, (rows, 2 rows, 3) float32.
+
+    Args:
+        blend: .blend file with the World.
+        target: .npy file to write, atomically.
+        rows: height of the environment map in pixels.
+        frame: frame of the animation.
+    """
     with bpy.data.libraries.load(blend) as (source, wanted):
         wanted.worlds = source.worlds[:1]
     world = bpy.context.scene.world = wanted.worlds[0]
     if hasattr(world, "cycles_visibility"):
-        world.cycles_visibility.camera = True  # a light that the camera does not see is a light all the same
+        world.cycles_visibility.camera = True  # a World that is hidden from cameras still lights the object
     bpy.context.scene.frame_set(frame)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "world.exr"
@@ -45,5 +52,5 @@ def bake(blend: str, target: str, rows: int, frame: int) -> None:
 
 
 if __name__ == "__main__":
-    given = sys.argv[sys.argv.index("--") + 1 :]
-    bake(given[0], given[1], int(given[2]), int(given[3]))
+    arguments = sys.argv[sys.argv.index("--") + 1 :]
+    bake(arguments[0], arguments[1], int(arguments[2]), int(arguments[3]))

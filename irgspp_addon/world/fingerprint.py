@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a World looks like, as a word that changes when its light does: so that it is rendered once and not for every image."""
+"""Fingerprint of a World: a hash that changes when its light may have changed, so that it is rendered once and not for every image."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ from typing import Any
 
 import bpy
 
+# Properties of nodes that do not affect the light
 LAYOUT = ("location", "location_absolute", "width", "height", "select", "label", "color", "use_custom_color", "show_options")
 LAYOUT += ("show_preview", "hide", "name", "warning_propagation", "show_texture", "dimensions", "rna_type")
 
 
 def fingerprint(world: bpy.types.World) -> str:
-    """The same for worlds of the same nodes, values and images; layout of the node editor does not count."""
+    """Return the SHA-256 of a World's nodes, values, links and images; the layout of the node editor does not count."""
     parts = [*_tree(world.node_tree)] if world.node_tree else []
     return hashlib.sha256("\n".join([repr(tuple(world.color)), *parts]).encode()).hexdigest()
 
 
 def _tree(tree: bpy.types.NodeTree) -> Iterator[str]:
+    """Yield descriptions of the nodes and links of a node tree and its groups."""
     for node in tree.nodes:
         yield f"{node.name} {node.bl_idname} {list(_values(node))}"
         for socket in node.inputs:
             yield f"{socket.identifier} {_plain(getattr(socket, 'default_value', None))}"
-        for socket in node.outputs:  # Value and RGB nodes keep what they give there
+        for socket in node.outputs:  # Value and RGB nodes store their value in the output
             yield f"{socket.identifier} {_plain(getattr(socket, 'default_value', None))}"
         inner = getattr(node, "node_tree", None)
         if inner is not None:
@@ -35,7 +37,7 @@ def _tree(tree: bpy.types.NodeTree) -> Iterator[str]:
 
 
 def _values(owner: bpy.types.bpy_struct) -> Iterator[str]:
-    """Properties of a node or of what it holds: ramps, curves, images."""
+    """Yield descriptions of a node's properties, including colour ramps, curves and images."""
     for known in owner.bl_rna.properties:
         name = known.identifier
         if name in LAYOUT or name.startswith("bl_") or known.is_hidden:

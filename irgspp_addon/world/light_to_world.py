@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light maps as Blender Worlds."""
+"""Conversion of environment maps to Blender Worlds, and of Worlds to environment maps by rendering."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ import bpy
 
 
 def world_from_map(path: Path, name: str = "irgspp light", pack: bool = False) -> bpy.types.World:
-    """A World lit by a lat-long EXR in our convention, which is Blender's own: no rotation, strength 1."""
+    """Create a World with an environment map, whose convention is Blender's own: no rotation, strength 1.
+
+    Args:
+        path: lat-long EXR file.
+        name: name of the World.
+        pack: True to pack the image into the .blend.
+    """
     world = bpy.data.worlds.new(name)
     nodes, links = node_tree(world)
     coordinates = nodes.new("ShaderNodeTexCoord")
-    mapping = nodes.new("ShaderNodeMapping")  # left at zero: the place where artists turn a light
+    mapping = nodes.new("ShaderNodeMapping")  # without rotation; artists use this node to rotate the light
     texture = nodes.new("ShaderNodeTexEnvironment")
     background = nodes.new("ShaderNodeBackground")
     output = nodes.new("ShaderNodeOutputWorld")
@@ -29,7 +35,7 @@ def world_from_map(path: Path, name: str = "irgspp light", pack: bool = False) -
 
 
 def node_tree(owner: bpy.types.World | bpy.types.Material) -> tuple[bpy.types.Nodes, bpy.types.NodeLinks]:
-    """The empty shader nodes of a new World or material; from Blender 5.0 they are always there and `use_nodes` is deprecated."""
+    """Remove all shader nodes of a World or material and return its nodes and links; from Blender 5.0 `use_nodes` is deprecated."""
     if bpy.app.version < (5, 0, 0):
         owner.use_nodes = True
     tree = owner.node_tree
@@ -39,7 +45,13 @@ def node_tree(owner: bpy.types.World | bpy.types.Material) -> tuple[bpy.types.No
 
 
 def load_image(path: Path, colour_space: str, pack: bool) -> bpy.types.Image:
-    """A new image datablock of a file (one that is there already may hold an older image), packed into the .blend or linked."""
+    """Load a file as a new image datablock, since an existing one may hold an older version of the file.
+
+    Args:
+        path: image file.
+        colour_space: name of its colour space in Blender.
+        pack: True to pack the image into the .blend, False to link the file.
+    """
     image = bpy.data.images.load(str(path.resolve()))
     image.colorspace_settings.name = colour_space
     if pack:
@@ -48,10 +60,17 @@ def load_image(path: Path, colour_space: str, pack: bool) -> bpy.types.Image:
 
 
 def bake_world(scene: bpy.types.Scene, target: Path, height: int = 128) -> None:
-    """Render the scene's World alone, whatever its nodes, as a lat-long 32-bit EXR in our convention, exactly at the texel centres.
+    """Render the scene's World, whatever its nodes, as a lat-long 32-bit EXR, sampled exactly at the texel centres.
 
-    Uses a scene of its own, removed afterwards; selection, active scene and render result stay. Raises RuntimeError while a render runs,
-    which can't hold another.
+    It uses a temporary scene; selection, active scene and render result stay.
+
+    Args:
+        scene: scene of the World.
+        target: EXR file to write.
+        height: height of the image in pixels; its width is twice that.
+
+    Raises:
+        RuntimeError: if another render is running, since Blender can't run two at once.
     """
     if bpy.app.is_job_running("RENDER"):
         raise RuntimeError("the World can't be rendered while another render runs")
@@ -75,7 +94,7 @@ def _set_render(scene: bpy.types.Scene, target: Path, height: int) -> None:
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
     cycles.device, cycles.use_denoising = "CPU", False
-    cycles.samples, cycles.use_adaptive_sampling = 1, False  # the first sample is the centre of the pixel, later ones are scattered
+    cycles.samples, cycles.use_adaptive_sampling = 1, False  # the first sample is at the pixel's centre, later ones are not
     cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
     render.resolution_x, render.resolution_y, render.resolution_percentage = 2 * height, height, 100
     settings = render.image_settings

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Worlds that are one image or one colour, read without rendering: what most artists use, and at once."""
+"""Environment maps of plain Worlds (one image or one colour), which are read without rendering."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from ...core.errors import InputError
 from ...core.scene.environment_map import EnvironmentMap, reduced
 
 LINEAR = ("Linear Rec.709", "Non-Color", "Linear", "Raw", "scene_linear")
-MOST_ROWS = 2048  # larger images are reduced once; a light needs no more
+MOST_ROWS = 2048  # larger images are reduced to about this height, which is enough for lighting
 
-_read: dict[tuple, np.ndarray | None] = {}  # the image read last
+_cache: dict[tuple, np.ndarray | None] = {}  # texels of the image read last
 
 
 def plain_light(world: bpy.types.World | None) -> EnvironmentMap | None:
-    """The light of a World of the plain form; None where it has to be rendered.
+    """Return the environment map of a plain World, or None if the World has to be rendered.
 
-    Plain is a colour, or Environment Texture [with a Mapping of rotation alone] -> Background -> World Output.
-    Raises InputError where there is no World, or its image is missing.
+    A World is plain if it is one colour, or has the nodes Environment Texture -> Background -> World Output, optionally with a Mapping
+    that only rotates.
+
+    Raises:
+        InputError: if there is no World or its image is missing.
     """
     if world is None:
         raise InputError("the scene", "has no World to light the object by", "add one in the World properties")
@@ -28,7 +31,7 @@ def plain_light(world: bpy.types.World | None) -> EnvironmentMap | None:
     if tree is None or (bpy.app.version < (5, 0, 0) and not world.use_nodes):
         return _colour(world.color)
     output = tree.get_output_node("CYCLES")
-    surface = _feeding(output.inputs["Surface"]) if output else None
+    surface = _source(output.inputs["Surface"]) if output else None
     if output is None or not output.inputs["Surface"].is_linked:
         return _colour((0.0, 0.0, 0.0))
     if output.inputs["Volume"].is_linked or surface is None or surface.bl_idname != "ShaderNodeBackground":
@@ -37,33 +40,34 @@ def plain_light(world: bpy.types.World | None) -> EnvironmentMap | None:
 
 
 def _background(world: bpy.types.World, node: bpy.types.Node) -> EnvironmentMap | None:
+    """Return the environment map of a Background node, or None if it has to be rendered."""
     colour, strength = node.inputs["Color"], node.inputs["Strength"]
     if strength.is_linked:
         return None
     if not colour.is_linked:
         return _colour(strength.default_value * np.array(colour.default_value[:3]))
-    texture = _feeding(colour)
+    texture = _source(colour)
     if texture is None or texture.bl_idname != "ShaderNodeTexEnvironment":
         return None
-    turn = _turn(texture.inputs["Vector"])
-    if turn is None or texture.projection != "EQUIRECTANGULAR" or texture.interpolation != "Linear":
+    rotation = _rotation(texture.inputs["Vector"])
+    if rotation is None or texture.projection != "EQUIRECTANGULAR" or texture.interpolation != "Linear":
         return None
     texels = _image(world, texture.image)
-    return None if texels is None else EnvironmentMap(texels, turn, max(0.0, strength.default_value))
+    return None if texels is None else EnvironmentMap(texels, rotation, max(0.0, strength.default_value))
 
 
-def _feeding(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
-    """The node that feeds a socket; None where there is none, or it is muted."""
+def _source(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
+    """Return the node linked to an input socket; None if there is none or it is muted."""
     if len(socket.links) != 1 or socket.links[0].is_muted or socket.links[0].from_node.mute:
         return None
     return socket.links[0].from_node
 
 
-def _turn(vector: bpy.types.NodeSocket) -> np.ndarray | None:
-    """(3, 3) what directions go through before the image is looked up; None where that is more than a rotation."""
+def _rotation(vector: bpy.types.NodeSocket) -> np.ndarray | None:
+    """Return the rotation (3, 3) of directions before the image lookup; None if the nodes do more than rotate."""
     if not vector.is_linked:
         return np.eye(3)
-    node = _feeding(vector)
+    node = _source(vector)
     if node is None:
         return None
     if node.bl_idname == "ShaderNodeTexCoord":
@@ -76,30 +80,31 @@ def _turn(vector: bpy.types.NodeSocket) -> np.ndarray | None:
     if any(inputs["Location"].default_value) or any(value != 1 for value in inputs["Scale"].default_value):
         return None
     rotation = np.array(Euler(inputs["Rotation"].default_value, "XYZ").to_matrix())
-    before = _turn(node.inputs["Vector"])
+    before = _rotation(node.inputs["Vector"])
     return None if before is None else (rotation if node.vector_type == "POINT" else rotation.T) @ before
 
 
 def _image(world: bpy.types.World, image: bpy.types.Image | None) -> np.ndarray | None:
-    """(H, W, 3) linear, top row first; None where Cycles does more with the image than we know."""
+    """Return an image's linear texels (H, W, 3), top row first; None if its kind or colour space requires rendering by Cycles."""
     if image is None:
         raise InputError(f"World {world.name}", "its Environment Texture has no image", "open one, or remove the node")
     if image.source not in ("FILE", "GENERATED"):
         return None
-    width, height = image.size  # asking for it reads the file
+    width, height = image.size  # reading the size makes Blender load the file
     if not image.has_data or not width or not height:
         raise InputError(f"World {world.name}", f"the image {image.name} can't be read ({image.filepath or 'no file'})", "find the file")
     name = image.colorspace_settings.name
     if name not in LINEAR and (image.is_float or name != "sRGB"):
         return None
     key = (image.name_full, image.as_pointer(), image.filepath, width, height, name)
-    if key not in _read or image.is_dirty:
-        _read.clear()
-        _read[key] = _texels(image, name == "sRGB")
-    return _read[key]
+    if key not in _cache or image.is_dirty:
+        _cache.clear()
+        _cache[key] = _texels(image, name == "sRGB")
+    return _cache[key]
 
 
 def _texels(image: bpy.types.Image, encoded: bool) -> np.ndarray | None:
+    """Return an image's linear texels (H, W, 3), top row first; None for images with transparency or two channels."""
     width, height = image.size
     pixels = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
@@ -109,18 +114,18 @@ def _texels(image: bpy.types.Image, encoded: bool) -> np.ndarray | None:
     colour = np.repeat(pixels, 3, -1) if image.channels == 1 else pixels[..., :3]
     if encoded:
         colour = np.where(colour <= 0.04045, colour / 12.92, ((np.maximum(colour, 0.04045) + 0.055) / 1.055) ** 2.4)
-    return _sane(reduced(colour, -(-height // MOST_ROWS)))
+    return _valid(reduced(colour, -(-height // MOST_ROWS)))
 
 
 def forget_images() -> None:
-    """Read images anew: they may have changed without a word, as when another file was opened."""
-    _read.clear()
+    """Clear the cache of texels: images may have changed unnoticed, such as when another file was opened."""
+    _cache.clear()
 
 
 def _colour(colour) -> EnvironmentMap:
-    return EnvironmentMap(_sane(np.array(colour, np.float32)[None, None, :3]))
+    return EnvironmentMap(_valid(np.array(colour, np.float32)[None, None, :3]))
 
 
-def _sane(texels: np.ndarray) -> np.ndarray:
-    """Light is finite and >= 0: what is not becomes 0."""
+def _valid(texels: np.ndarray) -> np.ndarray:
+    """Replace values that are not finite or negative by 0."""
     return np.clip(np.nan_to_num(texels, nan=0.0, posinf=0.0, neginf=0.0), 0, None).astype(np.float32)

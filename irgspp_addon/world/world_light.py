@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light of any World: read where it is plain, otherwise rendered by a second Blender while the first goes on."""
+"""Environment map of any World: plain Worlds are read, others are rendered by a second Blender in the background."""
 
 from __future__ import annotations
 
@@ -19,26 +19,45 @@ from ..engine.child import detached
 from .fingerprint import fingerprint
 from .plain_world import forget_images, plain_light
 
-ROWS = 1024  # of a rendered World: the sun of a Sky Texture is half a degree wide
-PATIENCE = 120.0  # seconds
+ROWS = 1024  # height of a rendered World in pixels; the sun of a Sky Texture is half a degree wide
+PATIENCE = 120.0  # seconds that rendering a World may take
 CHILD = Path(__file__).with_name("bake_child.py")
 
-_rendered: dict[str, EnvironmentMap] = {}  # by fingerprint, the latest few
+_rendered: dict[str, EnvironmentMap] = {}  # by the key of `_key`, the latest few
 
 
 def world_light(world: bpy.types.World | None, frame: int = 1, timeout: float = PATIENCE) -> EnvironmentMap:
-    """The light of a World at a frame, waited for; also right while a render runs. Raises InputError where there is none."""
-    asked = ask_world(world, frame)
-    if isinstance(asked, EnvironmentMap):
-        return asked
+    """Return the environment map of a World, waiting for its rendering if needed; it also works while Blender renders.
+
+    Args:
+        world: the World.
+        frame: frame of the animation.
+        timeout: maximum time to wait in seconds.
+
+    Raises:
+        InputError: if there is no World or its image is missing.
+        IrgsppError: if it can't be rendered in time.
+    """
+    result = ask_world(world, frame)
+    if isinstance(result, EnvironmentMap):
+        return result
     try:
-        return asked.wait(timeout)
+        return result.wait(timeout)
     finally:
-        asked.close()
+        result.close()
 
 
 def ask_world(world: bpy.types.World | None, frame: int = 1) -> EnvironmentMap | WorldBake:
-    """The light where it is known or easily read, otherwise the started work to find it. Raises InputError where there is none."""
+    """Return the environment map of a World if it can be read or is known, otherwise start to render it.
+
+    Args:
+        world: the World.
+        frame: frame of the animation.
+
+    Raises:
+        InputError: if there is no World or its image is missing.
+        IrgsppError: if the rendering can't be started.
+    """
     light = plain_light(world)
     if light is not None:
         return light
@@ -47,13 +66,19 @@ def ask_world(world: bpy.types.World | None, frame: int = 1) -> EnvironmentMap |
 
 
 def _key(world: bpy.types.World, frame: int) -> str:
-    """Where it may be animated, every frame has another light."""
-    moving = world.animation_data is not None or (world.node_tree is not None and world.node_tree.animation_data is not None)
-    return f"{fingerprint(world)} {frame if moving else ''}"
+    """Return the cache key of a World: its fingerprint, and the frame if it may be animated."""
+    animated = world.animation_data is not None or (world.node_tree is not None and world.node_tree.animation_data is not None)
+    return f"{fingerprint(world)} {frame if animated else ''}"
 
 
 class WorldBake:
-    """One World on its way through another Blender; `poll` until it gives the light, `close` in any case."""
+    """Rendering of a World by another Blender: call `poll` until it returns the light, and `close` in any case.
+
+    Args:
+        world: the World.
+        frame: frame of the animation.
+        rows: height of the environment map in pixels.
+    """
 
     def __init__(self, world: bpy.types.World, frame: int = 1, rows: int = ROWS) -> None:
         self._key, self._name = _key(world, frame), world.name
@@ -73,11 +98,16 @@ class WorldBake:
             return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, **detached())
 
     def shows(self, world: bpy.types.World | None, frame: int) -> bool:
-        """True where this is the World's present look."""
+        """Return True if this renders the World in its current state.
+
+        Args:
+            world: the World.
+            frame: frame of the animation.
+        """
         return world is not None and self._key == _key(world, frame)
 
     def poll(self) -> EnvironmentMap | None:
-        """The light when it is there. Raises IrgsppError where it can't be had."""
+        """Return the environment map if it is finished, else None; raise IrgsppError if the rendering failed."""
         status = self._child.poll()
         if status is None:
             return None
@@ -91,7 +121,7 @@ class WorldBake:
         return light
 
     def wait(self, timeout: float) -> EnvironmentMap:
-        """The light, within so many seconds. Raises IrgsppError where it can't be had."""
+        """Wait for the environment map; raise IrgsppError if the rendering fails or takes longer than `timeout` seconds."""
         until = time.monotonic() + timeout
         while time.monotonic() < until:
             if (light := self.poll()) is not None:
@@ -100,7 +130,7 @@ class WorldBake:
         raise IrgsppError(f"World {self._name}: not rendered within {timeout:.0f} seconds")
 
     def close(self) -> None:
-        """End the other Blender where it still works, and leave no file."""
+        """End the other Blender if it still runs, and delete its files."""
         if self._child.poll() is None:
             self._child.kill()
         self._child.wait()
@@ -108,23 +138,32 @@ class WorldBake:
 
 
 def forget() -> None:
-    """Drop what was rendered: another file may hold other images under the same names."""
+    """Clear all cached environment maps: another .blend may have other images under the same names."""
     _rendered.clear()
     forget_images()
 
 
 def blender_command(script: Path) -> list[str]:
-    """The words that run a script in another Blender like this one, up to its own arguments."""
+    """Return the command line that runs a script in another Blender of this version, without the script's own arguments."""
     if bpy.app.binary_path:
         return [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(script)]
     return [sys.executable, str(script)]  # Blender as a module
 
 
 def save_light(light: EnvironmentMap, path: Path, rows: int) -> None:
-    """Write a light map in our convention as 32-bit .exr or as .npy; whole or not at all. Raises InputError where that is not possible."""
+    """Write an environment map as 32-bit .exr or as .npy, atomically.
+
+    Args:
+        light: environment map.
+        path: file to write, with suffix .exr or .npy.
+        rows: height of the written map in pixels; its width is twice that.
+
+    Raises:
+        InputError: if the suffix is another one, or the file can't be written.
+    """
     save = {".npy": np.save, ".exr": _save_exr}.get(path.suffix.lower())
     if save is None:
-        raise InputError(path, "is no light map", "let the name end with .exr or .npy")
+        raise InputError(path, "is not a file name for a light map", "let the name end with .exr or .npy")
     partial = path.with_name(f".{path.stem}.part{path.suffix.lower()}")
     try:
         save(partial, light.image(rows))
@@ -135,7 +174,7 @@ def save_light(light: EnvironmentMap, path: Path, rows: int) -> None:
 
 
 def _save_exr(path: Path, texels: np.ndarray) -> None:
-    """By Blender's own functions: other EXR libraries crash in its process."""
+    """Write texels (H, W, 3) as EXR by Blender's own functions, because other EXR libraries crash in its process."""
     rows, columns = texels.shape[:2]
     image = bpy.data.images.new("irgspp light map", columns, rows, float_buffer=True, is_data=True)
     try:

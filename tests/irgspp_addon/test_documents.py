@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The operators and keywords that the documents name exist."""
+"""All operators and keywords in the documents exist."""
 
 import ast
 import re
@@ -19,13 +19,13 @@ def properties(cls: type) -> set[str]:
 
 
 def code_blocks(text: str) -> list[str]:
-    """Runs of lines that are indented by four, without the indentation."""
+    """Return the blocks of lines that are indented by four spaces, without the indentation."""
     blocks = re.findall(r"(?:^    .*\n|^\n(?=    ))+", text, re.MULTILINE)
     return ["\n".join(line[4:] for line in block.strip("\n").split("\n")) for block in blocks]
 
 
 def calls(page: Path) -> list[tuple[str, list[str]]]:
-    """(operator, keywords) of every call of ours in a page, be it in a block of Python or in words."""
+    """Return operator and keywords of each call of the extension's operators in a page, in code or text."""
     found = []
     for call in re.findall(r"bpy\.ops\.irgspp\.\w+\([^()]*\)", page.read_text("utf-8")):
         node = ast.parse(call.replace("...", "None"), mode="eval").body
@@ -41,18 +41,18 @@ def test_calls_name_operators_and_keywords_that_exist(page):
         assert set(keywords) <= properties(OPERATORS[operator]), f"{page.name}: {operator}({', '.join(keywords)})"
 
 
-def test_table_of_operators_is_whole():
-    """Every operator that a script may want stands in the table, with every keyword."""
+def test_table_of_operators_is_complete():
+    """Each operator for scripts is in the table with all its keywords."""
     rows = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \| (.*) \|$", (ROOT / "docs" / "scripting.md").read_text("utf-8"), re.MULTILINE)
-    told = {name: words for names, words in rows for name in re.findall(r"`(\w+)`", names)}
+    documented = {name: words for names, words in rows for name in re.findall(r"`(\w+)`", names)}
     internal = {"import_dropped", "relight_stop", "open_engine_folder"}
-    assert set(told) == {name for name in OPERATORS if name not in internal and not name.startswith(("panel_", "choose_"))}
+    assert set(documented) == {name for name in OPERATORS if name not in internal and not name.startswith(("panel_", "choose_"))}
     hidden = {"wait", "was_read", "check_existing", "filter_glob", "filter_folder"}
-    for name, words in told.items():
+    for name, words in documented.items():
         assert properties(OPERATORS[name]) - hidden <= set(re.findall(r"\w+", words)), name
 
 
-def test_python_in_the_documents_is_python():
+def test_python_in_the_documents_can_be_parsed():
     blocks = [block for page in PAGES for block in code_blocks(page.read_text("utf-8"))]
     python = [block for block in blocks if re.match(r"(#.*\n)?(import|from|try)\b", block)]
     assert len(python) >= 6

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension installs from its zip, registers, works and leaves nothing behind."""
+"""The extension is installed from its zip, registered, used, and removed without traces."""
 
 import importlib.util
 import subprocess
@@ -55,13 +55,13 @@ def test_enabling_brings_operator_menu_and_preferences(extension):
     assert bpy.context.preferences.addons[MODULE].preferences.engine_python == ""
     drawn = [f.__module__ for f in bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize()]
     assert drawn.count(f"{MODULE}.operators.import_run") == 1
-    # Blender warns where an extension puts its own modules among everyone's.
+    # Blender warns if an extension adds top-level modules.
     inside = extension.__path__[0]
     ours = {name for name, module in sys.modules.items() if str(getattr(module, "__file__", None) or "").startswith(inside)}
     assert ours and not [name for name in ours if not name.startswith(MODULE)]
 
 
-def test_disabling_takes_everything_back(extension):
+def test_disabling_removes_everything(extension):
     for _ in range(2):
         addon_utils.disable(MODULE, default_set=False)
         assert not hasattr(bpy.types, "IRGSPP_OT_import_run")
@@ -78,7 +78,7 @@ def test_import_operator(extension, run_folder):
     assert bpy.context.view_layer.objects.active is mesh and list(bpy.context.selected_objects) == [mesh]
 
 
-def test_import_operator_reports_a_folder_that_is_no_run(extension, tmp_path):
+def test_import_operator_reports_a_folder_that_is_not_a_run(extension, tmp_path):
     with pytest.raises(RuntimeError, match=r"cameras\.json: can't be read"):
         bpy.ops.irgspp.import_run(directory=str(tmp_path))
     with pytest.raises(RuntimeError, match="none is chosen"):
@@ -93,11 +93,11 @@ def test_command_line_runs_the_engine_of_the_extension(extension, capfd, monkeyp
     assert engine.run_engine(["inspect", "/no/such/folder"]) == 2
     monkeypatch.setenv("IRGSPP_PYTHON", "/no/such/python")
     assert engine.run_engine(["devices"]) == 2
-    assert "irgspp: " in (said := capfd.readouterr().err) and "/no/such/python" in said
+    assert "irgspp: " in (errors := capfd.readouterr().err) and "/no/such/python" in errors
 
 
 def test_launcher_runs_its_own_folder_under_any_name(archive, tmp_path):
-    """The code beside the launcher runs, not a package of the same name elsewhere, and without bare module names on the path."""
+    """The launcher runs the code of its own folder, not another package of the same name, and keeps its modules off the path."""
     folder = tmp_path / "another-name"
     zipfile.ZipFile(archive).extractall(folder)
     (folder / "probe.py").write_text("import sys, irgspp\nprint(irgspp.__file__, __name__, sys.argv[1:], 'ply' in sys.modules)\nimport ply")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Nothing of the engine's libraries enters Blender's process, whatever of the extension is imported."""
+"""No module of the extension imports the engine's libraries into Blender's process."""
 
 import subprocess
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender installs the extension from a static repository, finds nothing amiss, and removes it."""
+"""Blender installs the extension from a static repository without warnings, and removes it."""
 
 import importlib.util
 import sys
@@ -15,7 +15,7 @@ MODULE = f"bl_ext.{NAME}.irgspp"
 
 @pytest.fixture
 def repository(tmp_path):
-    """A repository at a file:// address, known to Blender."""
+    """Add a repository at a file:// address to Blender and return its index."""
     spec = importlib.util.spec_from_file_location("build_extension", ROOT / "scripts" / "build_extension.py")
     assert spec and spec.loader
     script = importlib.util.module_from_spec(spec)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What tests in Blender's process share: nothing of the engine's libraries is imported here, its work is done by its own Python.
+"""Helpers of tests in Blender's process: the engine's libraries are not imported here, its work is done by its own Python.
 
-$IRGSPP_PYTHON names that Python, as for the extension; without it this one is taken.
+$IRGSPP_PYTHON names that Python, as for the extension; without it this process's Python is used.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-RESOURCES = None  # of Blender's, for this process alone where none are named; conftest.py removes them
+RESOURCES = None  # folder of Blender's user files for this process alone, if none is set; conftest.py removes it
 if "BLENDER_USER_RESOURCES" not in os.environ:
     RESOURCES = tempfile.TemporaryDirectory(prefix="irgspp-blender-", ignore_cleanup_errors=True)
     os.environ["BLENDER_USER_RESOURCES"] = RESOURCES.name  # before bpy is imported
 
-# First of all, as it makes Blender's other modules importable; not kept by a name: pytest holds fixtures' modules to the very end,
-# and Blender 4.2 crashes there where its module is not let go before.
+# Imported first, because it makes Blender's other modules importable. It gets no name here: pytest keeps the modules of fixtures until
+# the process ends, and Blender 4.2 crashes if its module has not been released before.
 import_module("bpy")
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,21 +37,21 @@ runpy.run_path(script, run_name="__main__")
 
 
 def in_engine(script: Path, *arguments: object) -> str:
-    """Run a script with our package in the engine's Python; its output."""
-    words = [ENGINE, "-c", START, str(ROOT), str(script), *map(str, arguments)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
+    """Run a script with the package `irgspp` in the engine's Python, and return its output."""
+    command = [ENGINE, "-c", START, str(ROOT), str(script), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def write_sphere_run(folder: Path, texture_size: int = 128) -> Path:
-    """Write the run of `sphere_run` into a folder; photographs come beside it."""
+    """Write the run of `sphere_run` into a folder, and its photographs next to it."""
     in_engine(Path(__file__).with_name("sphere_run.py"), folder, texture_size)
     return folder
 
 
 def read_image(path: Path, channels: int = 3) -> np.ndarray:
-    """(H, W, channels) float32 as stored in an EXR file (no colour conversion), top row first; by Blender's own reader."""
+    """Read an EXR file by Blender's own reader: (H, W, channels) float32 without colour conversion, top row first."""
     import bpy
 
     image = bpy.data.images.load(str(path))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Cycles hands to a material's Principled BSDF, seen through a camera: each input is made to glow and rendered."""
+"""Images of the inputs of a material's Principled BSDF as Cycles evaluates them, each rendered as emission."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ INPUTS = ("Base Color", "Roughness", "Metallic", "Normal")
 
 
 def glowing_inputs(scene: bpy.types.Scene, material: bpy.types.Material, folder: Path, samples: int = 16) -> dict[str, np.ndarray]:
-    """(H, W, 4) linear premultiplied RGBA for each of INPUTS; a normal n glows as (n + 1) / 2. The material is changed."""
+    """Render each of INPUTS as emission: (H, W, 4) linear premultiplied RGBA, a normal n as (n + 1) / 2; the material is changed."""
     tree = material.node_tree
     principled = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
     output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A whole job and relighting on an emulated GPU: tensors that claim to be elsewhere, and compute on the CPU behind that.
+"""Reconstruction and relighting on an emulated GPU: its tensors report another device but compute on the CPU.
 
-Whoever takes one for numpy, or mixes it with one of the CPU, gets an error, as on a real GPU. Kernels are those for GPUs, on warp's CPU
-device.
+Converting one to numpy, or mixing it with a tensor of the CPU, is an error, as on a real GPU. Kernels are those for GPUs, on warp's
+CPU device.
 """
 
 import os
@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
+import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wait)
 import torch
 import warp as wp
 from irgspp.core import pipeline
@@ -31,17 +31,17 @@ from torch.utils._python_dispatch import TorchDispatchMode
 NAME = "emulated"
 backend_registration._setup_privateuseone_for_python_backend(NAME)
 GPU = torch.device(NAME, 0)
-# Operations for which torch brings a tensor from the CPU to the GPU by itself.
+# Operations for which torch itself moves a tensor from the CPU to the GPU.
 MIXED = ("aten::index", "aten::_index_put_impl_", "aten::index_put", "aten::index_put_", "aten::copy_", "aten::_to_copy")
 
 
-class Elsewhere(torch.Tensor):
-    """A tensor on the emulated GPU; `raw` holds its values."""
+class EmulatedTensor(torch.Tensor):
+    """Tensor on the emulated GPU; `raw` holds its values."""
 
     raw: torch.Tensor
 
     @staticmethod
-    def __new__(cls, raw: torch.Tensor) -> "Elsewhere":
+    def __new__(cls, raw: torch.Tensor) -> "EmulatedTensor":
         layout = {"strides": raw.stride(), "storage_offset": raw.storage_offset(), "dtype": raw.dtype, "device": GPU}
         made = torch.Tensor._make_wrapper_subclass(cls, raw.shape, **layout, requires_grad=raw.requires_grad)
         made.raw = raw
@@ -53,87 +53,87 @@ class Elsewhere(torch.Tensor):
 
 
 def computed(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
-    """An operation with anything of the emulated GPU in it."""
+    """Compute an operation that involves the emulated GPU."""
     flat, shape = _pytree.tree_flatten((args, kwargs))
-    ours = {id(t.raw): t for t in flat if isinstance(t, Elsewhere)}
+    ours = {id(t.raw): t for t in flat if isinstance(t, EmulatedTensor)}
     name, device = func._schema.name, kwargs.get("device")
     for t in flat:
-        if isinstance(t, torch.Tensor) and not isinstance(t, Elsewhere) and ours and t.ndim and name not in MIXED:
+        if isinstance(t, torch.Tensor) and not isinstance(t, EmulatedTensor) and ours and t.ndim and name not in MIXED:
             raise RuntimeError(f"{name}: tensors on {NAME} and on {t.device}")
-    plain = [t.raw if isinstance(t, Elsewhere) else torch.device("cpu") if t == GPU else t for t in flat]
+    plain = [t.raw if isinstance(t, EmulatedTensor) else torch.device("cpu") if t == GPU else t for t in flat]
     args, kwargs = _pytree.tree_unflatten(plain, shape)
     out = func(*args, **kwargs)
     if name == "aten::_local_scalar_dense" or (device is not None and torch.device(device).type == "cpu"):
         return out
     if name == "aten::_to_copy" and device is None and not ours:
         return out
-    return _pytree.tree_map_only(torch.Tensor, lambda t: ours.get(id(t)) if id(t) in ours else Elsewhere(t), out)
+    return _pytree.tree_map_only(torch.Tensor, lambda t: ours.get(id(t)) if id(t) in ours else EmulatedTensor(t), out)
 
 
 class Emulation(TorchDispatchMode):
-    """Makes what is asked for on the emulated GPU."""
+    """Mode in which operations on the emulated GPU are computed."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
         flat = _pytree.tree_leaves((args, kwargs))
-        asked = kwargs.get("device")
-        if (asked is not None and torch.device(asked).type == NAME) or any(isinstance(t, Elsewhere) for t in flat):
+        device = kwargs.get("device")
+        if (device is not None and torch.device(device).type == NAME) or any(isinstance(t, EmulatedTensor) for t in flat):
             return computed(func, args, kwargs)
         return func(*args, **kwargs)
 
 
 def raw_of(value: Any) -> Any:
-    return value.raw if isinstance(value, Elsewhere) else value
+    return value.raw if isinstance(value, EmulatedTensor) else value
 
 
 def emulate() -> None:
-    """Let kernels work on what lies behind the tensors, and nothing else."""
+    """Let kernels work on the values of emulated tensors, and reject tensors of the CPU."""
     start, wrap = runtime.launch, wp.from_torch
 
     def launch(kernel: Any, dim: Any, *inputs: Any) -> None:
         for value in inputs:
-            assert not isinstance(value, torch.Tensor) or isinstance(value, Elsewhere), f"{kernel.key}: a tensor on {value.device}"
+            assert not isinstance(value, torch.Tensor) or isinstance(value, EmulatedTensor), f"{kernel.key}: a tensor on {value.device}"
         start(kernel, dim, *(raw_of(value.detach()) if isinstance(value, torch.Tensor) else value for value in inputs))
 
     for module in (bilateral, light, lobes, mesh, photometric, rasterize, tracing):
         module.launch = launch
     wp.from_torch = lambda tensor, *rest, **named: wrap(raw_of(tensor), *rest, **named)
     tracing._identity = lambda tensor: (raw_of(tensor.detach()).data_ptr(), tensor._version, tensor.shape)
-    make = torch.tensor  # reads its values past all modes
+    make = torch.tensor  # it reads its values without the dispatch modes
     torch.tensor = lambda values, dtype=None, device="cpu": make(values, dtype=dtype).to(device)
     torch.Tensor.new_tensor = lambda like, values: make(values, dtype=like.dtype).to(like.device)
     chosen = devices.Chosen(GPU, "emulated", True, 80 << 30)
-    pipeline.write_blend = lambda *_: None  # knows no GPU, and takes its time
+    pipeline.write_blend = lambda *_: None  # slow, and independent of the GPU
     pipeline.choose = devices.choose = lambda name: chosen
 
 
 def check_itself() -> None:
-    """It must tell what a real GPU would not do."""
-    there = torch.zeros(3, device=GPU)
-    for wrong in (lambda: there + torch.zeros(3), there.numpy, lambda: torch.cat([there, torch.zeros(3)])):
+    """Check that operations that fail on a real GPU also fail here."""
+    on_gpu = torch.zeros(3, device=GPU)
+    for wrong in (lambda: on_gpu + torch.zeros(3), on_gpu.numpy, lambda: torch.cat([on_gpu, torch.zeros(3)])):
         try:
             wrong()
         except (RuntimeError, TypeError):
             continue
-        raise AssertionError("the emulated GPU lets everything pass")
-    assert there.cpu().numpy().sum() == 0 and (there + 1).device == GPU
+        raise AssertionError("the emulated GPU accepts an operation that a real one does not")
+    assert on_gpu.cpu().numpy().sum() == 0 and (on_gpu + 1).device == GPU
 
 
 def main(dataset: Path, run: Path, changes: list[str]) -> None:
-    """Reconstruct, and relight in every way."""
+    """Reconstruct a dataset and relight the result with all backends."""
     emulate()
     with Emulation():
         check_itself()
         pipeline.reconstruct(dataset, run, with_overrides(preset("balanced"), changes), overwrite=True)
         found = Reconstruction.load(run).to(GPU)
         camera, sky = load_run_cameras(run / "cameras.json")[0].camera, prepare(sky_light(16, 32), GPU)
-        ways = [("gaussian", {"samples": 8}), ("mesh", {"samples": 16, "error": 0.02}), ("mesh", {"samples": 8, "denoise": "off"})]
-        for backend, how in ways:
-            relighter = open_relighter(run, found, backend, RelightSettings(**how))
+        cases = [("gaussian", {"samples": 8}), ("mesh", {"samples": 16, "error": 0.02}), ("mesh", {"samples": 8, "denoise": "off"})]
+        for backend, settings in cases:
+            relighter = open_relighter(run, found, backend, RelightSettings(**settings))
             assert relighter.relit(relighter.surface(camera), sky.turned(30.0)).isfinite().all()
 
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
     sys.stdout.flush()
-    os._exit(0)  # the emulated GPU's end is not provided for
+    os._exit(0)  # torch does not support the normal end of a process with this device

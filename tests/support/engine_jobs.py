@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs for tests: settings so small that all takes seconds, a script that stands for the engine, a registry of the test's own."""
+"""Jobs for tests: settings for reconstructions of seconds, a script that replaces the engine, and a job folder for each test."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import blender_side
 import pytest
 
-PATIENCE = 300.0  # seconds, on a machine that has other things to do
+PATIENCE = 300.0  # seconds, enough on a busy machine
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and links of POSIX")
 DATASET = blender_side.ROOT / "core" / "demo_data"
 TINY = {
@@ -26,41 +26,40 @@ TINY = {
     "surface.triangles": 500,
     "surface.texture": 64,
 }
-ENDLESS = {"first.iterations": 1_000_000}  # until somebody stops it
+ENDLESS = {"first.iterations": 1_000_000}  # runs until it is stopped
 COUNTER = blender_side.ROOT / "scripts" / "faulting" / "counter.py"  # a stand-in for the engine
 
 
 def settings(**more: object) -> list[str]:
-    """Words for --set; names with two underscores for the dot."""
+    """Return arguments `--set name=value`; in keyword names two underscores stand for the dot."""
     chosen = TINY | {key.replace("__", "."): value for key, value in more.items()}
     return [word for key, value in chosen.items() for word in ("--set", f"{key}={value}")]
 
 
 def reconstruction(run: Path, **more: object) -> list[str]:
-    """Words of a `reconstruct` of the embedded dataset that takes seconds."""
+    """Return arguments of a `reconstruct` of the embedded dataset that takes seconds."""
     return ["reconstruct", str(DATASET), "-o", str(run), "--preset", "draft", "--materials", "low-gloss", *settings(**more)]
 
 
-def until(what: Callable[[], object], seconds: float = PATIENCE) -> None:
-    """Poll the jobs until something is true, as Blender's timer does."""
-    from irgspp.irgspp_addon.jobs import queue as jobs
+def until(condition: Callable[[], object], seconds: float = PATIENCE) -> None:
+    """Poll the jobs, as Blender's timer does, until a condition is true."""
+    from irgspp.irgspp_addon.jobs import queue
 
     end = time.monotonic() + seconds
-    while not what():
-        jobs.poll()
-        assert time.monotonic() < end, [(job.title, job.state, job.error, job.log_tail()) for job in jobs.all_jobs()]
+    while not condition():
+        queue.poll()
+        assert time.monotonic() < end, [(job.title, job.state, job.error, job.log_tail()) for job in queue.all_jobs()]
         time.sleep(0.05)
 
 
 @pytest.fixture
 def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty registry of jobs in a folder of the test, whose processes are ended with it."""
+    """Redirect the extension's user files to an empty folder of the test, and kill its jobs at the end."""
     from irgspp.irgspp_addon import user_folder
-    from irgspp.irgspp_addon.engine import managed as managed_engine
+    from irgspp.irgspp_addon.engine import managed
     from irgspp.irgspp_addon.engine import process as engine
     from irgspp.irgspp_addon.jobs import process as job_process
-    from irgspp.irgspp_addon.jobs import queue as jobs
-    from irgspp.irgspp_addon.jobs import session
+    from irgspp.irgspp_addon.jobs import queue, session
 
     folder = tmp_path / "user"
 
@@ -68,25 +67,25 @@ def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (folder / name).mkdir(parents=True, exist_ok=True)
         return folder / name
 
-    for module in (user_folder, jobs, session, engine, managed_engine):
+    for module in (user_folder, queue, session, engine, managed):
         monkeypatch.setattr(module, "user_folder", place)
-    jobs.clear()
+    queue.clear()
     session.end_session()
     engine._known.clear()
     yield folder
-    for job in jobs.all_jobs():
+    for job in queue.all_jobs():
         job_process.kill(job)
-    jobs.clear()
+    queue.clear()
     session.end_session()
     engine._known.clear()
 
 
 @pytest.fixture
 def counter() -> Callable[..., object]:
-    """Start a job that counts: how far, and what `jobs.start` takes besides its words."""
-    from irgspp.irgspp_addon.jobs import queue as jobs
+    """Return a function that starts a job that counts to a number; it also takes options of `queue.start`."""
+    from irgspp.irgspp_addon.jobs import queue
 
     def start(steps: int = 1000, kind: str = "render", folder: Path | None = None, **options):
-        return jobs.start(kind, f"count to {steps}", folder, [str(steps)], program=str(COUNTER), **options)
+        return queue.start(kind, f"count to {steps}", folder, [str(steps)], program=str(COUNTER), **options)
 
     return start

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A scene of known geometry, light and materials, rendered once by Cycles: a mirror-like ball beside a block, under coloured axes."""
+"""Scene of known geometry, light and materials, rendered once by Cycles: a mirror-like ball next to a block, lit by coloured axes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ material('block', (0.6, 0.3, 0.15), 0.6, 0.0)
 bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
 """
 
-# Linear colours at +X, -X, +Y, -Y, +Z, -Z: none is another's neighbour after a quarter turn or in a mirror.
+# Linear colours at +X, -X, +Y, -Y, +Z, -Z, all different, so that every rotation by a quarter and every reflection is detected.
 AXES = {
     "axes": [(0.9, 0.1, 0.1), (0.1, 0.7, 0.7), (0.15, 0.8, 0.1), (0.7, 0.1, 0.7), (0.6, 0.6, 0.9), (0.3, 0.25, 0.05)],
     "second": [(0.1, 0.2, 0.9), (0.9, 0.5, 0.1), (0.8, 0.8, 0.7), (0.5, 0.05, 0.1), (0.1, 0.6, 0.2), (0.3, 0.1, 0.5)],
@@ -45,7 +45,7 @@ AXES = {
 
 
 def axes_light(name: str, height: int = 64) -> np.ndarray:
-    """(H, 2H, 3) linear: each axis has its colour, and between them it changes smoothly."""
+    """Return an environment map (H, 2H, 3), linear, with a colour at each axis and smooth transitions."""
     direction = texel_directions(height, 2 * height).numpy()
     towards = np.stack([s * direction[..., i] for i in range(3) for s in (1, -1)], -1)
     weight = np.clip(towards, 0, None) ** 3
@@ -53,7 +53,7 @@ def axes_light(name: str, height: int = 64) -> np.ndarray:
 
 
 def render_scene(folder: Path) -> Path:
-    """The scene as a dataset of scripts/render_dataset.py, 16 training and 3 test views, rendered by the first process that asks."""
+    """Return the scene as a dataset of scripts/render_dataset.py with 16 training and 3 test views; the first process renders it."""
     folder.mkdir(parents=True, exist_ok=True)
     done, lock = folder / "done", None
     while not done.exists() and lock is None:

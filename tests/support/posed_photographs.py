@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small datasets with unusual lenses, and what the engine's readers say of them: `python posed_photographs.py KIND FOLDER`.
+"""Small datasets with unusual lenses, and the cameras that the engine's readers find in them: `python posed_photographs.py KIND FOLDER`.
 
-FOLDER/dataset is the dataset and FOLDER/truth.json the readers' cameras at the size of the files, and the points.
+FOLDER/dataset is the dataset; FOLDER/truth.json holds the readers' cameras for images of full size, and the points.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ DISTORTION = (-0.12, 0.03, 0.002, -0.001)
 
 
 def poses() -> list[np.ndarray]:
-    """Twelve, some nearly straight down and up."""
+    """Return twelve camera-to-world matrices (4, 4), some of which look almost straight down or up."""
     angle, height = np.arange(12) * 2.4, np.linspace(-0.98, 0.999, 12)
     r = np.sqrt(1 - height**2)
     return [look_at(CENTRE + 3 * np.array([s * np.cos(a), s * np.sin(a), z]), CENTRE) for s, a, z in zip(r, angle, height, strict=True)]
 
 
 def points() -> tuple[np.ndarray, np.ndarray]:
-    """Positions (200, 3) around the centre and colours (200, 3) uint8."""
+    """Return positions (200, 3) around the centre and colours (200, 3) uint8."""
     random = np.random.default_rng(3)
     return CENTRE + random.normal(scale=0.2, size=(200, 3)), random.integers(0, 256, (200, 3)).astype(np.uint8)
 
@@ -45,7 +45,7 @@ def write_images(folder: Path) -> list[str]:
 
 
 def write_transforms(folder: Path) -> None:
-    """One file without a split, unequal focal lengths, a principal point off the centre."""
+    """Write transforms.json without a split, with unequal focal lengths and a principal point off the centre."""
     names = write_images(folder / "images")
     fx, fy, cx, cy = LENSES["stretched"]
     frames = [{"file_path": f"images/{n}", "transform_matrix": p.tolist()} for n, p in zip(names, poses(), strict=True)]
@@ -54,7 +54,7 @@ def write_transforms(folder: Path) -> None:
 
 
 def write_colmap(folder: Path) -> None:
-    """A model in text with a lens that bends lines, and points; its up is -Y, as COLMAP's often is."""
+    """Write a COLMAP model as text with a distorted lens and points; its up axis is -Y, as is common with COLMAP."""
     names, model = write_images(folder / "images"), folder / "sparse" / "0"
     model.mkdir(parents=True)
     turned = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
@@ -73,7 +73,7 @@ def write_colmap(folder: Path) -> None:
 
 
 def quaternion(r: np.ndarray) -> np.ndarray:
-    """(w, x, y, z) of a rotation (3, 3): the eigenvector of its largest value in the form that it maximises."""
+    """Return the quaternion (w, x, y, z) of a rotation (3, 3): the eigenvector of the largest eigenvalue of a quadratic form."""
     k = np.array([
         [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
         [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
@@ -85,7 +85,7 @@ def quaternion(r: np.ndarray) -> np.ndarray:
 
 
 def write_truth(dataset: Path, path: Path) -> None:
-    """The readers' own words: cameras {"split name": [width, height, fx, fy, cx, cy, to_world]}, points and the frame."""
+    """Write the result of the engine's readers: cameras {"split name": [width, height, fx, fy, cx, cy, to_world]}, points and frame."""
     from irgspp.core.datasets.load import load_dataset
     from irgspp.core.settings.schema import DataSettings
 

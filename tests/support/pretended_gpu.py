@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Steps of both stages on a pretended GPU: where a tensor is left on the CPU, or the host waits for a value, torch says so.
+"""Steps of both stages on a pretended GPU: a tensor left on the CPU, or a wait of the host for a value, is an error of torch.
 
-Torch's fake tensors have a device and a shape, but no values: whoever asks for one gets an error, as does an operation on tensors of two
-devices. Kernels are not started; what they would be given is looked at.
+Torch's fake tensors have a device and a shape but no values: reading a value is an error, and so is an operation on tensors of two
+devices. Kernels are not launched; their arguments are checked.
 """
 
 import dataclasses
@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
+import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wait)
 import numpy as np
 import torch
 from irgspp.core.kernels.warp import photometric as losses
@@ -39,17 +39,17 @@ launched: list[str] = []
 
 
 def launch(kernel: Any, dim: Any, *inputs: Any) -> None:
-    """In place of a kernel: its tensors lie side by side on the GPU, and without gaps."""
+    """Check the arguments of a kernel instead of launching it: all tensors are on the GPU and contiguous."""
     for value in inputs:
         if isinstance(value, torch.Tensor):
             assert value.device.type == NAME, f"{kernel.key}: a tensor on {value.device}"
-            assert value.is_contiguous(), f"{kernel.key}: a tensor with gaps"
+            assert value.is_contiguous(), f"{kernel.key}: a tensor that is not contiguous"
     assert len(inputs) == len(kernel.adj.args), f"{kernel.key}: {len(inputs)} arguments"
     launched.append(kernel.key)
 
 
 def moved(value: Any, seen: dict[int, Any]) -> Any:
-    """An object with all its tensors on the pretended GPU; the generator, and what the host decides by, stay."""
+    """Return an object with all its tensors on the pretended GPU; random generators and values used by the host stay."""
     if id(value) in seen:
         return seen[id(value)]
     if isinstance(value, torch.Tensor):
@@ -74,7 +74,7 @@ def moved(value: Any, seen: dict[int, Any]) -> Any:
 
 
 def sphere(views: int = 9, size: int = 24, count: int = 300) -> tuple[Dataset, Reconstruction]:
-    """Photographs of nothing much, and surfels on a sphere."""
+    """Return a dataset of grey images, and a reconstruction with surfels on a sphere."""
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.399963
     r = np.sqrt(1 - z**2)
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
@@ -89,7 +89,7 @@ def sphere(views: int = 9, size: int = 24, count: int = 300) -> tuple[Dataset, R
 
 
 def main() -> None:
-    """Take steps; an error ends the process."""
+    """Run steps of both stages; an error ends the process."""
     data, start = sphere()
     with backend.warp_on_cpu():
         trainers = [
@@ -110,27 +110,27 @@ def main() -> None:
     rasterize.ROOMS = type("Rooms", (dict,), {"setdefault": lambda self, key, default: room})()
     runtime.launch = launch
     for table in (split_sum._operator, specular_albedo.brdf_table, sampling.point_set):
-        table.cache_clear()  # made on the CPU, of real numbers
+        table.cache_clear()  # computed on the CPU, of real tensors
     with FakeTensorMode(allow_non_fake_inputs=True):
         for trainer in trainers:
-            there = moved(trainer, {})
-            there.device, there._next_view = GPU, lambda: 0  # the host's own choice, which pretended tensors cannot make
-            there.optimizer.others = {name: getattr(there, name) for name in there.optimizer.others}
-            there.optimizer.adopt(there.optimizer.gaussians)
-            there.done = there.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not looked at
+            on_gpu = moved(trainer, {})
+            on_gpu.device, on_gpu._next_view = GPU, lambda: 0  # the host chooses the view, which needs values
+            on_gpu.optimizer.others = {name: getattr(on_gpu, name) for name in on_gpu.optimizer.others}
+            on_gpu.optimizer.adopt(on_gpu.optimizer.gaussians)
+            on_gpu.done = on_gpu.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not read
             for _ in range(3):
-                there.step()
+                on_gpu.step()
         for refinement in refinements:
-            there = moved(refinement, {})
-            there.tracer.device = GPU
-            there.optimizer.others = {"light": there.light}
-            there.optimizer.adopt(there.optimizer.gaussians)
-            there.done = there.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not looked at
+            on_gpu = moved(refinement, {})
+            on_gpu.tracer.device = GPU
+            on_gpu.optimizer.others = {"light": on_gpu.light}
+            on_gpu.optimizer.adopt(on_gpu.optimizer.gaussians)
+            on_gpu.done = on_gpu.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not read
             for _ in range(3):
-                there.step()
+                on_gpu.step()
     print(" ".join(sorted(set(launched))), flush=True)
 
 
 if __name__ == "__main__":
     main()
-    os._exit(0)  # the pretended GPU's end is not provided for
+    os._exit(0)  # torch does not support the normal end of a process with this device

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stand-in for Blender's UILayout, which exists in a window alone: it writes down what is drawn, and refuses what Blender would."""
+"""Stand-in for Blender's UILayout, which exists only in a window: it records what is drawn and rejects what Blender would reject."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import bpy
 
 
 class Button:
-    """What `layout.operator` returns: takes the properties that the operator really has."""
+    """Return value of `layout.operator`, which accepts only properties that the operator has."""
 
     def __init__(self, idname: str) -> None:
         module, name = idname.split(".")
-        kind = getattr(getattr(bpy.ops, module), name).get_rna_type()  # raises where there is no such operator
+        kind = getattr(getattr(bpy.ops, module), name).get_rna_type()  # raises if there is no such operator
         self.__dict__.update(idname=idname, values={}, known=set(kind.properties.keys()))
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -23,7 +23,7 @@ class Button:
 
 
 class RecordingLayout:
-    """All layouts made from one share `drawn`: tuples (kind, ...) in order; `enabled` is what a person could press."""
+    """Layout that records: all layouts made from it share `drawn`, a list of tuples (kind, ...) in drawing order."""
 
     def __init__(self, parent: RecordingLayout | None = None) -> None:
         self.drawn: list[tuple] = parent.drawn if parent else []
@@ -74,15 +74,15 @@ class RecordingLayout:
         assert hasattr(bpy.types, kind) and hasattr(data, name) and hasattr(active, active_name)
         self.drawn.append(("list", len(getattr(data, name))))
 
-    # --- what was drawn
+    # --- access to what was drawn
 
     @property
     def words(self) -> str:
-        """All texts, wrapped lines joined."""
+        """All labels, with wrapped lines joined."""
         return " ".join(entry[1] for entry in self.drawn if entry[0] == "label")
 
     def buttons(self, idname: str) -> list[SimpleNamespace]:
-        """The buttons of an operator."""
+        """Return the buttons of an operator."""
         found = [entry for entry in self.drawn if entry[:2] == ("operator", idname)]
         return [SimpleNamespace(text=text, values=values, live=live) for _, _, text, values, live in found]
 
@@ -96,7 +96,7 @@ def known_icons() -> set[str]:
 
 
 def draw(panel: type, context: Any = None) -> RecordingLayout:
-    """What a panel draws in the present context."""
+    """Draw a panel in the given or current context and return the record."""
     layout = RecordingLayout()
     panel.draw(SimpleNamespace(layout=layout), context or bpy.context)
     return layout

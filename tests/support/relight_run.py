@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The run of `sphere_run` with its Gaussians, so that it can be relit: `python relight_run.py FOLDER` in the engine's Python."""
+"""The run of `sphere_run` with Gaussians, for relighting: `python relight_run.py FOLDER` in the engine's Python."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sphere_run import axis_light, materials, write_run
 
 
 def write_relightable(folder: Path, count: int = 8000) -> None:
-    """Mesh, cameras, Gaussians on the unit sphere, light, run.json."""
+    """Write a run folder with mesh, cameras, Gaussians on the unit sphere, light and run.json."""
     write_run(folder, 32)
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
@@ -27,8 +27,8 @@ def write_relightable(folder: Path, count: int = 8000) -> None:
     values = np.concatenate([albedo, roughness[:, None], metallic[:, None]], 1).T
     splats.material = torch.logit(torch.from_numpy(np.clip(values, 1e-4, 1 - 1e-4).astype(np.float32)))
     Reconstruction(splats, torch.from_numpy(axis_light(32)), Bound((0.0, 0.0, 0.0), 1.3), np.eye(4)).save(folder)
-    about = {"status": "done", "error": None, "phases": {}, "settings": to_dict(Settings()), "seed": 0, "skipped": [], "training": {}}
-    (folder / "run.json").write_text(json.dumps({**about, "versions": {}, "dataset": str(folder)}))
+    record = {"status": "done", "error": None, "phases": {}, "settings": to_dict(Settings()), "seed": 0, "skipped": [], "training": {}}
+    (folder / "run.json").write_text(json.dumps({**record, "versions": {}, "dataset": str(folder)}))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A light in which every turn is seen, a camera to look through, and the preview's image, for tests in Blender's process."""
+"""Helpers of relighting tests in Blender's process: an asymmetric light, a camera to render by, and the preview's image."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sphere_run import axis_light, map_directions
 
 
 def lamp() -> np.ndarray:
-    """The smooth light with something bright to one side: what is turned wrongly is seen."""
+    """Return an environment map (64, 128, 3) with a bright spot to one side, which reveals every wrong rotation."""
     directions = map_directions(64, 128)
     return (axis_light(64) + 8 * np.clip(directions @ np.array([0.6, -0.64, 0.48]), 0, 1)[..., None] ** 40).astype(np.float32)
 
 
 def see_through(scene: bpy.types.Scene, camera: Camera, name: str) -> None:
-    """Render a scene by a camera of ours, to images of floats."""
+    """Let a scene render by one of the engine's cameras, to 32-bit EXR images."""
     lens = bpy.data.cameras.new(name)
     set_lens(lens, camera)
     scene.camera = bpy.data.objects.new(name, lens)
@@ -35,6 +35,7 @@ def mapping(scene):
 
 
 def image_pixels() -> np.ndarray:
+    """Return the preview's image, (H, W, 4), top row first."""
     image = bpy.data.images[preview.IMAGE]
     width, height = image.size
     pixels = np.empty(width * height * 4, np.float32)
@@ -43,5 +44,5 @@ def image_pixels() -> np.ndarray:
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean difference, relative to the mean."""
+    """Return the mean absolute difference of two arrays, relative to the mean of the second."""
     return float(np.abs(a - b).mean() / b.mean())

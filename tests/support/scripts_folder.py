@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The modules of scripts/, imported as the scripts themselves see them."""
+"""Import of the modules of scripts/ under the names that the scripts themselves use."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 @contextmanager
 def scripts_on_path() -> Iterator[Callable[[str], ModuleType]]:
-    """Within the block they go by their own names; what imports one."""
+    """Add scripts/ to the module path within the block, and yield a function that imports a module."""
     sys.path.insert(0, str(SCRIPTS))
     try:
         yield importlib.import_module
@@ -27,6 +27,6 @@ def scripts_on_path() -> Iterator[Callable[[str], ModuleType]]:
 
 @pytest.fixture(scope="module")
 def script() -> Iterator[Callable[[str], ModuleType]]:
-    """A module of them by its name."""
+    """Return a function that imports a module of scripts/ by its name."""
     with scripts_on_path() as script:
         yield script

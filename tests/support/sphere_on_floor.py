@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sphere on a floor whose materials, light and visibility are known in closed form, and photographs by the model's own equations."""
+"""Sphere on a floor with materials, light and visibility in closed form, and multi-view samples computed by the model's own equations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from irgspp.core.stages.second.radiance_transfer import RadianceTransfer, subdiv
 HEIGHT = 8
 TEXELS = 2 * HEIGHT**2
 FLOOR, FLOOR_RADIUS = -1.0, 3.0
-GLOW = np.array([0.15, 0.12, 0.1], np.float32)  # radiance of what is in the way
+GLOW = np.array([0.15, 0.12, 0.1], np.float32)  # radiance of occluders
 
 
 def unit(rows):
@@ -25,7 +25,7 @@ def unit(rows):
 
 
 def surface(random, on_sphere=300, on_floor=150):
-    """Positions and normals, of the sphere's upper part only: cameras are above."""
+    """Return positions and normals (P, 3) on the floor and the sphere's upper part, as all cameras are above."""
     sphere = unit(random.normal(size=(on_sphere, 3)))
     sphere = sphere[sphere[:, 2] > -0.7]
     floor = np.concatenate([random.uniform(-2, 2, (on_floor, 2)), np.full((on_floor, 1), FLOOR)], 1)
@@ -34,7 +34,7 @@ def surface(random, on_sphere=300, on_floor=150):
 
 
 def blocked(position, normal, direction):
-    """(P, D) whether sphere or floor are in the way."""
+    """Return the mask (P, D) of directions that are blocked by the sphere or the floor."""
     start = position + 1e-3 * normal
     along = start @ direction
     sphere = (along < 0) & (along**2 > (start**2).sum(1)[:, None] - 1)
@@ -45,6 +45,7 @@ def blocked(position, normal, direction):
 
 
 def transport(position, normal):
+    """Return the radiance transfer of the points."""
     direction, angle = subdivided_directions(HEIGHT, 2, 0)
     cosine = np.maximum(normal @ direction, 0)
     free = (cosine > 0) & ~blocked(position, normal, direction)
@@ -58,7 +59,7 @@ def transport(position, normal):
 
 
 def soft_light():
-    """(T, 3) a sky with lamps of several sizes and colours."""
+    """Return an environment map (T, 3) of a sky with lamps of several sizes and colours."""
     light = torch.full((TEXELS, 3), 0.25)
     direction = texel_directions(HEIGHT, 2 * HEIGHT).reshape(-1, 3)
     lamps = (
@@ -74,7 +75,7 @@ def soft_light():
 
 
 def known_materials(position):
-    """Albedo (P, 3), roughness, metallic (P,): a half red and half blue sphere with a brass cap, on a grey floor."""
+    """Return albedo (P, 3), roughness and metallic (P,) of a sphere, half red and half blue with a brass cap, on a grey floor."""
     floor, cap = position[:, 2] == FLOOR, position[:, 2] > 0.4
     albedo = np.where(position[:, :1] > 0, [0.7, 0.2, 0.15], [0.2, 0.35, 0.6])
     albedo = np.where(cap[:, None], [0.9, 0.7, 0.4], np.where(floor[:, None], 0.5, albedo))
@@ -83,7 +84,7 @@ def known_materials(position):
 
 
 def photographed(transfer, position, normal, views=8):
-    """Points and views by the model, and the truth: light, albedo, roughness, metallic."""
+    """Return multi-view samples computed by the model, and the ground truth: light, albedo, roughness, metallic."""
     random = np.random.default_rng(1)
     cameras = unit(random.normal(size=(40, 3)))
     toward = unit(5 * cameras * [1, 1, 0] + 5 * np.abs(cameras) * [0, 0, 1] - position[:, None])
@@ -98,23 +99,25 @@ def photographed(transfer, position, normal, views=8):
 
 
 def rendered(seen, transfer, light, albedo, roughness, metallic):
-    """(K, 3) what the views show."""
+    """Return the radiance (K, 3) of the samples."""
     point = seen.point
     scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
     irradiance = (transfer.irradiance @ light + transfer.indirect)[point]
-    share = diffuse_fraction((seen.normal[point] * seen.view).sum(1), roughness[point])[:, None]
+    fraction = diffuse_fraction((seen.normal[point] * seen.view).sum(1), roughness[point])[:, None]
     metal = metallic[point, None]
     specular = scaled @ light + rest_scaled
     f0 = 0.04 * (1 - metal) + metal * albedo[point]
-    return (1 - metal) * albedo[point] * share * irradiance + f0 * specular + added @ light + rest_added
+    return (1 - metal) * albedo[point] * fraction * irradiance + f0 * specular + added @ light + rest_added
 
 
 def make(*counts):
+    """Return radiance transfer, multi-view samples and ground truth; `counts` as for `surface`."""
     position, normal = surface(np.random.default_rng(0), *counts)
     transfer = transport(position, normal)
     return transfer, *photographed(transfer, position, normal)
 
 
 def start(seen, transfer, seed=0):
+    """Return a light-material solver at its initial state."""
     count = len(seen.position)
     return LightMaterialSolver(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), seed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run folder made from formulas, with numpy alone here; written by the engine's Python: `python sphere_run.py FOLDER [TEXTURE SIZE]`."""
+"""Run folder of an analytic sphere; numpy suffices to import this, the engine's Python writes it: `python sphere_run.py FOLDER [SIZE]`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from irgspp.core.scene.mesh import Mesh
 
 
 def sphere(rows: int = 24, columns: int = 48, size: int = 128) -> Mesh:
-    """A unit sphere with a seam at u = 0: red grows with x, green with y; the lower half is metal; roughness grows with z."""
+    """Return a unit sphere with a seam at u = 0: red grows with x, green with y, roughness with z; the lower half is metal."""
     v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
     theta, phi = (1 - v) * np.pi, u * 2 * np.pi
     normal = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).round(7)
@@ -26,13 +26,13 @@ def sphere(rows: int = 24, columns: int = 48, size: int = 128) -> Mesh:
 
 
 def materials(point: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Albedo (..., 3), roughness (...) and metallic (...) at points (..., 3) of the sphere."""
+    """Return albedo (..., 3), roughness (...) and metallic (...) at points (..., 3) of the sphere."""
     albedo = 0.5 + 0.4 * np.stack([point[..., 0], point[..., 1], 0 * point[..., 2]], -1)
     return albedo.astype(np.float32), (0.5 + 0.3 * point[..., 2]).astype(np.float32), (point[..., 2] < 0).astype(np.float32)
 
 
 def textures(size: int = 128) -> dict[str, np.ndarray]:
-    """As in `Mesh.textures`: (size, size[, 3]) uint8."""
+    """Return textures as in `Mesh.textures`: (size, size[, 3]) uint8."""
     v, u = np.meshgrid(1 - (np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
     theta, phi = (1 - v) * np.pi, u * 2 * np.pi
     albedo, roughness, metallic = materials(np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1))
@@ -46,20 +46,20 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 
 def map_directions(height: int, width: int) -> np.ndarray:
-    """(H, W, 3) float64 unit directions of a lat-long map's texel centres: row 0 at +Z, +X in the middle."""
+    """Return the unit directions (H, W, 3) float64 of a lat-long map's texel centres: row 0 at +Z, +X in the middle."""
     phi = (0.5 - (np.arange(width) + 0.5) / width) * 2 * np.pi
     theta = (np.arange(height)[:, None] + 0.5) / height * np.pi
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0 * phi], -1)
 
 
 def axis_light(height: int = 64) -> np.ndarray:
-    """(H, 2H, 3): smooth, and different along all six half axes."""
+    """Return a smooth environment map (H, 2H, 3) with different colours along all six half axes."""
     d = map_directions(height, 2 * height)
     return (0.5 + 0.5 * d * np.array([0.9, 0.7, 0.5]) + 0.2 * np.roll(d, 1, -1) ** 2).astype(np.float32)
 
 
 def cameras() -> list[Camera]:
-    """Square and stretched pixels, centred and off-centre principal points, wide and tall images."""
+    """Return cameras with square and stretched pixels, centred and off-centre principal points, wide and tall images."""
     lenses = [(64, 48, 70.0, 70.0, 32.0, 24.0), (48, 64, 60.0, 66.0, 20.5, 35.0), (50, 50, 80.0, 62.0, 30.0, 21.5)]
     placed = []
     for (width, height, fx, fy, cx, cy), eye in zip(lenses, [(4.0, 0.5, 1.0), (-2.0, 3.0, 0.7), (0.3, -4.0, -1.2)], strict=True):
@@ -68,7 +68,7 @@ def cameras() -> list[Camera]:
 
 
 def write_run(folder: Path, size: int = 128) -> None:
-    """Mesh, textures, light and cameras of a finished run, written by the engine's own functions; photographs lie beside it."""
+    """Write mesh, textures, light and cameras of a finished run by the engine's own functions, and its photographs next to it."""
     import json
 
     from irgspp.core.io.exr import rgb_channels, write_exr

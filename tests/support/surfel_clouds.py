@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Disks for rays: a cloud of random ones, and stacks whose hits are known."""
+"""Surfels for tests of ray tracing: a random cloud, and stacks with known hits."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ UP = torch.zeros(1, 3), torch.tensor([[0.0, 0.0, 1.0]])
 
 
 def cloud(n, seed, extras=2, size=0.12, opacity=0.0):
+    """Return the parameters of n random surfels: position, quaternion, log scale, opacity logit, SH coefficients and extras."""
     g = torch.Generator().manual_seed(seed)
     random = lambda *shape: torch.randn(*shape, generator=g)  # noqa: E731
     shape = [random(3, n) * 0.6, random(4, n), math.log(size) + random(2, n) * 0.5, random(n) * 1.5 + opacity]
@@ -18,14 +19,14 @@ def cloud(n, seed, extras=2, size=0.12, opacity=0.0):
 
 
 def rays(count, seed, spread=0.7):
-    """Origins in and around the cloud, so that many lie inside a surfel's bound."""
+    """Return origins (R, 3) in and around the cloud, many of them inside a surfel's bound, and unit directions (R, 3)."""
     g = torch.Generator().manual_seed(seed)
     direction = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
     return torch.randn(count, 3, generator=g) * spread, direction
 
 
 def stack(n, opacity, gap=1.0):
-    """n wide surfels square across +Z, at gap, 2 gap, ..., shuffled, each of its own value; returns them with their order."""
+    """Return n wide surfels perpendicular to +Z at distances gap, 2 gap, ..., shuffled, each with its own value, and their order (n,)."""
     order = torch.randperm(n, generator=torch.Generator().manual_seed(n))
     position = torch.zeros(3, n)
     position[2] = (order + 1) * gap

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene of known geometry in each dataset's layout, and what a reader of it must find."""
+"""The scene of known geometry in each dataset format, and checks of what a reader finds in it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 NAMES = sorted(WRITERS)
-BLOCK, REACH = np.array([-0.5, 0.35, -0.35]), 0.6  # a ball around the block, whose reflection is none of the light's
+BLOCK, REACH = np.array([-0.5, 0.35, -0.35]), 0.6  # a sphere around the block, whose reflection does not show the light
 TINT = np.array([0.9, 0.85, 0.8])
 SEVERAL = DataSettings(holdout=4)
 RIGHT = 0.06  # relative difference; the ball is not a perfect mirror: measured at most 0.04 in a view
@@ -47,7 +47,7 @@ RIGHT = 0.06  # relative difference; the ball is not a perfect mirror: measured 
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """A dataset: what to read, and the similarity from the scene's world to its own frame."""
+    """Written dataset: its path, and the similarity (4, 4) from the scene's world to the dataset's own frame."""
 
     path: Path
     world: np.ndarray
@@ -62,51 +62,51 @@ class Written:
         return [*self.source.train, *self.source.test]
 
     def shot_of(self, pose: np.ndarray, to_world: np.ndarray) -> tuple[Shot, float]:
-        """The shot that a pose as read belongs to, and the largest difference to its true pose in units of the scene."""
+        """Return the shot whose true pose is closest to a pose (4, 4), and the largest difference in units of the scene."""
         size = float(np.cbrt(np.linalg.det((to_world @ self.world)[:3, :3])))
         truths = [placed(to_world @ self.world, s.pose) for s in self.shots]
         errors = [max(np.abs(t[:3, :3] - pose[:3, :3]).max(), np.abs(t[:3, 3] - pose[:3, 3]).max() / size) for t in truths]
         return self.shots[int(np.argmin(errors))], float(min(errors))
 
     def ball(self, to_world: np.ndarray) -> tuple[np.ndarray, float]:
-        """Centre and radius of the ball in our world."""
+        """Return centre (3,) and radius of the ball in the normalised world."""
         return _moved(to_world @ self.world, BALL), RADIUS * float(np.cbrt(np.linalg.det((to_world @ self.world)[:3, :3])))
 
     def mirror_error(self, camera: Camera, alpha: np.ndarray | None, image: np.ndarray, light: np.ndarray, to_world: np.ndarray) -> float:
-        """Mean difference, relative to what is seen, of an image (H, W, 3), encoded, and a light (H', W', 3) mirrored in the ball."""
+        """Return the mean relative difference of an sRGB image (H, W, 3) and a light (H', W', 3) reflected in the ball."""
         centre, radius = self.ball(to_world)
         block = _moved(to_world @ self.world, BLOCK)
         ray = camera.rays().astype(np.float64)
         ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
         distance = _hit(np.broadcast_to(camera.centre, ray.shape), ray, centre, radius)
-        place = camera.centre + np.where(np.isfinite(distance), distance, 0)[..., None] * ray
-        normal = (place - centre) / radius
+        hit = camera.centre + np.where(np.isfinite(distance), distance, 0)[..., None] * ray
+        normal = (hit - centre) / radius
         cosine = -(ray * normal).sum(-1)
-        away = ray + 2 * cosine[..., None] * normal
+        reflected = ray + 2 * cosine[..., None] * normal
         reach = REACH * radius / RADIUS
-        clear = np.isinf(_hit(np.broadcast_to(camera.centre, ray.shape), ray, block, reach)) & np.isinf(_hit(place, away, block, reach))
+        clear = np.isinf(_hit(np.broadcast_to(camera.centre, ray.shape), ray, block, reach)) & np.isinf(_hit(hit, reflected, block, reach))
         chosen = np.isfinite(distance) & clear & (cosine > 0.35) & (True if alpha is None else alpha > 0.99)
         assert chosen.sum() > 40
         seen = decode_srgb(np.clip(image[chosen], 0, 1).astype(np.float64))
-        expected = np.clip(lookup(torch.from_numpy(light).double(), torch.from_numpy(away[chosen])).numpy() * TINT, 0, 1)
+        expected = np.clip(lookup(torch.from_numpy(light).double(), torch.from_numpy(reflected[chosen])).numpy() * TINT, 0, 1)
         return float(np.abs(seen - expected).mean() / seen.mean())
 
 
 @pytest.fixture(scope="session")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
-    """The scene, rendered once for all processes of the tests."""
+    """Return the scene, rendered once for all processes of the tests."""
     base = tmp_path_factory.getbasetemp()
     return load_source(render_scene((base.parent if base.name.startswith("popen") else base) / "formats_scene"))
 
 
 @pytest.fixture(scope="session")
 def every(source: Source, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
-    """By format, what was written."""
+    """Write the scene in each format and return the datasets by the formats' names."""
     return {name: Written.of(name, source, tmp_path_factory.mktemp(name)) for name in NAMES}
 
 
 def truths_of(dataset: Written) -> tuple[Dataset, SceneTruth, list[tuple[View, Truth]]]:
-    """The dataset as read, what is true of the scene, and of each test view and view under another light."""
+    """Return the dataset as read, the scene's ground truth, and each test view and novel view with its ground truth."""
     data = load_dataset(dataset.path)
     scene = load_scene_truth(dataset.path, data.to_world)
     views = [*data.test, *load_novel_views(data, DataSettings())]
@@ -114,7 +114,7 @@ def truths_of(dataset: Written) -> tuple[Dataset, SceneTruth, list[tuple[View, T
 
 
 def mirror_errors(light: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """The light turned and mirrored in every way that axes are mistaken."""
+    """Yield descriptions and copies of the light with each common confusion of axes: rotations and reflections."""
     quarter = light.shape[1] // 4
     for turns in (1, 2, 3):
         yield f"turned by {turns} quarters", np.roll(light, turns * quarter, 1)
@@ -125,7 +125,7 @@ def mirror_errors(light: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _on_its_side(light: np.ndarray) -> np.ndarray:
-    """+Y up taken for +Z up."""
+    """Return the light as if +Y up had been mistaken for +Z up."""
     return turned(light, np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]))
 
 
@@ -134,7 +134,7 @@ def _moved(world: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray
 
 
 def _hit(origin: np.ndarray, ray: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
-    """Distance along unit rays to a ball, infinite where they miss it or leave it behind."""
+    """Return the distance along unit rays (..., 3) to a ball, infinite for rays that miss it or point away."""
     towards = origin - centre
     b, c = (ray * towards).sum(-1), (towards**2).sum(-1) - radius**2
     under = b * b - c

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's command on the terminal: its exit status comes through, and whatever ends this process stops it in order."""
+"""Commands of the engine in the foreground: their exit status is returned, and interrupts of this process stop them in order."""
 
 import os
 import signal
@@ -30,7 +30,7 @@ DEAF = "import sys, time\nfrom pathlib import Path\nPath(sys.argv[1]).write_text
 
 @pytest.fixture
 def command(tmp_path):
-    """Makes a command line of a script's text; it gets the path of `notes`."""
+    """Return a function that writes a script and returns its command line, with the path of `notes` as argument."""
 
     def make(text: str) -> list[str]:
         (tmp_path / "script.py").write_text(text)
@@ -40,7 +40,7 @@ def command(tmp_path):
 
 
 def signal_when_begun(notes: Path, *kinds: signal.Signals) -> None:
-    """Send this process signals, a little apart, once the script has begun."""
+    """Send signals to this process, 0.3 seconds apart, after the script has begun."""
 
     def send():
         wait_for(notes, "began")
@@ -54,12 +54,12 @@ def signal_when_begun(notes: Path, *kinds: signal.Signals) -> None:
 def wait_for(notes: Path, text: str, seconds: float = 30.0) -> None:
     end = time.monotonic() + seconds
     while not notes.exists() or notes.read_text() != text:
-        assert time.monotonic() < end, f"{notes} never said {text}"
+        assert time.monotonic() < end, f"{notes} does not contain {text!r}"
         time.sleep(0.02)
 
 
 @pytest.mark.parametrize("status", [0, 1, 2, 130])
-def test_exit_status_comes_through(command, status):
+def test_exit_status_is_returned(command, status):
     assert run_here(command(f"import sys; sys.exit({status})"), os.environ) == status
 
 
@@ -72,14 +72,14 @@ def test_one_signal_to_this_process_stops_the_engine_in_order(command, tmp_path,
     assert signal.getsignal(kind) is before
 
 
-def test_second_signal_ends_an_engine_that_does_not_listen(command, tmp_path):
+def test_second_signal_kills_an_engine_that_does_not_stop(command, tmp_path):
     signal_when_begun(tmp_path / "notes", signal.SIGTERM, signal.SIGTERM)
     began = time.monotonic()
     assert run_here(command(DEAF), os.environ) == 130
     assert time.monotonic() - began < 30
 
 
-def test_crash_is_a_failure_with_a_word(command, capfd):
+def test_crash_is_a_failure_with_a_message(command, capfd):
     assert run_here(command("import os, signal; os.kill(os.getpid(), signal.SIGKILL)"), os.environ) == 1
     assert "irgspp: the engine was ended by SIGKILL" in capfd.readouterr().err
 
@@ -94,6 +94,6 @@ def test_engine_stops_in_order_when_this_process_is_killed(command, tmp_path):
     wait_for(tmp_path / "notes", "saved")
 
 
-def test_program_that_is_none(tmp_path):
+def test_program_that_does_not_exist(tmp_path):
     with pytest.raises(OSError, match="no python"):
         run_here([str(tmp_path / "no python"), "script.py"], os.environ)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The managed engine: installed by a job from wheels made here, complete or not at all, and removed."""
+"""Managed engine: installed by a job from wheels made here, completely or not at all, and removed."""
 
 import hashlib
 import json
@@ -16,10 +16,9 @@ from engine_jobs import until
 from irgspp.core.errors import InputError
 from irgspp.core.machine.version import LIBRARIES, VERSION
 from irgspp.irgspp_addon.engine import install as install_engine
-from irgspp.irgspp_addon.engine import managed as managed_engine
+from irgspp.irgspp_addon.engine import managed
 from irgspp.irgspp_addon.engine import process as engine
-from irgspp.irgspp_addon.jobs import engine_check as engine_check
-from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs import engine_check, queue
 
 LOCK = """# comment
 # --- run time, each with its reason
@@ -38,7 +37,7 @@ cuda = [{{"name": str(importlib.util.find_spec("tinycuda"))}}]
 print(json.dumps({{"irgspp": {VERSION!r}, "python": "3", "cpu": {{"name": "c"}}, "cuda": cuda}}))
 """
 
-PATIENCE = 300.0  # seconds, on a machine that has other things to do
+PATIENCE = 300.0  # seconds, enough on a busy machine
 
 
 def wheel(folder: Path, name: str, version: str, code: str, *needs: str) -> None:
@@ -68,56 +67,56 @@ def wheels(tmp_path):
 
 @pytest.fixture
 def install(tmp_path, registry, monkeypatch):
-    """Start the installation of the tiny engine as a job."""
+    """Return a function that starts the installation of a tiny engine as a job."""
     names = {"lock": LOCK, "project.toml": PROJECT, "launcher.py": LAUNCHER}
     for name, text in names.items():
         (tmp_path / name).write_text(text)
-    monkeypatch.setattr(managed_engine, "HASHES", tmp_path / "hashes")
-    monkeypatch.setattr(managed_engine, "LOCK", tmp_path / "lock")
-    monkeypatch.setattr(managed_engine, "PROJECT", tmp_path / "project.toml")
-    monkeypatch.setattr(managed_engine, "LAUNCHER", tmp_path / "launcher.py")
+    monkeypatch.setattr(managed, "HASHES", tmp_path / "hashes")
+    monkeypatch.setattr(managed, "LOCK", tmp_path / "lock")
+    monkeypatch.setattr(managed, "PROJECT", tmp_path / "project.toml")
+    monkeypatch.setattr(managed, "LAUNCHER", tmp_path / "launcher.py")
     monkeypatch.setattr(engine, "engine_kind", lambda: "MANAGED")
-    monkeypatch.setattr(jobs, "ON_END", engine_check.ON_END)
+    monkeypatch.setattr(queue, "ON_END", engine_check.ON_END)
 
     def start(wheels, device="cpu", change=lambda lines: lines):
         lines = change([f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in sorted(wheels.glob("*.whl"))])
         (tmp_path / "hashes").write_text("\n".join(lines) + "\n")
-        arguments = managed_engine.install_arguments(device, wheels, "", online=False)
-        return jobs.start("install", "Install engine", managed_engine.folder(), arguments, program=str(managed_engine.INSTALLER))
+        arguments = managed.install_arguments(device, wheels, "", online=False)
+        return queue.start("install", "Install engine", managed.folder(), arguments, program=str(managed.INSTALLER))
 
     return start
 
 
 def test_installation_from_wheels_and_removal(install, wheels):
     assert engine.status().state == "missing"
-    job = jobs.wait(install(wheels), PATIENCE)
+    job = queue.wait(install(wheels), PATIENCE)
     assert job.state == "done", job.log_tail()
     phases = [json.loads(line)["phase"] for line in (job.notes / "events.jsonl").read_text().splitlines()]
     assert list(dict.fromkeys(phases)) == ["environment", "libraries", "check", "done"] and job.fraction == 1.0
     assert engine.status().state == "ok" and "None" in engine.status().text  # without the library for CUDA
-    names = sorted(p.name for p in managed_engine.folder().parent.iterdir())
+    names = sorted(p.name for p in managed.folder().parent.iterdir())
     assert names == ["engine", "engines.json", "jobs"]
-    assert managed_engine.marker()["device"] == "cpu"
-    python = managed_engine.python()
+    assert managed.marker()["device"] == "cpu"
+    python = managed.python()
     version = subprocess.run([python, "-c", "import tinydep; print(tinydep.DEP)"], capture_output=True, text=True, check=True).stdout
     assert version.strip() == "34"  # the locked one
     # Installed anew for another device, in place of the old one.
-    assert jobs.wait(install(wheels, "cuda"), PATIENCE).state == "done"
-    assert "tinycuda" in engine.status().text and managed_engine.marker()["device"] == "cuda"
-    managed_engine.remove()
-    assert engine.status().state == "missing" and not managed_engine.folder().exists()
+    assert queue.wait(install(wheels, "cuda"), PATIENCE).state == "done"
+    assert "tinycuda" in engine.status().text and managed.marker()["device"] == "cuda"
+    managed.remove()
+    assert engine.status().state == "missing" and not managed.folder().exists()
     with pytest.raises(InputError, match="no engine to remove"):
-        managed_engine.remove()
-    until(lambda: not list(managed_engine.folder().parent.glob("engine.*")))
+        managed.remove()
+    until(lambda: not list(managed.folder().parent.glob("engine.*")))
 
 
-def test_what_is_missing_is_named_and_nothing_is_left(install, wheels):
+def test_missing_library_is_named_and_no_file_is_left(install, wheels):
     for version in ("3.4", "9.9"):
         (wheels / f"tinydep-{version}-py3-none-any.whl").unlink()
-    job = jobs.wait(install(wheels), PATIENCE)
+    job = queue.wait(install(wheels), PATIENCE)
     assert job.state == "failed" and "tinydep" in job.error and "\n" not in job.error
     assert engine.status().state == "missing"
-    assert not list(managed_engine.folder().parent.glob("engine*"))
+    assert not list(managed.folder().parent.glob("engine*"))
 
 
 @pytest.mark.parametrize(
@@ -130,10 +129,10 @@ def test_what_is_missing_is_named_and_nothing_is_left(install, wheels):
         (lambda lines: [line for line in lines if "tinydep" not in line], "not one of the known files"),
     ],
 )
-def test_files_that_are_not_the_known_ones_are_refused(install, wheels, change, words):
-    job = jobs.wait(install(wheels, change=change), PATIENCE)
+def test_unknown_files_are_rejected(install, wheels, change, words):
+    job = queue.wait(install(wheels, change=change), PATIENCE)
     assert job.state == "failed" and words in job.error and "\n" not in job.error
-    assert not list(managed_engine.folder().parent.glob("engine*"))
+    assert not list(managed.folder().parent.glob("engine*"))
 
 
 def test_builds_of_an_index_that_the_user_named(tmp_path):
@@ -149,47 +148,47 @@ def test_builds_of_an_index_that_the_user_named(tmp_path):
 def test_every_locked_version_has_known_files():
     known = install_engine.known_files(str(ROOT / "requirements.sha256"))
     _, locked = install_engine.requirements((ROOT / "requirements.lock").read_text(), [])
-    there = {(install_engine.plain(file.split("-")[0]), file.split("-")[1]) for file in known}
+    available = {(install_engine.plain(file.split("-")[0]), file.split("-")[1]) for file in known}
     for pin in locked:
         name, version = pin.partition(";")[0].split("==")
-        assert (install_engine.plain(name), version.strip()) in there, f"{pin}: run scripts/lock_hashes.py"
+        assert (install_engine.plain(name), version.strip()) in available, f"{pin}: run scripts/lock_hashes.py"
     assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in known.values())
     more = install_engine.more_pins(known, locked)
     assert not {install_engine.plain(pin.split("==")[0]) for pin in more} & {install_engine.plain(pin.split("==")[0]) for pin in locked}
 
 
 def test_engine_that_does_not_work_is_not_put_in_place(install, wheels, tmp_path):
-    managed_engine.python().parent.mkdir(parents=True)
-    managed_engine.python().write_text("an older engine")
+    managed.python().parent.mkdir(parents=True)
+    managed.python().write_text("an older engine")
     (tmp_path / "launcher.py").write_text("raise SystemExit('irgspp: no torch')")
-    job = jobs.wait(install(wheels), PATIENCE)
+    job = queue.wait(install(wheels), PATIENCE)
     assert job.state == "failed" and "no torch" in job.error
-    assert managed_engine.python().read_text() == "an older engine"
+    assert managed.python().read_text() == "an older engine"
 
 
-def test_cancelled_installation_leaves_nothing(install, wheels):
+def test_cancelled_installation_leaves_no_file(install, wheels):
     job = install(wheels)
     until(lambda: job.phase)
-    jobs.cancel(job)
+    queue.cancel(job)
     until(lambda: job.finished)
-    assert job.state == "cancelled" and not list(managed_engine.folder().parent.glob("engine*"))
+    assert job.state == "cancelled" and not list(managed.folder().parent.glob("engine*"))
 
 
-def test_bad_wishes(tmp_path, registry):
+def test_bad_arguments(tmp_path, registry):
     with pytest.raises(InputError, match="may not use the network"):
-        managed_engine.install_arguments("cpu", None, "", online=False)
+        managed.install_arguments("cpu", None, "", online=False)
     with pytest.raises(InputError, match=r"\*\.whl"):
-        managed_engine.install_arguments("cpu", tmp_path, "", online=True)
+        managed.install_arguments("cpu", tmp_path, "", online=True)
     with pytest.raises(InputError, match="cpu or cuda"):
-        managed_engine.install_arguments("tpu", None, "", online=True)
-    assert "--index" in managed_engine.install_arguments("cpu", None, "https://example.org/simple", online=True)
+        managed.install_arguments("tpu", None, "", online=True)
+    assert "--index" in managed.install_arguments("cpu", None, "https://example.org/simple", online=True)
 
 
-def test_the_lock_covers_what_the_engine_needs():
-    wanted, locked = install_engine.requirements((ROOT / "requirements.lock").read_text(), ["extra==1"])
-    names = {pin.split("==")[0] for pin in wanted}
+def test_the_lock_covers_the_engines_libraries():
+    required, locked = install_engine.requirements((ROOT / "requirements.lock").read_text(), ["extra==1"])
+    names = {pin.split("==")[0] for pin in required}
     assert names == {name for name, _ in LIBRARIES.values()} | {"extra"}
-    assert 'numpy==1.26.4; python_version < "3.13"' in wanted and not [pin for pin in locked if pin.startswith("bpy")]
+    assert 'numpy==1.26.4; python_version < "3.13"' in required and not [pin for pin in locked if pin.startswith("bpy")]
     assert {"llvmlite", "sympy"} <= {pin.split("==")[0] for pin in locked}
 
 
@@ -202,11 +201,11 @@ def test_no_python_that_can_make_environments(monkeypatch):
 
 
 def test_installing_with_the_pip_of_another_python(install, wheels, tmp_path, monkeypatch):
-    """As where Blender's Python has pip but not ensurepip."""
+    """Blender's Python may have pip but not ensurepip."""
     probe = f"print('3\\n11\\n{sys.executable}\\nFalse\\nTrue')"
     script = tmp_path / "install.py"
     script.write_text(Path(install_engine.__file__).read_text().replace("PROBE = (", f"PROBE = {probe!r} or ("))
-    monkeypatch.setattr(managed_engine, "INSTALLER", script)
-    job = jobs.wait(install(wheels), PATIENCE)
+    monkeypatch.setattr(managed, "INSTALLER", script)
+    job = queue.wait(install(wheels), PATIENCE)
     assert job.state == "done", job.log_tail()
     assert json.loads(job.output())["irgspp"] == VERSION

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which Python is the engine, what is known of it, and what is said where it does not serve."""
+"""Choice of the engine's Python, its status, and the messages for engines that do not work."""
 
 import json
 import os
@@ -12,10 +12,9 @@ from blender_side import ENGINE, ROOT
 from engine_jobs import registry as registry
 from irgspp.core.errors import InputError
 from irgspp.core.machine.version import LIBRARIES, VERSION, numbers
-from irgspp.irgspp_addon.engine import managed as managed_engine
+from irgspp.irgspp_addon.engine import managed
 from irgspp.irgspp_addon.engine import process as engine
-from irgspp.irgspp_addon.jobs import engine_check as engine_check
-from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs import engine_check, queue
 from irgspp.irgspp_addon.preferences_page import IRGSPP_Preferences
 
 pytestmark = pytest.mark.usefixtures("registry")
@@ -24,7 +23,7 @@ tomllib = pytest.importorskip("tomllib")
 
 @pytest.fixture
 def chosen(monkeypatch):
-    """Preferences as they are where the extension is installed."""
+    """Register the extension's preferences, as in an installed extension."""
     monkeypatch.delenv("IRGSPP_PYTHON", raising=False)
     bpy.utils.register_class(IRGSPP_Preferences)
     addon = bpy.context.preferences.addons.new()
@@ -66,16 +65,16 @@ def test_engine_that_works_is_remembered(monkeypatch):
 
 def test_check_as_a_job(monkeypatch):
     monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
-    monkeypatch.setattr(jobs, "ON_END", engine_check.ON_END)
+    monkeypatch.setattr(queue, "ON_END", engine_check.ON_END)
     job = engine_check.check_in_background()
     assert engine_check.check_in_background() is job
-    jobs.wait(job, 120)
-    assert engine.status().state == "ok" and jobs.all_jobs() == []
+    queue.wait(job, 120)
+    assert engine.status().state == "ok" and queue.all_jobs() == []
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="scripts of a shell")
 @pytest.mark.parametrize(
-    ("said", "status", "state", "words"),
+    ("command", "status", "state", "words"),
     [
         (f"echo '{json.dumps({'irgspp': '0.0.1', 'python': '3.11.7', 'cpu': {'name': 'c'}, 'cuda': []})}'", 0, "version", "version 0.0.1"),
         ("echo 'irgspp: this is Python 3.8, 3.11 or newer is needed' >&2", 2, "version", "Python 3.8"),
@@ -85,18 +84,18 @@ def test_check_as_a_job(monkeypatch):
         ("", 9, "broken", "status 9"),
     ],
 )
-def test_engines_that_do_not_serve(tmp_path, monkeypatch, said, status, state, words):
-    monkeypatch.setenv("IRGSPP_PYTHON", str(fake_python(tmp_path / "python", said, status)))
-    for look in (engine.check, engine.status):
-        assert look().state == state and words in look().text and "\n" not in look().text
+def test_engines_that_do_not_work(tmp_path, monkeypatch, command, status, state, words):
+    monkeypatch.setenv("IRGSPP_PYTHON", str(fake_python(tmp_path / "python", command, status)))
+    for function in (engine.check, engine.status):
+        assert function().state == state and words in function().text and "\n" not in function().text
     if status:
-        monkeypatch.setattr(jobs, "ON_END", engine_check.ON_END)
+        monkeypatch.setattr(queue, "ON_END", engine_check.ON_END)
         engine.forget_checks()
-        jobs.wait(engine_check.check_in_background(), 300)
+        queue.wait(engine_check.check_in_background(), 300)
         assert engine.status().state == state and words in engine.status().text
     with pytest.raises(InputError, match=words):
-        jobs.start("render", "r", None, ["render"])
-    assert jobs.all_jobs() == []
+        queue.start("render", "r", None, ["render"])
+    assert queue.all_jobs() == []
 
 
 def test_no_engine_at_all(tmp_path, monkeypatch, capfd):
@@ -107,16 +106,16 @@ def test_no_engine_at_all(tmp_path, monkeypatch, capfd):
     assert str(tmp_path / "none") in capfd.readouterr().err
 
 
-def test_a_file_that_is_no_program(tmp_path, monkeypatch):
+def test_a_file_that_is_not_a_program(tmp_path, monkeypatch):
     (tmp_path / "python").write_text("no program")
     monkeypatch.setenv("IRGSPP_PYTHON", str(tmp_path / "python"))
     assert engine.check().state == "broken" and "can't be started" in engine.status().text
     engine.forget_checks()
-    job = jobs.start("render", "r", None, ["render"])
+    job = queue.start("render", "r", None, ["render"])
     assert job.state == "failed" and "can't be started" in job.error
 
 
-def test_preferences_say_which_python(tmp_path, chosen):
+def test_preferences_choose_the_python(tmp_path, chosen):
     assert chosen.engine_kind == "INTERPRETER" and engine.engine_python() == sys.executable
     chosen.engine_kind = "EXISTING"
     assert engine.status().state == "missing" and "choose one" in engine.status().text
@@ -125,25 +124,25 @@ def test_preferences_say_which_python(tmp_path, chosen):
     chosen.engine_kind = "INTERPRETER"
     (tmp_path / "env").mkdir()
     chosen.engine_python = str(tmp_path / "env")
-    assert chosen.engine_kind == "EXISTING"  # who names one means it
-    assert engine.engine_python() == str(managed_engine.python_of(tmp_path / "env"))
+    assert chosen.engine_kind == "EXISTING"  # choosing a path also chooses this kind
+    assert engine.engine_python() == str(managed.python_of(tmp_path / "env"))
     chosen.engine_kind = "MANAGED"
-    assert engine.engine_python() == str(managed_engine.python())
+    assert engine.engine_python() == str(managed.python())
     assert engine.status().state == "missing" and "install one" in engine.status().text
 
 
 def test_managed_engine_of_another_lock(chosen):
     chosen.engine_kind = "MANAGED"
-    managed_engine.python().parent.mkdir(parents=True)
-    os.symlink(ENGINE, managed_engine.python())
-    assert engine.status().state == "version"  # unfinished, or of old
-    (managed_engine.folder() / managed_engine.MARKER).write_text(json.dumps({"lock": managed_engine.lock_digest()}))
+    managed.python().parent.mkdir(parents=True)
+    os.symlink(ENGINE, managed.python())
+    assert engine.status().state == "version"  # incomplete, or from an older version
+    (managed.folder() / managed.MARKER).write_text(json.dumps({"lock": managed.lock_digest()}))
     assert engine.status().state == "unknown"
-    (managed_engine.folder() / managed_engine.MARKER).write_text(json.dumps({"lock": "other"}))
+    (managed.folder() / managed.MARKER).write_text(json.dumps({"lock": "other"}))
     assert engine.status().state == "version" and "install it again" in engine.status().text
 
 
-def test_blenders_own_python_does_not_show_through(monkeypatch, chosen):
+def test_variables_of_blenders_python_are_removed(monkeypatch, chosen):
     for name in ("PYTHONHOME", "PYTHONPATH"):
         monkeypatch.setenv(name, "/somewhere")
     assert engine.engine_environment()["PYTHONPATH"] == "/somewhere"  # Blender's Python is the engine
@@ -151,16 +150,16 @@ def test_blenders_own_python_does_not_show_through(monkeypatch, chosen):
     assert not {"PYTHONHOME", "PYTHONPATH"} & set(engine.engine_environment())
 
 
-def test_old_python_is_told_by_the_launcher(tmp_path):
-    """The launcher itself must be readable for it."""
+def test_old_python_is_reported_by_the_launcher(tmp_path):
+    """An old Python must be able to parse the launcher."""
     code = f"import sys, runpy; sys.version_info = (3, 8, 1); runpy.run_path({str(engine.LAUNCHER)!r}, run_name='__main__')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.strip()) == (2, "irgspp: this is Python 3.8, 3.11 or newer is needed")
 
 
-def test_environment_without_a_library_is_told(tmp_path):
-    """An interpreter that has none of the engine's libraries."""
+def test_environment_without_a_library_is_reported(tmp_path):
+    """The interpreter has none of the engine's libraries."""
     words = [sys.executable, "-I", "-S", str(engine.LAUNCHER), "__main__", "devices", "--json"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
-    found = engine.judged(done.returncode, done.stdout, done.stderr)
+    found = engine.check_result(done.returncode, done.stdout, done.stderr)
     assert found.state == "broken" and "No module named" in found.text

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the engine has no module bpy, a Blender executable writes the .blend; without either that is said."""
+"""A Blender executable writes the .blend if the engine has no module bpy; without either there is an error."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ from irgspp.core.machine.blender_process import BLENDER, NoBlender, blender_comm
 from irgspp.core.progress.protocol import Silent
 from irgspp.irgspp_addon.importer.materials import source_of
 
-# Stands in for Blender: notes its words, then runs the script that follows --python with all of them in sys.argv, as Blender does.
+# Stand-in for Blender: it records its arguments, then runs the script after --python with all of them in sys.argv, as Blender does.
 FAKE = """#!{python}
 import sys
 from pathlib import Path
@@ -27,9 +27,9 @@ exec(compile(script.read_text(), str(script), "exec"), {{"__name__": "__main__",
 
 @pytest.fixture
 def blender(tmp_path, monkeypatch) -> Path:
-    """An executable that does as Blender's does; the words it was started with go into the file `words` beside it."""
+    """Return an executable that behaves like Blender's and writes its arguments to the file `words` next to it."""
     if os.name == "nt":
-        pytest.skip("a script is no program on Windows")
+        pytest.skip("on Windows a script is not an executable")
     program = tmp_path / "blender"
     program.write_text(FAKE.format(python=sys.executable, notes=str(tmp_path / "words")))
     program.chmod(0o755)
@@ -46,7 +46,7 @@ def test_named_blender_writes_the_scene(run_folder, tmp_path, blender):
     assert [source_of(thing.active_material) for thing in bpy.data.objects if thing.type == "MESH"] == ["attributes"]
 
 
-def test_its_complaint_is_passed_on(run_folder, tmp_path, blender):
+def test_its_error_is_passed_on(run_folder, tmp_path, blender):
     (tmp_path / "mesh.ply").write_bytes((run_folder / "mesh.ply").read_bytes())
     with pytest.raises(InputError, match=r"cameras\.json") as caught:
         write_blend(tmp_path, tmp_path / "scene.blend", "textures", Silent())
@@ -54,13 +54,13 @@ def test_its_complaint_is_passed_on(run_folder, tmp_path, blender):
     assert not (tmp_path / "scene.blend").exists()
 
 
-def test_its_crash_is_told(run_folder, tmp_path, blender):
+def test_its_crash_is_reported(run_folder, tmp_path, blender):
     blender.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('out of memory')\n")
     with pytest.raises(IrgsppError, match=r"status 1: out of memory"):
         write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())
 
 
-def test_named_blender_goes_before_the_module(blender):
+def test_named_blender_has_precedence_over_the_module(blender):
     assert blender_command()[0] == str(blender)
 
 
@@ -71,8 +71,8 @@ def test_neither_executable_nor_module(run_folder, tmp_path, monkeypatch):
         write_blend(run_folder, tmp_path / "scene.blend", "textures", Silent())
 
 
-def test_named_blender_that_is_none(tmp_path, monkeypatch):
-    """A wrong name is told, and not passed over for the module."""
+def test_named_blender_that_does_not_exist(tmp_path, monkeypatch):
+    """A wrong name is an error; the module is not used instead."""
     monkeypatch.setenv(BLENDER, str(tmp_path / "no blender"))
     with pytest.raises(NoBlender, match="no blender, which is not a program"):
         blender_command()
@@ -80,7 +80,7 @@ def test_named_blender_that_is_none(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("stdin", "status"), [(subprocess.DEVNULL, 1), (subprocess.PIPE, 0)], ids=["gone", "there"])
 def test_blender_ends_with_the_process_that_started_it(stdin, status):
-    """Whoever started it holds the other end of its stdin; a killed job's Blender must not write beside the next one's."""
+    """The parent holds the other end of its stdin, so that the Blender of a killed job does not write while the next one does."""
     command = [sys.executable, str(blending.LAUNCHER), "__main__", "--help"]
     with subprocess.Popen(command, stdin=stdin, stdout=subprocess.DEVNULL, env={**os.environ, "IRGSPP_TIED": "1"}) as process:
         assert process.wait(60) == status

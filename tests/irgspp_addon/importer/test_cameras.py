@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender cameras project as ours do."""
+"""Imported Blender cameras project points to the same pixels as the engine's cameras."""
 
 import bpy
 import numpy as np

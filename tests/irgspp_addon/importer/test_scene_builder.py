@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run becomes an ordinary object whose materials Cycles sees with the right values."""
+"""A run is imported as an ordinary object, and Cycles reads the right values from its materials."""
 
 import json
 import shutil
@@ -24,7 +24,7 @@ def empty_file():
     bpy.ops.wm.read_homefile(use_empty=True)
 
 
-def test_ply_reader_agrees_with_what_the_engine_wrote(run_folder):
+def test_ply_reader_reads_the_engines_mesh(run_folder):
     elements, mesh = read_ply(run_folder / "mesh.ply"), sphere_run.sphere()
     assert np.array_equal(elements["face"]["vertex_indices"], mesh.faces)
     assert np.array_equal(elements["vertex"]["albedo_g"], mesh.albedo[:, 1])
@@ -78,7 +78,7 @@ def test_cycles_reads_the_materials_values(run_folder, tmp_path, source):
 
 
 def first_hit(centre: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays (H, W, 3) first meet the unit sphere (H, W, 3), and whether they do (H, W)."""
+    """Return the first intersections (H, W, 3) of rays (H, W, 3) with the unit sphere, and the mask (H, W) of rays that hit it."""
     ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
     along = ray @ centre
     root = along**2 - centre @ centre + 1
@@ -102,7 +102,7 @@ def test_run_without_textures(run_folder, tmp_path):
         (tmp_path / name).write_bytes((run_folder / name).read_bytes())
     with pytest.raises(InputError, match=r"albedo\.png"):
         import_run(tmp_path, "textures")
-    assert not bpy.data.objects  # nothing half-made stays behind
+    assert not bpy.data.objects  # no incomplete import is left
     material = import_run(tmp_path, "attributes").mesh.active_material
     assert source_of(material) == "attributes" and available_sources(material) == ["attributes"]
     with pytest.raises(InputError, match="no nodes for textures"):
@@ -110,12 +110,12 @@ def test_run_without_textures(run_folder, tmp_path):
     assert source_of(material) == "attributes"
 
 
-def test_folder_that_is_no_run(tmp_path):
+def test_folder_that_is_not_a_run(tmp_path):
     with pytest.raises(InputError, match=r"cameras\.json"):
         import_run(tmp_path)
 
 
-def test_switch_links_the_one_or_the_other(run_folder):
+def test_use_source_links_textures_or_attributes(run_folder):
     material = import_run(run_folder, "textures").mesh.active_material
     principled = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
     for source, inputs in (("attributes", 3), ("textures", 4), ("attributes", 3)):
@@ -132,7 +132,7 @@ def counts() -> dict[str, int]:
 
 
 def test_importing_again_replaces(run_folder, tmp_path):
-    """Nothing is there twice, files are read again, and what a person did with the objects stays."""
+    """A second import creates no duplicates, reads the files again, and keeps the user's changes to objects."""
     shutil.copytree(run_folder, tmp_path / "run")
     first = import_run(tmp_path / "run")
     show_as_photographed(bpy.context.scene, first)
@@ -151,7 +151,7 @@ def test_importing_again_replaces(run_folder, tmp_path):
     assert sizes == {(16, 16)}
 
 
-def test_albedo_scale_is_offered_and_a_given_one_stays(run_folder):
+def test_albedo_scale_is_added_and_an_existing_one_stays(run_folder):
     mesh = import_run(run_folder).mesh
     assert mesh["irgspp_albedo_scale"] == 1.0
     mesh["irgspp_albedo_scale"] = 0.5
@@ -171,7 +171,7 @@ def test_cameras_follow_the_empty_without_lines_to_it(run_folder):
         assert np.allclose(np.array(camera.matrix_world), np.array(moved @ matrix), atol=1e-5)
 
 
-def test_what_is_not_in_the_run_any_more_goes(run_folder, tmp_path):
+def test_cameras_removed_from_the_run_are_removed(run_folder, tmp_path):
     shutil.copytree(run_folder, tmp_path / "run")
     import_run(tmp_path / "run")
     records = json.loads((tmp_path / "run" / "cameras.json").read_text())
@@ -183,14 +183,14 @@ def test_what_is_not_in_the_run_any_more_goes(run_folder, tmp_path):
     assert len(bpy.data.cameras) == 2
 
 
-def test_two_runs_stay_apart(run_folder, tmp_path):
+def test_two_runs_stay_separate(run_folder, tmp_path):
     shutil.copytree(run_folder, tmp_path / "sphere")
     first, second = import_run(run_folder), import_run(tmp_path / "sphere")
     assert first.mesh != second.mesh and first.mesh.active_material != second.mesh.active_material and first.world != second.world
     assert run_of(first.mesh) == run_folder.resolve() and run_of(second.cameras[0]) == (tmp_path / "sphere").resolve()
 
 
-def test_saved_and_loaded_again_all_is_there(run_folder, tmp_path):
+def test_saved_file_is_complete_when_loaded(run_folder, tmp_path):
     shutil.copytree(run_folder, tmp_path / "run")
     show_as_photographed(bpy.context.scene, import_run(tmp_path / "run"))
     before = counts()
@@ -201,7 +201,7 @@ def test_saved_and_loaded_again_all_is_there(run_folder, tmp_path):
     mesh, light = bpy.data.objects["run"], bpy.context.scene.world.name
     assert source_of(mesh.active_material) == "textures" and mesh.parent.name == "run frame"
     assert all(n.image.has_data or n.image.packed_file for n in mesh.active_material.node_tree.nodes if n.bl_idname == "ShaderNodeTexImage")
-    again = import_run(tmp_path / "run")  # and it is recognised
+    again = import_run(tmp_path / "run")  # its datablocks are recognised and reused
     assert again.mesh == mesh and counts() == before and bpy.context.scene.world.name == light
 
 
@@ -212,7 +212,7 @@ def test_light_turns_with_the_placement(run_folder):
     assert np.allclose(turned @ imported.root.matrix_world.to_quaternion().to_matrix(), np.eye(3), atol=1e-6)
 
 
-def test_undo_takes_back_the_import_and_its_repetition(run_folder):
+def test_undo_reverts_both_imports(run_folder):
     bpy.ops.ed.undo_push(message="empty")
     first = counts()
     import_run(run_folder)

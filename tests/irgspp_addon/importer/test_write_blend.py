@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The .blend of a run: complete, portable, and written by a process of its own."""
+"""The .blend of a run: complete, portable, and written by a separate process."""
 
 import bpy
 import pytest
@@ -26,7 +26,7 @@ def test_blend_opens_with_light_cameras_and_packed_textures(blend):
     assert len([o for o in scene.objects if o.type == "CAMERA"]) == 3
     (mesh,) = [o for o in scene.objects if o.type == "MESH"]
     assert source_of(mesh.active_material) == "textures"
-    assert available_sources(mesh.active_material) == ["textures", "attributes"]  # the other choice is there to be picked
+    assert available_sources(mesh.active_material) == ["textures", "attributes"]  # the other source can be chosen
     assert [n.bl_idname for n in scene.world.node_tree.nodes].count("ShaderNodeTexEnvironment") == 1
     packed = {image.name: image.packed_file is not None for image in bpy.data.images}
     assert packed == {"albedo.png": True, "roughness.png": True, "metallic.png": True, "normal.png": True, "environment.exr": True} | {
@@ -52,13 +52,13 @@ def test_export_by_suffix(run_folder, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a", "missing/a.glb", "a.glb"])
-def test_bad_exports_name_their_reason(run_folder, tmp_path, name):
+def test_bad_exports_are_errors(run_folder, tmp_path, name):
     with pytest.raises(InputError):  # the fake run has no asset.glb
         export(run_folder, tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 
-def test_bad_run_is_told_in_one_line(run_folder, tmp_path):
+def test_bad_run_is_reported_in_one_line(run_folder, tmp_path):
     (tmp_path / "mesh.ply").write_bytes((run_folder / "mesh.ply").read_bytes())
     with pytest.raises(InputError, match=r"cameras\.json.*can't be read") as caught:
         write_blend(tmp_path, tmp_path / "scene.blend", "textures", Silent())

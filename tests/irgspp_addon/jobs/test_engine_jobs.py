@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs with the real engine on the embedded dataset: to the end, cancelled, crashed, on a full disk, without the engine."""
+"""Jobs with the real engine on the embedded dataset: finished, cancelled, crashed, on a full disk, without the engine."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from engine_jobs import PATIENCE, POSIX, reconstruction, until
 from engine_jobs import registry as registry
 from irgspp.core.errors import InputError
 from irgspp.irgspp_addon.engine import process as engine
-from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs import queue
 from irgspp.irgspp_addon.jobs.job import load_job
 
 pytestmark = pytest.mark.usefixtures("registry")
@@ -23,10 +23,10 @@ def run_state(run: Path) -> dict:
     return json.loads((run / "run.json").read_text())
 
 
-def test_reconstruction_tells_its_progress_and_ends_with_a_run(tmp_path):
-    told = []
-    jobs.ON_DONE["test"] = told.append
-    job = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run"), on_done="test", data={"a": 1})
+def test_reconstruction_reports_progress_and_writes_a_run(tmp_path):
+    finished = []
+    queue.ON_DONE["test"] = finished.append
+    job = queue.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run"), on_done="test", data={"a": 1})
     seen = set()
 
     def ended():
@@ -34,7 +34,7 @@ def test_reconstruction_tells_its_progress_and_ends_with_a_run(tmp_path):
         return job.finished
 
     until(ended)
-    del jobs.ON_DONE["test"]
+    del queue.ON_DONE["test"]
     assert (job.state, job.error) == ("done", None), job.log_tail()
     assert {state for state, _ in seen} == {"running", "done"}
     assert {"first stage", "second stage"} & {phase for _, phase in seen}
@@ -42,71 +42,71 @@ def test_reconstruction_tells_its_progress_and_ends_with_a_run(tmp_path):
     assert job.preview == tmp_path / "run" / "previews" / "latest.png"
     assert job.preview.read_bytes().startswith(b"\x89PNG")
     assert job.output().strip() == str(tmp_path / "run")
-    assert told == [job] and load_job(job.notes).state == "done"
+    assert finished == [job] and load_job(job.notes).state == "done"
     assert run_state(tmp_path / "run")["status"] == "done"
     assert (tmp_path / "run" / "mesh.ply").exists()
 
 
-def test_cancelled_reconstruction_goes_on_and_finishes_early(tmp_path):
-    words = reconstruction(tmp_path / "run", reflective__iterations=1_000_000)
-    job = jobs.start("reconstruct", "tiny", tmp_path / "run", words)
+def test_cancelled_reconstruction_is_resumed_and_finishes_early(tmp_path):
+    words = reconstruction(tmp_path / "run", first__iterations=1_000_000)
+    job = queue.start("reconstruct", "tiny", tmp_path / "run", words)
     until(lambda: job.phase == "first stage" and job.step > 0)
     assert not job.resumable and job.can_finish_early
-    jobs.cancel(job)
+    queue.cancel(job)
     assert job.stopping and not job.can_finish_early
     until(lambda: job.finished)
     assert (job.state, job.error) == ("cancelled", None)
     assert run_state(tmp_path / "run")["status"] == "cancelled"
     assert job.resumable
-    jobs.resume(job)
+    queue.resume(job)
     assert (job.state, job.stopping) == ("running", False)
     until(lambda: job.phase == "first stage" and job.step > 0)
-    jobs.finish_early(job)
+    queue.finish_early(job)
     until(lambda: job.finished)
     assert (job.state, job.error) == ("done", None), job.log_tail()
     state = run_state(tmp_path / "run")
     assert state["settings"]["first"]["iterations"] == 1_000_000 and state["status"] == "done"
     assert (tmp_path / "run" / "asset.glb").exists()
     with pytest.raises(InputError, match="finish early"):
-        jobs.finish_early(job)
+        queue.finish_early(job)
 
 
 @POSIX
-def test_crash_is_told_with_the_last_words_and_can_be_resumed(tmp_path):
-    job = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", reflective__iterations=1_000_000))
+def test_crash_is_reported_and_can_be_resumed(tmp_path):
+    job = queue.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", first__iterations=1_000_000))
     until(lambda: job.phase == "first stage" and job.step > 0)
     os.kill(json.loads((job.notes / "worker.json").read_text())["pid"], signal.SIGKILL)
     until(lambda: job.finished)
     assert job.state == "failed" and "SIGKILL" in job.error and "\n" not in job.error
     assert any("first stage" in line or "read images" in line for line in job.log_tail())
     assert job.resumable
-    jobs.resume(job)  # the lock of the run folder is free again
+    queue.resume(job)  # the lock of the run folder is free again
     until(lambda: job.phase == "first stage" and job.step > 0)
-    jobs.cancel(job)
+    queue.cancel(job)
     until(lambda: job.finished)
     assert job.state == "cancelled"
 
 
-def test_dataset_that_was_moved_is_one_line(tmp_path):
-    job = jobs.start("inspect", "gone", None, ["inspect", str(tmp_path / "gone")])
-    jobs.wait(job, PATIENCE)
+def test_missing_dataset_is_reported_in_one_line(tmp_path):
+    job = queue.start("inspect", "gone", None, ["inspect", str(tmp_path / "gone")])
+    queue.wait(job, PATIENCE)
     assert job.state == "failed" and "gone" in job.error and "no such" in job.error
     assert "Traceback" not in job.error
 
 
 @POSIX
-def test_disk_that_fills_up_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
-    """A limit on the size of files stands for the full disk: both make writing fail in the middle of the work."""
+def test_full_disk_is_reported_in_one_line_and_loses_nothing(tmp_path, monkeypatch):
+    """A limit on the size of files replaces the full disk: both make writing fail during the work."""
     wrapper = tmp_path / "python"
     wrapper.write_text(f'#!/bin/sh\nulimit -f 100\nexec "{ENGINE}" "$@"\n')
     wrapper.chmod(0o755)
     monkeypatch.setenv("IRGSPP_PYTHON", str(wrapper))
-    job = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run"))
-    jobs.wait(job, PATIENCE)
+    job = queue.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run"))
+    queue.wait(job, PATIENCE)
     assert job.state == "failed" and "larger than this system allows" in job.error and "\n" not in job.error
     assert run_state(tmp_path / "run")["status"] == "failed"
     monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
-    jobs.resume(job)
+    queue.resume(job)
     until(lambda: job.phase == "second stage" or job.finished)
     assert job.state == "running", job.log_tail()
 
@@ -117,16 +117,16 @@ def test_engine_that_is_deleted_while_a_job_runs(tmp_path, monkeypatch):
     wrapper.write_text(f'#!/bin/sh\nexec "{ENGINE}" "$@"\n')
     wrapper.chmod(wrapper.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("IRGSPP_PYTHON", str(wrapper))
-    first = jobs.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", reflective__iterations=1_000_000))
-    second = jobs.start("render", "waits", None, ["render", str(tmp_path / "run")])
+    first = queue.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", first__iterations=1_000_000))
+    second = queue.start("render", "waits", None, ["render", str(tmp_path / "run")])
     until(lambda: first.phase == "first stage" and first.step > 0)
     wrapper.unlink()
     assert engine.status().state == "missing" and str(wrapper) in engine.status().text
     with pytest.raises(InputError, match="can't be started"):
-        jobs.start("render", "third", None, ["render", str(tmp_path / "run")])
-    jobs.cancel(first)
+        queue.start("render", "third", None, ["render", str(tmp_path / "run")])
+    queue.cancel(first)
     until(lambda: first.finished and second.finished)
-    assert first.state == "cancelled"  # what runs is not disturbed
+    assert first.state == "cancelled"  # the running job is not disturbed
     assert second.state == "failed" and "can't be started" in second.error
     monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
     assert first.resumable

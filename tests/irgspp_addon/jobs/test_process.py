@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Processes of jobs: cancelled, failed, vanished, of other Blenders that live or are gone; a quick script stands for the engine."""
+"""Processes of jobs: cancelled, failed, lost, of other Blenders that run or have ended; a quick script replaces the engine."""
 
 import json
 import os
@@ -14,22 +14,21 @@ from engine_jobs import COUNTER, PATIENCE, POSIX, until
 from engine_jobs import counter as counter
 from engine_jobs import registry as registry
 from irgspp.irgspp_addon.jobs import process as job_process
-from irgspp.irgspp_addon.jobs import queue as jobs
-from irgspp.irgspp_addon.jobs import session
+from irgspp.irgspp_addon.jobs import queue, session
 
 pytestmark = pytest.mark.usefixtures("registry")
 
 
-def test_second_cancel_ends_what_does_not_listen(tmp_path):
+def test_second_cancel_kills_a_job_that_does_not_stop(tmp_path):
     script = tmp_path / "deaf.py"
     script.write_text("import time\ntime.sleep(600)")
-    job = jobs.start("render", "deaf", None, [], program=str(script))
+    job = queue.start("render", "deaf", None, [], program=str(script))
     until(lambda: (job.notes / "worker.json").exists())
-    jobs.cancel(job)
-    jobs.poll()
+    queue.cancel(job)
+    queue.poll()
     assert job.state == "running"
-    jobs.cancel(job)
-    jobs.wait(job, PATIENCE)
+    queue.cancel(job)
+    queue.wait(job, PATIENCE)
     assert (job.state, job.error) == ("cancelled", None)
 
 
@@ -45,18 +44,18 @@ def test_second_cancel_ends_what_does_not_listen(tmp_path):
 def test_failure_in_one_line(tmp_path, code, words):
     script = tmp_path / "fails.py"
     script.write_text(code)
-    job = jobs.wait(jobs.start("render", "fails", None, [], program=str(script)), PATIENCE)
+    job = queue.wait(queue.start("render", "fails", None, [], program=str(script)), PATIENCE)
     assert job.state == "failed" and words in job.error and "\n" not in job.error
 
 
-def test_worker_that_vanished_unseen_is_lost(counter):
+def test_worker_that_ended_unobserved_is_lost(counter):
     job = counter()
     until(lambda: job.step > 0)
-    process = job_process._processes.pop(job.id)  # as after a restart: nobody holds the process
+    process = job_process._processes.pop(job.id)  # as after a restart of Blender: the process is no child of it
     process.kill()
     process.wait()
     until(lambda: job.finished)
-    assert job.state == "lost" and "without saying how" in job.error
+    assert job.state == "lost" and "without an exit status" in job.error
 
 
 @POSIX
@@ -68,7 +67,7 @@ def test_script_that_waits_is_interrupted(counter, kind):
         if job.step > 2 and not job.stopping:
             os.kill(os.getpid(), kind)
 
-    jobs.wait(job, PATIENCE, watch=interrupt)
+    queue.wait(job, PATIENCE, watch=interrupt)
     assert job.state == "cancelled" and signal.getsignal(kind) is before
 
 
@@ -82,18 +81,18 @@ import bpy
 from pathlib import Path
 from irgspp.irgspp_addon import user_folder
 from irgspp.irgspp_addon.engine import process as engine
-from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs import queue
 from irgspp.irgspp_addon.jobs import session
 place = lambda name="": Path(sys.argv[2]) / name
-for module in (jobs, session, user_folder, engine):
+for module in (queue, session, user_folder, engine):
     module.user_folder = place
 engine_keeps = sys.argv[3] == "keep"
-jobs.keep_running = lambda: engine_keeps
-jobs.refresh()
-first = jobs.start("render", "other's", None, [sys.argv[5]], program=sys.argv[4])
-second = jobs.start("render", "other's second", None, ["3"], program=sys.argv[4])
+queue.keep_running = lambda: engine_keeps
+queue.refresh()
+first = queue.start("render", "other's", None, [sys.argv[5]], program=sys.argv[4])
+second = queue.start("render", "other's second", None, ["3"], program=sys.argv[4])
 while first.step < 3:
-    jobs.poll()
+    queue.poll()
     time.sleep(0.02)
 print("ids", first.id, second.id, flush=True)
 sys.stdin.readline()
@@ -102,7 +101,7 @@ sys.stdin.readline()
 
 @pytest.fixture
 def other_blender(registry):
-    """Start another process with jobs in the same registry; it ends when its input is closed."""
+    """Return a function that starts another process with jobs in the same registry, which ends when its stdin is closed."""
     registry.joinpath("jobs").mkdir(parents=True)
     started = []
 
@@ -119,16 +118,16 @@ def other_blender(registry):
         process.wait()
 
 
-def test_jobs_of_a_blender_that_is_gone_are_looked_after(other_blender):
+def test_jobs_of_an_ended_blender_are_taken_over(other_blender):
     process, ids = other_blender("keep", 250)
-    jobs.refresh()
-    first, second = map(jobs.find, ids)
+    queue.refresh()
+    first, second = map(queue.find, ids)
     assert (first.state, second.state) == ("running", "queued")
-    jobs.poll()
-    assert second.state == "queued"  # that is the other one's business while it lives
+    queue.poll()
+    assert second.state == "queued"  # the other Blender manages it while it runs
     process.kill()
     process.wait()
-    jobs.refresh()
+    queue.refresh()
     assert first.owner == second.owner == session.session_file().name
     assert first.state == "running"
     until(lambda: first.finished and second.finished)
@@ -136,25 +135,25 @@ def test_jobs_of_a_blender_that_is_gone_are_looked_after(other_blender):
     assert first.output().strip() == "counted 250"
 
 
-def test_without_the_wish_a_job_ends_with_its_blender(other_blender):
+def test_a_job_ends_with_its_blender_by_default(other_blender):
     process, ids = other_blender("end")
     process.kill()
     process.wait()
-    jobs.refresh()
-    first = jobs.find(ids[0])
+    queue.refresh()
+    first = queue.find(ids[0])
     until(lambda: first.finished)
     assert first.state == "cancelled"
     assert any("Blender has ended" in line for line in first.log_tail())
 
 
-def test_two_blenders_see_each_others_jobs_and_can_stop_them(other_blender):
+def test_two_blenders_see_and_can_cancel_each_others_jobs(other_blender):
     process, ids = other_blender("keep")
-    jobs.refresh()
-    first = jobs.find(ids[0])
-    jobs.cancel(first)
+    queue.refresh()
+    first = queue.find(ids[0])
+    queue.cancel(first)
     deadline = time.monotonic() + PATIENCE
     while first.state == "running" and not (first.notes / "exit.json").exists():
-        jobs.poll()
+        queue.poll()
         assert time.monotonic() < deadline
         time.sleep(0.02)
     assert json.loads((first.notes / "exit.json").read_text())["status"] == 130

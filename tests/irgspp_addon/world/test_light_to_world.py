@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light maps stand in Blender's world as in ours."""
+"""Environment maps have the same orientation in Blender's world as in the engine's frame."""
 
 import bpy
 import numpy as np
@@ -13,7 +13,7 @@ from sphere_run import map_directions
 
 
 def look_up(light: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Nearest texel of a lat-long map, in our convention."""
+    """Return the nearest texels (..., 3) of a lat-long map (H, W, 3) in directions (..., 3), in the engine's convention."""
     d = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     u, v = 0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi), np.arccos(d[..., 2]) / np.pi
     height, width = light.shape[:2]
@@ -21,7 +21,7 @@ def look_up(light: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_background_shows_the_texels_that_our_rays_meet(run_folder, tmp_path, index):
+def test_background_shows_the_texels_in_the_directions_of_the_cameras_rays(run_folder, tmp_path, index):
     bpy.ops.wm.read_homefile(use_empty=True)
     imported = import_run(run_folder)
     scene = bpy.context.scene
@@ -40,7 +40,7 @@ def test_background_shows_the_texels_that_our_rays_meet(run_folder, tmp_path, in
     assert np.abs(rendered - expected).mean() < 0.01
 
 
-def test_any_world_is_baked_in_our_convention(tmp_path):
+def test_any_world_is_baked_in_the_engines_convention(tmp_path):
     bpy.ops.wm.read_homefile(use_empty=True)
     light = (0.5 + 0.4 * map_directions(32, 64)).astype(np.float32)
     write_image(tmp_path / "light.exr", light)
@@ -50,6 +50,6 @@ def test_any_world_is_baked_in_our_convention(tmp_path):
     next(n for n in nodes if n.bl_idname == "ShaderNodeMapping").inputs["Rotation"].default_value = (0, 0, np.pi / 2)
     bake_world(bpy.context.scene, tmp_path / "baked.exr", 32)
     d = map_directions(32, 64)
-    turned = np.stack([-d[..., 1], d[..., 0], d[..., 2]], -1)  # the texel seen along +X is that of +Y
+    turned = np.stack([-d[..., 1], d[..., 0], d[..., 2]], -1)  # the lookup along +X returns the texel of +Y
     assert np.allclose(read_image(tmp_path / "baked.exr"), 2 * (0.5 + 0.4 * turned), atol=0.01)
     assert len(bpy.data.scenes) == 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light of any World: read from its image, rendered by another Blender, and both the same; Worlds without light in words."""
+"""Environment maps of Worlds: reading the image and rendering by another Blender agree; Worlds without light are errors."""
 
 import bpy
 import numpy as np
@@ -27,7 +27,7 @@ def empty_file():
 
 @pytest.fixture
 def world(tmp_path):
-    """A World of a smooth image, its nodes by name of kind."""
+    """Return the scene's World, which has a smooth environment map."""
     world = bpy.context.scene.world = world_from_map(write_image(tmp_path / "light.exr", axis_light(ROWS)))
     return world
 
@@ -71,7 +71,7 @@ def test_plain_worlds_are_read_as_they_render(world, rotation, kind):
     assert np.abs(light.image(ROWS) - rendered(world)).max() < 1e-4
 
 
-def test_a_mapping_of_90_degrees_shows_y_where_x_was(world):
+def test_a_mapping_of_90_degrees_moves_y_to_x(world):
     node(world, "Mapping").inputs["Rotation"].default_value = (0, 0, np.pi / 2)
     image, source = plain_light(world).image(ROWS), axis_light(ROWS)
     assert np.allclose(image[:, ROWS], source[:, ROWS // 2], atol=0.02)  # +X in the middle sees the texel of +Y, a quarter from the left
@@ -119,7 +119,7 @@ def test_colours_and_worlds_without_nodes(world):
 
 
 def test_mixed_worlds_are_rendered(world):
-    """0.7 of the image and 0.3 of a colour."""
+    """The World mixes 0.7 of an image and 0.3 of a colour."""
     nodes, links = world.node_tree.nodes, world.node_tree.links
     mix, colour = nodes.new("ShaderNodeMixShader"), nodes.new("ShaderNodeBackground")
     colour.inputs["Color"].default_value, mix.inputs[0].default_value = (0.2, 0.4, 0.8, 1), 0.3
@@ -133,7 +133,7 @@ def test_mixed_worlds_are_rendered(world):
 
 
 def test_skies_are_rendered_as_a_camera_sees_them(tmp_path):
-    """Against a perspective render of the same sky, between whose rays and the map's texels nothing but interpolation stands."""
+    """A perspective render of the same sky differs from the environment map by interpolation alone."""
     scene = bpy.context.scene
     scene.world = sky_world()
     assert plain_light(scene.world) is None
@@ -152,10 +152,10 @@ def test_skies_are_rendered_as_a_camera_sees_them(tmp_path):
 def test_a_world_is_rendered_once(world):
     scene = bpy.context.scene
     scene.world = sky_world()
-    asked = ask_world(scene.world)
-    assert isinstance(asked, WorldBake) and asked.poll() is None
-    light = asked.wait(120)
-    asked.close()
+    bake = ask_world(scene.world)
+    assert isinstance(bake, WorldBake) and bake.poll() is None
+    light = bake.wait(120)
+    bake.close()
     assert ask_world(scene.world) is light
     node(scene.world, "TexSky").location = (500, 0)
     assert ask_world(scene.world) is light
@@ -165,7 +165,7 @@ def test_a_world_is_rendered_once(world):
     again.close()
 
 
-def test_rendering_leaves_the_scene_alone(world, tmp_path):
+def test_rendering_does_not_change_the_scene(world, tmp_path):
     bpy.ops.mesh.primitive_cube_add()
     scene = bpy.context.scene
     before = datablocks()
@@ -176,7 +176,7 @@ def test_rendering_leaves_the_scene_alone(world, tmp_path):
     assert scene.world == world and scene.render.engine != "CYCLES"
 
 
-def test_fingerprints_see_ramps_curves_groups_and_links(world):
+def test_fingerprints_depend_on_ramps_curves_groups_and_links(world):
     tree, seen = world.node_tree, [fingerprint(world)]
     ramp, curves = tree.nodes.new("ShaderNodeValToRGB"), tree.nodes.new("ShaderNodeRGBCurve")
     seen.append(fingerprint(world))
@@ -196,7 +196,7 @@ def test_fingerprints_see_ramps_curves_groups_and_links(world):
     assert len(set(seen)) == len(seen), [seen.index(one) for one in seen]
 
 
-def test_worlds_without_light_are_told(world, tmp_path):
+def test_worlds_without_light_are_errors(world, tmp_path):
     with pytest.raises(InputError, match="has no World"):
         world_light(None)
     node(world, "TexEnvironment").image = None
@@ -209,7 +209,7 @@ def test_worlds_without_light_are_told(world, tmp_path):
         world_light(world)
 
 
-def test_a_render_that_fails_is_told(monkeypatch, tmp_path):
+def test_a_failing_render_is_an_error(monkeypatch, tmp_path):
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no light today')")
     monkeypatch.setattr(module, "CHILD", broken)
@@ -229,7 +229,7 @@ def test_light_maps_as_files(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["light.exr", "light.npy"]
 
 
-def test_images_lose_no_light():
+def test_resizing_preserves_energy():
     texels = np.zeros((64, 128, 3), np.float32)
     texels[20, 77] = 1000  # a sun of one texel
     turned = EnvironmentMap(texels, np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), 2.0)
