@@ -25,7 +25,7 @@ from irgspp.core.settings.schema import FirstStageSettings, SecondStageSettings
 from irgspp.core.shading import sampling, specular_albedo, split_sum
 from irgspp.core.stages.common.finite_check import LOOK_EVERY
 from irgspp.core.stages.first.initialization import surfels
-from irgspp.core.stages.first.material_class import KINDS
+from irgspp.core.stages.first.material_class import MATERIAL_CLASSES
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second.pixel_pool import pool_pixels
 from irgspp.core.stages.second.refinement import Refinement
@@ -93,8 +93,8 @@ def main() -> None:
     data, start = sphere()
     with backend.warp_on_cpu():
         trainers = [
-            Trainer(data, FirstStageSettings(iterations=100, gaussians=300, light_height=8), start.gaussians, kind, 0, 0)
-            for kind in KINDS[:2]
+            Trainer(data, FirstStageSettings(iterations=100, gaussians=300, light_height=8), start.gaussians, material_class, 0, 0)
+            for material_class in MATERIAL_CLASSES[:2]
         ]
         settings, refinements = SecondStageSettings(iterations=100, pixels=16, samples=16), []
         for glossy in (False, True):

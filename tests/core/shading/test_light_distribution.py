@@ -7,7 +7,7 @@ import pytest
 import torch
 from irgspp.core.shading.environment_lookup import lookup, solid_angles
 from irgspp.core.shading.sampling import LightDistribution
-from sampled import COUNT, F64, LIGHT_MAPS, NORMAL, assert_follows, hot, one_each
+from sampling_checks import COUNT, F64, LIGHT_MAPS, NORMAL, assert_follows, hot_texel, one_sample_each
 
 
 def sphere_grid(height, width, fine):
@@ -31,7 +31,7 @@ def test_light_samples_follow_their_density(name):
     assert probability.sum().item() == pytest.approx(1, abs=1e-9)
     assert probability.min() > 0
 
-    direction, density = one_each(NORMAL, NORMAL, 0.5, (0, 0, 1), LightDistribution(light))
+    direction, density = one_sample_each(NORMAL, NORMAL, 0.5, (0, 0, 1), LightDistribution(light))
     assert torch.allclose(direction.norm(dim=-1), torch.ones(COUNT, dtype=F64), atol=1e-6)
     agree = ((density - distribution.density(direction)).abs() < 1e-5 * density).double().mean()
     assert agree > 0.9999  # but where rounding takes a direction over an edge
@@ -53,7 +53,7 @@ def test_light_that_lookup_spreads_over_the_edge_is_likely_too(name):
 
 
 def test_black_texels_stay_alive_and_black_maps_are_uniform():
-    light = hot(7, 12)
+    light = hot_texel(7, 12)
     grid, _ = sphere_grid(16, 32, 1)
     density = LightDistribution(light).density(grid.float())
     assert density.min() > 0.5e-3 / (4 * math.pi)

@@ -6,7 +6,7 @@ import math
 import pytest
 import torch
 from irgspp.core.shading.sampling import LightDistribution, draw, orthonormal_basis, point_set
-from sampled import F64, LIGHT_MAPS, NORMAL, assert_follows, local_frame, one_each, tilted_view, unit
+from sampling_checks import F64, LIGHT_MAPS, NORMAL, assert_follows, local_frame, one_sample_each, tilted_view, unit
 
 # --- visible normals
 
@@ -52,7 +52,7 @@ def textbook_ggx(view, half, alpha):
 def test_mirrored_visible_normals_follow_their_density(roughness, degrees):
     alpha = max(roughness, 0.05) ** 2
     view, frame = tilted_view(degrees), local_frame()
-    direction, density = one_each(view, NORMAL, roughness, (0, 1, 0), LightDistribution(torch.ones(2, 4, 3)))
+    direction, density = one_sample_each(view, NORMAL, roughness, (0, 1, 0), LightDistribution(torch.ones(2, 4, 3)))
     half = torch.nn.functional.normalize(direction + view, dim=-1) @ frame
     view = view @ frame
 
@@ -73,7 +73,7 @@ def test_mirrored_visible_normals_follow_their_density(roughness, degrees):
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1e-4, 0.0, -1.0), (-0.6, 0.5, -0.4)])
 def test_cosine_samples_follow_their_density(normal):
     normal = unit(*normal)
-    direction, density = one_each(normal, normal, 0.5, (1, 0, 0), LightDistribution(torch.ones(2, 4, 3)))
+    direction, density = one_sample_each(normal, normal, 0.5, (1, 0, 0), LightDistribution(torch.ones(2, 4, 3)))
     local = direction @ local_frame(normal)
     assert torch.allclose(density, local[:, 2] / math.pi, atol=1e-6)
     phi = torch.atan2(local[:, 1], local[:, 0]) / (2 * math.pi) % 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Many independent samples of one point, whether they follow a density, and light maps to draw from."""
+"""Checks of sampling: independent samples of one point, a chi-square test against their density, and light maps to sample."""
 
 import math
 
@@ -17,26 +17,26 @@ def unit(*values):
 
 
 def local_frame(normal=NORMAL):
-    """Columns of a right-handed frame (3, 3) about a normal, made by cross products."""
+    """Return a right-handed frame (3, 3) about a normal (3,), tangents and normal as columns, by cross products."""
     tangent = torch.nn.functional.normalize(torch.linalg.cross(unit(0.1, 0.9, 0.3), normal), dim=0)
     return torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], -1)
 
 
 def tilted_view(degrees):
-    """A view so far from NORMAL, (3,)."""
+    """Return a unit view direction (3,) at this angle from NORMAL."""
     angle = math.radians(degrees)
     return local_frame() @ torch.tensor([math.sin(angle) * 0.6, math.sin(angle) * 0.8, math.cos(angle)], dtype=F64)
 
 
-def one_each(view, normal, roughness, counts, light, seed=1, dtype=torch.float32):
-    """Directions (COUNT, 3) and densities (COUNT,) of one sample each at COUNT like points: they are independent."""
+def one_sample_each(view, normal, roughness, counts, light, seed=1, dtype=torch.float32):
+    """Return directions (COUNT, 3) and densities (COUNT,) of one sample at each of COUNT identical points, which are independent."""
     view, normal = (t.to(dtype).expand(COUNT, 3) for t in (view, normal))
     samples = draw(view, normal, torch.full((COUNT,), roughness, dtype=dtype), counts, light, torch.Generator().manual_seed(seed))
     return samples.direction[:, 0].double(), samples.density[:, 0].double()
 
 
 def assert_follows(cells, probability):
-    """Chi-square of cell numbers (COUNT,) against probabilities (K,) of the cells, those that expect little taken together."""
+    """Test cell numbers (COUNT,) against the cells' probabilities (K,) by chi-square; cells with few expected samples are merged."""
     expected = probability * len(cells)
     observed = torch.bincount(cells, minlength=len(expected)).double()
     big = expected > 10
@@ -46,7 +46,8 @@ def assert_follows(cells, probability):
     assert statistic < chi2.ppf(1 - 1e-4, max(int(big.sum()), 1))
 
 
-def hot(row, column):
+def hot_texel(row, column):
+    """Return a black light map (16, 32, 3) with one bright texel."""
     light = torch.zeros(16, 32, 3)
     light[row, column, 1] = 1000.0
     return light
@@ -56,8 +57,8 @@ LIGHT_MAPS = {
     "constant": torch.full((16, 32, 3), 0.3),
     "random": torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(0)) ** 4,
     "black": torch.zeros(16, 32, 3),
-    "hot pole": hot(0, 5),
-    "hot seam": hot(9, 31),
-    "hot middle": hot(7, 12),
+    "hot pole": hot_texel(0, 5),
+    "hot seam": hot_texel(9, 31),
+    "hot middle": hot_texel(7, 12),
     "odd size": torch.rand(5, 7, 3, generator=torch.Generator().manual_seed(1)),
 }
