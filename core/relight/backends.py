@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A relighter for a run folder: secondary rays on its Gaussians or on its mesh."""
+"""Backends of the relighter: secondary rays traced on the mesh or on the Gaussians of a run folder."""
 
 from __future__ import annotations
 
@@ -17,16 +17,26 @@ Backend = Literal["gaussian", "mesh"]
 
 
 def best_backend(run: Path) -> Backend:
-    """The mesh where the run has one: as true and quicker; otherwise its Gaussians."""
+    """Return "mesh" where the run has a mesh, which is as accurate and faster, otherwise "gaussian"."""
     return "mesh" if (run / "mesh.ply").is_file() else "gaussian"
 
 
 def open_relighter(run: Path, reconstruction: Reconstruction, backend: Backend, settings: RelightSettings) -> Relighter:
-    """The relighter of a run. Raises InputError where the run lacks what it needs, or settings are impossible."""
+    """Open the relighter of a run.
+
+    Args:
+        run: run folder; its mesh.ply, if any, serves secondary rays (backend "mesh") and refines the shading normals (both backends).
+        reconstruction: Gaussians and light of the run.
+        backend: what secondary rays are traced on.
+        settings: settings of the relighter.
+
+    Raises:
+        InputError: when the backend needs a mesh that the run lacks, or the settings contradict each other.
+    """
     file, radius = run / "mesh.ply", reconstruction.bound.radius
     mesh = MeshQuery(load_mesh_ply(file), radius, reconstruction.environment.device) if file.is_file() else None
     if backend == "gaussian":
         return Relighter(reconstruction, GaussianQuery(reconstruction), settings, mesh)
     if mesh is None:
-        raise InputError(file, "is missing, which --backend mesh needs", f"make it by: irgspp reconstruct DATASET -o {run} --resume")
+        raise InputError(file, "is missing, but --backend mesh needs it", f"create it: irgspp reconstruct DATASET -o {run} --resume")
     return Relighter(reconstruction, mesh, settings, mesh)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What takes the last noise out of an image of few samples: the cross-bilateral filter, guided by depth and normals.
+"""Denoiser of relit images of few samples: a cross-bilateral filter guided by depth and normals.
 
-Mode `paper` filters the final colour. Mode `demodulated` filters diffuse and specular light apart, each divided by what the surface
-reflects of it, so that no texture is blurred, and only as far as there is noise: the estimate's two halves of samples tell how much.
+Mode `paper` filters the final colour. Mode `demodulated` filters diffuse and specular light separately, each divided by its albedo, so
+that texture is not blurred, and only as far as there is noise, which the two halves of the samples tell.
 """
 
 from __future__ import annotations
@@ -21,20 +21,26 @@ from ..shading.split_sum import specular_albedo
 from .estimate import Estimate
 from .primary_hits import PrimaryHits
 
-REACH = 6  # pixels of margin, as far as any filter reaches
-BLOCKS = 4  # rows are handed out in this many ranges per thread: the object rarely covers them evenly
+REACH = 6  # pixels of margin: the largest radius of a filter
+BLOCKS = 4  # ranges of rows per thread: the object rarely covers the rows evenly
 
 
 @dataclass(frozen=True)
 class Filter:
-    """Widths: `sigma` in pixels, normals' cosine to the power of 2^`doublings`, depth `epsilon` of the scene radius beside its slope."""
+    """Widths of the cross-bilateral filter.
+
+    Attributes:
+        sigma: spatial standard deviation, pixels.
+        doublings: binary logarithm of the power of the cosine between normals.
+        epsilon: tolerated difference of depth, as a fraction of the scene radius, in addition to the slope of the surface.
+    """
 
     sigma: float
     doublings: int
     epsilon: float = 0.02
 
     def spatial(self) -> np.ndarray:
-        """(T, T) weights of the neighbours, three sigma to each side."""
+        """Return the spatial weights (T, T) of the neighbours, three sigma to each side."""
         reach = min(REACH, math.ceil(3 * self.sigma))
         bell = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * self.sigma**2))
         return np.outer(bell, bell).astype(np.float32)
@@ -42,123 +48,158 @@ class Filter:
 
 IMAGE = DIFFUSE = Filter(2, 7)
 SPECULAR = Filter(1.5, 7)
-CHANCE = 2.0  # relative error of diffuse light from few samples that agree by chance, times their number
+CHANCE = 2.0  # assumed relative error of the diffuse light times the number of samples: few samples may agree by chance
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Where pixels lie in planes with a margin around the image and rows of whole vectors."""
+    """Memory layout of padded image planes: a margin around the image and rows of whole vectors.
+
+    Attributes:
+        width: of the image in pixels.
+        height: of the image in pixels.
+    """
 
     width: int
     height: int
 
     @property
     def stride(self) -> int:
-        """Floats from row to row."""
+        """Return the number of floats from row to row."""
         return -(-self.width // 8) * 8 + 2 * REACH
 
     @property
     def plane(self) -> int:
-        """Floats of a plane."""
+        """Return the number of floats of a plane."""
         return self.stride * (self.height + 2 * REACH)
 
     def places(self, index: np.ndarray) -> np.ndarray:
-        """Flat pixel indices to places in a plane."""
+        """Return the positions in a plane, (P,), of flat pixel indices (P,)."""
         return (index // self.width + REACH) * self.stride + index % self.width + REACH
 
 
 class Guides:
-    """A surface as filters see it, and their weights, which no light changes.
+    """Guide layers of a surface and the filter weights that follow from them, which do not depend on the light.
 
     Args:
-        surface: whose pixels. radius: of the scene. kept: whether weights are kept from filter to filter, 1.2 kB a pixel.
+        surface: covered pixels of a view.
+        radius: of the scene, world units.
+        keep_weights: keep the weights from one filter call to the next, 1.2 kB per pixel.
     """
 
-    def __init__(self, surface: PrimaryHits, radius: float, kept: bool = False) -> None:
-        self._grid, self._radius, self._kept = Grid(surface.camera.width, surface.camera.height), radius, kept
+    def __init__(self, surface: PrimaryHits, radius: float, keep_weights: bool = False) -> None:
+        self._grid, self._radius, self._keep_weights = Grid(surface.camera.width, surface.camera.height), radius, keep_weights
         self._weights: dict[Filter, np.ndarray] = {}
-        self._index = surface.index if by_warp(surface.index) else None  # on a device
+        self._index = surface.index if by_warp(surface.index) else None  # on a GPU
         if self._index is not None:
             self._values = _guides(surface).T.contiguous()
             return
         index = surface.index.numpy()
         self._places = self._grid.places(index)
-        self._groups = np.unique(self._places - index % surface.camera.width % 8)  # of 8 pixels
+        self._groups = np.unique(self._places - index % surface.camera.width % 8)  # first pixels of groups of 8
         self._planes = self._scattered(_guides(surface))
 
     @property
     def size(self) -> int:
-        """Bytes of kept weights."""
+        """Return the bytes of the kept weights."""
         return sum(weights.nbytes for weights in self._weights.values())
 
     @staticmethod
     def kept_size(surface: PrimaryHits) -> int:
-        """Bytes that they come to, about."""
-        return len(surface.index) * 4 * sum(len(how.spatial()) ** 2 for how in (DIFFUSE, SPECULAR))
+        """Estimate the bytes of the weights that a surface would keep."""
+        return len(surface.index) * 4 * sum(len(bilateral.spatial()) ** 2 for bilateral in (DIFFUSE, SPECULAR))
 
-    def filtered(self, values: torch.Tensor, how: Filter) -> torch.Tensor:
-        """(P, C) values at the surface's pixels; every pixel becomes a mean of its neighbours, with weights that sum to 1."""
+    def filtered(self, values: torch.Tensor, bilateral: Filter) -> torch.Tensor:
+        """Filter values at the surface's pixels: every pixel becomes a weighted mean of its neighbours, with weights that sum to 1.
+
+        Args:
+            values: (P, C) per pixel.
+            bilateral: widths of the filter.
+
+        Returns:
+            (P, C) filtered values.
+        """
         if self._index is not None:
-            return self._on_device(self._index, values, how)
-        planes, spatial = self._scattered(values.T), how.spatial()
+            return self._on_device(self._index, values, bilateral)
+        planes, spatial = self._scattered(values.T), bilateral.spatial()
         out, size = np.empty_like(planes), (self._grid.stride, self._grid.plane)
         parts = even_ranges(len(self._groups), BLOCKS * thread_count())
-        guided = (self._planes, spatial, np.float32(how.epsilon * self._radius), how.doublings)
-        if not self._kept:
+        guided = (self._planes, spatial, np.float32(bilateral.epsilon * self._radius), bilateral.doublings)
+        if not self._keep_weights:
             run_ranges(bilateral_range, parts, self._groups, *guided, planes, *size, out)
         else:
-            if how not in self._weights:
-                self._weights[how] = np.empty(len(self._groups) * spatial.size * 8, np.float32)
-                run_ranges(weigh_range, parts, self._groups, *guided, *size, self._weights[how])
-            run_ranges(mean_range, parts, self._groups, self._weights[how], planes, len(spatial) // 2, *size, out)
+            if bilateral not in self._weights:
+                self._weights[bilateral] = np.empty(len(self._groups) * spatial.size * 8, np.float32)
+                run_ranges(weigh_range, parts, self._groups, *guided, *size, self._weights[bilateral])
+            run_ranges(mean_range, parts, self._groups, self._weights[bilateral], planes, len(spatial) // 2, *size, out)
         return torch.from_numpy(out.reshape(-1, self._grid.plane)[:, self._places].T.copy())
 
-    def _on_device(self, index: torch.Tensor, values: torch.Tensor, how: Filter) -> torch.Tensor:
-        from ..kernels.warp.bilateral import filtered  # an option, not installed everywhere
+    def _on_device(self, index: torch.Tensor, values: torch.Tensor, bilateral: Filter) -> torch.Tensor:
+        """Filter values (P, C) at flat pixel indices (P,) by the Warp kernel."""
+        from ..kernels.warp.bilateral import filtered  # an optional dependency
 
-        spatial = torch.from_numpy(how.spatial()).to(values.device)
+        spatial = torch.from_numpy(bilateral.spatial()).to(values.device)
         image = (index, self._grid.width, self._grid.height)
-        return filtered(*image, self._values, spatial, how.epsilon * self._radius, how.doublings, values.contiguous())
+        return filtered(*image, self._values, spatial, bilateral.epsilon * self._radius, bilateral.doublings, values.contiguous())
 
     def _scattered(self, rows: torch.Tensor) -> np.ndarray:
-        """(C, P) values as C flattened planes, 0 elsewhere."""
+        """Scatter C rows of values at the pixels, (C, P), to C flattened planes, 0 elsewhere."""
         planes = np.zeros((len(rows), self._grid.plane), np.float32)
         planes[:, self._places] = rows.numpy()
         return planes.reshape(-1)
 
 
 def denoised(estimate: Estimate, surface: PrimaryHits, guides: Guides, mode: str = "demodulated") -> torch.Tensor:
-    """(P, 3) reflected light of the surface's points, filtered as `mode` says: "paper", "demodulated" or "off"."""
+    """Denoise the reflected light of a surface.
+
+    Args:
+        estimate: diffuse and specular light, with the differences of their two halves of samples.
+        surface: the P points.
+        guides: guide layers of the surface.
+        mode: "paper", "demodulated" or "off".
+
+    Returns:
+        (P, 3) linear radiance.
+    """
     if mode == "off":
         return estimate.diffuse + estimate.specular
     if mode == "paper":
         return guides.filtered(estimate.diffuse + estimate.specular, IMAGE)
-    body = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
+    diffuse = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
     n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
-    gloss = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
+    specular = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
     chance = (CHANCE / estimate.samples) ** 2
-    even = corrected(estimate.diffuse / body, estimate.diffuse_split / body, chance, guides, DIFFUSE)
-    sharp = corrected(estimate.specular / gloss, estimate.specular_split / gloss, 0.0, guides, SPECULAR)
-    return even * body + sharp * gloss
+    filtered_diffuse = corrected(estimate.diffuse / diffuse, estimate.diffuse_split / diffuse, chance, guides, DIFFUSE)
+    filtered_specular = corrected(estimate.specular / specular, estimate.specular_split / specular, 0.0, guides, SPECULAR)
+    return filtered_diffuse * diffuse + filtered_specular * specular
 
 
-def corrected(values: torch.Tensor, split: torch.Tensor, chance: float | torch.Tensor, guides: Guides, how: Filter) -> torch.Tensor:
-    """Filtered (P, 3) values, drawn back to the unfiltered ones where the filter changes them by more than their noise.
+def corrected(values: torch.Tensor, split: torch.Tensor, chance: float | torch.Tensor, guides: Guides, bilateral: Filter) -> torch.Tensor:
+    """Filter values, and blend the original values back in where the filter changed them by more than their noise.
 
-    split: (P, 3), see `Estimate`. chance: squared relative error that is assumed even where both halves agree: they may have missed the
-    same lamp. With x the value and f the filtered one, f + k (x - f) errs least with k = 1 - var(x) / E[(x - f)^2] (James and Stein
-    1961), both means over the filter's neighbourhood. So edges stay, and with many samples the image converges.
+    With x the value and f the filtered one, f + k (x - f) has the least error for k = 1 - var(x) / E[(x - f)^2] (James and Stein 1961),
+    both as means over the filter's neighbourhood. Therefore edges remain, and with many samples the image converges.
+
+    Args:
+        values: (P, 3) noisy values.
+        split: (P, 3) difference of their two halves of samples, see `Estimate`.
+        chance: squared relative error to assume even where both halves agree, since both may have missed the same lamp; scalar or (P, 1).
+        guides: guide layers of the surface.
+        bilateral: widths of the filter.
+
+    Returns:
+        (P, 3) denoised values.
     """
-    smooth = guides.filtered(torch.cat([values, split.square().mean(1, keepdim=True)], 1), how)
+    smooth = guides.filtered(torch.cat([values, split.square().mean(1, keepdim=True)], 1), bilateral)
     smooth, variance = smooth[:, :3], smooth[:, 3:]
     variance = variance + chance * smooth.square().mean(1, keepdim=True)
-    change = guides.filtered((values - smooth).square().mean(1, keepdim=True), how)
+    change = guides.filtered((values - smooth).square().mean(1, keepdim=True), bilateral)
     keep = (1 - variance / change.clamp_min(1e-36)).clamp(0, 1)
     return smooth + keep * (values - smooth)
 
 
 def _guides(surface: PrimaryHits) -> torch.Tensor:
-    """(7, P) normal, depth, its slopes to the right and down, coverage."""
+    """Return the guide layers (7, P): normal, depth, its slopes to the right and down, coverage."""
     camera = surface.camera
     # The tangent plane n.(x - p) = 0 gives the slopes without the noise of differences.
     across = torch.from_numpy(camera.to_world[:3, 0] / camera.fx).to(surface.depth)

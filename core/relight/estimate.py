@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From sums over samples to reflected light, and how far it is to be trusted."""
+"""Estimate of the reflected light from sums over samples, with a measure of its noise."""
 
 from __future__ import annotations
 
@@ -13,17 +13,22 @@ from ..shading.specular_albedo import diffuse_fraction
 from .prepared_light import PreparedLight
 from .primary_hits import PrimaryHits
 
-RATIO = 2.0  # by so much at most a sum of few samples is corrected
+MAX_CORRECTION = 2.0  # largest factor by which a sum of few samples is corrected
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Light that P surface points reflect.
 
+    The estimate is the sum over even plus the sum over odd samples. The square of their difference has the variance of the estimate as
+    its mean, or more than that, since half of a low-discrepancy set is a worse set.
+
     Attributes:
-        diffuse, specular: (P, 3). diffuse_split, specular_split: (P, 3) how much more of each the even samples bring than the odd ones:
-            its square is, on average, the variance (or more: halves of a low-discrepancy set are worse than its half).
-        samples: how many a point has, the same for all or (P, 1).
+        diffuse: (P, 3) linear radiance of the diffuse lobe.
+        specular: (P, 3) linear radiance of the specular lobe.
+        diffuse_split: (P, 3) diffuse light of the even samples minus that of the odd ones.
+        specular_split: (P, 3) the same of the specular light.
+        samples: samples per point, the same for all or (P, 1).
     """
 
     diffuse: torch.Tensor
@@ -33,24 +38,38 @@ class Estimate:
     samples: int | torch.Tensor
 
 
-def estimated(sums: torch.Tensor, samples: int | torch.Tensor, surface: PrimaryHits, light: PreparedLight, conserving: bool) -> Estimate:
-    """Reflected light from (P, 2, 12) sums of `gather` over so many samples.
+def estimate_reflected_light(
+    sums: torch.Tensor, samples: int | torch.Tensor, surface: PrimaryHits, light: PreparedLight, conserving: bool
+) -> Estimate:
+    """Turn the sums of `gather` into reflected light.
 
-    Without anything in its way the diffuse light is known exactly, from the prefiltered map; so sampling has to tell the share of it
-    that arrives and no more (Heitz et al. 2018, Combining analytic direct illumination and stochastic shadows).
+    The unoccluded irradiance is known exactly from the prefiltered map, so that sampling has to find only the fraction that is visible:
+    the ratio estimator of Heitz et al. 2018, "Combining analytic direct illumination and stochastic shadows".
+
+    Args:
+        sums: (P, 2, 12) sums over even and odd samples.
+        samples: samples per point, the same for all or (P, 1).
+        surface: the P points.
+        light: the light of the sums.
+        conserving: reduce the diffuse lobe by what the specular lobe reflects, see `reflect_light`.
     """
-    (irradiance, scaled, added, free), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
+    (irradiance, scaled, added, unoccluded), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
     known = light.irradiance(surface.normal)
-    factor = torch.where(free > 0, known / free.clamp_min(1e-30), 1.0).clamp(1 / RATIO, RATIO)
+    factor = torch.where(unoccluded > 0, known / unoccluded.clamp_min(1e-30), 1.0).clamp(1 / MAX_CORRECTION, MAX_CORRECTION)
     body = diffuse_albedo(surface, conserving) / math.pi * factor
-    arriving = irradiance / free.clamp_min(1e-30)
+    visible_fraction = irradiance / unoccluded.clamp_min(1e-30)
     f0 = base_reflectance(surface.albedo, surface.metallic[:, None])
-    diffuse_split = body * (split[:, 0] - torch.where(free > 0, arriving * split[:, 3], 0.0))
+    diffuse_split = body * (split[:, 0] - torch.where(unoccluded > 0, visible_fraction * split[:, 3], 0.0))
     return Estimate(body * irradiance, f0 * scaled + added, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
 
 
 def diffuse_albedo(surface: PrimaryHits, conserving: bool) -> torch.Tensor:
-    """(P, 3) share of the irradiance that the diffuse lobe sends back; `conserving`: see `reflect_light`."""
+    """Return the fraction of the irradiance that the diffuse lobe reflects, (P, 3).
+
+    Args:
+        surface: the P points.
+        conserving: reduce the diffuse lobe by what the specular lobe reflects, see `reflect_light`.
+    """
     body = (1 - surface.metallic[:, None]) * surface.albedo
     if not conserving:
         return body

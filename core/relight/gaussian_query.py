@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Secondary rays on the Gaussians themselves: their materials composited along the ray."""
+"""Secondary rays traced on the Gaussians: materials composited along the ray."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from ..scene.reconstruction import Reconstruction
 from .primary_hits import PrimaryHits
 from .secondary_query import Hits
 
-OFFSET = 0.02  # of the scene radius: the mean depth lies inside the cloud of surfels that make a surface, whose thickness this clears
-FAINTEST = 1 / 255  # opacity below which a ray counts as free
+OFFSET = 0.02  # of the scene radius: the mean depth lies inside the layer of surfels of a surface, and rays start above that layer
+FAINTEST = 1 / 255  # opacity at or below which a ray counts as free
 
 
 class GaussianQuery:
-    """The Gaussians of a reconstruction as `SurfaceQuery`; those outside its bound, a backdrop, don't count.
+    """Gaussians of a reconstruction as a `SurfaceQuery`; those outside its bound are a backdrop and are ignored.
 
     Args:
-        reconstruction: whose surfels. offset: of the scene radius, by which rays start above the surface.
+        reconstruction: Gaussians and bound.
+        offset: distance of ray origins from the surface, as a fraction of the scene radius.
     """
 
     def __init__(self, reconstruction: Reconstruction, offset: float = OFFSET) -> None:
@@ -32,26 +33,42 @@ class GaussianQuery:
         self._offset = offset * bound.radius
 
     def origins(self, surface: PrimaryHits) -> torch.Tensor:
-        """See `SurfaceQuery`."""
+        """Return ray origins (P, 3) above a surface, see `SurfaceQuery`."""
         return surface.point + self._offset * surface.normal
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
-        """See `SurfaceQuery`."""
+        """Return the hits of rays, see `SurfaceQuery`.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         with torch.no_grad():
             sums = self._traced(self._materials, origin, direction)
             ray = torch.nonzero(sums[:, -1] > FAINTEST)[:, 0]
-            at = sums[ray]
-            opacity = at[:, -1]
-            mean = at / opacity[:, None]
+            hit = sums[ray]
+            opacity = hit[:, -1]
+            mean = hit / opacity[:, None]
             normal = torch.nn.functional.normalize(mean[:, 3:6], dim=1)
         return Hits(ray, opacity, mean[:, 6:9], mean[:, 9].contiguous(), mean[:, 10], normal)
 
     def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """See `SurfaceQuery`."""
+        """Return the occlusion (R,) of rays, see `SurfaceQuery`.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         with torch.no_grad():
             opacity = self._traced(self._materials[:0], origin, direction)[:, -1]
         return torch.where(opacity > FAINTEST, opacity, 0.0)
 
     def _traced(self, channels: torch.Tensor, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """See `trace`; channels: (E, N) of the surfels."""
+        """Trace rays with `trace`, without spherical harmonics.
+
+        Args:
+            channels: (E, N) extra channels of the surfels.
+            origin: (R, 3) world.
+            direction: (R, 3) unit.
+        """
         return trace(*self._geometry, None, channels, origin.contiguous(), direction.contiguous(), self._tree)

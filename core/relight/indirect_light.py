@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Secondary rays with what they meet, which no light changes, and the light that they gather for the surface seen."""
+"""Secondary rays and the light that they gather: L_i = V L_env + (1 - V) L_reflected, as sums over samples.
+
+What does not depend on the light (hits, reflectances, weights) is computed once per surface and kept for the next light. The light
+reflected by a hit surface is split-sum shading with the prefiltered light, without further bounces.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +24,18 @@ from ..shading.split_sum import reflect, stack_level
 from .prepared_light import PreparedLight
 from .secondary_query import Hits, SurfaceQuery
 
-SUMS = 12  # three channels each: diffuse, F0, Fresnel, and diffuse as if every ray were free
+SUMS = 12  # three channels each: light for the diffuse lobe, F0, Fresnel, and the diffuse lobe without occlusion
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
-    """P points to be lit, as kernels take them.
+class ShadingPoints:
+    """P points to be lit, as kernels read them.
 
     Attributes:
-        origin: (P, 3) where rays start. view: (P, 3) unit, on the normal's side. normal: (P, 3) unit. alpha: (P,) of GGX.
+        origin: (P, 3) origins of secondary rays, world.
+        view: (P, 3) unit, towards the eye, on the normal's side.
+        normal: (P, 3) unit.
+        alpha: (P,) of GGX.
     """
 
     origin: torch.Tensor
@@ -37,150 +44,195 @@ class Points:
     alpha: torch.Tensor
 
     @classmethod
-    def of(cls, origin: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, roughness: torch.Tensor) -> Points:
-        """From any view vectors (P, 3) and roughness (P,)."""
+    def from_roughness(cls, origin: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, roughness: torch.Tensor) -> ShadingPoints:
+        """Build the points from unconstrained view vectors.
+
+        Args:
+            origin: (P, 3) origins of secondary rays, world.
+            view: (P, 3) unit, towards the eye.
+            normal: (P, 3) unit.
+            roughness: (P,) in 0..1.
+        """
         return cls(origin.contiguous(), facing(view, normal).contiguous(), normal.contiguous(), ggx_alpha(roughness).contiguous())
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
-    """What K rays meet, less the light.
+class HitReflectance:
+    """Reflectance of K hit surfaces towards their rays, independent of the light.
 
     Attributes:
-        opacity: (K,). body, gloss: (K, 3) what a hit sends back along the ray of its irradiance / pi and of its prefiltered mirror light.
-        place: (K, 5) u, v of its normal, u, v of the mirrored ray, level in the specular stack.
+        opacity: (K,) in 0..1.
+        diffuse: (K, 3) factor of the irradiance / pi at the hit.
+        specular: (K, 3) factor of the prefiltered light in the mirror direction.
+        place: (K, 5) u, v of the normal, u, v of the mirrored ray, level in the specular stack.
     """
 
     opacity: torch.Tensor
-    body: torch.Tensor
-    gloss: torch.Tensor
+    diffuse: torch.Tensor
+    specular: torch.Tensor
     place: torch.Tensor
 
     @property
     def tensors(self) -> list[torch.Tensor]:
-        """For kernels."""
+        """Return the attributes in order, contiguous, for kernels."""
         return [getattr(self, field.name).contiguous() for field in fields(self)]
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
-    """How rays are answered: by `query`, and what is met shines by its albedo times `scale` (3,); None: it only casts shadows.
+class SecondaryScene:
+    """Scene as secondary rays see it: occluders, with or without the light that they reflect.
 
-    conserving: of its diffuse lobe, see `reflect_light`.
+    Attributes:
+        query: mesh or Gaussians.
+        scale: (3,) factor of the albedo of hit surfaces; None: they only cast shadows.
+        conserving: reduce their diffuse lobe by what the specular lobe reflects, see `reflect_light`.
     """
 
     query: SurfaceQuery
     scale: torch.Tensor | None
     conserving: bool
 
-    def along(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, Met]:
-        """(R,) int32 which hit is each ray's, -1 for none, and the hits; origin, direction: (R, 3)."""
+    def trace(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, HitReflectance]:
+        """Trace rays.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+
+        Returns:
+            (R,) int32 index of each ray's hit, -1 for none, and the reflectances of the K hits.
+        """
         hits = self.query.hits(origin, direction)
         row = torch.full((len(origin),), -1, dtype=torch.int32, device=origin.device)
         row[hits.ray] = torch.arange(len(hits.ray), dtype=torch.int32, device=origin.device)
-        return row, self._met(hits, -direction[hits.ray])
+        return row, self._reflectance(hits, -direction[hits.ray])
 
-    def _met(self, hits: Hits, view: torch.Tensor) -> Met:
-        """What is seen against `view` (K, 3): split-sum shading without its light."""
+    def _reflectance(self, hits: Hits, view: torch.Tensor) -> HitReflectance:
+        """Return the reflectance of hits towards `view` (K, 3): split-sum shading without its light."""
         if self.scale is None:
-            return Met(hits.opacity, torch.zeros_like(view), torch.zeros_like(view), view.new_zeros(len(view), 5))
+            return HitReflectance(hits.opacity, torch.zeros_like(view), torch.zeros_like(view), view.new_zeros(len(view), 5))
         n_v = (view * hits.normal).sum(-1).clamp(1e-3, 1)
         albedo, metallic = hits.albedo * self.scale, hits.metallic[:, None]
-        body = (1 - metallic) * albedo
+        diffuse = (1 - metallic) * albedo
         if self.conserving:
-            body = body * diffuse_fraction(n_v, hits.roughness)[:, None]
-        gloss = specular_albedo(n_v, hits.roughness, base_reflectance(albedo, metallic))
+            diffuse = diffuse * diffuse_fraction(n_v, hits.roughness)[:, None]
+        specular = specular_albedo(n_v, hits.roughness, base_reflectance(albedo, metallic))
         places = (*direction_to_uv(hits.normal), *direction_to_uv(reflect(view, hits.normal)), stack_level(hits.roughness))
-        return Met(hits.opacity, body, gloss, torch.stack(places, 1))
+        return HitReflectance(hits.opacity, diffuse, specular, torch.stack(places, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class SecondaryRays:
-    """M rays from each of P points, with all that no light changes.
+    """M rays from each of P points, with everything that does not depend on the light.
 
     Attributes:
-        terms: (P, M, 6) u, v, cosine, cosine times the specular lobe's two parts, density times the number of all samples; 0 below the
-            horizon. row: (P, M) int32, which of the hits `met`, -1 for none.
+        terms: (P, M, 6) u, v, cosine, cosine times the two parts of the specular lobe, density times the number of all samples; 0 below
+            the horizon.
+        row: (P, M) int32 index of each ray's hit in `hits`, -1 for none.
+        hits: reflectances of the K hits.
     """
 
     terms: torch.Tensor
     row: torch.Tensor
-    met: Met
+    hits: HitReflectance
 
     @property
     def traced(self) -> int:
-        """How many of them lie above the horizon."""
+        """Count the rays above the horizon."""
         return int((self.terms[..., 2] > 0).sum())
 
     @property
     def size(self) -> int:
-        """Bytes in memory."""
-        return sum(t.numel() * t.element_size() for t in (self.terms, self.row, *vars(self.met).values()))
+        """Return the bytes in memory."""
+        return sum(t.numel() * t.element_size() for t in (self.terms, self.row, *vars(self.hits).values()))
 
 
-def _device() -> Any:
-    """What does the work where warp does: an option, not installed everywhere."""
+def _warp_kernels() -> Any:
+    """Return the module of the Warp kernels, imported on demand: Warp is an optional dependency."""
     from ..kernels.warp import light
 
     return light
 
 
-def trace_samples(surroundings: Surroundings, points: Points, samples: Samples) -> SecondaryRays:
-    """Trace the samples of P points that lie above the horizon; their density is for all of them together."""
+def trace_samples(scene: SecondaryScene, points: ShadingPoints, samples: Samples) -> SecondaryRays:
+    """Trace the samples of P points that lie above the horizon.
+
+    Args:
+        scene: what the rays meet.
+        points: the P points.
+        samples: (P, M) directions; their density is multiplied by the number of all samples of a point.
+    """
     count = samples.direction.shape[1]
     terms = points.normal.new_empty(len(points.normal), count, 6)
     tensors = (points.view, points.normal, points.alpha, samples.direction.contiguous(), samples.density.contiguous(), terms)
     if by_warp(terms):
-        _device().terms(*tensors)
+        _warp_kernels().terms(*tensors)
     else:
         run_ranges(terms_range, even_ranges(len(terms), 4 * thread_count()), *(t.numpy() for t in tensors))
     above = torch.nonzero(terms[..., 2].flatten() > 0)[:, 0]
     row = torch.full((terms.shape[0] * count,), -1, dtype=torch.int32, device=terms.device)
-    row[above], met = surroundings.along(points.origin[above // count], samples.direction.view(-1, 3)[above])
-    return SecondaryRays(terms, row.view(-1, count), met)
+    row[above], hits = scene.trace(points.origin[above // count], samples.direction.view(-1, 3)[above])
+    return SecondaryRays(terms, row.view(-1, count), hits)
 
 
-def gather(rays: SecondaryRays, light: PreparedLight, share: float) -> torch.Tensor:
-    """(P, 2, SUMS) float32: sums of light over samples 0, 2, 4.. and 1, 3, 5.., each by its weight in the rendering equation over density.
+def gather(rays: SecondaryRays, light: PreparedLight, light_count: float) -> torch.Tensor:
+    """Sum the light along rays, each weighted as in the rendering equation and divided by its density.
 
-    share: times the light's own density comes to that of the rays, where they see the light itself: what samples of the light find
-    in their way they leave out, so that it is for these rays alone.
+    Args:
+        rays: traced rays of P points.
+        light: the light, possibly rotated.
+        light_count: number of light-map samples per point, drawn separately by `add_light_samples`. So many times the light's own density
+            is added to the density of the rays where they see the light itself, but not where they see a hit surface: light-map samples
+            add no reflected light, which therefore comes from these rays alone.
+
+    Returns:
+        (P, 2, SUMS) float32 sums over samples 0, 2, 4... and over samples 1, 3, 5...
     """
     assert light.distribution is not None
     sums = rays.terms.new_zeros(len(rays.terms), 2, SUMS)
-    theirs = (light.radiance[None], light.diffuse[None], light.specular, light.distribution.texels)
-    tensors = (rays.terms, rays.row, *rays.met.tensors, *(t.contiguous() for t in theirs))
+    maps = (light.radiance[None], light.diffuse[None], light.specular, light.distribution.texels)
+    tensors = (rays.terms, rays.row, *rays.hits.tensors, *(t.contiguous() for t in maps))
     if by_warp(sums):
-        _device().gather(*tensors, share, light.turn, sums)
+        _warp_kernels().gather(*tensors, light_count, light.turn, sums)
     else:
         parts = even_ranges(len(sums), 4 * thread_count())
-        run_ranges(gather_range, parts, *(t.numpy() for t in tensors), share, light.turn, sums.numpy())
+        run_ranges(gather_range, parts, *(t.numpy() for t in tensors), light_count, light.turn, sums.numpy())
     return sums
 
 
-def gather_reference(rays: SecondaryRays, light: PreparedLight, share: float) -> torch.Tensor:
-    """The twin of `gather` in plain operations, in double precision."""
+def gather_reference(rays: SecondaryRays, light: PreparedLight, light_count: float) -> torch.Tensor:
+    """Compute `gather` in PyTorch operations, in double precision: its reference implementation.
+
+    Args:
+        rays: traced rays of P points.
+        light: the light, possibly rotated.
+        light_count: number of light-map samples per point, see `gather`.
+
+    Returns:
+        (P, 2, SUMS) float64 sums.
+    """
     assert light.distribution is not None
     u, v, *lobes, density = rays.terms.double().unbind(-1)
-    direction = _direction(u + light.turn, v)
+    direction = _direction_of(u + light.turn, v)
     free = lookup(light.radiance.double(), direction.view(-1, 3))
     hit = torch.nonzero(rays.row.flatten() >= 0)[:, 0]
-    k, met = rays.row.flatten()[hit].long(), rays.met
-    behind = met.body[k] * _at(light.diffuse[None], met.place[k, :2], light.turn, torch.zeros(len(k)))
-    behind = behind + met.gloss[k] * _at(light.specular, met.place[k, 2:4], light.turn, met.place[k, 4])
-    own, hidden = density.flatten()[hit, None], met.opacity[k, None]
-    free = free / (density + share * light.distribution.density(direction)).view(-1, 1)
-    seen = free.index_copy(0, hit, (1 - hidden) * free[hit] + hidden * behind / own)
+    k, hits = rays.row.flatten()[hit].long(), rays.hits
+    reflected = hits.diffuse[k] * _lookup_rotated(light.diffuse[None], hits.place[k, :2], light.turn, torch.zeros(len(k)))
+    reflected = reflected + hits.specular[k] * _lookup_rotated(light.specular, hits.place[k, 2:4], light.turn, hits.place[k, 4])
+    own_density, hidden = density.flatten()[hit, None], hits.opacity[k, None]
+    free = free / (density + light_count * light.distribution.density(direction)).view(-1, 1)
+    seen = free.index_copy(0, hit, (1 - hidden) * free[hit] + hidden * reflected / own_density)
     seen, free = (torch.where(lobes[0].view(-1, 1) > 0, each, 0.0).view_as(direction) for each in (seen, free))
     terms = torch.cat([*(lobe[..., None] * seen for lobe in lobes), lobes[0][..., None] * free], -1)
     return torch.stack([terms[:, 0::2].sum(1), terms[:, 1::2].sum(1)], 1)
 
 
-def _direction(u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+def _direction_of(u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Return the unit directions (..., 3) of lat-long coordinates u and v, (...,) each in 0..1."""
     phi, theta = (0.5 - u) * (2 * math.pi), v * math.pi
     return torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
 
 
-def _at(stack: torch.Tensor, place: torch.Tensor, turn: float, level: torch.Tensor) -> torch.Tensor:
-    """(K, 3) values of a stack (L, H, W, 3) at u, v and level."""
-    return lookup(stack.double(), _direction(place[:, 0] + turn, place[:, 1]).double(), level.double())
+def _lookup_rotated(stack: torch.Tensor, place: torch.Tensor, turn: float, level: torch.Tensor) -> torch.Tensor:
+    """Look a stack (L, H, W, 3) up at u, v (K, 2), rotated by `turn`, and level (K,); return (K, 3)."""
+    return lookup(stack.double(), _direction_of(place[:, 0] + turn, place[:, 1]).double(), level.double())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Secondary rays on the mesh: the closest hit, vertex materials interpolated."""
+"""Secondary rays traced on the mesh: closest hits with interpolated vertex materials."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from .primary_hits import PrimaryHits
 from .secondary_query import Hits
 from .triangles import triangles_of
 
-# Of the scene radius:
-CLEARANCE = 0.002  # rays start this much above the mesh,
-OFFSET = 0.012  # or above the Gaussians' surface where the mesh is not,
-NEAR = 0.05  # which it is where it lies before them, or behind them by less than this
+# Fractions of the scene radius:
+CLEARANCE = 0.002  # distance of ray origins from the mesh
+OFFSET = 0.012  # the same from the Gaussians' surface, where the pixel does not see the mesh
+NEAR = 0.05  # a pixel sees the mesh where it lies in front of the Gaussians' surface, or behind it by less than this
 
 
 class MeshQuery:
-    """A mesh as `SurfaceQuery`: a ray meets it or it does not.
+    """Mesh as a `SurfaceQuery`: every hit is opaque.
 
     Args:
-        mesh: the mesh. radius: of the scene, which lengths are measured by. device: where rays come from.
+        mesh: triangles with materials at their vertices.
+        radius: of the scene, the unit of the offsets.
+        device: device that rays come from.
     """
 
     def __init__(self, mesh: Mesh, radius: float, device: torch.device | str = "cpu") -> None:
@@ -33,31 +35,55 @@ class MeshQuery:
         self._triangles = triangles_of(mesh, device)
 
     def origins(self, surface: PrimaryHits) -> torch.Tensor:
-        """See `SurfaceQuery`. Rays start on the mesh: the Gaussians' surface lies inside it here and outside there."""
-        ray, _, distance = self._seen(surface)
+        """Return ray origins (P, 3), see `SurfaceQuery`.
+
+        They lie above the mesh where the pixel sees it: the Gaussians' surface lies inside the mesh in some places and outside in others.
+        """
+        ray, _, distance = self._visible_hits(surface)
         origin = surface.point + OFFSET * self._radius * surface.normal
         on_mesh = _centre(surface) - distance[:, None] * surface.view[ray]
         return origin.index_copy(0, ray, on_mesh + CLEARANCE * self._radius * surface.normal[ray])
 
     def refined(self, surface: PrimaryHits, weight: float) -> PrimaryHits:
-        """The surface with normals that are `weight` the mesh's and 1 - `weight` the Gaussians': their errors have little in common."""
-        ray, hits, _ = self._seen(surface)
+        """Blend the shading normals of a surface with those of the mesh: their errors have little in common.
+
+        Args:
+            surface: P points of a view.
+            weight: fraction of the mesh's normal in 0..1; the rest is the Gaussians'.
+
+        Returns:
+            The surface with normals (P, 3) changed where the pixel sees the mesh.
+        """
+        ray, hits, _ = self._visible_hits(surface)
         normal = (1 - weight) * surface.normal[ray] + weight * hits.normal
         normal = torch.nn.functional.normalize(normal, dim=1)
         return dataclasses.replace(surface, normal=surface.normal.index_copy(0, ray, normal))
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
-        """See `SurfaceQuery`."""
+        """Return the hits of rays, see `SurfaceQuery`.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         return self._closest(origin, direction)[0]
 
     def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """See `SurfaceQuery`."""
+        """Return the occlusion (R,) of rays, see `SurfaceQuery`.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         return self._triangles.meet(origin, direction).float()
 
-    def _seen(self, surface: PrimaryHits) -> tuple[torch.Tensor, Hits, torch.Tensor]:
-        """Which of a view's pixels see the mesh where the Gaussians are or before, (K,), what they see there, and its distance (K,).
+    def _visible_hits(self, surface: PrimaryHits) -> tuple[torch.Tensor, Hits, torch.Tensor]:
+        """Find the pixels of a view that see the mesh at or in front of the Gaussians' surface.
 
-        Before: along a silhouette that has something behind it a pixel's mean depth lies between both, often inside what is in front.
+        In front of it: at a silhouette before another surface, a pixel's mean depth lies between both, often inside the nearer one.
+
+        Returns:
+            Indices of the pixels (K,), their hits, and the distances (K,).
         """
         direction = -surface.view
         origin = _centre(surface).expand_as(direction).contiguous()
@@ -67,23 +93,33 @@ class MeshQuery:
         return chosen.ray, chosen, distance[near]
 
     def _closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[Hits, torch.Tensor]:
-        """Hits and their distances (K,)."""
+        """Return the hits of rays (R, 3) and their distances (K,)."""
         triangle, u, v, distance = self.closest(origin, direction)
         ray = torch.nonzero(triangle >= 0)[:, 0]
-        share = torch.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1)
-        return self._hits(ray, triangle[ray].long(), share, direction), distance[ray]
+        barycentric = torch.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1)
+        return self._hits(ray, triangle[ray].long(), barycentric, direction), distance[ray]
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """What rays (R, 3) meet first and no more: triangle, -1 for none, u and v in it, distance, (R,) each."""
+        """Return the first triangle that each ray meets, without materials.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+
+        Returns:
+            Triangle index, -1 for none, barycentric u and v, and distance, (R,) each.
+        """
         return self._triangles.closest(origin, direction)
 
-    def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, share: torch.Tensor, direction: torch.Tensor) -> Hits:
-        at = torch.einsum("kc,kca->ka", share, self._attributes[self._faces[triangle]])
-        normal = torch.nn.functional.normalize(at[:, :3], dim=1)
-        away = (normal * direction[ray]).sum(1, keepdim=True) > 0
-        materials = (at[:, 3:6], at[:, 6].contiguous(), at[:, 7])
-        return Hits(ray, torch.ones_like(at[:, 0]), *materials, torch.where(away, -normal, normal))
+    def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, barycentric: torch.Tensor, direction: torch.Tensor) -> Hits:
+        """Interpolate the vertex attributes at K hits; `barycentric` is (K, 3)."""
+        values = torch.einsum("kc,kca->ka", barycentric, self._attributes[self._faces[triangle]])
+        normal = torch.nn.functional.normalize(values[:, :3], dim=1)
+        facing_away = (normal * direction[ray]).sum(1, keepdim=True) > 0
+        materials = (values[:, 3:6], values[:, 6].contiguous(), values[:, 7])
+        return Hits(ray, torch.ones_like(values[:, 0]), *materials, torch.where(facing_away, -normal, normal))
 
 
 def _centre(surface: PrimaryHits) -> torch.Tensor:
+    """Return the centre (3,) of a surface's camera."""
     return torch.from_numpy(surface.camera.centre).to(surface.depth)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A light made ready for relighting: looked up as it is by the surface seen, prefiltered by what that surface reflects."""
+"""Light prepared for relighting: the map itself for primary surfaces, prefiltered maps for what they reflect, and a sample table."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from functools import cache
 import numpy as np
 import torch
 
-from ..rendering.gbuffer import reduced
+from ..rendering.gbuffer import downsampled_light
 from ..shading.environment_lookup import lookup
 from ..shading.sampling import LightDistribution
 from ..shading.split_sum import diffuse_light, specular_light
 
-TABLE_BITS = 8  # 256 x 256 directions to draw from: far more than a pixel gets samples
+TABLE_BITS = 8  # 256 x 256 directions to draw from: far more than the samples of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedLight:
-    """Built once per light and all its turns about +Z.
+    """A light map with everything derived from it, built once for all its rotations about +Z.
 
     Attributes:
         radiance: (H, W, 3) linear, lat-long.
-        distribution: for drawing directions by radiance; None where the light has no power.
-        diffuse: (h, w, 3) irradiance / pi. specular: (L, h, w, 3) stack filtered per roughness.
-        table: (T, T, 7) float32 direction, density per steradian and radiance of equally likely samples, by place in the unit square.
-        turn: share in [0, 1) of a whole turn about +Z, counter-clockwise from above, by which all of it is turned.
+        distribution: density for drawing directions by radiance; None for a black light.
+        diffuse: (h, w, 3) irradiance / pi.
+        specular: (L, h, w, 3) stack filtered per roughness.
+        table: (T, T, 7) float32 direction, density per steradian and radiance of equally likely samples, by position in the unit square.
+        turn: rotation about +Z, counter-clockwise seen from above, as a fraction of a full turn in [0, 1).
     """
 
     radiance: torch.Tensor
@@ -39,18 +40,21 @@ class PreparedLight:
     turn: float = 0.0
 
     def to(self, device: torch.device) -> PreparedLight:
-        """The same on a device."""
+        """Return the light on a device."""
         if self.radiance.device == device:
             return self
         moved = {name: getattr(self, name).to(device) for name in ("radiance", "diffuse", "specular", "table")}
         return dataclasses.replace(self, **moved, distribution=None if self.distribution is None else LightDistribution(moved["radiance"]))
 
     def turned(self, degrees: float) -> PreparedLight:
-        """The same light turned further about +Z, counter-clockwise from above: nothing is computed anew, and no texel is interpolated."""
+        """Return the light rotated further about +Z, counter-clockwise seen from above, by an angle in degrees.
+
+        Nothing is computed again, and no texel is interpolated.
+        """
         return dataclasses.replace(self, turn=(self.turn + degrees / 360) % 1)
 
     def irradiance(self, normal: torch.Tensor) -> torch.Tensor:
-        """(P, 3) unhindered irradiance of surfaces with unit normals (P, 3)."""
+        """Return the unoccluded irradiance (P, 3) of surfaces with unit normals (P, 3)."""
         cosine, sine = math.cos(2 * math.pi * self.turn), math.sin(2 * math.pi * self.turn)
         x, y, z = normal.unbind(-1)
         back = torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], -1)
@@ -58,25 +62,33 @@ class PreparedLight:
 
 
 def prepare(light: np.ndarray, device: torch.device | str = "cpu") -> PreparedLight:
-    """A light map (H, W, 3), finite and >= 0, with all that is derived from it, on a device."""
+    """Prepare a light map for relighting.
+
+    Args:
+        light: (H, W, 3) linear lat-long map, finite and >= 0.
+        device: device of the result.
+    """
     radiance = torch.from_numpy(np.ascontiguousarray(light, np.float32)).to(device)
-    small = reduced(light).to(device)
+    small = downsampled_light(light).to(device)
     distribution = LightDistribution(radiance) if float(radiance.max()) > 0 else None
     table = radiance.new_zeros(0, 0, 7) if distribution is None else _table(radiance, distribution)
     return PreparedLight(radiance, distribution, diffuse_light(small), specular_light(small), table)
 
 
 def _table(radiance: torch.Tensor, distribution: LightDistribution) -> torch.Tensor:
-    """See `PreparedLight`."""
-    direction = distribution.sample(_strata().to(radiance.device)).float()
+    """Return the sample table (T, T, 7) of `PreparedLight`."""
+    direction = distribution.sample(_stratified_points().to(radiance.device)).float()
     flat = direction.view(-1, 3)
     values = (flat, distribution.density(flat)[:, None], lookup(radiance, flat))
     return torch.cat(values, 1).view(*direction.shape[:2], 7).contiguous()
 
 
 @cache
-def _strata() -> torch.Tensor:
-    """(T, T, 2) a point u, v in every cell, row by row; all u differ, and all v: else lamps between the rows would be missed."""
+def _stratified_points() -> torch.Tensor:
+    """Return one point u, v per cell of the unit square, row by row, (T, T, 2).
+
+    All u differ, and all v differ (bit reversal): on a plain grid, lamps between the rows would be missed.
+    """
     size = 1 << TABLE_BITS
     i = torch.arange(size)
     reverse = sum(((i >> bit) & 1) << (TABLE_BITS - 1 - bit) for bit in range(TABLE_BITS))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a camera sees of the Gaussians, as surface points to be lit."""
+"""Primary hits: the surface points of the Gaussians that a camera sees."""
 
 from __future__ import annotations
 
@@ -17,15 +17,22 @@ from ..scene.reconstruction import Reconstruction
 
 @dataclass(frozen=True, eq=False)
 class PrimaryHits:
-    """The covered pixels of a view; P of them, without gradients.
+    """P covered pixels of a view as surface points, without gradients.
 
     Attributes:
-        camera: the view's camera.
+        camera: camera of the view.
         index: (P,) flat pixel index, ascending.
-        ray: (P, 3) world direction of planar depth 1; view: (P, 3) unit, towards the camera.
-        point: (P, 3) world; depth: (P,) planar. origin: (P, 3) where secondary rays start.
-        normal: (P, 3) unit; near silhouettes it may look a little away from the camera.
-        albedo: (P, 3); roughness, metallic: (P,); alpha: (P,) opacity, in `coverage` (H, W) with what is too faint to be lit.
+        ray: (P, 3) world direction of planar depth 1.
+        view: (P, 3) unit, towards the camera.
+        point: (P, 3) world.
+        depth: (P,) planar.
+        normal: (P, 3) unit; near silhouettes it may point slightly away from the camera.
+        albedo: (P, 3) linear, 0..1.
+        roughness: (P,) in 0..1.
+        metallic: (P,) in 0..1.
+        alpha: (P,) opacity in 0..1.
+        coverage: (H, W) opacity of all pixels, including those too faint to be lit.
+        origin: (P, 3) origins of secondary rays, world.
     """
 
     camera: Camera
@@ -43,12 +50,12 @@ class PrimaryHits:
     origin: torch.Tensor
 
     def only(self, which: torch.Tensor) -> PrimaryHits:
-        """Some of its points, by their number (K,) ascending."""
+        """Return some of the points, by ascending indices (K,)."""
         rows = {f.name: getattr(self, f.name)[which] for f in dataclasses.fields(self) if f.name not in ("camera", "coverage")}
         return dataclasses.replace(self, **rows)
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
-        """(P, 3) straight colours of the points as an (H, W, 4) linear premultiplied image."""
+        """Return straight colours of the points, (P, 3), as a linear premultiplied image (H, W, 4)."""
         rgba = colour.new_zeros(self.coverage.numel(), 4)
         rgba[self.index, :3] = colour * self.alpha[:, None]
         rgba[:, 3] = self.coverage.flatten()
@@ -56,7 +63,13 @@ class PrimaryHits:
 
 
 def primary_hits(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> PrimaryHits:
-    """Rasterise the Gaussians and divide by opacity; albedo_scale: (3,) factors of the albedo."""
+    """Rasterise the Gaussians and divide by opacity.
+
+    Args:
+        reconstruction: Gaussians with materials.
+        camera: the camera.
+        albedo_scale: (3,) factors of the albedo.
+    """
     image, rays = rasterize_view(reconstruction, camera)
     with torch.no_grad():
         p = surface_pixels(image, rays, NOTHING)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Views of a run as image files: the recovered light or a new one, and the layers."""
+"""Views of a run as image files, under the recovered light or new ones, with their G-buffer layers."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ..io.exr import rgb_channels, write_exr
 from ..io.srgb import encode_srgb
 from ..progress.protocol import Progress, Silent
 from ..rendering.gbuffer import render_gbuffer
+from ..rendering.layers import LAYERS
 from ..run_folder import write_atomic
 from ..scene.camera import Camera
 from ..scene.environment_files import read_environment
@@ -26,12 +27,15 @@ from ..shading.environment_lookup import rotate
 from .prepared_light import prepare
 from .relighter import Relighter
 
-LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
-
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light to show the object under: its name in file names ("" is the recovered one) and an (H, W, 3) float32 linear lat-long map."""
+    """Light to render under.
+
+    Attributes:
+        name: part of the file names; "" is the recovered light.
+        image: (H, W, 3) float32 linear lat-long map.
+    """
 
     name: str
     image: np.ndarray
@@ -40,12 +44,20 @@ class Light:
 def load_light(
     path: Path, name: str | None = None, rotation: float = 0.0, strength: float = 1.0, progress: Progress | None = None
 ) -> Light:
-    """Read a lat-long map, turned by `rotation` degrees about +Z (counter-clockwise from above), times `strength` (>= 0).
+    """Read a lat-long map as a light.
 
-    Texels that are no light are repaired, which `progress` is told. Raises InputError where the file can't be read.
+    Args:
+        path: .exr, .hdr, .png or .jpg file.
+        name: name of the light; None is the file's name without its extension.
+        rotation: degrees about +Z, counter-clockwise seen from above.
+        strength: factor of the radiance, >= 0.
+        progress: receives a warning for repaired texels (NaN, infinite, negative).
+
+    Raises:
+        InputError: when the file can't be read, or rotation or strength is not finite, or strength is negative.
     """
     if not (strength >= 0 and np.isfinite(strength) and np.isfinite(rotation)):
-        raise InputError("--strength, --rotation", f"{strength}, {rotation}: not a finite strength >= 0 and a finite angle")
+        raise InputError("--strength, --rotation", f"{strength}, {rotation}: the strength must be finite and >= 0, the angle finite")
     image, remarks = read_environment(path)
     for remark in remarks:
         (progress or Silent()).message(f"warning: {remark}")
@@ -61,44 +73,61 @@ def render_views(
     layers: Sequence[str] = LAYERS,
     lights: Sequence[Light] = (),
 ) -> None:
-    """Write `out/<view>/` for every named camera, each as soon as it is done: `rgba` under every light, and the other layers.
+    """Write `out/<view>/` for every camera, each as soon as it is finished: `rgba` under every light, and the other layers.
 
     Files: rgba.exr under the recovered light (no `lights`), else rgba_<light>.exr, linear premultiplied RGBA, and the same as 8-bit
-    straight-alpha .png; radiance.exr like it, the Gaussians' own radiance; albedo.exr linear RGB; normal.exr unit world XYZ as RGB;
-    depth.exr Z, planar; material.exr R roughness, G metallic. Raises InputError for an unknown layer, for lights of one name or where
-    a folder can't be made, Cancelled between two images.
+    straight-alpha .png; radiance.exr, the Gaussians' own radiance, likewise RGBA; albedo.exr linear RGB; normal.exr unit world XYZ as RGB;
+    depth.exr Z, planar; material.exr R roughness, G metallic.
+
+    Args:
+        relighter: relighter of the run.
+        cameras: views' names and cameras.
+        out: output folder.
+        progress: reports each view, and may cancel between two images.
+        layers: names out of LAYERS.
+        lights: lights to render under; none is the recovered light.
+
+    Raises:
+        InputError: when a layer is unknown, two lights have the same name, or a folder can't be created.
+        Cancelled: when `progress` is cancelled.
     """
     if unknown := set(layers) - set(LAYERS):
-        raise InputError(f"layer {', '.join(sorted(unknown))}", "there is none of that name", f"use {', '.join(LAYERS)}")
-    shown = lights or [Light("", relighter.reconstruction.environment_map())]
-    if len({light.name for light in shown}) < len(shown):
-        raise InputError("--environment", "two lights have the same name", "tell them apart by --name")
-    prepared = [(light.name, prepare(light.image, relighter.device)) for light in shown] if "rgba" in layers else []
+        raise InputError(f"layer {', '.join(sorted(unknown))}", "unknown name", f"use {', '.join(LAYERS)}")
+    lights = lights or [Light("", relighter.reconstruction.environment_map())]
+    if len({light.name for light in lights}) < len(lights):
+        raise InputError("--environment", "two lights have the same name", "give each its own --name")
+    prepared = [(light.name, prepare(light.image, relighter.device)) for light in lights] if "rgba" in layers else []
     progress.phase("render", len(cameras))
     for i, (name, camera) in enumerate(cameras):
         folder = out / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(folder, f"can't be made ({error.strerror})") from error
+            raise InputError(folder, f"can't be created ({error.strerror})") from error
         if prepared:
             surface = relighter.surface(camera)
             for light_name, light in prepared:
-                _stop_if_asked(progress, i, len(cameras))
+                _raise_if_cancelled(progress, i, len(cameras))
                 write_rgba(folder / (f"rgba_{light_name}" if light_name else "rgba"), relighter.relit(surface, light).numpy())
         if set(layers) - {"rgba"}:
             write_layers(folder, render_gbuffer(relighter.reconstruction, camera), layers)
         progress.step(i + 1)
-        _stop_if_asked(progress, i + 1, len(cameras))
+        _raise_if_cancelled(progress, i + 1, len(cameras))
 
 
-def _stop_if_asked(progress: Progress, done: int, views: int) -> None:
+def _raise_if_cancelled(progress: Progress, done: int, views: int) -> None:
+    """Raise Cancelled when the user stopped the work."""
     if progress.cancelled:
         raise Cancelled(f"stopped after {done} of {views} views")
 
 
 def write_rgba(stem: Path, rgba: np.ndarray) -> None:
-    """(H, W, 4) linear premultiplied as `stem`.exr and, sRGB-encoded with straight alpha, as `stem`.png."""
+    """Write an image as `stem`.exr and, sRGB-encoded with straight alpha, as `stem`.png.
+
+    Args:
+        stem: path without extension.
+        rgba: (H, W, 4) linear premultiplied.
+    """
     write_exr(stem.with_name(stem.name + ".exr"), rgb_channels(rgba))
     alpha = np.clip(rgba[..., 3:], 0, 1)
     straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 1e-6)
@@ -108,16 +137,22 @@ def write_rgba(stem: Path, rgba: np.ndarray) -> None:
     write_atomic(stem.with_name(stem.name + ".png"), data.getvalue())
 
 
-def write_layers(folder: Path, buffers: GBuffer, layers: Sequence[str]) -> None:
-    """Write those of albedo, normal, depth, material and radiance that are named in `layers`."""
-    there = buffers.alpha > NOTHING
-    colour = np.where(there[..., None], buffers.albedo, 0)
+def write_layers(folder: Path, gbuffer: GBuffer, layers: Sequence[str]) -> None:
+    """Write the layers of a view other than `rgba`; normals, depth and materials are 0 where nothing is visible.
+
+    Args:
+        folder: folder of the view.
+        gbuffer: G-buffer of the view, (H, W).
+        layers: names of the layers to write.
+    """
+    covered = gbuffer.alpha > NOTHING
+    colour = np.where(covered[..., None], gbuffer.albedo, 0)
     channels = {
         "albedo": rgb_channels(colour),
-        "normal": rgb_channels(np.where(there[..., None], buffers.normal, 0)),
-        "depth": {"Z": np.where(there, buffers.depth, 0)},
-        "material": {"R": np.where(there, buffers.roughness, 0), "G": np.where(there, buffers.metallic, 0)},
-        "radiance": rgb_channels(buffers.image),
+        "normal": rgb_channels(np.where(covered[..., None], gbuffer.normal, 0)),
+        "depth": {"Z": np.where(covered, gbuffer.depth, 0)},
+        "material": {"R": np.where(covered, gbuffer.roughness, 0), "G": np.where(covered, gbuffer.metallic, 0)},
+        "radiance": rgb_channels(gbuffer.image),
     }
     for name, data in channels.items():
         if name in layers:
@@ -125,21 +160,34 @@ def write_layers(folder: Path, buffers: GBuffer, layers: Sequence[str]) -> None:
 
 
 def cameras_of(text: str, settings: DataSettings, run_to_world: np.ndarray) -> list[tuple[str, Camera]]:
-    """View names and cameras of `DATASET[:split]` in the world of a run, whose (4, 4) similarity from the dataset's frame is given.
+    """Read the cameras of `DATASET[:split]` in the world frame of a run.
 
-    Raises InputError where the cameras can't be read or the split has none.
+    Args:
+        text: dataset with an optional split.
+        settings: data settings of the run.
+        run_to_world: (4, 4) similarity from the dataset's own frame to the run's world.
+
+    Returns:
+        Names of the views and cameras.
+
+    Raises:
+        InputError: when the cameras can't be read or the split has none.
     """
     path, split = split_of(text)
     cameras, to_world = load_dataset_cameras(path, split, settings)
-    move = run_to_world @ np.linalg.inv(to_world)  # read on its own, a dataset may be placed otherwise
+    move = run_to_world @ np.linalg.inv(to_world)  # a dataset read on its own may be normalised differently
     return [(name, camera.moved(move)) for name, camera in cameras]
 
 
 def split_of(text: str) -> tuple[Path, str | None]:
-    """`DATASET[:split]` in its parts; a drive letter's colon is no split. Raises InputError for a split that is none."""
+    """Split `DATASET[:split]` into path and split; the colon of a drive letter is not a split.
+
+    Raises:
+        InputError: when the split is not train, test or all.
+    """
     path, colon, split = text.rpartition(":")
     if not colon or Path(text).exists() or "/" in split or "\\" in split:
         return Path(text), None
     if split not in ("train", "test", "all"):
-        raise InputError(text, "no such split", "use DATASET:train, DATASET:test or DATASET:all")
+        raise InputError(text, f"unknown split {split}", "use DATASET:train, DATASET:test or DATASET:all")
     return Path(path), split

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many samples a pixel gets of each strategy, and how they are shifted from pixel to pixel."""
+"""Numbers of samples per pixel and strategy, and the shift of the sample sets from pixel to pixel."""
 
 from __future__ import annotations
 
@@ -8,30 +8,47 @@ import torch
 from ..errors import InputError
 
 Counts = tuple[int, int, int]  # cosine, GGX visible normals, light map
-# In what proportion. What is not hidden is known without sampling (estimate.py), so most samples look for the shadows of what is bright.
-MATT, GLOSSY = (1, 1, 2), (1, 4, 3)  # metal has no diffuse lobe for cosine samples to find
-HQ, EFFICIENT, EFFICIENT_GLOSSY = 512, 32, 16  # altogether; light comes to a glossy object from few directions, and fewer do
-MOST = 1 << 16
+# Proportions of the strategies. Unoccluded diffuse light is known exactly (estimate.py), so most samples look for shadows of bright light.
+MATT, GLOSSY = (1, 1, 2), (1, 4, 3)  # metal has no diffuse lobe, which cosine samples are for
+HQ, EFFICIENT, EFFICIENT_GLOSSY = 512, 32, 16  # totals; a glossy object receives light from few directions and needs fewer
+MAX_SAMPLES = 1 << 16
 
 
 def sample_counts(samples: str | int, glossy: bool) -> Counts:
-    """Samples of each strategy for "hq", "efficient" or a number of them altogether. Raises InputError for anything else."""
+    """Divide a number of samples among the strategies.
+
+    Args:
+        samples: "hq", "efficient", or the total number.
+        glossy: True for a mostly metallic object.
+
+    Returns:
+        Numbers of cosine, GGX visible-normal and light-map samples.
+
+    Raises:
+        InputError: for anything else.
+    """
     named = {"hq": HQ, "efficient": EFFICIENT_GLOSSY if glossy else EFFICIENT}
     try:
         total = named[samples] if samples in named else int(samples)
     except ValueError:
         total = 0
-    if not 1 <= total <= MOST:
-        raise InputError("--samples", f"{samples} is no number of samples", f"use hq, efficient, or 1 to {MOST}")
-    cosine, normal, light = GLOSSY if glossy else MATT
-    parts = cosine + normal + light
-    by_normal, by_light = total * normal // parts, total * light // parts
-    return (total - by_normal - by_light, by_normal, by_light)
+    if not 1 <= total <= MAX_SAMPLES:
+        raise InputError("--samples", f"{samples} is not a valid number of samples", f"use hq, efficient, or 1 to {MAX_SAMPLES}")
+    cosine, ggx, light = GLOSSY if glossy else MATT
+    parts = cosine + ggx + light
+    ggx_count, light_count = total * ggx // parts, total * light // parts
+    return (total - ggx_count - light_count, ggx_count, light_count)
 
 
 def pixel_shifts(index: torch.Tensor, width: int) -> torch.Tensor:
-    """(P, 2) in [0, 1) for flat pixel indices (P,): always the same for a pixel, so that nothing flickers; neighbours differ the most,
-    so that the noise is fine-grained and a filter removes it (a golden-ratio lattice over the image, Roberts 2018).
+    """Return the torus shift of each pixel's sample sets, (P, 2) in [0, 1).
+
+    It is constant per pixel, so that animations do not flicker. Neighbours differ as much as possible, so that the noise is fine-grained
+    and a filter removes it: a golden-ratio lattice over the image (Roberts 2018).
+
+    Args:
+        index: (P,) flat pixel indices.
+        width: of the image in pixels.
     """
     row, column = (index // width).double(), (index % width).double()
     u = column * 0.7548776662466927 + row * 0.5698402909980532

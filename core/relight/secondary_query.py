@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a relighter asks of the scene along secondary rays; the mesh and the Gaussians both answer."""
+"""Interface for secondary rays of the relighter, implemented on the mesh and on the Gaussians."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from .primary_hits import PrimaryHits
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What K of the asked rays meet; the others see the light.
+    """Hits of K of the traced rays; the other rays see the light.
 
     Attributes:
-        ray: (K,) which rays, ascending.
-        opacity: (K,) in 0..1, how much of the light behind is hidden.
-        albedo: (K, 3); roughness, metallic: (K,): materials of what is met.
-        normal: (K, 3) unit, turned against the ray.
+        ray: (K,) indices of the rays, ascending.
+        opacity: (K,) in 0..1, fraction of the light behind that is occluded.
+        albedo: (K, 3) linear, 0..1.
+        roughness: (K,) in 0..1.
+        metallic: (K,) in 0..1.
+        normal: (K, 3) unit, flipped against the ray.
     """
 
     ray: torch.Tensor
@@ -31,16 +33,28 @@ class Hits:
 
 
 class SurfaceQuery(Protocol):
-    """A scene that rays can be asked about."""
+    """Scene that secondary rays are traced on."""
 
     def origins(self, surface: PrimaryHits) -> torch.Tensor:
-        """(P, 3) where rays from a view's surface points have to start so that they don't meet that very surface."""
+        """Return ray origins (P, 3) for the surface points of a view, offset so that rays do not hit the same surface."""
         ...
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
-        """What rays meet; origin, direction: (R, 3) float32, directions unit."""
+        """Return the hits of rays.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         ...
 
     def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """(R,) float32 in 0..1, how much of the light behind is hidden: the opacity of `hits`, 0 where there is none, and cheaper."""
+        """Return the fraction of the light behind that is occluded, (R,) float32 in 0..1.
+
+        It is the opacity of `hits`, 0 without a hit, and cheaper to compute.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         ...

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run kept in memory for images on demand: what does not change from one to the next is computed once."""
+"""Run kept in memory for rendering on request: everything that stays the same from image to image is computed once."""
 
 from __future__ import annotations
 
@@ -29,26 +29,34 @@ from ..primary_hits import PrimaryHits
 from ..relighter import RAYS, Relighter, RelightSettings
 from ..secondary_query import Hits, SurfaceQuery
 
-QUICK = 8  # samples of a first image
-SMALL = 1 / 4  # its size
-LIGHT_ROWS = 256  # of the map that lights the object; backdrops are sharper
-SMALLEST = 96  # pixels; shorter sides are not reduced
+PREVIEW_SAMPLES = 8  # samples per pixel of the first images
+PREVIEW_SCALE = 1 / 4  # size of the first image relative to the requested one
+LIGHT_ROWS = 256  # rows of the map that lights the object; backdrops use the full resolution
+MIN_PREVIEW_SIZE = 96  # pixels; images with a shorter side have no reduced first image
 
 Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
 class LightSource:
-    """An .npy of texels, turned and scaled as in `LightMap`; in the run's frame. A file's name stands for what it holds."""
+    """Light map in a file, rotated and scaled as in `EnvironmentMap`, in the run's frame.
+
+    Attributes:
+        file: .npy of texels (H, W, 3); the content of a file name never changes.
+        turn: (9,) row-major rotation; direction d sees the texel of turn @ d.
+        strength: factor of the radiance, >= 0.
+    """
 
     file: Path
     turn: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     strength: float = 1.0
 
     def upright(self) -> tuple[LightSource, float]:
-        """The same before it was turned about +Z, and by how many degrees it was; 0 where it was turned otherwise as well.
+        """Return the light without its rotation about +Z, and that rotation in degrees.
 
-        So a light that is only turned about +Z is prepared once, and its image never depends on what was shown before.
+        The rotation is 0, and the light unchanged, where it is rotated about another axis as well.
+
+        A light that only rotates about +Z is therefore prepared once, and its image never depends on images rendered before.
         """
         turn = np.array(self.turn).reshape(3, 3)
         if abs(turn[2, 2] - 1) > 1e-9:
@@ -58,12 +66,18 @@ class LightSource:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """An image that is wanted.
+    """Request for an image.
 
     Attributes:
-        camera: in the run's frame. light: None is the recovered one. backdrop: show the light behind the object as well.
-        samples, denoise, indirect, albedo_scale: see `RelightSettings`. backend: "mesh" or "gaussian".
-        progressive: images of lower quality first.
+        camera: in the run's frame.
+        light: light source; None is the recovered light.
+        backdrop: show the light behind the object as well.
+        samples: see `RelightSettings`.
+        denoise: apply the denoiser.
+        indirect: see `RelightSettings`.
+        backend: "mesh" or "gaussian".
+        albedo_scale: see `RelightSettings`.
+        progressive: render images of lower quality first.
     """
 
     camera: Camera
@@ -77,34 +91,43 @@ class Request:
     progressive: bool = True
 
     def settings(self, samples: str | int) -> RelightSettings:
-        """Those of the relighter."""
+        """Return the settings of the relighter for a number of samples."""
         denoise = "demodulated" if self.denoise else "off"
         return RelightSettings(samples=samples, denoise=denoise, indirect=self.indirect, albedo_scale=self.albedo_scale)
 
     def passes(self) -> list[tuple[Camera, str | int]]:
-        """Cameras and samples of the images to make, the last as it is wanted."""
-        wanted: list[tuple[Camera, str | int]] = [(self.camera, self.samples)]
-        many = not isinstance(self.samples, int) or self.samples > QUICK
+        """Return cameras and samples of the images to render; the last is the requested one."""
+        passes: list[tuple[Camera, str | int]] = [(self.camera, self.samples)]
+        above_preview = not isinstance(self.samples, int) or self.samples > PREVIEW_SAMPLES
         width, height = self.camera.width, self.camera.height
-        if self.progressive and many:
-            wanted.insert(0, (self.camera, QUICK))
-        if self.progressive and min(width, height) >= SMALLEST:
-            small = self.camera.resized(math.ceil(width * SMALL), math.ceil(height * SMALL))
-            wanted.insert(0, (small, min(self.samples, QUICK) if isinstance(self.samples, int) else QUICK))
-        return wanted
+        if self.progressive and above_preview:
+            passes.insert(0, (self.camera, PREVIEW_SAMPLES))
+        if self.progressive and min(width, height) >= MIN_PREVIEW_SIZE:
+            small = self.camera.resized(math.ceil(width * PREVIEW_SCALE), math.ceil(height * PREVIEW_SCALE))
+            passes.insert(0, (small, min(self.samples, PREVIEW_SAMPLES) if isinstance(self.samples, int) else PREVIEW_SAMPLES))
+        return passes
 
 
-class Latest:
-    """The values used last, a few of them, by key."""
+class LRUCache:
+    """Cache of the values used last, by key.
+
+    Args:
+        count: largest number of values.
+    """
 
     def __init__(self, count: int) -> None:
         self._values: OrderedDict[Hashable, object] = OrderedDict()
         self._count = count
 
     def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
-        """The value of a key, made where it is not there."""
+        """Return the value of a key, created if it is not in the cache.
+
+        Args:
+            key: the key.
+            make: creates the value.
+        """
         if key not in self._values:
-            value = make()  # may raise, then nothing is kept
+            value = make()  # may raise, then nothing is cached
             self._values[key] = value
             while len(self._values) > self._count:
                 self._values.popitem(last=False)
@@ -113,113 +136,146 @@ class Latest:
 
 
 class LoadedRun:
-    """A loaded run.
+    """Run with its Gaussians, mesh, prepared lights, surfaces and relighters in memory.
 
     Args:
-        run: its folder. tick: called before every chunk of rays with the share of the image that is done; it may raise to stop.
+        run: run folder.
+        tick: called before every batch of rays with the finished fraction of the image in 0..1; it may raise to stop the image.
     """
 
-    def __init__(self, run: Path, tick: Callable[[float], None] = lambda share: None) -> None:
+    def __init__(self, run: Path, tick: Callable[[float], None] = lambda fraction: None) -> None:
         self._run, self._tick = run, tick
         self._device = best()
         self.reconstruction = Reconstruction.load(run).to(self._device)
         file = run / "mesh.ply"
         self._mesh = MeshQuery(load_mesh_ply(file), self.reconstruction.bound.radius, self._device) if file.is_file() else None
         self._gaussians: GaussianQuery | None = None
-        self._maps, self._lights, self._surfaces, self._relighters = Latest(2), Latest(3), Latest(6), Latest(4)
+        self._maps, self._lights, self._surfaces, self._relighters = LRUCache(2), LRUCache(3), LRUCache(6), LRUCache(4)
 
     def image(self, request: Request, camera: Camera, samples: str | int) -> np.ndarray:
-        """(H, W, 4) float32 linear premultiplied. Raises InputError where the light can't be read or the mesh is missing."""
+        """Render one pass of a request.
+
+        Args:
+            request: the request.
+            camera: camera of the pass.
+            samples: samples per pixel of the pass.
+
+        Returns:
+            (H, W, 4) float32 linear premultiplied.
+
+        Raises:
+            InputError: when the light can't be read or the mesh is missing.
+        """
         settings = request.settings(samples)
         light = self._light(request.light)
         relighter = self._relighters.get((request.backend, settings), lambda: self._relighter(request.backend, settings))
         surface = self._surface(relighter, request, camera)
-        counted = relighter.query
-        assert isinstance(counted, Counted)
-        counted.begin(2 * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
+        query = relighter.query
+        assert isinstance(query, ProgressQuery)
+        query.begin(2 * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
         image = relighter.relit(surface, light).numpy()
         if request.backdrop and request.light is not None:
             image = self._with_backdrop(image, camera, request.light)
         return image
 
     def warm_up(self) -> None:
-        """One small image, so that the first that is asked for finds every kernel compiled."""
+        """Render one small image, so that all kernels are compiled before the first request."""
         cameras = load_run_cameras(self._run / "cameras.json")
         if cameras:
             first = cameras[0].camera
             scale = 64 / max(first.width, first.height)
             camera = first.resized(max(1, round(first.width * scale)), max(1, round(first.height * scale)))
-            self.image(Request(camera, backend="mesh" if self._mesh else "gaussian"), camera, QUICK)
+            self.image(Request(camera, backend="mesh" if self._mesh else "gaussian"), camera, PREVIEW_SAMPLES)
 
     def _relighter(self, backend: Backend, settings: RelightSettings) -> Relighter:
-        return Relighter(self.reconstruction, Counted(self._query(backend), self._tick), settings, self._mesh)
+        """Create a relighter that reports its progress."""
+        return Relighter(self.reconstruction, ProgressQuery(self._query(backend), self._tick), settings, self._mesh)
 
     def _query(self, backend: Backend) -> SurfaceQuery:
+        """Return the scene for secondary rays, loaded on first use."""
         if backend == "gaussian":
             self._gaussians = self._gaussians or GaussianQuery(self.reconstruction)
             return self._gaussians
         if self._mesh is None:
-            raise InputError(self._run / "mesh.ply", "is missing, which tracing on the mesh needs", "trace on the Gaussians")
+            raise InputError(self._run / "mesh.ply", "is missing, but tracing on the mesh needs it", "trace on the Gaussians")
         return self._mesh
 
     def _surface(self, relighter: Relighter, request: Request, camera: Camera) -> PrimaryHits:
-        """Kept for the same view: it does not depend on light and samples."""
+        """Return the surface of a view, cached: it does not depend on light and samples."""
         lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world.tobytes())
         return self._surfaces.get((*lens, request.backend, request.albedo_scale), lambda: relighter.surface(camera))
 
     def _light(self, source: LightSource | None) -> PreparedLight:
+        """Return a prepared light, cached."""
         if source is None:
             return self._lights.get(None, lambda: prepare(self.reconstruction.environment_map(), self._device))
         upright, degrees = source.upright()
         return self._lights.get(upright, lambda: prepare(self._map(upright).image(LIGHT_ROWS), self._device)).turned(degrees)
 
     def _map(self, source: LightSource) -> EnvironmentMap:
+        """Return a light as an environment map with cached texels."""
         texels = self._maps.get(source.file, lambda: _read_map(source.file))
         return EnvironmentMap(texels, np.array(source.turn).reshape(3, 3), source.strength)
 
     def _with_backdrop(self, image: np.ndarray, camera: Camera, source: LightSource) -> np.ndarray:
-        """The light itself where the object lets it through; opaque."""
+        """Composite an image (H, W, 4) over the light behind the object; the result is opaque."""
         behind = self._map(source).radiance(camera.rays())
         colour = image[..., :3] + (1 - image[..., 3:]) * behind
         return np.concatenate([colour, np.ones_like(image[..., 3:])], -1).astype(np.float32)
 
 
-class Counted:
-    """A `SurfaceQuery` that tells how many of the expected questions were asked; that may stop the work."""
+class ProgressQuery:
+    """Wrapper of a `SurfaceQuery` that reports the fraction of the expected calls, by a callback that may raise to stop the work.
+
+    Args:
+        query: the wrapped query.
+        tick: called with the fraction in 0..1 before each call.
+    """
 
     def __init__(self, query: SurfaceQuery, tick: Callable[[float], None]) -> None:
-        self._query, self._tick, self._asked, self._expected = query, tick, 0, 1
+        self._query, self._tick, self._calls, self._expected = query, tick, 0, 1
 
     def begin(self, expected: int) -> None:
-        """An image begins for which so many questions are expected."""
-        self._asked, self._expected = 0, max(1, expected)
+        """Start an image for which a number of calls is expected."""
+        self._calls, self._expected = 0, max(1, expected)
 
     def origins(self, surface: PrimaryHits) -> torch.Tensor:
-        """See `SurfaceQuery`."""
+        """Return ray origins (P, 3) above a surface, see `SurfaceQuery`."""
         return self._query.origins(surface)
 
     def hits(self, origin: torch.Tensor, direction: torch.Tensor) -> Hits:
-        """See `SurfaceQuery`."""
+        """Return the hits of rays, see `SurfaceQuery`.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         self._count()
         return self._query.hits(origin, direction)
 
     def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """See `SurfaceQuery`."""
+        """Return the occlusion (R,) of rays, see `SurfaceQuery`.
+
+        Args:
+            origin: (R, 3) world, float32.
+            direction: (R, 3) unit, float32.
+        """
         self._count()
         return self._query.hidden(origin, direction)
 
     def _count(self) -> None:
-        self._tick(min(1.0, self._asked / self._expected))
-        self._asked += 1
+        """Report and count one call."""
+        self._tick(min(1.0, self._calls / self._expected))
+        self._calls += 1
 
 
 def _read_map(file: Path) -> np.ndarray:
-    """(H, W, 3) of an .npy; values that are no light are repaired, but black stays black."""
+    """Read an .npy of texels (H, W, 3); invalid values are repaired, but a black map stays black."""
     try:
         light = np.load(file, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise InputError(file, f"the light map can't be read ({error})") from error
     if light.ndim != 3 or light.shape[-1] != 3 or not light.size or light.dtype.kind != "f":
-        raise InputError(file, f"holds no light map (H, W, 3) but {light.dtype} {light.shape}")
+        raise InputError(file, f"must hold a float light map (H, W, 3), found {light.dtype} {light.shape}")
     light = light.astype(np.float32)
     return light if not light.any() else repaired(light, file)[0]

@@ -48,7 +48,7 @@ def test_the_error_is_about_what_was_asked_for(relighter, camera):
     surface = one.surface(camera)
     seen, expected = (encode_srgb(r.relit(surface, light)[..., :3].clamp(0, 1).numpy()).reshape(-1, 3)[surface.index] for r in (one, true))
     error = float(np.sqrt(np.square(seen - expected).mean()))
-    assert one.reached <= 0.0101 and 0.5 < one.reached / error < 1.6
+    assert one.estimated_error <= 0.0101 and 0.5 < one.estimated_error / error < 1.6
     assert PILOT < one.tally["samples"] / one.tally["pixels"] < 512
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.relight.direct_light import add_light_samples
-from irgspp.core.relight.indirect_light import Points, SecondaryRays, Surroundings, gather, gather_reference, trace_samples
+from irgspp.core.relight.indirect_light import SecondaryRays, SecondaryScene, ShadingPoints, gather, gather_reference, trace_samples
 from irgspp.core.relight.prepared_light import prepare
 from irgspp.core.relight.visibility_cache import VisibilityCache
 from irgspp.core.shading.environment_lookup import lookup, rotate
@@ -24,9 +24,9 @@ def light():
     return prepare(studio_light(40, 80) * np.linspace(0.5, 1.5, 80, dtype=np.float32)[None, :, None])
 
 
-def points_of(surface) -> tuple[Points, torch.Tensor]:
+def points_of(surface) -> tuple[ShadingPoints, torch.Tensor]:
     """A view's points and how their samples are shifted."""
-    points = Points.of(surface.origin, surface.view, surface.normal, surface.roughness)
+    points = ShadingPoints.from_roughness(surface.origin, surface.view, surface.normal, surface.roughness)
     return points, torch.rand(len(surface.index), 2, generator=torch.Generator().manual_seed(0))
 
 
@@ -36,19 +36,19 @@ def drawn(surface, counts, light, **how) -> Samples:
 
 
 def traced(one, surface, samples, scale=SCALE) -> SecondaryRays:
-    return trace_samples(Surroundings(one.query, scale, conserving=True), points_of(surface)[0], samples)
+    return trace_samples(SecondaryScene(one.query, scale, conserving=True), points_of(surface)[0], samples)
 
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
 @pytest.mark.parametrize("material", [(0.6, 0.4, 0.2, 0.7, 0.0), (0.9, 0.7, 0.3, 0.2, 1.0)])
-@pytest.mark.parametrize(("scale", "share"), [(SCALE, 0), (SCALE, 5), (None, 5)])
-def test_equals_the_twin(relighter, camera, light, backend, material, scale, share):
+@pytest.mark.parametrize(("scale", "light_count"), [(SCALE, 0), (SCALE, 5), (None, 5)])
+def test_equals_the_twin(relighter, camera, light, backend, material, scale, light_count):
     one = relighter(backend, material)
     surface = one.surface(camera)
-    rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if share else COUNTS, light), scale)
-    assert 0 < len(rays.met.opacity) < rays.row.numel() and rays.size > 20 * rays.row.numel()
+    rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if light_count else COUNTS, light), scale)
+    assert 0 < len(rays.hits.opacity) < rays.row.numel() and rays.size > 20 * rays.row.numel()
     for seen in (light, light.turned(77)):
-        found, expected = (function(rays, seen, share) for function in (gather, gather_reference))
+        found, expected = (function(rays, seen, light_count) for function in (gather, gather_reference))
         scaled = (found - expected).abs() / expected.abs().mean(0)
         assert scaled.quantile(0.999) < 2e-3 and scaled.mean() < 1e-4
 
@@ -76,8 +76,10 @@ def test_what_is_met_is_as_bright_where_samples_of_the_light_leave_it_out(religh
     surface = one.surface(camera)
     ways = ((drawn(surface, (*many[:2], 0), light), many[2]), (drawn(surface, many, light), 0))
     apart, at_once = (
-        (gather(traced(one, surface, samples), light, share) - gather(traced(one, surface, samples, None), light, share)).sum((0, 1))
-        for samples, share in ways
+        (gather(traced(one, surface, samples), light, light_count) - gather(traced(one, surface, samples, None), light, light_count)).sum(
+            (0, 1)
+        )
+        for samples, light_count in ways
     )
     assert (at_once[:9] > 0).all() and (at_once[9:] == 0).all()
     torch.testing.assert_close(apart[:9], at_once[:9], rtol=0.05, atol=0)

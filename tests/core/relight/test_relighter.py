@@ -93,7 +93,7 @@ def test_same_image_twice_bit_by_bit(relighter, camera):
 @pytest.mark.parametrize("sampling", ["mis", "stratified"])
 @pytest.mark.parametrize("kept_bytes", [1 << 29, 1 << 18, 0])
 def test_another_light_on_the_same_surface_is_the_same_image_as_alone(relighter, camera, monkeypatch, sampling, kept_bytes):
-    monkeypatch.setattr(module, "KEPT_BYTES", kept_bytes)
+    monkeypatch.setattr(module, "CACHE_BYTES", kept_bytes)
     monkeypatch.setattr(module, "RAYS", 1 << 14)  # several parts
     lights = [prepare(light) for light in (studio_light(32, 64), sunset_light(16, 32))]
     one = relighter("mesh", samples=32, sampling=sampling)
@@ -117,9 +117,9 @@ def test_rays_are_kept_for_the_next_light_and_let_go_with_the_surface(relighter,
         one.relit(surface, light)
     first, second = sum(asked[: len(asked) - 1]), asked[-1]  # cosine and visible normals once, light samples each time
     assert 0 < second < 0.6 * first
-    assert len(one._kept) == 1
+    assert len(one._ray_cache) == 1
     del surface
-    assert len(one._kept) == 0
+    assert len(one._ray_cache) == 0
 
 
 def test_what_nothing_shades_is_exact_with_few_samples(relighter, camera):

@@ -152,7 +152,7 @@ def test_rendering_refuses_and_stops(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="same name"):
         render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, Silent(), lights=[Light("x", np.ones((2, 4, 3)))] * 2)
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="can't be made"):
+    with pytest.raises(InputError, match="can't be created"):
         render_views(FakeRelighter(), [("a", CAMERA)], tmp_path / "file", Silent())
     monkeypatch.setattr(rendering, "render_gbuffer", lambda *_: buffers(1.0))
     progress = Silent()

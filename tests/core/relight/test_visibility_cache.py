@@ -2,8 +2,8 @@
 """What rays tell of the open directions around: nothing where few went, nothing near what one of them met."""
 
 import torch
-from irgspp.core.relight.indirect_light import Met, SecondaryRays
-from irgspp.core.relight.visibility_cache import BINS, VisibilityCache, survey
+from irgspp.core.relight.indirect_light import HitReflectance, SecondaryRays
+from irgspp.core.relight.visibility_cache import BINS, VisibilityCache, build_visibility_cache
 
 WIDTH, RAYS = 8, 4000
 
@@ -12,7 +12,7 @@ def rays(met: torch.Tensor, above: torch.Tensor) -> SecondaryRays:
     """Of 16 x RAYS, those `met`, of those `above` the horizon."""
     row = torch.where(met, 0, -1).int()
     nothing = torch.zeros(1, 3)
-    return SecondaryRays(above[..., None].float().repeat(1, 1, 6), row, Met(torch.ones(1), nothing, nothing, torch.zeros(1, 5)))
+    return SecondaryRays(above[..., None].float().repeat(1, 1, 6), row, HitReflectance(torch.ones(1), nothing, nothing, torch.zeros(1, 5)))
 
 
 def scene():
@@ -31,7 +31,7 @@ def clear_of(visibility_cache: VisibilityCache, direction) -> bool:
 
 
 def test_directions_are_clear_where_many_rays_met_nothing():
-    visibility_cache = survey(*scene(), WIDTH)
+    visibility_cache = build_visibility_cache(*scene(), WIDTH)
     assert visibility_cache.tile.tolist() == [0] * 16
     assert all(clear_of(visibility_cache, d) for d in ((0, 0, 1), (0, 0.7, 0.7), (0, -0.7, 0.7), (-0.7, 0, 0.7)))
     assert not any(clear_of(visibility_cache, d) for d in ((1, 0, 0.01), (0.9, 0, 0.4), (0.8, 0.4, 0.4)))
@@ -39,17 +39,17 @@ def test_directions_are_clear_where_many_rays_met_nothing():
 
 def test_nothing_is_clear_below_the_horizon_or_after_few_rays():
     direction, traced, index = scene()
-    assert 0.2 < survey(direction, traced, index, WIDTH).clear.float().mean() < 0.6
-    few = SecondaryRays(traced.terms[:, :20], traced.row[:, :20], traced.met)
-    assert not survey(direction[:, :20].contiguous(), few, index, WIDTH).clear.any()
+    assert 0.2 < build_visibility_cache(direction, traced, index, WIDTH).clear.float().mean() < 0.6
+    few = SecondaryRays(traced.terms[:, :20], traced.row[:, :20], traced.hits)
+    assert not build_visibility_cache(direction[:, :20].contiguous(), few, index, WIDTH).clear.any()
 
 
 def test_a_tile_heeds_what_its_neighbours_met_and_no_others():
     direction, traced, index = scene()
     far = 64 * WIDTH  # rows of 16 tiles further down
     direction, row = direction.repeat(2, 1, 1), torch.cat([torch.full_like(traced.row, -1), traced.row])
-    both = SecondaryRays(traced.terms.repeat(2, 1, 1), row, traced.met)
+    both = SecondaryRays(traced.terms.repeat(2, 1, 1), row, traced.hits)
     for step, clear in ((4 * WIDTH, False), (far, True)):
-        visibility_cache = survey(direction, both, torch.cat([index, index + step]), WIDTH)
+        visibility_cache = build_visibility_cache(direction, both, torch.cat([index, index + step]), WIDTH)
         assert clear_of(visibility_cache, (0.9, 0, 0.4)) == clear
-    assert survey(direction[:0], SecondaryRays(both.terms[:0], both.row[:0], both.met), index[:0], WIDTH).tile.numel() == 0
+    assert build_visibility_cache(direction[:0], SecondaryRays(both.terms[:0], both.row[:0], both.hits), index[:0], WIDTH).tile.numel() == 0
