@@ -2,7 +2,8 @@
 """Environment map: distant light as a rotated lat-long image, in the same convention in Blender and in the engine.
 
 Row 0 is +Z; u = 0.5 - atan2(y, x) / 2 pi, v = acos(z) / pi, texel centres at +0.5. Only numpy is used: the module also runs in
-Blender's process.
+Blender's process. `core/shading/environment_lookup.py` is the same lookup in PyTorch, compared by
+`tests/core/shading/test_lightmap_agreement.py`; only here rows wrap around at the poles, as in Cycles.
 """
 
 from __future__ import annotations

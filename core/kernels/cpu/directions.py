@@ -64,7 +64,7 @@ def _sample_light(u0, u1, rows, columns, edges):
 
 @kernel
 def lightmap_place(x, y, z):
-    """Return u, v in 0..1 of a unit direction in a lat-long map."""
+    """Return u, v in 0..1 of a unit direction in a lat-long map; compared by `tests/core/shading/test_lightmap_agreement.py`."""
     u = 0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN
     flat2 = x * x + y * y
     if flat2 < 0.01:  # near a pole acos(z) is inaccurate

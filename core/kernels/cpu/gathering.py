@@ -18,7 +18,10 @@ from .reflection import point_terms, specular_terms
 
 @kernel
 def _bilinear(maps, level, u, v):
-    """Look three channels up in map `level` of maps (L, H, W, 3), bilinearly, wrapped in u."""
+    """Look three channels up in map `level` of maps (L, H, W, 3), bilinearly, wrapped in u.
+
+    Scalar code for kernels; `tests/core/shading/test_lightmap_agreement.py` compares it with the lookups in PyTorch and numpy.
+    """
     height, width = maps.shape[1], maps.shape[2]
     x, y = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
     x0, y0 = math.floor(x), math.floor(y)
