@@ -187,7 +187,7 @@ def composite(extras: int) -> Any:
     count = extras
 
     @wp.kernel(module="unique")
-    def composite_rays(
+    def see(
         tree: wp.uint64, record: wp.array2d(dtype=float), origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3),
         sh: wp.array(dtype=float), coefficients: int, extra: wp.array(dtype=float), out: wp.array2d(dtype=float),
         hits_of: wp.array(dtype=wp.int64), left: wp.array(dtype=float),
@@ -228,7 +228,7 @@ def composite(extras: int) -> Any:
         hits_of[ray] = wp.int64(total)
         left[ray] = before
 
-    return composite_rays
+    return see
 
 
 @wp.kernel
