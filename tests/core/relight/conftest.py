@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Two balls that shade each other, once covered with splats and once as a mesh."""
+"""Two balls that shadow each other, as surfels and as a mesh."""
 
 from collections.abc import Callable
 
@@ -37,7 +37,7 @@ def splat_scene(balls, material) -> Reconstruction:
 
 
 def mesh_scene(balls, material) -> Mesh:
-    """The same as triangles."""
+    """The same balls as triangles."""
     meshes = [trimesh.creation.icosphere(5, radius) for _, radius in balls]
     for mesh, (centre, _) in zip(meshes, balls, strict=True):
         mesh.apply_translation(centre)
@@ -51,7 +51,7 @@ def mesh_scene(balls, material) -> Mesh:
 
 @pytest.fixture(scope="session")
 def relighter() -> Callable[..., Relighter]:
-    """(backend, material, balls, settings...) to a relighter."""
+    """Return a function (backend, material, balls, settings...) to a relighter."""
 
     def make(backend, material=(0.6, 0.4, 0.2, 0.7, 0.0), balls=BALLS, **settings) -> Relighter:
         scene = splat_scene(balls, material)
@@ -63,7 +63,7 @@ def relighter() -> Callable[..., Relighter]:
 
 @pytest.fixture(scope="session")
 def camera() -> Camera:
-    """From the front, both balls in view."""
+    """Camera in front of both balls."""
     to_world = np.eye(4)
     to_world[:3, :3] = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)  # looks along +Y, up is +Z
     to_world[:3, 3] = (0.3, -5.0, 0.3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Samples where they are needed: no more than asked of the image's error, and fewer than everywhere alike."""
+"""Adaptive sampling reaches the requested error with fewer samples than uniform sampling."""
 
 import numpy as np
 import pytest

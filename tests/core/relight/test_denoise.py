@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The filter on surfaces made up for it: what is constant stays, edges stay, noise goes."""
+"""The denoiser on synthetic surfaces: constants and edges remain, noise is removed."""
 
 import dataclasses
 
@@ -16,7 +16,7 @@ CAMERA = Camera(61, 43, 60.0, 60.0, 30.5, 21.5, np.eye(4))
 
 
 def plane(tilt: float = 0.0, covered=None) -> PrimaryHits:
-    """A plane at distance 4, turned about the vertical by `tilt`, in front of CAMERA."""
+    """A plane at distance 4, rotated about the vertical by `tilt`, in front of CAMERA."""
     ray = torch.from_numpy(CAMERA.rays()).view(-1, 3)
     index = torch.arange(len(ray)) if covered is None else torch.nonzero(covered.flatten())[:, 0]
     ray = ray[index]
@@ -55,7 +55,7 @@ def test_noise_goes_also_on_a_slope(tilt):
 
 @pytest.mark.parametrize("kept", [False, True])
 def test_equals_the_definition(kept):
-    """One pixel's weights, written out."""
+    """Compare with the weights of single pixels, written out."""
     surface = plane(0.5)
     tilted = torch.nn.functional.normalize(surface.normal + 0.1 * torch.rand(surface.normal.shape), dim=1)
     surface = dataclasses.replace(surface, normal=tilted, depth=surface.depth + 0.01 * torch.rand(len(surface.depth)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The gathering kernel against its twin in plain operations, and against the rendering equation's other estimate."""
+"""The gathering kernel against its reference in PyTorch operations, and against the estimator of the rendering equation."""
 
 import numpy as np
 import pytest
@@ -20,12 +20,12 @@ SCALE = torch.tensor([1.0, 0.8, 0.6])
 
 @pytest.fixture
 def light():
-    """Brighter at one side than at the other, of unequal size to what it is reduced to."""
+    """A light that is brighter on one side, of another size than its prefiltered maps."""
     return prepare(studio_light(40, 80) * np.linspace(0.5, 1.5, 80, dtype=np.float32)[None, :, None])
 
 
 def points_of(surface) -> tuple[ShadingPoints, torch.Tensor]:
-    """A view's points and how their samples are shifted."""
+    """A view's points and the shifts of their samples."""
     points = ShadingPoints.from_roughness(surface.origin, surface.view, surface.normal, surface.roughness)
     return points, torch.rand(len(surface.index), 2, generator=torch.Generator().manual_seed(0))
 
@@ -42,7 +42,7 @@ def traced(one, surface, samples, scale=SCALE) -> SecondaryRays:
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
 @pytest.mark.parametrize("material", [(0.6, 0.4, 0.2, 0.7, 0.0), (0.9, 0.7, 0.3, 0.2, 1.0)])
 @pytest.mark.parametrize(("scale", "light_count"), [(SCALE, 0), (SCALE, 5), (None, 5)])
-def test_equals_the_twin(relighter, camera, light, backend, material, scale, light_count):
+def test_gather_equals_its_reference(relighter, camera, light, backend, material, scale, light_count):
     one = relighter(backend, material)
     surface = one.surface(camera)
     rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if light_count else COUNTS, light), scale)
@@ -54,7 +54,7 @@ def test_equals_the_twin(relighter, camera, light, backend, material, scale, lig
 
 
 def test_parts_of_the_mixture_come_to_the_whole(relighter, camera, light):
-    """Lasting and light samples apart, added, are all samples at once, and with nothing in the way what `reflect_light` estimates."""
+    """Light-independent and light-map samples add up to all samples at once and, without occlusion, to what `reflect_light` estimates."""
     one = relighter("mesh", balls=((np.zeros(3), 1.0),))
     surface = one.surface(camera)
     whole = drawn(surface, COUNTS, light)
@@ -71,7 +71,7 @@ def test_parts_of_the_mixture_come_to_the_whole(relighter, camera, light):
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
 def test_what_is_met_is_as_bright_where_samples_of_the_light_leave_it_out(relighter, camera, light, backend):
-    """Whichever way it is shared out among the samples, its mean is the same."""
+    """The mean of the reflected light does not depend on which samples contribute it."""
     one, many = relighter(backend, (0.9, 0.7, 0.3, 0.5, 0.5)), tuple(16 * n for n in COUNTS)
     surface = one.surface(camera)
     ways = ((drawn(surface, (*many[:2], 0), light), many[2]), (drawn(surface, many, light), 0))
@@ -88,7 +88,7 @@ def test_what_is_met_is_as_bright_where_samples_of_the_light_leave_it_out(religh
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
 @pytest.mark.parametrize("degrees", [0.0, 123.0])
 def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backend, degrees):
-    """Against drawing them one by one: the table rounds their place in the light, by a texel of its own at most."""
+    """Compare with drawing them one by one: the table rounds their direction by at most one of its cells."""
     light = prepare(np.linspace(0.5, 1.5, 64, dtype=np.float32)[None, :, None] * np.ones((32, 1, 3), np.float32)).turned(degrees)
     still = prepare(rotate(light.radiance.numpy(), degrees).astype(np.float32))
     one = relighter(backend, (0.9, 0.7, 0.3, 0.4, 0.5))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relit images against what energy, geometry and the other backend demand."""
+"""Relit images: energy conservation, shadows, agreement of the backends."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ BALL = ((np.zeros(3), 1.0),)
 
 
 def pixels(one: Relighter, camera: Camera, light=WHITE):
-    """The surface seen, and the straight colour of its opaque pixels, with their mask."""
+    """The visible surface, and the straight colour of its opaque pixels, with their mask."""
     surface = one.surface(camera)
     rgba = one.relit(surface, light)
     solid = surface.alpha > 0.99
@@ -32,7 +32,7 @@ def pixels(one: Relighter, camera: Camera, light=WHITE):
 @pytest.mark.parametrize("material", [(0.5, 0.5, 0.5, 0.8, 0.0), (1.0, 0.9, 0.8, 0.3, 1.0)])
 @pytest.mark.parametrize("conserving", [False, True])
 def test_white_furnace(relighter, camera, backend, material, conserving):
-    """A convex body under a white sky sends back its albedo and the lobe's directional albedo: never more than comes, if conserving."""
+    """A convex body under a white sky reflects its albedo plus the directional albedo of the lobe, at most 1 if conserving."""
     one = relighter(backend, material, BALL, samples=256, conserving=conserving)
     surface, seen, solid = pixels(one, camera)
     facing = (surface.normal * surface.view).sum(-1)[solid].clamp_min(1e-3)
@@ -58,7 +58,7 @@ def test_backends_agree_on_balls_that_shade_each_other(relighter, camera, materi
 
 
 def test_shadow_and_indirect_light(relighter, camera):
-    """A ball above darkens the one below; light from one to the other is only added."""
+    """A ball shadows the one below it; indirect light only adds."""
     lamp = np.zeros((32, 64, 3), np.float32)
     lamp[:4] = 5.0  # overhead
     light = prepare(lamp)
@@ -72,7 +72,7 @@ def test_shadow_and_indirect_light(relighter, camera):
 
 
 def test_rays_start_on_the_mesh_where_a_pixel_s_mean_depth_lies_inside_it(relighter, camera):
-    """As along a silhouette that has something behind it; where the mesh lies far behind, a floating bit is lit where it is."""
+    """As at a silhouette before another surface; where the mesh lies far behind, floating surfels are lit where they are."""
     one = relighter("mesh", balls=BALL)
     surface = one.surface(camera)
     steep = ((surface.normal * surface.view).sum(-1) > 0.5) & (surface.alpha > 0.99)
@@ -123,7 +123,7 @@ def test_rays_are_kept_for_the_next_light_and_let_go_with_the_surface(relighter,
 
 
 def test_what_nothing_shades_is_exact_with_few_samples(relighter, camera):
-    """A convex matt body: sampling has only visibility to tell, and all of the light arrives."""
+    """A convex matt body: sampling determines visibility alone, and all light is visible."""
     light = prepare(sunset_light(64, 128))
     few, many = (relighter("mesh", (0.6, 0.5, 0.4, 1.0, 0.0), BALL, samples=n, denoise="off") for n in (16, 2048))
     surface = few.surface(camera)
@@ -145,7 +145,7 @@ def test_strategies_agree_and_mis_is_less_noisy(relighter, camera):
 
 
 def test_albedo_scale_holds_for_what_is_seen_in_reflections_too(relighter, camera):
-    """A matt scene of half the albedo: the same image by the factor."""
+    """A matt scene of half the albedo equals the scaled one."""
     whole, half = (relighter("mesh", (a, a, a, 0.9, 0.0)) for a in (0.8, 0.4))
     reference = half.relit(half.surface(camera), WHITE)
     scaled = whole.scaled((0.5, 0.5, 0.5))
@@ -187,7 +187,7 @@ def test_efficient_takes_fewer_samples_where_most_is_metal(relighter):
 
 
 def test_light_is_looked_up_at_full_resolution_in_mirrors(relighter, camera):
-    """A lamp narrower than a texel of the prefiltered light still is a sharp highlight on a smooth ball."""
+    """A lamp smaller than a texel of the prefiltered light still makes a sharp highlight on a smooth ball."""
     lamp = np.full((256, 512, 3), 0.1, np.float32)
     lamp[60:62, 383:385] = 500.0  # towards -Y, where the camera is, and up
     one = relighter("mesh", (0.9, 0.9, 0.9, 0.1, 1.0), BALL, samples=256, denoise="off", mesh_normals=1.0)

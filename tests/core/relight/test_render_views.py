@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Picture files of views: lights turned and scaled, premultiplied and straight alpha, cameras brought into a run's world."""
+"""Image files of views: rotated and scaled lights, premultiplied and straight alpha, cameras in a run's world frame."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,7 +36,7 @@ def buffers(alpha):
 
 
 def test_light_turns_counter_clockwise_seen_from_above():
-    """A lamp at +X (azimuth 0) turned by 90 degrees stands at +Y."""
+    """A lamp at +X (azimuth 0) rotated by 90 degrees is at +Y."""
     d = map_directions(32, 64)
     lamp = np.exp(20 * (d[..., :1] - 1))
     turned = rotate(lamp, 90)
@@ -83,7 +83,7 @@ def test_light_that_had_to_be_repaired_is_told(tmp_path):
 
 
 class FakeRelighter:
-    """Knows only what it is asked."""
+    """Relighter that records its calls."""
 
     device = "cpu"
 
@@ -183,7 +183,7 @@ def test_split_that_is_none():
 
 
 def test_cameras_come_into_the_world_of_the_run(tmp_path):
-    """A point of the dataset's frame projects to the same pixel in a run that turned, scaled and moved that frame."""
+    """A point of the dataset's frame projects to the same pixel in a run that rotated, scaled and moved that frame."""
     rng = np.random.default_rng(2)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sample counts and the pattern over the image."""
+"""Numbers of samples per strategy, and their shifts over the image."""
 
 import pytest
 import torch

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Both backends against what a ball hides, and against vertex data that are linear in space."""
+"""Both backends against the analytic occlusion by a ball and against vertex data that are linear in space."""
 
 import numpy as np
 import pytest
@@ -83,7 +83,7 @@ def test_mesh_interpolates_its_vertices():
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_rays_start_outside_the_surface_they_leave(relighter, camera, backend):
-    """Straight up from a ball alone nothing is in the way."""
+    """Along the normals of a single ball nothing occludes."""
     one = relighter(backend, balls=BALL)
     surface = one.surface(camera)
     solid = surface.alpha > 0.9

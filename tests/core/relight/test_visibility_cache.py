@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rays tell of the open directions around: nothing where few went, nothing near what one of them met."""
+"""Visibility cache: no direction is clear where few rays were traced or near one that met something."""
 
 import torch
 from irgspp.core.relight.indirect_light import HitReflectance, SecondaryRays
@@ -9,21 +9,21 @@ WIDTH, RAYS = 8, 4000
 
 
 def rays(met: torch.Tensor, above: torch.Tensor) -> SecondaryRays:
-    """Of 16 x RAYS, those `met`, of those `above` the horizon."""
+    """Rays of 16 points, RAYS in all: those `met` have a hit, those `above` lie above the horizon."""
     row = torch.where(met, 0, -1).int()
     nothing = torch.zeros(1, 3)
     return SecondaryRays(above[..., None].float().repeat(1, 1, 6), row, HitReflectance(torch.ones(1), nothing, nothing, torch.zeros(1, 5)))
 
 
 def scene():
-    """A patch of 4 x 4 pixels whose rays go all around, up is free but for a cone about +X."""
+    """A patch of 4 x 4 pixels with rays in all directions, unoccluded except for a cone about +X."""
     direction = torch.nn.functional.normalize(torch.randn(16, RAYS // 16, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
     above = direction[..., 2] > 0
     return direction, rays((direction[..., 0] > 0.8) & above, above), (torch.arange(16) // 4) * WIDTH + torch.arange(16) % 4
 
 
 def clear_of(visibility_cache: VisibilityCache, direction) -> bool:
-    """Read the map, by its definition (Engelhardt and Dachsbacher 2008), for directions above the horizon."""
+    """Look a direction above the horizon up by the definition of the octahedral map (Engelhardt and Dachsbacher 2008)."""
     x, y, z = direction
     size = abs(x) + abs(y) + abs(z)
     column, row = (min(int((c / size / 2 + 0.5) * BINS), BINS - 1) for c in (x, y))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Deferred reflections and compositing where the answer is known."""
+"""Deferred reflections and compositing against known results."""
 
 import pytest
 import torch

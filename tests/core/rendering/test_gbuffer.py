@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sphere of splats seen by a camera against the sphere itself."""
+"""G-buffer of a sphere of surfels against the analytic sphere."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def camera(camera_ring):
 
 @pytest.fixture(scope="module")
 def analytic(camera):
-    """Planar depth, normal and distance of each ray to the silhouette, in pixels (negative inside)."""
+    """Planar depth, normal, and distance of each ray to the silhouette in pixels (negative inside)."""
     rays = camera.rays().astype(np.float64)
     a, b, c = (rays**2).sum(-1), rays @ camera.centre, camera.centre @ camera.centre - 1
     root = b * b - a * c
@@ -59,7 +59,7 @@ def test_glossy_reconstruction_shows_reflections(reconstruction, camera, analyti
 
 
 def test_radiance_stays_when_materials_and_light_are_new(reconstruction, camera):
-    """Another look at materials and light changes the layers of materials alone, glossy or not."""
+    """Replacing materials and light changes the material layers alone, glossy or not."""
     g = reconstruction.gaussians
     new = torch.logit(torch.tensor([0.1, 0.8, 0.3, 0.2, 0.9]))[:, None].repeat(1, g.count)
     for glossy in (False, True):

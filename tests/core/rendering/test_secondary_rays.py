@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Secondary rays: what passes, and the radiance of what is in the way."""
+"""Transmittance and radiance along secondary rays."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ RADIANCE, SKY = np.array([0.6, 0.3, 0.1]), torch.tensor([1.0, 2.0, 3.0])
 
 @pytest.fixture(scope="module")
 def traced(splat_sphere):
-    """(glossy, metallic, opacity) to a tracer of a unit sphere under a sky of one colour."""
+    """Return a function (glossy, metallic, opacity) to a tracer of a unit sphere under a sky of one colour."""
 
     def make(glossy=False, metallic=0.0, opacity=0.999) -> SecondaryTracer:
         sphere = splat_sphere(6000, np.tile(RADIANCE, (6000, 1)), opacity)
@@ -80,7 +80,7 @@ def test_rays_start_above_the_surfels_by_the_size_of_the_scene(traced):
 
 
 def test_a_backdrop_hides_points_but_is_part_of_the_light(splat_sphere):
-    """Where the photographs had a background, surfels outside the bound are it."""
+    """If the photographs show a background, surfels outside the bound belong to it."""
     sphere, wall = splat_sphere(6000, opacity=0.999), splat_sphere(6000, opacity=0.999)
     wall.position *= 4
     wall.log_scale += np.log(4)

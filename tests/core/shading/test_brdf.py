@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The microfacet BRDF: what its parts must integrate to, and how its normals are drawn."""
+"""Microfacet BRDF: integrals of its parts, and the distribution of sampled visible normals."""
 
 import math
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light maps are sampled by what they send: every map, to its poles, its seam and its single hot texels."""
+"""Importance sampling of light maps, including poles, seam and single bright texels."""
 
 import math
 
@@ -11,7 +11,7 @@ from sampling_checks import COUNT, F64, LIGHT_MAPS, NORMAL, assert_follows, hot_
 
 
 def sphere_grid(height, width, fine):
-    """Directions (H fine, W fine, 3) in the middles of the parts of texels, z and azimuth uniform inside each, and their solid angles."""
+    """Directions (H fine, W fine, 3) at the centres of the parts of texels, z and azimuth uniform inside each, and their solid angles."""
     edges = torch.cos(torch.arange(height + 1, dtype=F64) * (math.pi / height))
     share = (torch.arange(fine, dtype=F64) + 0.5) / fine
     z = (edges[:-1, None] + (edges[1:] - edges[:-1])[:, None] * share).reshape(-1, 1)

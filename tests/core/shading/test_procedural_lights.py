@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Made-up lights are usable light."""
+"""Exposure and resolution of the procedural light maps."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The estimate of outgoing light: right on average, of less noise than any single strategy, never more than came in, differentiable."""
+"""Estimator of the rendering equation: unbiased, less noisy than any single strategy, energy conserving, differentiable."""
 
 import math
 
@@ -40,7 +40,7 @@ BRIGHTEST = {name: texel_directions(32, 64, F64).reshape(-1, 3)[light.sum(-1).ar
 
 
 def view_at(degrees, name="soft"):
-    """A view so far from NORMAL, across from where the light is brightest: at some angle the two mirror each other."""
+    """A view at an angle to NORMAL, opposite to where the light is brightest: at some angle the two mirror each other."""
     angle = math.radians(degrees)
     across = unit((BRIGHTEST[name] @ NORMAL) * NORMAL - BRIGHTEST[name])
     return math.cos(angle) * NORMAL + math.sin(angle) * across
@@ -58,7 +58,7 @@ def estimates(light, view, roughness, counts=MIS, points=6000, method="mis", alb
 
 
 def textbook(light, view, direction, roughness):
-    """Diffuse and specular integrand f L cos (K, 3) in float64, written anew from the formulas."""
+    """Diffuse and specular integrand f L cos (K, 3) in float64, implemented independently from the formulas."""
     alpha, albedo = max(roughness, 0.05) ** 2, torch.tensor(ALBEDO, dtype=F64)
     n_l, n_v = direction @ NORMAL, view @ NORMAL
     half = unit(direction + view)
@@ -75,7 +75,7 @@ def textbook(light, view, direction, roughness):
 
 
 def reference(light, view, roughness, count=500_000):
-    """Mean and standard error (2, 3) of the light that goes out, by means of its own."""
+    """Mean and standard error (2, 3) of the reflected light, by sampling strategies of its own."""
     if light.mean() < 0.25 * light.max() and (light > 0).sum() == 3:
         return hot_reference(light, view, roughness)
     u = torch.rand(2, count, 2, generator=torch.Generator().manual_seed(9), dtype=F64)
@@ -99,7 +99,7 @@ def reference(light, view, roughness, count=500_000):
 
 
 def hot_reference(light, view, roughness, fine=300):
-    """By the midpoint rule over the texels that see the hot one in a bilinear lookup."""
+    """The same by the midpoint rule over the texels that see the bright one in a bilinear lookup."""
     row, column = (int(i) for i in (light[..., 0] == light[..., 0].max()).nonzero()[0])
     share = (torch.arange(3 * fine, dtype=F64) + 0.5) / fine - 1
     theta = (row + share) * (math.pi / 32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every density integrates to one and is the one that the samples follow; the mixture is what the strategies make of it."""
+"""Densities integrate to one, samples follow them, and the mixture combines those of the strategies."""
 
 import math
 
@@ -164,7 +164,7 @@ def test_samples_are_plain_tensors_without_history_at_any_view(method, dtype):
 
 
 @pytest.mark.parametrize("name", LIGHT_MAPS)
-def test_the_kernel_agrees_with_its_twin_in_double(name):
+def test_the_kernel_agrees_with_its_reference_in_double(name):
     view, normal, roughness, counts, _ = scene()
     single, double = LightDistribution(LIGHT_MAPS[name]), LightDistribution(LIGHT_MAPS[name].double())
     shift = torch.rand(500, 2, generator=torch.Generator().manual_seed(2))
