@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What bad input has to come to."""
+"""Check that bad input is rejected with an InputError."""
 
 import pytest
 from irgspp.core.errors import InputError
 
 
 def refused(*words: str):
-    """The block raises an InputError with all of these expressions in its line."""
+    """Expect the block to raise an InputError whose message matches all these regular expressions."""
     return pytest.raises(InputError, match="".join(f"(?=.*{word})" for word in words))
