@@ -73,10 +73,10 @@ def sections_of(names: str) -> list[ModuleType]:
     """Return the modules of sections by name, in the order of SECTIONS.
 
     Args:
-        names: names separated by commas
+        names: names separated by commas.
 
     Raises:
-        InputError: where a name is not one of SECTIONS
+        InputError: where a name is not one of SECTIONS.
     """
     requested = {name.strip() for name in names.split(",") if name.strip()}
     if unknown := requested - set(SECTIONS):
@@ -99,8 +99,8 @@ def measure(args: argparse.Namespace, sections: list[ModuleType]) -> tuple[Store
     """Make all measurements that are missing.
 
     Args:
-        args: parsed options
-        sections: modules of the chosen sections
+        args: parsed options.
+        sections: modules of the chosen sections.
 
     Returns:
         The store, and the exit status: 0, 1 where a measurement failed, 130 after Ctrl-C.

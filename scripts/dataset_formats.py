@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Write a rendered scene in the layout of another dataset, with its axes, file names and quirks."""
+"""Write a rendered scene in the layout of another dataset, with its axes, file names and special cases."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from irgspp.core.errors import InputError, IrgsppError
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Write the dataset and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path, help="folder that scripts/render_dataset.py wrote")
     parser.add_argument("--format", required=True, choices=sorted(WRITERS))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Faults and hostile input: killed jobs, full disks, little memory, broken files, long queues, as a table, JSON and a page.
+"""Faults and hostile input: killed jobs, full disks, little memory, broken files and long queues, as a table, JSON and a page.
 
-    .venv/bin/python scripts/faults.py --quick            # those that take seconds, which are tests too
-    .venv/bin/python scripts/faults.py -o faults          # all of them: hours on one core, one for 100,000 broken files of each kind
+    .venv/bin/python scripts/faults.py --quick            # cases of seconds, which are tests too
+    .venv/bin/python scripts/faults.py -o faults          # all cases: hours on one core, one for 100,000 broken files of each kind
 
 Exit status: 0 every case holds, 1 one does not, 2 bad usage.
 """
@@ -20,7 +20,7 @@ GROUPS = ("kill", "disk", "memory", "long_queue", "places", "fuzz")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the chosen cases and report; returns the exit status."""
+    """Run the chosen cases, report, and return the exit status."""
     for name in GROUPS:
         importlib.import_module(f"faulting.{name}")
     return examine(CASES, "faults", "Faults and hostile input", arguments)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything there is to show on an NVIDIA GPU, in one command and one table: `python scripts/gpu_check.py [--dataset DATASET]`.
+"""Check of an NVIDIA GPU in one command and one table: `python scripts/gpu_check.py [--dataset DATASET]`.
 
-`--device cpu --quick` runs all of it small, by the same kernels on warp's CPU device: that proves this script, and says nothing of GPUs.
+`--device cpu --quick` runs all of it small, by the same kernels on warp's CPU device: that tests this script, and says nothing of GPUs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-import irgspp.core  # noqa: F401  (before torch: it settles how torch's threads wait)
+import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wait)
 import torch
 from gpu import measurements
 from gpu.measurements import QUICK, Measurement, Size
@@ -35,7 +35,7 @@ Part = tuple[str, Callable[[], Measurement | list[Measurement]]]
 
 
 def main() -> int:
-    """Measure what was asked for and print it; 1 where something failed, 2 where there is no such device."""
+    """Measure the chosen parts and print the table; return 1 where a part failed, 2 where there is no such device."""
     args = _arguments()
     try:
         chosen = choose(WARP_ON_CPU if args.device == "cpu" else "cuda")
@@ -54,15 +54,15 @@ def main() -> int:
 
 
 def _parts(args: argparse.Namespace, work: Work, size: Size, device: torch.device, scratch: Path) -> list[Part]:
-    """What is measured, by name and in order."""
+    """Return the parts in order, by name."""
     dataset = args.dataset or (DEMO_DATA if args.quick else None)
     name, run = WARP_ON_CPU if args.device == "cpu" else "cuda", args.run or scratch / "run"
-    unasked = Measurement("whole job", "not run: give --dataset", "<= 10 min")
+    omitted = Measurement("whole job", "not run: give --dataset", "<= 10 min")
     return [
         ("correctness", lambda: measurements.correctness(device, args.quick)),
         ("iterations", lambda: measurements.steps(work, size, device)),
         ("relighting", lambda: measurements.relighting(work, size, device)),
-        ("job", lambda: unasked if dataset is None else measurements.job(dataset, run, name, TINY if args.quick else ())),
+        ("job", lambda: omitted if dataset is None else measurements.job(dataset, run, name, TINY if args.quick else ())),
         ("memory of these", lambda: measurements.memory(device)),
         ("bandwidth", lambda: measurements.bandwidth(work, size, device)),
         ("profile", lambda: measurements.profile(work, size, device)),
@@ -70,7 +70,7 @@ def _parts(args: argparse.Namespace, work: Work, size: Size, device: torch.devic
 
 
 def _measure(parts: list[Part], only: list[str], table: list[Measurement]) -> bool:
-    """Add every measurement to the table; what fails is told there, and the others are measured all the same."""
+    """Append all measurements to the table, where a failed part has its error; return True where one failed."""
     failed = False
     for name, measure in parts:
         if only and not any(word in name for word in only):
@@ -79,7 +79,7 @@ def _measure(parts: list[Part], only: list[str], table: list[Measurement]) -> bo
         began = time.monotonic()
         try:
             found = measure()
-        except Exception as error:  # a measurement less is better than no table
+        except Exception as error:  # a table with a failed part is better than none
             failed, found = True, Measurement(name, f"FAILED: {type(error).__name__}: {' '.join(str(error).split())[:200]}")
         table += found if isinstance(found, list) else [found]
         failed |= any("FAILED" in measurement.measured for measurement in table)
@@ -88,17 +88,19 @@ def _measure(parts: list[Part], only: list[str], table: list[Measurement]) -> bo
 
 
 def _arguments() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--device", choices=("cuda", "cpu"), default="cuda", help="cpu: the GPU's kernels on warp's CPU device")
     parser.add_argument("--quick", action="store_true", help="everything small")
     parser.add_argument("--dataset", type=Path, help="for the whole job, such as one that scripts/render_dataset.py made at 800x800")
-    parser.add_argument("--run", type=Path, help="where to leave that job's run (default: it is deleted)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="the table for programs")
+    parser.add_argument("--run", type=Path, help="folder to keep that job's run in (default: it is deleted)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the table as JSON")
     parser.add_argument("--only", action="append", default=[], metavar="WORD", help="only parts with this word in their name")
     return parser.parse_args()
 
 
 def _name(device: torch.device) -> str:
+    """Return the name of the device."""
     if device.type == "cuda":
         properties = torch.cuda.get_device_properties(device)
         return f"{properties.name}, {properties.total_memory / 2**30:.0f} GiB, compute capability {properties.major}.{properties.minor}"
@@ -106,6 +108,7 @@ def _name(device: torch.device) -> str:
 
 
 def _versions() -> str:
+    """Return the versions of driver, torch and warp."""
     import warp
 
     found = probe()
@@ -114,7 +117,8 @@ def _versions() -> str:
 
 
 def _print(table: list[Measurement]) -> None:
-    rows = [Measurement("measurement", "measured", "target"), *table]
+    """Print the table."""
+    rows = [Measurement("quantity", "measured", "target"), *table]
     wide = [max(len(getattr(row, name)) for row in rows) for name in ("name", "measured")]
     for row in rows:
         print(f"{row.name:{wide[0]}}  {row.measured:{wide[1]}}  {row.target}".rstrip())

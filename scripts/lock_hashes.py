@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Write requirements.sha256: the digests of every wheel that the installed engine may be made of, in the format of sha256sum.
+"""Write requirements.sha256: the digests of every wheel that the managed engine may be installed from, in the format of sha256sum.
 
     .venv/bin/python scripts/lock_hashes.py INDEX [--also FOLDER]      # after requirements.lock has changed
 
-INDEX is the address of a package index ("simple" pages). Those of wheels in FOLDER are taken as well.
+INDEX is the address of a package index ("simple" pages). Digests of wheels in FOLDER are added.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PLATFORM = re.compile(r"any|win_amd64|macosx.*|manylinux.*(x86_64|aarch64)|linux
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Ask the index for every pin; the exit status."""
+    """Ask the index for the wheels of every pin, write their digests, and return the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("index")
     parser.add_argument("--also", type=Path, metavar="FOLDER")
@@ -52,12 +52,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def locked() -> list[str]:
-    """The pins of the lock file without Blender's module, which engines in Blender don't need."""
+    """Return the pins of the lock file without Blender's module, which engines inside Blender don't need."""
     return requirements((ROOT / "requirements.lock").read_text("utf-8"), [])[1]
 
 
 def pins() -> Iterator[tuple[str, str]]:
-    """(name, version) of all that an engine may need: the lock's, and the extra for CUDA."""
+    """Yield (name, version) of all that an engine may need: the lock's pins, and the extra for CUDA."""
     for line in locked():
         name, version = line.partition(";")[0].split("==")
         yield plain(name), version.strip()
@@ -68,7 +68,7 @@ def pins() -> Iterator[tuple[str, str]]:
 
 
 def resolved(index: str) -> Iterator[tuple[str, str]]:
-    """(name, version) of what pip would install on this system: on Linux, torch needs libraries of CUDA that the lock doesn't name."""
+    """Yield (name, version) of what pip would install on this system: on Linux, torch needs CUDA libraries that the lock does not name."""
     with tempfile.TemporaryDirectory() as name:
         lines, report = Path(name, "lines"), Path(name, "report")
         lines.write_text("\n".join(locked()), encoding="utf-8")
@@ -80,7 +80,13 @@ def resolved(index: str) -> Iterator[tuple[str, str]]:
 
 
 def wheels(index: str, name: str, version: str) -> Iterator[tuple[str, str]]:
-    """(file name, digest) of the wheels of a version for the Pythons and systems that Blender runs on."""
+    """Yield (file name, digest) of the wheels of a version for the Pythons and systems that Blender runs on.
+
+    Args:
+        index: address of the package index.
+        name: name of the package.
+        version: version of the package.
+    """
     address = f"{index.rstrip('/')}/{plain(name)}/"
     with urllib.request.urlopen(urllib.request.Request(address, headers={"Accept": "text/html"}), timeout=60) as page:
         text = page.read().decode()
@@ -93,7 +99,7 @@ def wheels(index: str, name: str, version: str) -> Iterator[tuple[str, str]]:
 
 
 def _serves(python: str, abi: str) -> bool:
-    """True for a wheel that Python 3.11 to 3.13 can load."""
+    """Return True for a wheel that Python 3.11 to 3.13 can load."""
     if abi.endswith("t") or not PYTHON.match(python):
         return False
     return abi in ("none", "abi3") or python in ("cp311", "cp312", "cp313")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render a dataset with exact ground truth from a .blend, or from the built-in demonstration scene."""
+"""Render a dataset with exact ground truth from a .blend file, or from the built-in demonstration scene."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ SEED = 7
 
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
+    """Parse the command line; `argv` is that of the process where None."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", nargs="?", type=Path, help=".blend file; without it the built-in scene")
+    parser.add_argument("scene", nargs="?", type=Path, help=".blend file (default: the built-in scene)")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write, must not exist or be empty")
     parser.add_argument("--resolution", type=int, default=200)
     parser.add_argument("--train", type=int, default=64, help="training views")
     parser.add_argument("--test", type=int, default=16, help="test views, with ground truth")
     parser.add_argument("--samples", type=int, default=64, help="Cycles samples per pixel, then denoised")
-    parser.add_argument("--light", help="lat-long EXR or one of " + ", ".join(LIGHTS) + "; default: the World of the .blend, or sky")
+    parser.add_argument("--light", help="lat-long EXR or one of " + ", ".join(LIGHTS) + "; default: the World of the .blend file, or sky")
     parser.add_argument("--relight", nargs="*", help="more lights for the test views; default: studio sunset")
     parser.add_argument("--light-height", type=int, default=128, help="rows of built-in and baked light maps")
     parser.add_argument("--points", type=int, default=10_000, help="surface samples for mesh scores")
@@ -41,7 +42,15 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
 
 
 def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolution: int) -> list[Camera]:
-    """Cameras on an even spiral over the sphere from 30 degrees below the horizon to the top, all looking at the centre."""
+    """Return cameras on an even spiral over the sphere from 30 degrees below the horizon to the top, all looking at the centre.
+
+    Args:
+        count: number of cameras.
+        phase: offset along the spiral, in cameras.
+        centre: centre of the object (3,).
+        radius: radius of the object.
+        resolution: pixels along a side of the image.
+    """
     focal = 0.5 * resolution / np.tan(0.5 * ANGLE_X)
     cameras = []
     for i in range(count):
@@ -54,7 +63,11 @@ def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolutio
 
 
 def load_scene(path: Path | None) -> bpy.types.Scene:
-    """Open the .blend, or build our own scene."""
+    """Open a .blend file, or build the demonstration scene where the path is None.
+
+    Raises:
+        InputError: where there is no such file, or Blender can't open it.
+    """
     if path is None:
         build_demo_scene()
     elif not path.is_file():
@@ -68,7 +81,15 @@ def load_scene(path: Path | None) -> bpy.types.Scene:
 
 
 def write_lights(scene: bpy.types.Scene, args: argparse.Namespace) -> list[str]:
-    """Put the light maps into envs/ and name them, the training light first."""
+    """Write the light maps into envs/.
+
+    Args:
+        scene: scene whose World is baked where no light is given.
+        args: parsed options.
+
+    Returns:
+        Names of the lights, the training light first.
+    """
     folder = args.output / "envs"
     folder.mkdir(parents=True)
     relights = ["studio", "sunset"] if args.relight is None else args.relight
@@ -85,7 +106,12 @@ def write_lights(scene: bpy.types.Scene, args: argparse.Namespace) -> list[str]:
 
 
 def save_png(path: Path, rgba: np.ndarray) -> None:
-    """Linear premultiplied (H, W, 4) as 8-bit sRGB with straight alpha."""
+    """Write a linear premultiplied image as an 8-bit sRGB PNG file with straight alpha.
+
+    Args:
+        path: file to write.
+        rgba: (H, W, 4) linear premultiplied.
+    """
     alpha = np.clip(rgba[..., 3:], 0, 1)
     straight = np.where(alpha > 0, rgba[..., :3] / np.maximum(alpha, 1e-6), 0)
     encoded = np.concatenate([encode_srgb(np.clip(straight, 0, 1)), alpha], -1)
@@ -93,11 +119,25 @@ def save_png(path: Path, rgba: np.ndarray) -> None:
 
 
 def write_transforms(path: Path, cameras: list[Camera], pattern: str) -> None:
+    """Write the cameras as a transforms.json.
+
+    Args:
+        path: file to write.
+        cameras: cameras in order.
+        pattern: format of the image's path with the camera's number.
+    """
     frames = [{"file_path": pattern.format(i), "transform_matrix": camera.to_world.tolist()} for i, camera in enumerate(cameras)]
     path.write_text(json.dumps({"camera_angle_x": ANGLE_X, "frames": frames}, indent=1))
 
 
 def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path) -> None:
+    """Render the training views.
+
+    Args:
+        scene: scene with its World.
+        cameras: training cameras.
+        folder: folder to make.
+    """
     folder.mkdir()
     for i, camera in enumerate(cameras):
         log(f"training view {i + 1} of {len(cameras)}")
@@ -107,7 +147,14 @@ def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path) ->
 
 
 def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path) -> None:
-    """Every test view under every light, and its layers (which no light changes) once."""
+    """Render every test view under every light, and once its material layers, which do not depend on the light.
+
+    Args:
+        scene: scene to render.
+        cameras: test cameras.
+        worlds: Worlds by name of the light.
+        folder: folder of the views.
+    """
     for n, (name, world) in enumerate(worlds.items()):
         scene.world = world
         for i, camera in enumerate(cameras):
@@ -124,6 +171,12 @@ def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str,
 
 
 def write_layers(view: Path, layers: dict[str, np.ndarray]) -> None:
+    """Write the ground truth of a view as EXR files.
+
+    Args:
+        view: folder of the view.
+        layers: albedo (H, W, 3), normal (H, W, 3), depth (H, W), material (H, W, 2).
+    """
     write_exr(view / "albedo.exr", rgb_channels(layers["albedo"]), half=True)
     write_exr(view / "normal.exr", rgb_channels(layers["normal"]), half=True)
     write_exr(view / "depth.exr", {"Z": np.round(layers["depth"] * 16384) / 16384})
@@ -131,6 +184,14 @@ def write_layers(view: Path, layers: dict[str, np.ndarray]) -> None:
 
 
 def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray, scene: bpy.types.Scene) -> None:
+    """Write meta.json, the description of the dataset.
+
+    Args:
+        args: parsed options.
+        lights: names of the lights, the training light first.
+        corners: corners of all triangles (N, 3).
+        scene: rendered scene.
+    """
     meta = {
         "name": args.scene.stem if args.scene else "demo",
         "blender": bpy.app.version_string,
@@ -153,11 +214,16 @@ def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray,
 
 
 def log(text: str) -> None:
+    """Print a progress line."""
     print(text, file=sys.stderr, flush=True)
 
 
 def render_dataset(args: argparse.Namespace) -> None:
-    """The whole job: scene, lights, cameras, images, points."""
+    """Render the whole dataset: scene, lights, cameras, images, surface points.
+
+    Raises:
+        InputError: where the folder is not empty.
+    """
     if args.output.exists() and any(args.output.iterdir()):
         raise InputError(args.output, "is not empty", "name a new folder")
     scene = load_scene(args.scene)
@@ -180,6 +246,7 @@ def render_dataset(args: argparse.Namespace) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Render the dataset and return the exit status."""
     try:
         render_dataset(arguments(argv))
     except IrgsppError as error:

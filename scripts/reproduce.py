@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A whole benchmark: every scene below a folder reconstructed and evaluated as its paper does, and the paper's table with our row in it.
+"""Reconstruct and evaluate every scene below a folder as its paper does, and print the paper's table with our rows in it.
 
-python scripts/reproduce.py DATASETS [-o OUT] [--preset balanced] [--scenes a,b] [--views N]
+    python scripts/reproduce.py DATASETS [-o OUT] [--preset balanced] [--scenes a,b] [--views N]
 
-OUT gets tables.md, tables.json and tables.html, the runs and their reports. The same command goes on after an interruption: what is
-done is not done again, a run that was stopped resumes.
+OUT gets tables.md, tables.json and tables.html, the runs and their reports. The same command continues after an interruption: finished work
+is not repeated, a stopped run resumes.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from reproduction.tables import Result, as_html, as_json, as_markdown, benchmark
 
 
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line; `argv` is that of the process where None."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("root", type=Path, metavar="DATASETS", help="folder with scenes in it or below")
     parser.add_argument("-o", dest="out", type=Path, default=Path("reproduction"), metavar="OUT", help="default: reproduction")
@@ -45,7 +46,16 @@ def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def jobs_of(args: argparse.Namespace, scenes: Sequence[Scene], out: Path) -> list[Job]:
-    """A job for each scene that can be read. Raises InputError for options that the commands refuse."""
+    """Return a job for each scene that can be read.
+
+    Args:
+        args: parsed options.
+        scenes: scenes below the folder.
+        out: folder of runs and reports.
+
+    Raises:
+        InputError: for options that the commands refuse.
+    """
     reconstruct = ["--preset", args.preset, *(word for text in args.set for word in ("--set", text))]
     given = {"--views": args.views, "--samples": args.samples, "--lpips": args.lpips and args.lpips.resolve()}
     evaluate = [word for option, value in given.items() if value is not None for word in (option, str(value))]
@@ -60,7 +70,13 @@ def jobs_of(args: argparse.Namespace, scenes: Sequence[Scene], out: Path) -> lis
 
 
 def result_of(scene: Scene, states: Mapping[str, State], out: Path) -> Result:
-    """What came of a scene."""
+    """Return the result of a scene.
+
+    Args:
+        scene: scene of the batch.
+        states: final states of the jobs by name.
+        out: folder of runs and reports.
+    """
     run, report = out / "runs" / scene.name, out / "reports" / scene.name / "report.json"
     state = states.get(scene.name, State("failed", scene.trouble))
     if state.state != "done":
@@ -71,7 +87,16 @@ def result_of(scene: Scene, states: Mapping[str, State], out: Path) -> Result:
 
 
 def write(out: Path, results: Sequence[Result], ours: str) -> str:
-    """The tables as files; returns the Markdown."""
+    """Write the tables as files.
+
+    Args:
+        out: folder of the files.
+        results: results of all scenes.
+        ours: label of our rows.
+
+    Returns:
+        The tables as Markdown.
+    """
     tables = tables_of(results, ours)
     text = as_markdown(tables)
     for name, content in (("md", text), ("json", json.dumps(as_json(tables), indent=1)), ("html", as_html(tables, results))):
@@ -80,6 +105,15 @@ def write(out: Path, results: Sequence[Result], ours: str) -> str:
 
 
 def reproduce(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the batch, write the tables, and return the exit status.
+
+    Args:
+        args: parsed options.
+        terminal: terminal with Ctrl-C.
+
+    Raises:
+        InputError: where the options or the folder are wrong.
+    """
     out = args.out.resolve()
     scenes = find_scenes(args.root, args.scenes.split(",") if args.scenes else None)
     jobs = jobs_of(args, scenes, out)
@@ -95,6 +129,7 @@ def reproduce(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Reproduce the tables and return the exit status."""
     args = arguments(argv)
     try:
         with Terminal().signals() as terminal:

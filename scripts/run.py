@@ -25,33 +25,35 @@ DOCS_LOCK = ROOT / "docs" / "requirements.lock"
 
 
 def fail(reason: str) -> None:
-    """End with exit status 2 and one line."""
+    """Print a line and end with exit status 2."""
     print("run.py: " + reason, file=sys.stderr)
     raise SystemExit(2)
 
 
 def say(text: str) -> None:
+    """Print a progress line."""
     print("run.py: " + text, file=sys.stderr, flush=True)
 
 
 def check_python() -> None:
+    """End with a message where this Python is not version 3.11."""
     if sys.version_info[:2] != REQUIRED:
         version = ".".join(map(str, sys.version_info[:2]))
         fail(f"needs Python 3.11 (Blender 4.5's bpy has no wheel for another), this is {version}; start it with python3.11")
 
 
 def digest() -> str:
-    """Identifies what has to be installed: the pins and the package's own description."""
+    """Return a digest of what has to be installed: the pins and the package's own description."""
     return hashlib.sha256(LOCK.read_bytes() + (ROOT / "pyproject.toml").read_bytes() + str(ROOT).encode()).hexdigest()
 
 
 def environment() -> dict:
-    """Variables for the child: threads of torch sleep between kernels instead of spinning on the cores that numba's kernels use."""
+    """Return the child's environment: threads of torch sleep between kernels and leave the cores to numba's kernels."""
     return {"OMP_WAIT_POLICY": "PASSIVE", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "NO_MKDOCS_2_WARNING": "1", **os.environ}
 
 
 def call(*command: object) -> int:
-    """Run a command with our terminal and return its exit status, 130 after Ctrl-C."""
+    """Run a command on this terminal and return its exit status, 130 after Ctrl-C."""
     process = subprocess.Popen([str(part) for part in command], cwd=str(ROOT), env=environment())
     interrupted = False
     while True:
@@ -59,21 +61,26 @@ def call(*command: object) -> int:
             status = process.wait()
             return 130 if interrupted and status else status
         except KeyboardInterrupt:
-            interrupted = True  # the terminal sent Ctrl-C to the child as well, which ends in its own way
+            interrupted = True  # the terminal sent Ctrl-C to the child as well, which ends by itself
 
 
 def install(*what: object, reason: str) -> None:
-    """Install by the environment's pip, or end with the reason why not."""
+    """Install by the environment's pip, or end with a message.
+
+    Args:
+        *what: arguments of `pip install`.
+        reason: message where pip fails.
+    """
     status = call(PYTHON, "-m", "pip", "install", *what)
     if status == 130:
-        say("stopped; the next start sets up anew")
+        say("stopped; the next start repeats the set-up")
         raise SystemExit(130)
     if status:
         fail(reason)
 
 
 def works(python: Path) -> bool:
-    """True where a virtual environment's Python starts, has pip, and is of the right version."""
+    """Return True where a virtual environment's Python starts, has pip, and is of the right version."""
     probe = f"import pip, sys; sys.exit(sys.version_info[:2] != {REQUIRED})"
     try:
         return subprocess.run([str(python), "-c", probe], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode == 0
@@ -82,7 +89,7 @@ def works(python: Path) -> bool:
 
 
 def make_venv() -> None:
-    """Make .venv, or make it anew where an earlier set-up was interrupted or its Python no longer starts."""
+    """Make .venv, also in place of one that is unfinished or whose Python no longer starts."""
     if VENV.exists() and not UNFINISHED.exists() and works(PYTHON):
         return
     say("making it again: .venv is unfinished or broken" if VENV.exists() else "making .venv")
@@ -91,9 +98,9 @@ def make_venv() -> None:
 
 
 def setup() -> None:
-    """Install the locked versions and this package into .venv; nothing to do where that was done before."""
-    wanted = digest()
-    if STAMP.exists() and not UNFINISHED.exists() and STAMP.read_text().strip() == wanted and PYTHON.exists():
+    """Install the locked versions and this package into .venv, unless that is done already."""
+    current = digest()
+    if STAMP.exists() and not UNFINISHED.exists() and STAMP.read_text().strip() == current and PYTHON.exists():
         return
     make_venv()
     UNFINISHED.touch()
@@ -101,13 +108,13 @@ def setup() -> None:
     install("-r", LOCK, reason="pip could not install requirements.lock, its own lines above say why; the next start tries again")
     package = ("--no-deps", "--no-build-isolation", "--editable", ROOT)
     install(*package, reason="pip could not install the package itself, its own lines above say why")
-    STAMP.write_text(wanted + "\n")
+    STAMP.write_text(current + "\n")
     UNFINISHED.unlink()
     say("set-up done: " + str(VENV))
 
 
 def workers() -> list:
-    """Words for pytest: as many processes as there are cores, four at most, as each needs over 1 GB; `-n 0` after them is one alone."""
+    """Return options of pytest: one process for each core, four at most, since each needs over 1 GB; a later `-n 0` overrules it."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return ["-n", str(min(cores, 4)), "--dist", "worksteal"] if cores > 1 else []
 
@@ -123,7 +130,7 @@ def copy_package() -> None:
 
 
 def main(arguments: list) -> int:
-    """Do what the first word says; the exit status is that of the tool or of the tests."""
+    """Run the command that the first argument names and return its exit status."""
     if not arguments or arguments[0] not in COMMANDS:
         fail("usage: python3 scripts/run.py setup|demo|test|docs [arguments passed on]")
     check_python()

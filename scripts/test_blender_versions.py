@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Run the tests of Blender's side in several versions of Blender, as the module bpy, each in a private environment.
 
-Nothing of the engine's libraries is installed there, which proves that Blender's own process needs none: the engine is another
-Python ($IRGSPP_PYTHON, --engine, or that of .venv). Words after `--` go to pytest; folders and files among them replace FOLDERS.
+None of the engine's libraries is installed there, which proves that Blender's own process needs none: the engine is another Python
+($IRGSPP_PYTHON, --engine, or that of .venv). Words after `--` go to pytest; folders and files among them replace FOLDERS.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SCRIPTS = "Scripts/python.exe" if os.name == "nt" else "bin/python"
 
 @dataclass(frozen=True)
 class Version:
-    """A Blender, the Python it comes with, and what a test environment of it holds."""
+    """Version of Blender with the Python it comes with and the packages of its test environment."""
 
     name: str
     python: str
@@ -48,7 +48,7 @@ VERSIONS = {
 
 @dataclass(frozen=True)
 class Result:
-    """How a version did: `end` is "passed", or what went wrong in a word or two."""
+    """Result of a version: `end` is "passed", or the failure in a word or two."""
 
     version: Version
     end: str
@@ -59,7 +59,15 @@ class Result:
 
 
 def find_python(version: str, given: str | None) -> str:
-    """A Python of that version that starts: the one given, this one, or one on PATH. Ends with status 2 where there is none."""
+    """Return a Python of a version that starts: the one given, this one, or one on PATH.
+
+    Args:
+        version: version such as "3.11".
+        given: path from the command line, or None.
+
+    Raises:
+        SystemExit: with status 2, where there is none.
+    """
     for candidate in [given] if given else [sys.executable, shutil.which(f"python{version}")]:
         if candidate and output(candidate, "import sys; print('%d.%d' % sys.version_info[:2])") == version:
             return candidate
@@ -67,13 +75,21 @@ def find_python(version: str, given: str | None) -> str:
 
 
 def usage(reason: str) -> int:
-    """Say what is wrong with the call; its exit status."""
+    """Print what is wrong with the options and return the exit status."""
     print(f"test_blender_versions: {reason}", file=sys.stderr)
     return 2
 
 
 def output(python: str | Path, code: str) -> str | None:
-    """What a line of Python prints, or None where it fails."""
+    """Return what a line of Python prints.
+
+    Args:
+        python: interpreter.
+        code: code to run.
+
+    Returns:
+        The output without the final newline; None where the code fails.
+    """
     try:
         done = subprocess.run([str(python), "-c", code], capture_output=True, text=True, check=False)
     except OSError:
@@ -82,11 +98,17 @@ def output(python: str | Path, code: str) -> str | None:
 
 
 def environment(version: Version, python: str, cache: Path) -> Path:
-    """The Python of the version's environment, which is made where it is not there, unfinished or of other packages."""
+    """Return the Python of a version's test environment, which is made where it is missing, unfinished or has other packages.
+
+    Args:
+        version: version of Blender.
+        python: Python to make the environment with.
+        cache: folder of all environments.
+    """
     folder = cache / version.name
     stamp, found = folder / "packages.txt", folder / SCRIPTS
-    wanted = "\n".join(version.packages)
-    if stamp.exists() and stamp.read_text("utf-8") == wanted and output(found, "") is not None:
+    packages = "\n".join(version.packages)
+    if stamp.exists() and stamp.read_text("utf-8") == packages and output(found, "") is not None:
         mount(found)
         return found
     print(f"test_blender_versions: making {folder}", file=sys.stderr, flush=True)
@@ -94,12 +116,12 @@ def environment(version: Version, python: str, cache: Path) -> Path:
     subprocess.run([python, "-c", make], check=True)
     subprocess.run([str(found), "-m", "pip", "install", "--quiet", *version.packages], check=True)
     mount(found)
-    stamp.write_text(wanted, "utf-8")
+    stamp.write_text(packages, "utf-8")
     return found
 
 
 def mount(python: Path) -> None:
-    """Make `import irgspp` mean this folder in an environment, without installing what the package needs."""
+    """Make `import irgspp` mean this folder in an environment, without installing the package's dependencies."""
     packages = output(python, "import sysconfig; print(sysconfig.get_path('purelib'))")
     assert packages is not None
     line = f"import pathlib, runpy; runpy.run_path({str(LAUNCHER)!r})['mount'](pathlib.Path({str(ROOT)!r}))\n"
@@ -107,7 +129,15 @@ def mount(python: Path) -> None:
 
 
 def run_tests(version: Version, python: Path, engine: str, words: list[str], limit: float) -> Result:
-    """The tests in one version; a process that crashes, or hangs at its end, is told apart from tests that fail."""
+    """Run the tests in one version; a process that crashes or hangs at its end is distinguished from failed tests.
+
+    Args:
+        version: version of Blender.
+        python: Python of its test environment.
+        engine: Python of the engine.
+        words: options and files for pytest.
+        limit: seconds that the tests may take.
+    """
     heavy = output(python, f"import importlib.util as u; print(*[n for n in {ENGINE_ONLY!r} if u.find_spec(n)])")
     if heavy:
         return Result(version, f"has {heavy}")
@@ -126,7 +156,12 @@ def run_tests(version: Version, python: Path, engine: str, words: list[str], lim
 
 
 def counted(result: Result, report: Path) -> Result:
-    """The result with the numbers of pytest's report, where it got as far as writing one."""
+    """Return a result with the numbers of pytest's report, where there is one.
+
+    Args:
+        result: result of the process.
+        report: report of pytest as XML.
+    """
     if not report.is_file():
         return result
     suites = ElementTree.parse(report).getroot().iter("testsuite")
@@ -139,7 +174,7 @@ def counted(result: Result, report: Path) -> Result:
 
 
 def table(results: list[Result]) -> str:
-    """A line for each version."""
+    """Return the results as a table with a line for each version."""
     lines = [f"{'Blender':10}{'Python':10}{'passed':>8}{'failed':>8}{'skipped':>9}{'seconds':>9}  end"]
     for r in results:
         packages = r.version.packages[0].removeprefix("bpy==")
@@ -148,11 +183,11 @@ def table(results: list[Result]) -> str:
 
 
 def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
-    """Our options, and pytest's after `--`."""
+    """Parse our options, and split off pytest's after `--`."""
     ours, theirs = (words[: words.index("--")], words[words.index("--") + 1 :]) if "--" in words else (words, [])
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("versions", nargs="*", metavar="VERSION", help=f"of {', '.join(VERSIONS)} (default: all)")
-    parser.add_argument("--cache", type=Path, default=ROOT / ".blender_versions", help="where the environments are kept (0.5 to 1 GB each)")
+    parser.add_argument("--cache", type=Path, default=ROOT / ".blender_versions", help="folder of the environments (0.5 to 1 GB each)")
     parser.add_argument("--engine", help="Python that has the engine's libraries (default: $IRGSPP_PYTHON, or that of .venv)")
     parser.add_argument("--python311", help="Python 3.11 to make environments with (default: this one, or python3.11)")
     parser.add_argument("--python313", help="Python 3.13 to make environments with (default: this one, or python3.13)")
@@ -161,6 +196,7 @@ def arguments(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
 
 
 def main(words: list[str]) -> int:
+    """Run the tests in the chosen versions and return the exit status."""
     args, theirs = arguments(words)
     unknown = [name for name in args.versions if name not in VERSIONS]
     if unknown:

@@ -74,13 +74,13 @@ class Bench:
     """Options, scenes and reconstructions of a benchmark.
 
     Attributes:
-        folder: folder of results, runs and images
-        scenes: scenes to measure
-        quick: short schedules and few measurements
-        repeats: repeats of each timing, of which the median counts
-        budgets: time budgets in minutes of the section on reconstruction
-        lpips: TorchScript file of the metric, if any
-        on_tick: called now and then during long work
+        folder: folder of results, runs and images.
+        scenes: scenes to measure.
+        quick: short schedules and few measurements.
+        repeats: repeats of each timing, of which the median counts.
+        budgets: time budgets in minutes of the section on reconstruction.
+        lpips: TorchScript file of the metric, if any.
+        on_tick: called now and then during long work.
     """
 
     folder: Path
@@ -97,12 +97,12 @@ class Bench:
         """Return a plan to reconstruct any scene; `quick` shortens all plans alike.
 
         Args:
-            label: name of the plan, unique among a scene's runs
-            *options: further settings as `KEY=VALUE`
-            preset: preset to start from
-            materials: materials option; "" leaves the choice to the job
-            time: time budget as after `--time`; "" for none
-            seconds: expected seconds on two cores; 0 for the preset's
+            label: name of the plan, unique among a scene's runs.
+            *options: further settings as `KEY=VALUE`.
+            preset: preset to start from.
+            materials: materials option; "" leaves the choice to the job.
+            time: time budget as after `--time`; "" for none.
+            seconds: expected seconds on two cores; 0 for the preset's.
         """
         expected = seconds or {"draft": 48.0}.get(preset, 120.0)
         if self.quick:
@@ -127,8 +127,8 @@ class Bench:
         """Return the folder of a reconstruction, made or not.
 
         Args:
-            scene: scene to reconstruct
-            plan: plan of the reconstruction
+            scene: scene to reconstruct.
+            plan: plan of the reconstruction.
         """
         return self.folder / "runs" / f"{scene.name}-{plan.label}"
 
@@ -136,8 +136,8 @@ class Bench:
         """Return True where a reconstruction is finished.
 
         Args:
-            scene: scene to reconstruct
-            plan: plan of the reconstruction
+            scene: scene to reconstruct.
+            plan: plan of the reconstruction.
         """
         return runs.finished(plan, scene.path, self.run_folder(scene, plan)) is not None
 
@@ -145,11 +145,11 @@ class Bench:
         """Return a reconstruction, which is made now where it does not exist yet.
 
         Args:
-            scene: scene to reconstruct
-            plan: plan of the reconstruction
+            scene: scene to reconstruct.
+            plan: plan of the reconstruction.
 
         Raises:
-            IrgsppError: where the reconstruction fails, now or at an earlier call
+            IrgsppError: where the reconstruction fails, now or at an earlier call.
         """
         key, path = (scene.name, plan.label), self.run_folder(scene, plan)
         if key in self._failed:  # many tasks need it: a failed one is not repeated
@@ -166,9 +166,9 @@ class Bench:
         """Return the report of `irgspp evaluate` on a run against the scene's ground truth, which is stored in the run.
 
         Args:
-            scene: scene of the run
-            folder: run folder, or a folder with the result of a first stage alone
-            settings_of: run folder whose settings count; None: `folder`
+            scene: scene of the run.
+            folder: run folder, or a folder with the result of a first stage alone.
+            settings_of: run folder whose settings count; None: `folder`.
 
         Returns:
             The report with "figures", "albedo_scale", "views" and so on.

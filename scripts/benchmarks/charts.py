@@ -54,8 +54,8 @@ def png(chart: Chart, path: Path) -> None:
     """Write a chart as a small PNG file.
 
     Args:
-        chart: chart to draw
-        path: file to write
+        chart: chart to draw.
+        path: file to write.
     """
     with matplotlib.rc_context(STYLE):
         figure = _draw(chart)

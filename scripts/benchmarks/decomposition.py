@@ -56,8 +56,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     """Yield the measurements of a scene: metrics of each preset, and images of one view.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene to measure
+        bench: options, scenes and reconstructions.
+        scene: scene to measure.
     """
     assert scene is not None
     for preset in bench.presets:

@@ -34,8 +34,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     """Yield the measurement of a scene's normals, where their ground truth is known.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene to measure
+        bench: options, scenes and reconstructions.
+        scene: scene to measure.
     """
     assert scene is not None
     if scene.view_truth(scene.views[0]).normal is not None:
@@ -71,8 +71,8 @@ def mesh_normals(query: MeshQuery, camera) -> np.ndarray:
     """Return the mesh's unit normals where a camera sees it.
 
     Args:
-        query: ray tracer of the mesh
-        camera: camera of H x W pixels
+        query: ray tracer of the mesh.
+        camera: camera of H x W pixels.
 
     Returns:
         (H, W, 3) float32, 0 where no surface is hit.

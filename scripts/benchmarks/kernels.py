@@ -39,8 +39,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     """Yield the measurements of both kernels, and of the rasteriser by other technologies.
 
     Args:
-        bench: options of the benchmark
-        scene: unused; this section is measured once
+        bench: options of the benchmark.
+        scene: unused; this section is measured once.
     """
     few = slice(0, 2) if bench.quick else slice(None)
     for count in GAUSSIANS[few]:

@@ -46,11 +46,11 @@ class MetallicRoughness(mi.BSDF):
         """Draw a direction (Mitsuba's interface of a BSDF).
 
         Args:
-            ctx: context of the BSDF, unused
-            si: surface interactions
-            sample1: random number that chooses the lobe, 0..1
-            sample2: random point that chooses the direction, (2,) in 0..1
-            active: mask of the lanes
+            ctx: context of the BSDF, unused.
+            si: surface interactions.
+            sample1: random number that chooses the lobe, 0..1.
+            sample2: random point that chooses the direction, (2,) in 0..1.
+            active: mask of the lanes.
 
         Returns:
             The sample with its density, and f cos / density, (3,).
@@ -74,10 +74,10 @@ class MetallicRoughness(mi.BSDF):
         """Return f cos, (3,).
 
         Args:
-            ctx: context of the BSDF, unused
-            si: surface interactions
-            wo: outgoing directions in the local frame, (3,)
-            active: mask of the lanes
+            ctx: context of the BSDF, unused.
+            si: surface interactions.
+            wo: outgoing directions in the local frame, (3,).
+            active: mask of the lanes.
         """
         return self.eval_pdf(ctx, si, wo, active)[0]
 
@@ -85,10 +85,10 @@ class MetallicRoughness(mi.BSDF):
         """Return the density of `sample` per steradian.
 
         Args:
-            ctx: context of the BSDF, unused
-            si: surface interactions
-            wo: outgoing directions in the local frame, (3,)
-            active: mask of the lanes
+            ctx: context of the BSDF, unused.
+            si: surface interactions.
+            wo: outgoing directions in the local frame, (3,).
+            active: mask of the lanes.
         """
         return self.eval_pdf(ctx, si, wo, active)[1]
 
@@ -96,10 +96,10 @@ class MetallicRoughness(mi.BSDF):
         """Return f cos, (3,), and the density of `sample` per steradian.
 
         Args:
-            ctx: context of the BSDF, unused
-            si: surface interactions
-            wo: outgoing directions in the local frame, (3,)
-            active: mask of the lanes
+            ctx: context of the BSDF, unused.
+            si: surface interactions.
+            wo: outgoing directions in the local frame, (3,).
+            active: mask of the lanes.
         """
         side, view = self._view(si)
         value, density = self._evaluate(view, mi.Vector3f(wo.x, wo.y, wo.z * side), self._material(si, active))
@@ -163,7 +163,7 @@ def register(body: np.ndarray) -> None:
     """Register the plugin under NAME.
 
     Args:
-        body: table of 1 - E_s, (N, N), see MetallicRoughness
+        body: table of 1 - E_s, (N, N), see MetallicRoughness.
     """
     MetallicRoughness.body = np.ascontiguousarray(body, np.float32)
     mi.register_bsdf(NAME, MetallicRoughness)

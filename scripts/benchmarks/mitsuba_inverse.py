@@ -64,7 +64,7 @@ class Descent:
         """Iterate until the last of the budgets in seconds is spent, and save the state at each.
 
         Args:
-            folder: folder for the states
+            folder: folder for the states.
 
         Returns:
             Budget, seconds, iterations and loss of each state.
@@ -83,7 +83,7 @@ class Descent:
         """Do one iteration and return its loss.
 
         Args:
-            share: fraction of the time that is spent, which lowers the learning rates
+            share: fraction of the time that is spent, which lowers the learning rates.
         """
         rates = {name: rate * LAST**share for name, rate in self.request["rates"].items()}
         self.adam.set_learning_rate(rates)

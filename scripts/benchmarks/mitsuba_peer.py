@@ -38,11 +38,11 @@ class Frame:
     """Image of a renderer and the time it took with the scene loaded.
 
     Attributes:
-        samples: samples per pixel
-        seconds: wall clock
-        cpu_seconds: CPU time of all threads
-        rgba: (H, W, 4) linear premultiplied
-        denoised: True where it is denoised
+        samples: samples per pixel.
+        seconds: wall clock.
+        cpu_seconds: CPU time of all threads.
+        rgba: (H, W, 4) linear premultiplied.
+        denoised: True where it is denoised.
     """
 
     samples: int
@@ -57,9 +57,9 @@ class Shots:
     """Images of one view under one light.
 
     Attributes:
-        frames: a frame for each number of samples
-        converged: (H, W, 4) linear premultiplied, or None
-        layers: material layers by name, (H, W, 3) or (H, W)
+        frames: a frame for each number of samples.
+        converged: (H, W, 4) linear premultiplied, or None.
+        layers: material layers by name, (H, W, 3) or (H, W).
     """
 
     frames: list[Frame]
@@ -83,7 +83,7 @@ def variant() -> tuple[str, str]:
     """Return the variant that works here, and Mitsuba's version.
 
     Raises:
-        IrgsppError: where no variant works
+        IrgsppError: where no variant works.
     """
     last_line = ""
     for name in VARIANTS:
@@ -127,14 +127,14 @@ def images(
     """Render every view under every light by Mitsuba.
 
     Args:
-        asset: `textured`, or `welded` with vertex_albedo (V, 3), vertex_roughness and vertex_metallic (V,)
-        views: cameras by name
-        lights: linear lat-long maps (H, W, 3) by name
-        counts: samples per pixel of the frames
-        converged: samples per pixel of the converged image; 0 for none
-        brdf: "ours" or "principled"
-        bounces: bounces of indirect light
-        layers: samples per pixel of the material layers; 0 for none
+        asset: `textured`, or `welded` with vertex_albedo (V, 3), vertex_roughness and vertex_metallic (V,).
+        views: cameras by name.
+        lights: linear lat-long maps (H, W, 3) by name.
+        counts: samples per pixel of the frames.
+        converged: samples per pixel of the converged image; 0 for none.
+        brdf: "ours" or "principled".
+        bounces: bounces of indirect light.
+        layers: samples per pixel of the material layers; 0 for none.
 
     Returns:
         Images by (view, light).
@@ -164,16 +164,16 @@ def run_child(module: str, request: Mapping[str, Any], arrays: Mapping[str, np.n
     """Run a module of this package in a process of its own.
 
     Args:
-        module: name of the module
-        request: content of its request.json, besides variant and threads
-        arrays: content of its arrays.npz
+        module: name of the module.
+        request: content of its request.json, besides variant and threads.
+        arrays: content of its arrays.npz, of any shapes (...,).
 
     Returns:
         Its answer.json, and the arrays it wrote by name.
 
     Raises:
-        Crashed: where a signal ended the process
-        IrgsppError: where it ended with an error
+        Crashed: where a signal ended the process.
+        IrgsppError: where it ended with an error.
     """
     with tempfile.TemporaryDirectory(prefix="irgspp-mitsuba-") as name:
         folder = Path(name)

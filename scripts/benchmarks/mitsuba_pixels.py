@@ -27,11 +27,11 @@ class PixelSensor(mi.Sensor):
 
         Args:
             arrays: of each pixel pixel_view (K,) and pixel_place (K, 2), column and row; of each view view_origin, view_corner, view_right
-                and view_down (N, 3), from which the ray through column x, row y is origin and corner + x right + y down
-            pixels: pixels at once, a square number
+                and view_down (N, 3), from which the ray through column x, row y is origin and corner + x right + y down.
+            pixels: pixels at once, a square number.
 
         Raises:
-            ValueError: where `pixels` is not a square number
+            ValueError: where `pixels` is not a square number.
         """
         side = round(pixels**0.5)
         if side * side != pixels:
@@ -49,7 +49,7 @@ class PixelSensor(mi.Sensor):
         """Choose the pixels of the next image.
 
         Args:
-            chosen: (N,) indices into the pool, row by row of the film
+            chosen: (N,) indices into the pool, row by row of the film.
         """
         self.chosen = mi.UInt32(chosen)
 
@@ -57,11 +57,11 @@ class PixelSensor(mi.Sensor):
         """Draw a ray through a random point of a chosen pixel (Mitsuba's interface of a sensor).
 
         Args:
-            time: time of the ray
-            sample1: random number, unused
-            sample2: random point on the film, (2,) in 0..1
-            sample3: random point on the aperture, unused
-            active: mask of the lanes
+            time: time of the ray.
+            sample1: random number, unused.
+            sample2: random point on the film, (2,) in 0..1.
+            sample3: random point on the aperture, unused.
+            active: mask of the lanes.
 
         Returns:
             The ray, and its weight 1.
@@ -79,11 +79,11 @@ class PixelSensor(mi.Sensor):
         """Draw a ray as `sample_ray` does, without differentials: no texture here is filtered.
 
         Args:
-            time: time of the ray
-            sample1: random number, unused
-            sample2: random point on the film, (2,) in 0..1
-            sample3: random point on the aperture, unused
-            active: mask of the lanes
+            time: time of the ray.
+            sample1: random number, unused.
+            sample2: random point on the film, (2,) in 0..1.
+            sample3: random point on the aperture, unused.
+            active: mask of the lanes.
 
         Returns:
             The ray, and its weight 1.

@@ -29,8 +29,8 @@ def material(arrays: dict[str, np.ndarray], brdf: str) -> dict[str, Any]:
     """Return the BSDF of the materials in the arrays: textures as texture_<name>, or the vertices' own values.
 
     Args:
-        arrays: arrays of the request, with the table `body` (N, N)
-        brdf: "ours" or "principled"
+        arrays: arrays of the request, with the table `body` (N, N).
+        brdf: "ours" or "principled".
     """
     if brdf == "ours":
         mitsuba_brdf.register(arrays["body"])
@@ -42,9 +42,9 @@ def lit(shape: mi.Mesh, image: np.ndarray, bounces: int) -> mi.Scene:
     """Return the scene of an object under a light map, which itself is invisible.
 
     Args:
-        shape: the object
-        image: linear lat-long map (H, W, 3)
-        bounces: bounces of indirect light
+        shape: the object.
+        image: linear lat-long map (H, W, 3).
+        bounces: bounces of indirect light.
     """
     integrator = {"type": "path", "max_depth": bounces + 2, "hide_emitters": True}
     return mi.load_dict({"type": "scene", "integrator": integrator, "object": shape, "light": light(image)})
@@ -54,8 +54,8 @@ def textured_material(textures: dict[str, np.ndarray], brdf: str) -> dict[str, A
     """Return a BSDF that reads textures as Blender does.
 
     Args:
-        textures: "albedo" (T, T, 3) uint8 sRGB, "roughness" and "metallic" (T, T) uint8, "normal" (T, T, 3) uint8
-        brdf: "ours", or "principled" for Mitsuba's own
+        textures: "albedo" (T, T, 3) uint8 sRGB, "roughness" and "metallic" (T, T) uint8, "normal" (T, T, 3) uint8.
+        brdf: "ours", or "principled" for Mitsuba's own.
     """
     kind = mitsuba_brdf.NAME if brdf == "ours" else "principled"
     read = {name: _bitmap(textures[name], raw=name != "albedo") for name in ("albedo", "roughness", "metallic", "normal")}
@@ -81,8 +81,8 @@ def mesh_shape(arrays: dict[str, np.ndarray], material: dict[str, Any]) -> mi.Me
     """Return a mesh with a material.
 
     Args:
-        arrays: vertices, normals (V, 3), faces (F, 3); uvs (V, 2) with textures, v = 0 at the bottom; VERTEX_VALUES if any
-        material: BSDF of the mesh
+        arrays: vertices, normals (V, 3), faces (F, 3); uvs (V, 2) with textures, v = 0 at the bottom; VERTEX_VALUES if any.
+        material: BSDF of the mesh.
     """
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(material)
@@ -106,7 +106,7 @@ def light(image: np.ndarray) -> dict[str, Any]:
     """Return the emitter of a light map.
 
     Args:
-        image: linear lat-long map (H, W, 3), row 0 = +Z, middle column +X; see `at_nodes`
+        image: linear lat-long map (H, W, 3), row 0 = +Z, middle column +X; see `at_nodes`.
     """
     bitmap = mi.Bitmap(at_nodes(np.asarray(image, np.float32)))
     return {"type": "envmap", "bitmap": bitmap, "to_world": mi.ScalarTransform4f(MAP_TO_WORLD)}
@@ -116,7 +116,7 @@ def at_nodes(image: np.ndarray) -> np.ndarray:
     """Return a light map resampled for Mitsuba, whose first and last rows are at the poles while ours are half a texel away.
 
     Args:
-        image: (H, W, 3)
+        image: (H, W, 3).
 
     Returns:
         (2 H + 1, W, 3) float32.
@@ -131,10 +131,10 @@ def sensor(camera: dict[str, Any]) -> mi.Sensor:
     """Return a camera.
 
     Args:
-        camera: "width", "height", "fx", "fy", "cx", "cy" in pixels and "to_world" (4, 4), axes as Blender's
+        camera: "width", "height", "fx", "fy", "cx", "cy" in pixels and "to_world" (4, 4), axes as Blender's.
 
     Raises:
-        ValueError: where pixels are not square, which Mitsuba's cameras do not support
+        ValueError: where pixels are not square, which Mitsuba's cameras do not support.
     """
     width, height = camera["width"], camera["height"]
     if abs(camera["fx"] / camera["fy"] - 1) > 1e-3:
@@ -162,11 +162,11 @@ class Layers(mi.SamplingIntegrator):
         """Return the materials at the first hit (Mitsuba's interface of an integrator).
 
         Args:
-            scene: scene to trace
-            sampler: random numbers, unused
-            ray: camera rays
-            medium: medium of the camera, unused
-            active: mask of the lanes
+            scene: scene to trace.
+            sampler: random numbers, unused.
+            ray: camera rays.
+            medium: medium of the camera, unused.
+            active: mask of the lanes.
 
         Returns:
             Albedo (3,), the mask of the hits, and roughness and metallic.
@@ -187,9 +187,9 @@ def layers(scene: mi.Scene, sensor: mi.Sensor, samples: int) -> dict[str, np.nda
     """Render the material layers named in LAYERS.
 
     Args:
-        scene: scene to render
-        sensor: camera
-        samples: samples per pixel
+        scene: scene to render.
+        sensor: camera.
+        samples: samples per pixel.
 
     Returns:
         Albedo (H, W, 3), roughness and metallic (H, W), each divided by alpha, and alpha (H, W).

@@ -33,10 +33,10 @@ def by_cpp(folder: Path) -> Forward:
     """Compile the C++ rasteriser with -O3 for this machine's CPU and return its forward pass.
 
     Args:
-        folder: folder for the library
+        folder: folder for the library.
 
     Raises:
-        IrgsppError: where there is no compiler, or it fails
+        IrgsppError: where there is no compiler, or it fails.
     """
     command = compiler()
     if command is None:
@@ -69,10 +69,10 @@ def by_warp(features: int) -> Forward:
     """Return the forward pass by the package's GPU kernel on warp's CPU device, which has one thread.
 
     Args:
-        features: feature channels of the splats
+        features: feature channels of the splats.
 
     Raises:
-        IrgsppError: where warp is not installed
+        IrgsppError: where warp is not installed.
     """
     try:
         from irgspp.core.kernels.warp import raster, runtime
@@ -94,9 +94,9 @@ def by_torch(count: int, size: int, seed: int = 0) -> Callable[[], torch.Tensor]
     """Return the forward pass by the float64 reference in torch, which evaluates every surfel at every pixel.
 
     Args:
-        count: surfels of the torus
-        size: pixels along a side of the image
-        seed: seed of the torus
+        count: surfels of the torus.
+        size: pixels along a side of the image.
+        seed: seed of the torus.
     """
     parts = [torch.from_numpy(a) for a in torus(count, seed)]
     shapes = [(3,), (4,), (2,), (), (16, 3), (len(parts[5]) // count,)]
@@ -109,8 +109,8 @@ def cropped(splats: Splats, size: int) -> np.ndarray:
     """Return the filled image without padding and transmittance.
 
     Args:
-        splats: projected scene
-        size: pixels along a side of the image
+        splats: projected scene.
+        size: pixels along a side of the image.
 
     Returns:
         (channels, size, size).

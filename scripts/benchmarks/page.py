@@ -22,8 +22,8 @@ def write(store: Store, sections: Sequence[ModuleType]) -> Path:
     """Write report.html into the store's folder.
 
     Args:
-        store: Records of all measurements.
-        sections: Modules of the sections, in the order of their chapters; those without records get no chapter.
+        store: records of all measurements.
+        sections: modules of the sections, in the order of their chapters; those without records get no chapter.
 
     Returns:
         The path of the page.
@@ -56,8 +56,8 @@ def engines(store: Store, section: ModuleType) -> str:
     """Return a sentence with the versions of the engine's source that a section was measured on.
 
     Args:
-        store: Records of all measurements.
-        section: Module of the section.
+        store: records of all measurements.
+        section: module of the section.
 
     Returns:
         The sentence; "" where all sections were measured on one version.

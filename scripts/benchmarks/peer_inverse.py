@@ -47,10 +47,10 @@ class State:
     """Materials and light after some time of optimisation.
 
     Attributes:
-        seconds: seconds spent, without compiling
-        iterations: iterations done
-        materials: vertex_albedo (V, 3), vertex_roughness and vertex_metallic (V,)
-        light: (H, W, 3) linear lat-long map
+        seconds: seconds spent, without compiling.
+        iterations: iterations done.
+        materials: vertex_albedo (V, 3), vertex_roughness and vertex_metallic (V,).
+        light: (H, W, 3) linear lat-long map.
     """
 
     seconds: float
@@ -63,11 +63,11 @@ def optimise(run: Path, views: Sequence[View], metal: bool, budgets: Sequence[fl
     """Optimise materials and light of a run's mesh by Mitsuba.
 
     Args:
-        run: run folder with the mesh
-        views: training views
-        metal: initial metallic value: whether the first stage takes the object for metal
-        budgets: seconds, in rising order
-        **changes: values of the request that replace the defaults
+        run: run folder with the mesh.
+        views: training views.
+        metal: initial metallic value: whether the first stage takes the object for metal.
+        budgets: seconds, in rising order.
+        **changes: values of the request that replace the defaults.
 
     Returns:
         The states after each of the budgets.
@@ -108,7 +108,7 @@ def centred(light: np.ndarray) -> np.ndarray:
     """Resample a light map whose first and last rows are at the poles to our layout, whose rows are half a texel away from them.
 
     Args:
-        light: (H, W, 3)
+        light: (H, W, 3).
 
     Returns:
         (H, W, 3).
@@ -124,7 +124,7 @@ def pool(views: Sequence[View]) -> dict[str, np.ndarray]:
     """Return all pixels that show the object alone, and the rays of their cameras; see `mitsuba_pixels.PixelSensor`.
 
     Args:
-        views: training views
+        views: training views.
 
     Returns:
         pixel_view (K,), pixel_place (K, 2), pixel_colour (K, 3) sRGB-encoded, pixel_saturated (K, 3) bool, and view_<vector> (N, 3).
@@ -150,8 +150,8 @@ def tasks(bench: Bench, scene: Scene) -> Iterator[Task]:
     """Yield the measurements of our second stage, and of Mitsuba's state at each multiple of its time.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene to measure
+        bench: options, scenes and reconstructions.
+        scene: scene to measure.
     """
     times, run = TIMES[:1] if bench.quick else TIMES, [bench.balanced()]
 

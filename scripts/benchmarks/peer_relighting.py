@@ -29,9 +29,9 @@ class Effort:
     """Number of samples and of rounds of a comparison.
 
     Attributes:
-        counts: samples per pixel by renderer
-        converged: samples per pixel of the peers' converged images
-        rounds: rounds in which all renderers alternate
+        counts: samples per pixel by renderer.
+        converged: samples per pixel of the peers' converged images.
+        rounds: rounds in which all renderers alternate.
     """
 
     counts: dict[str, tuple[int, ...]]
@@ -58,10 +58,10 @@ class Point:
     """Time and error of one renderer with a number of samples.
 
     Attributes:
-        samples: samples per pixel
-        seconds: wall clock
-        cpu_seconds: CPU time of all threads
-        psnr: dB over the object against the renderer's own converged image
+        samples: samples per pixel.
+        seconds: wall clock.
+        cpu_seconds: CPU time of all threads.
+        psnr: dB over the object against the renderer's own converged image.
     """
 
     samples: int
@@ -75,8 +75,8 @@ class RendererComparison:
     """Measured times and errors of all renderers.
 
     Attributes:
-        rounds: points by renderer, of each round
-        images: converged images by renderer, (H, W, 3) encoded
+        rounds: points by renderer, of each round.
+        images: converged images by renderer, (H, W, 3) encoded.
     """
 
     rounds: list[dict[str, list[Point]]]
@@ -91,9 +91,9 @@ class RendererComparison:
         """Return how many times as long a peer takes to our error: the median of the rounds.
 
         Args:
-            ours: our point to compare with
-            peer: name of the peer
-            clock: "seconds", or "cpu_seconds", which other load on the machine affects less
+            ours: our point to compare with.
+            peer: name of the peer.
+            clock: "seconds", or "cpu_seconds", which other load on the machine affects less.
 
         Returns:
             The ratio; None where the peer does not reach the error.
@@ -109,8 +109,8 @@ class RendererComparison:
         """Return the peer's PSNR after our seconds: the median of the rounds.
 
         Args:
-            ours: our point to compare with
-            peer: name of the peer
+            ours: our point to compare with.
+            peer: name of the peer.
 
         Returns:
             PSNR in dB; None where the peer's first image takes longer.
@@ -127,9 +127,9 @@ def seconds_to(points: Sequence[Point], target: float, clock: str = "seconds") -
     """Return the time to a PSNR, interpolated between points by the logarithm of time.
 
     Args:
-        points: points in the order of their samples
-        target: PSNR in dB
-        clock: "seconds" or "cpu_seconds"
+        points: points in the order of their samples.
+        target: PSNR in dB.
+        clock: "seconds" or "cpu_seconds".
 
     Returns:
         Seconds; None where the PSNR is not reached.
@@ -149,8 +149,8 @@ def psnr_at(points: Sequence[Point], seconds: float) -> float | None:
     """Return the PSNR after some time, interpolated between points by the logarithm of time.
 
     Args:
-        points: points in the order of their samples
-        seconds: time in seconds
+        points: points in the order of their samples.
+        seconds: time in seconds.
 
     Returns:
         PSNR in dB; None before the first image.
@@ -170,11 +170,11 @@ def compare_renderers(studio: Studio, lit_view: LitView, light: np.ndarray, effo
     """Render one view by all available renderers in turns.
 
     Args:
-        studio: run to relight
-        lit_view: view and light, the studio's first
-        light: linear lat-long map (H, W, 3) of the view
-        effort: numbers of samples and rounds
-        absent: peers that are not available
+        studio: run to relight.
+        lit_view: view and light, the studio's first.
+        light: linear lat-long map (H, W, 3) of the view.
+        effort: numbers of samples and rounds.
+        absent: peers that are not available.
     """
     rounds, limits = [], {OURS: studio.converged("mesh", 0)}
     peers = [peer for name, peer in ((MITSUBA, _mitsuba), (CYCLES, _cycles)) if name not in absent]

@@ -55,8 +55,8 @@ def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
     """Return the plans of a scene's runs by configuration; IRGS and time budgets on the first scene of either material class alone.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene to reconstruct
+        bench: options, scenes and reconstructions.
+        scene: scene to reconstruct.
     """
     found = {preset: bench.plan(preset, preset=preset) for preset in bench.presets}
     found["without indirect light"] = bench.plan("no-indirect", "second.indirect=off", seconds=115)
@@ -82,8 +82,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     """Yield the measurements of a scene: all plans, the first stage alone, and the paper's headline.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene to measure
+        bench: options, scenes and reconstructions.
+        scene: scene to measure.
     """
     assert scene is not None
     for configuration, plan in plans(bench, scene).items():

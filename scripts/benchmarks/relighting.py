@@ -53,8 +53,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     """Yield the measurements of relighting a scene.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene to measure
+        bench: options, scenes and reconstructions.
+        scene: scene to measure.
     """
     assert scene is not None
     if not scene.relights:

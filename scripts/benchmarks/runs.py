@@ -26,12 +26,12 @@ class RunPlan:
     """Plan of a reconstruction.
 
     Attributes:
-        label: unique among a scene's runs; with the scene's name it is the folder's name
-        preset: preset to start from
-        options: settings as `KEY=VALUE`, each after `--set`
-        materials: as after `--materials`; "" leaves the choice to the job
-        time: as after `--time`; "" for none
-        seconds: expected seconds on two cores
+        label: unique among a scene's runs; with the scene's name it is the folder's name.
+        preset: preset to start from.
+        options: settings as `KEY=VALUE`, each after `--set`.
+        materials: as after `--materials`; "" leaves the choice to the job.
+        time: as after `--time`; "" for none.
+        seconds: expected seconds on two cores.
     """
 
     label: str
@@ -54,11 +54,11 @@ class Run:
     """Finished reconstruction.
 
     Attributes:
-        path: run folder
-        first: folder with the result of the first stage alone, as far as `Reconstruction.load` reads it
-        seconds: wall clock of all phases together
-        process_seconds: wall clock of the process, its start included
-        cpu_seconds: CPU time of all threads
+        path: run folder.
+        first: folder with the result of the first stage alone, as far as `Reconstruction.load` reads it.
+        seconds: wall clock of all phases together.
+        process_seconds: wall clock of the process, its start included.
+        cpu_seconds: CPU time of all threads.
     """
 
     path: Path
@@ -86,9 +86,9 @@ def finished(plan: RunPlan, dataset: Path, path: Path) -> Run | None:
     """Return the finished run in a folder.
 
     Args:
-        plan: plan of the reconstruction
-        dataset: folder of the dataset
-        path: run folder
+        plan: plan of the reconstruction.
+        dataset: folder of the dataset.
+        path: run folder.
 
     Returns:
         The run; None where the folder holds none of this plan, or an unfinished one.
@@ -108,13 +108,13 @@ def make(plan: RunPlan, dataset: Path, path: Path, on_tick: Callable[[], None]) 
     """Reconstruct a dataset, or continue a reconstruction that an earlier benchmark left unfinished.
 
     Args:
-        plan: plan of the reconstruction
-        dataset: folder of the dataset
-        path: run folder
-        on_tick: called now and then
+        plan: plan of the reconstruction.
+        dataset: folder of the dataset.
+        path: run folder.
+        on_tick: called now and then.
 
     Raises:
-        IrgsppError: with the job's last line, where the job fails
+        IrgsppError: with the job's last line, where the job fails.
     """
     before = _interrupted(plan, dataset, path)
     command = [sys.executable, "-P", "-m", "irgspp", "reconstruct", str(dataset), "-o", str(path), *plan.words()]

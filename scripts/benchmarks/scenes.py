@@ -23,10 +23,10 @@ def find_scenes(paths: Sequence[Path]) -> list[Scene]:
     """Return the scenes of a list of folders, each a scene or a folder of scenes.
 
     Args:
-        paths: folders
+        paths: folders.
 
     Raises:
-        InputError: where a folder is neither, or two scenes have one name
+        InputError: where a folder is neither, or two scenes have one name.
     """
     scenes = []
     for path in paths:
@@ -55,11 +55,11 @@ def rendered_scenes(folder: Path, say: Callable[[str], None]) -> list[Scene]:
     """Return a low-gloss and a glossy scene, which Cycles renders the first time.
 
     Args:
-        folder: folder of the scenes
-        say: called with a line for the user
+        folder: folder of the scenes.
+        say: called with a line for the user.
 
     Raises:
-        IrgsppError: where Blender fails
+        IrgsppError: where Blender fails.
     """
     scenes = []
     for kind in KINDS:

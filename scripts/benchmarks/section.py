@@ -31,9 +31,9 @@ class Measurement:
     """Result of a task.
 
     Attributes:
-        figures: name to number, or to a short text; units are in the name ("seconds", "relight_psnr")
-        counted: work as counts (rays, hits, pixels, samples, iterations), which other load on the machine does not change
-        images: name to (H, W, 3) uint8; stored as PNG files next to the results
+        figures: name to number, or to a short text; units are in the name ("seconds", "relight_psnr").
+        counted: work as counts (rays, hits, pixels, samples, iterations), which other load on the machine does not change.
+        images: name to (H, W, 3) uint8; stored as PNG files next to the results.
     """
 
     figures: Figures
@@ -46,10 +46,10 @@ class Task:
     """One measurement to make.
 
     Attributes:
-        configuration: distinguishes the task within its section and scene; the three are the key of the record
-        work: makes the measurement
-        seconds: expected seconds on two cores without the runs, for the estimate of the remaining time
-        runs: reconstructions that the task needs and shares with others (`Bench.run` makes them)
+        configuration: distinguishes the task within its section and scene; the three are the key of the record.
+        work: makes the measurement.
+        seconds: expected seconds on two cores without the runs, for the estimate of the remaining time.
+        runs: reconstructions that the task needs and shares with others (`Bench.run` makes them).
     """
 
     configuration: str
@@ -73,10 +73,10 @@ class Table:
     """Table of text and numbers (None: not known, shown as a dash).
 
     Attributes:
-        title: title of the table
-        columns: headings with units and ↑ or ↓ for the better direction
-        rows: cells of each row
-        detail: True for the report alone, where it is too long for docs/
+        title: title of the table.
+        columns: headings with units and ↑ or ↓ for the better direction.
+        rows: cells of each row.
+        detail: True for the report alone, where it is too long for docs/.
     """
 
     title: str
@@ -90,10 +90,10 @@ class Series:
     """Points of a chart, joined by a line or not.
 
     Attributes:
-        label: name in the legend
-        x: abscissae, (N,)
-        y: ordinates, (N,)
-        line: True to join the points
+        label: name in the legend.
+        x: abscissae, (N,).
+        y: ordinates, (N,).
+        line: True to join the points.
     """
 
     label: str
@@ -107,13 +107,13 @@ class Chart:
     """Chart of one or several panels side by side.
 
     Attributes:
-        title: title of the chart
-        x: label of the abscissa
-        y: label of the ordinate
-        panels: series of each panel by its title
-        log_x: True for a logarithmic abscissa
-        log_y: True for a logarithmic ordinate
-        image: name of the PNG file in docs/; "" for none
+        title: title of the chart.
+        x: label of the abscissa.
+        y: label of the ordinate.
+        panels: series of each panel by its title.
+        log_x: True for a logarithmic abscissa.
+        log_y: True for a logarithmic ordinate.
+        image: name of the PNG file in docs/; "" for none.
     """
 
     title: str

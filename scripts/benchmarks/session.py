@@ -41,8 +41,8 @@ def steps_of(bench: Bench, sections: Sequence[ModuleType]) -> list[Step]:
     """Return the tasks of all sections and scenes in order.
 
     Args:
-        bench: options and scenes
-        sections: modules of the sections
+        bench: options and scenes.
+        sections: modules of the sections.
     """
     return [
         Step(section.NAME, scene, task)
@@ -58,8 +58,8 @@ def expected_seconds(bench: Bench, steps: Sequence[Step]) -> list[float]:
     A reconstruction counts where it is needed first, and not at all where it exists.
 
     Args:
-        bench: options and reconstructions
-        steps: steps in order
+        bench: options and reconstructions.
+        steps: steps in order.
     """
     counted, seconds = set(), []
     for step in steps:
@@ -89,7 +89,7 @@ class Session:
         KeyboardInterrupt passes; everything done so far is in the store.
 
         Args:
-            steps: steps in order
+            steps: steps in order.
         """
         missing = [step for step in steps if not self.store.done(step.key)]
         seconds = expected_seconds(self.bench, missing)

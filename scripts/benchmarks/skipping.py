@@ -49,8 +49,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     """Yield the measurements of a scene: the job at auto, without rules, without each rule alone, and the rules of relighting.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene to measure
+        bench: options, scenes and reconstructions.
+        scene: scene to measure.
     """
     assert scene is not None
     for configuration, plan in plans(bench).items():
@@ -102,8 +102,8 @@ def evidence_of(bench: Bench, scene: Scene) -> dict[str, dict[str, Any]]:
     """Return what the job at auto recorded of each rule: whether it is "on", and the "evidence".
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene of the job
+        bench: options, scenes and reconstructions.
+        scene: scene of the job.
     """
     return bench.run(scene, bench.balanced()).about.get("rules", {})
 

@@ -24,16 +24,16 @@ class Record:
     """One measurement.
 
     Attributes:
-        section: name of the section
-        scene: name of the scene, or EVERYWHERE
-        configuration: name of the task within its section and scene
-        status: "done" or "failed"
-        error: reason of a failure, one line
-        figures: see `section.Measurement`
-        counted: see `section.Measurement`
-        images: name to a file's path in the store's folder
-        seconds: wall clock of the whole measurement, with the reconstructions that were made for it
-        environment: key of the machine and versions among the store's environments
+        section: name of the section.
+        scene: name of the scene, or EVERYWHERE.
+        configuration: name of the task within its section and scene.
+        status: "done" or "failed".
+        error: reason of a failure, one line.
+        figures: see `section.Measurement`.
+        counted: see `section.Measurement`.
+        images: name to a file's path in the store's folder.
+        seconds: wall clock of the whole measurement, with the reconstructions that were made for it.
+        environment: key of the machine and versions among the store's environments.
     """
 
     section: str
@@ -60,12 +60,12 @@ class Store:
         """Open a store.
 
         Args:
-            folder: folder of results.json; made with the first record where it does not exist
-            environment: machine and versions of this process
-            fresh: True to ignore existing records
+            folder: folder of results.json; made with the first record where it does not exist.
+            environment: machine and versions of this process.
+            fresh: True to ignore existing records.
 
         Raises:
-            InputError: where results.json is not a benchmark's
+            InputError: where results.json is not a benchmark's.
         """
         self.folder, self.path = folder, folder / "results.json"
         self.records: dict[Key, Record] = {}
@@ -139,8 +139,8 @@ class Results:
         """Return finished records.
 
         Args:
-            scene: name of a scene; None: of all
-            prefix: beginning of the configuration
+            scene: name of a scene; None: of all.
+            prefix: beginning of the configuration.
         """
         found = (r for r in self._records if r.status == "done" and r.configuration.startswith(prefix))
         return (r for r in found if scene in (None, r.scene))
@@ -149,8 +149,8 @@ class Results:
         """Return a finished record, or None.
 
         Args:
-            scene: name of the scene
-            configuration: name of the configuration
+            scene: name of the scene.
+            configuration: name of the configuration.
         """
         return next((r for r in self.records(scene) if r.configuration == configuration), None)
 
@@ -158,9 +158,9 @@ class Results:
         """Return a metric, or None where it was not measured.
 
         Args:
-            scene: name of the scene
-            configuration: name of the configuration
-            name: name of the metric
+            scene: name of the scene.
+            configuration: name of the configuration.
+            name: name of the metric.
         """
         record = self.get(scene, configuration)
         return None if record is None else record.figures.get(name)

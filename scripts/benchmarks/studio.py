@@ -30,11 +30,11 @@ class RelightVariant:
     """Options of relighting that are compared.
 
     Attributes:
-        backend: "mesh" or "gaussian" for secondary rays
-        denoise: denoiser
-        sampling: "mis", or "stratified" for comparison
-        indirect: indirect light
-        error: error that decides on the number of samples; None: a fixed number
+        backend: "mesh" or "gaussian" for secondary rays.
+        denoise: denoiser.
+        sampling: "mis", or "stratified" for comparison.
+        indirect: indirect light.
+        error: error that decides on the number of samples; None: a fixed number.
     """
 
     backend: Backend = "mesh"
@@ -49,11 +49,11 @@ class LitView:
     """View under a light.
 
     Attributes:
-        view: test view
-        light: name of the light
-        prepared: the light, prepared for relighting
-        true: true image (H, W, 3), encoded
-        inside: mask of the object (H, W)
+        view: test view.
+        light: name of the light.
+        prepared: the light, prepared for relighting.
+        true: true image (H, W, 3), encoded.
+        inside: mask of the object (H, W).
     """
 
     view: View
@@ -70,9 +70,9 @@ class Studio:
         """Load a run.
 
         Args:
-            run: run folder
-            lit_views: views and lights
-            converged: samples per pixel of the converged images by backend
+            run: run folder.
+            lit_views: views and lights.
+            converged: samples per pixel of the converged images by backend.
         """
         self.run, self.lit_views, self._converged = run, lit_views, converged
         self.reconstruction = Reconstruction.load(run)
@@ -82,9 +82,9 @@ class Studio:
         """Return a relighter without cached work of other images.
 
         Args:
-            variant: options of relighting
-            samples: samples per pixel, "hq" or "efficient"
-            skip: rules that skip work; None: the defaults
+            variant: options of relighting.
+            samples: samples per pixel, "hq" or "efficient".
+            skip: rules that skip work; None: the defaults.
         """
         rules = skip or SkipSettings()
         settings = RelightSettings(samples, variant.sampling, variant.denoise, variant.indirect, skip=rules, error=variant.error)
@@ -94,9 +94,9 @@ class Studio:
         """Relight a view.
 
         Args:
-            variant: options of relighting
-            samples: samples per pixel, "hq" or "efficient"
-            lit_view: view and light
+            variant: options of relighting.
+            samples: samples per pixel, "hq" or "efficient".
+            lit_view: view and light.
 
         Returns:
             (H, W, 3) encoded, on black.
@@ -108,8 +108,8 @@ class Studio:
         """Return the image that a backend converges to, (H, W, 3) encoded.
 
         Args:
-            backend: "mesh" or "gaussian"
-            number: index of the lit view
+            backend: "mesh" or "gaussian".
+            number: index of the lit view.
         """
         if (backend, number) not in self._images:
             variant = RelightVariant(backend, denoise="off")
@@ -120,8 +120,8 @@ class Studio:
         """Measure root mean square error and PSNR against the converged image, and PSNR against the true one; means over the lit views.
 
         Args:
-            variant: options of relighting
-            samples: samples per pixel, "hq" or "efficient"
+            variant: options of relighting.
+            samples: samples per pixel, "hq" or "efficient".
         """
         rows = []
         for number, lit_view in enumerate(self.lit_views):
@@ -135,9 +135,9 @@ class Studio:
         """Measure the time of a frame with a new camera and a new light, in seconds.
 
         Args:
-            variant: options of relighting
-            samples: samples per pixel, "hq" or "efficient"
-            repeats: repeats of the timing
+            variant: options of relighting.
+            samples: samples per pixel, "hq" or "efficient".
+            repeats: repeats of the timing.
         """
         one, lit_view = self.relighter(variant, samples), self.lit_views[0]
         return median_seconds(lambda: one.relit(one.surface(lit_view.view.camera), lit_view.prepared), repeats)
@@ -146,9 +146,9 @@ class Studio:
         """Measure the time of a frame with a new light alone, in seconds.
 
         Args:
-            variant: options of relighting
-            samples: samples per pixel, "hq" or "efficient"
-            repeats: repeats of the timing
+            variant: options of relighting.
+            samples: samples per pixel, "hq" or "efficient".
+            repeats: repeats of the timing.
         """
         one, lights = self.relighter(variant, samples), itertools.cycle(lit_view.prepared for lit_view in self.lit_views)
         surface = one.surface(self.lit_views[0].view.camera)
@@ -162,9 +162,9 @@ def studio(bench: Bench, scene: Scene, run: Path | None = None) -> Studio:
     """Return the studio of a scene's balanced run, or of another run of it; the last one is cached.
 
     Args:
-        bench: options, scenes and reconstructions
-        scene: scene of the run
-        run: run folder; None: of the balanced run
+        bench: options, scenes and reconstructions.
+        scene: scene of the run.
+        run: run folder; None: of the balanced run.
     """
     path = run or bench.run(scene, bench.balanced()).path
     if path not in _studios:

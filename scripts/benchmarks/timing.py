@@ -15,9 +15,9 @@ def median_seconds(work: Callable[[], Any], repeats: int, enough: float = ENOUGH
     """Return the median wall clock of a function after one call that does not count.
 
     Args:
-        work: function to time
-        repeats: calls to time
-        enough: seconds after which there are no further repeats
+        work: function to time.
+        repeats: calls to time.
+        enough: seconds after which there are no further repeats.
     """
     return medians({"": work}, repeats, enough)[""]
 
@@ -28,10 +28,10 @@ def medians(
     """Return the median time of several functions, which alternate so that other load affects all alike.
 
     Args:
-        works: functions by name
-        repeats: calls of each
-        enough: seconds for each after which there are no further repeats
-        clock: clock in seconds; `time.process_time` counts CPU time
+        works: functions by name.
+        repeats: calls of each.
+        enough: seconds for each after which there are no further repeats.
+        clock: clock in seconds; `time.process_time` counts CPU time.
 
     Returns:
         Seconds by name.

@@ -76,9 +76,9 @@ def torus(count: int, seed: int, extras: int = EXTRAS) -> list[np.ndarray]:
     """Return surfels all over a torus, 1 to 1.5 times as large as their spacing, opacity 0.6 to 0.99.
 
     Args:
-        count: number of surfels
-        seed: seed of the random numbers
-        extras: extra channels
+        count: number of surfels.
+        seed: seed of the random numbers.
+        extras: extra channels.
 
     Returns:
         The flat float32 arguments of `project_range`: position (3 N,), quaternion (4 N,), log_scale (2 N,), opacity (N,), sh (48 N,),
@@ -112,10 +112,10 @@ def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splat
     """Project the torus into an image, with a random upstream gradient.
 
     Args:
-        count: number of surfels
-        size: pixels along a side of the image
-        seed: seed of the random numbers
-        extras: extra channels
+        count: number of surfels.
+        size: pixels along a side of the image.
+        seed: seed of the random numbers.
+        extras: extra channels.
     """
     camera = viewer(size)
     record, feature = np.empty((count, SPLAT_RECORD), np.float32), np.empty((count, 6 + extras), np.float32)
@@ -175,9 +175,9 @@ def scatter(count: int, number: int, seed: int = 0) -> Rays:
     """Return rays over the hemispheres (cosine) of points that the camera sees, with a random upstream gradient.
 
     Args:
-        count: number of surfels
-        number: number of rays
-        seed: seed of the random numbers
+        count: number of surfels.
+        number: number of rays.
+        seed: seed of the random numbers.
     """
     flat_arrays = [torch.from_numpy(a) for a in torus(count, seed)]
     parameters = [a.view(*shape, count) for a, shape in zip(flat_arrays[:4], [(3,), (4,), (2,), ()], strict=True)]
@@ -212,8 +212,8 @@ def disagreement(work: Splats | Rays, kernels: dict[str, Any]) -> dict[str, floa
     Pixels and rays exactly on a threshold may fall to either side of it.
 
     Args:
-        work: workload
-        kernels: forward and backward kernels by version
+        work: workload.
+        kernels: forward and backward kernels by version.
 
     Returns:
         Largest difference of a sum ("picture"), and relative L2 difference of all gradients ("gradient").
@@ -233,9 +233,9 @@ def measure(work: Splats | Rays, kernels: dict[str, Any], repetitions: int) -> d
     """Return the median CPU milliseconds of all threads; the versions alternate so that other load affects both alike.
 
     Args:
-        work: workload
-        kernels: forward and backward kernels by version
-        repetitions: calls of each
+        work: workload.
+        kernels: forward and backward kernels by version.
+        repetitions: calls of each.
 
     Returns:
         Milliseconds of "forward" and "backward" by version.

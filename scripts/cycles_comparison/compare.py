@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shade a scene of known geometry, material and light by tracing Gaussians, and by Cycles; print how far they are apart."""
+"""Compare radiance traced through Gaussians with Cycles' on a scene of known geometry, material and light.
+
+.venv/bin/python scripts/cycles_comparison/compare.py [CASES...] [-o DIR]
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,13 @@ from cycles_comparison.traced_scene import INNER, TracedScene, traced_image
 
 @dataclass(frozen=True)
 class Case:
-    """The materials, and whether our diffuse lobe gives up what the specular one reflects (`reflect_light`), as Blender's does."""
+    """Materials of the two objects.
+
+    Attributes:
+        sphere: material of the sphere.
+        square: material of the square.
+        conserving: True where our diffuse lobe gets what the specular one leaves (`reflect_light`), as Blender's does.
+    """
 
     sphere: Surface
     square: Surface
@@ -40,27 +49,42 @@ CASES = {
     "dielectric, 1-E_s": Case(RED, BLUE, conserving=True),
     "metal, multiscatter": Case(replace(GOLD, multiscatter=True), replace(STEEL, multiscatter=True)),
 }
-MARGIN = 1  # pixels left out along edges
+MARGIN = 1  # pixels along edges that are not compared
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Ours against Cycles over the inner pixels: mean of |a - b| / b per pixel, and the signed difference of the means."""
+    """Difference of ours and Cycles over the inner pixels.
+
+    Attributes:
+        case: name of the case.
+        bounces: bounces of indirect light.
+        relative: mean over the pixels of |a - b| / b.
+        signed: relative difference of the means.
+        strip: (H, 3 W, 3) encoded: ours, Cycles, 10 x the difference.
+    """
 
     case: str
     bounces: int
     relative: float
     signed: float
-    strip: np.ndarray  # (H, 3 W, 3) encoded: ours, Cycles, 10 x the difference
+    strip: np.ndarray
 
     def row(self) -> str:
-        """A line of the table."""
+        """Return a line of the table."""
         lit = "one bounce" if self.bounces else "direct"
         return f"{self.case:20} {lit:12} {100 * self.relative:12.2f} % {100 * self.signed:+11.2f} %"
 
 
 def compare(name: str, cycles: CyclesScene, light: np.ndarray, args: argparse.Namespace) -> Iterator[Difference]:
-    """Direct light, then one bounce."""
+    """Yield the differences with direct light, and with one bounce.
+
+    Args:
+        name: name of the case.
+        cycles: scene in Blender.
+        light: linear lat-long map (H, W, 3).
+        args: parsed options.
+    """
     case, view = CASES[name], camera(args.size)
     inner = inner_pixels(first_hits(view), MARGIN)
     gaussians = splats(args.splats, case.sphere, case.square)
@@ -77,11 +101,12 @@ def compare(name: str, cycles: CyclesScene, light: np.ndarray, args: argparse.Na
 
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", help="some of: " + ", ".join(CASES) + "; default: all")
+    """Parse the command line; `argv` is that of the process where None."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="*", help="of " + ", ".join(CASES) + " (default: all)")
     parser.add_argument("-o", "--output", type=Path, help="folder for images: ours, Cycles, 10 x the difference")
-    parser.add_argument("--size", type=int, default=48, help="pixels across")
-    parser.add_argument("--samples", type=int, default=512, help="ours, per pixel")
+    parser.add_argument("--size", type=int, default=48, help="pixels along a side (default: 48)")
+    parser.add_argument("--samples", type=int, default=512, help="our samples per pixel (default: 512)")
     parser.add_argument("--cycles-samples", type=int, default=2048)
     parser.add_argument("--splats", type=int, default=30_000)
     parser.add_argument("--light", choices=LIGHTS, default="studio")
@@ -93,6 +118,7 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Print the differences of the chosen cases and return the exit status."""
     args = arguments(argv)
     light = LIGHTS[args.light](64, 128)
     cycles = CyclesScene(light)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sphere over a square, known exactly: as dense splats for us and as smooth meshes for Cycles."""
+"""Sphere above a square with exactly known geometry and materials: as dense surfels for our ray tracer and as smooth meshes for Cycles."""
 
 from __future__ import annotations
 
@@ -16,20 +16,24 @@ from irgspp.core.scene.gaussians import SH_COEFFICIENTS, Gaussians, quaternion_t
 from irgspp.irgspp_addon.world.light_to_world import node_tree, world_from_map
 from scenes.cycles_ground_truth import place_camera
 
-RADIUS, HEIGHT = 0.5, 0.55  # of the sphere: it floats, so that no ray starts between two touching surfaces
-HALF = 1.0  # the square: -HALF..HALF at z = 0
+RADIUS, HEIGHT = 0.5, 0.55  # of the sphere, which floats so that no ray starts between two touching surfaces
+HALF = 1.0  # the square is -HALF..HALF at z = 0
 EYE = (1.9, -1.6, 1.5)
-SPREAD = 0.7  # standard deviation over spacing
+SPREAD = 0.7  # standard deviation of a surfel over the spacing
 OPACITY = 0.99
-SPHERE_SHARE = 0.45  # of the splats
+SPHERE_FRACTION = 0.45  # of all surfels
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What an object is made of.
+    """Material of an object.
 
-    diffuse: a plain Diffuse BSDF, without our specular lobe and Blender's. multiscatter: Blender adds the light that a rough metal
-    reflects more than once (its default); we don't.
+    Attributes:
+        albedo: linear base colour.
+        roughness: 0..1.
+        metallic: 0..1.
+        diffuse: True for a plain Diffuse BSDF, without our specular lobe and Blender's.
+        multiscatter: True where Blender adds the light that a rough metal reflects more than once (its default), which we don't.
     """
 
     albedo: tuple[float, float, float]
@@ -40,12 +44,12 @@ class Surface:
 
 
 def camera(size: int) -> Camera:
-    """Looks down on the scene, which fills the image."""
+    """Return a camera of size x size pixels that looks down on the scene, which fills the image."""
     return Camera(size, size, 1.6 * size, 1.6 * size, size / 2, size / 2, look_at(EYE, (0.0, 0.0, 0.3)))
 
 
 def first_hits(view: Camera) -> np.ndarray:
-    """(H, W) what each pixel's ray meets: 0 nothing, 1 the square, 2 the sphere."""
+    """Return what each pixel's ray meets first, (H, W): 0 nothing, 1 the square, 2 the sphere."""
     rays, eye = view.rays().astype(np.float64), view.centre - np.array([0.0, 0.0, HEIGHT])
     a, b, c = (rays**2).sum(-1), rays @ eye, eye @ eye - RADIUS**2
     ground = view.centre - rays * (view.centre[2] / rays[..., 2:])
@@ -54,7 +58,15 @@ def first_hits(view: Camera) -> np.ndarray:
 
 
 def inner_pixels(objects: np.ndarray, margin: int) -> np.ndarray:
-    """(H, W) pixels that are `margin` away from every edge: the splats' edges are soft."""
+    """Return the pixels away from every edge, because surfels have soft edges.
+
+    Args:
+        objects: number of the object at each pixel (H, W), 0 for none.
+        margin: pixels of distance.
+
+    Returns:
+        Mask (H, W).
+    """
     inner = objects > 0
     for rows in range(-margin, margin + 1):
         for columns in range(-margin, margin + 1):
@@ -64,8 +76,14 @@ def inner_pixels(objects: np.ndarray, margin: int) -> np.ndarray:
 
 
 def splats(count: int, sphere: Surface, square: Surface) -> Gaussians:
-    """About `count` disks of constant material, so dense that both surfaces are closed; their radiance is left at 0.5."""
-    on_sphere = round(SPHERE_SHARE * count)
+    """Return surfels of constant material, so dense that both surfaces are closed; their radiance is left at 0.5.
+
+    Args:
+        count: about how many.
+        sphere: material of the sphere.
+        square: material of the square.
+    """
+    on_sphere = round(SPHERE_FRACTION * count)
     ball, ground = _sphere_points(on_sphere), _square_points(round((count - on_sphere) ** 0.5))
     points = np.concatenate([RADIUS * ball + [0.0, 0.0, HEIGHT], ground])
     normals = np.concatenate([ball, np.broadcast_to([0.0, 0.0, 1.0], ground.shape)])
@@ -84,29 +102,34 @@ def splats(count: int, sphere: Surface, square: Surface) -> Gaussians:
 
 
 def lift(count: int) -> float:
-    """How far above a surface rays have to start, so that they clear the rims of the disks around, which stand off the sphere."""
-    spacing = np.sqrt(4 * np.pi / (SPHERE_SHARE * count)) * RADIUS
+    """Return the distance above a surface at which rays must start to clear the rims of the surfels around, which stand off the sphere."""
+    spacing = np.sqrt(4 * np.pi / (SPHERE_FRACTION * count)) * RADIUS
     rim = SPREAD * spacing * np.sqrt(2 * np.log(255 * OPACITY))
     return float(rim**2 / (2 * RADIUS))
 
 
 def _sphere_points(count: int) -> np.ndarray:
-    """(count, 3) evenly spread over the unit sphere (Fibonacci lattice)."""
+    """Return points spread evenly over the unit sphere (Fibonacci lattice), (count, 3)."""
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z**2)
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
 
 
 def _square_points(side: int) -> np.ndarray:
-    """(side^2, 3) cell centres."""
+    """Return the centres of the square's cells, (side^2, 3)."""
     x = HALF * ((np.arange(side) + 0.5) * 2 / side - 1)
     return np.stack([*np.meshgrid(x, x), np.zeros((side, side))], -1).reshape(-1, 3)
 
 
 class CyclesScene:
-    """The same scene in Blender, which it fills; one light, materials as asked for."""
+    """Same scene as Blender's scene, under one light, with materials chosen for each rendering."""
 
     def __init__(self, light: np.ndarray) -> None:
+        """Replace Blender's scene by this one.
+
+        Args:
+            light: linear lat-long map (H, W, 3).
+        """
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         self.scene = bpy.context.scene
         self.sphere = self._add("sphere", *_sphere_mesh(256))
@@ -119,6 +142,7 @@ class CyclesScene:
         self.scene.world.cycles.sample_map_resolution = 4 * light.shape[1]
 
     def _add(self, name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.types.Object:
+        """Add a mesh object."""
         mesh = bpy.data.meshes.new(name)
         mesh.from_pydata(vertices, [], faces)
         mesh.shade_smooth()
@@ -128,7 +152,19 @@ class CyclesScene:
         return thing
 
     def render(self, view: Camera, sphere: Surface, square: Surface, bounces: int, samples: int, seed: int = 1) -> np.ndarray:
-        """(H, W, 4) linear premultiplied, one point per pixel (its centre), not denoised; bounces 0 = direct light only."""
+        """Render through each pixel's centre, without denoising.
+
+        Args:
+            view: camera of H x W pixels.
+            sphere: material of the sphere.
+            square: material of the square.
+            bounces: bounces of indirect light, 0 for direct light only.
+            samples: samples per pixel.
+            seed: seed of Cycles.
+
+        Returns:
+            (H, W, 4) linear premultiplied.
+        """
         for thing, surface in ((self.sphere, sphere), (self.square, square)):
             thing.data.materials.clear()
             thing.data.materials.append(_material(surface))
@@ -142,7 +178,7 @@ class CyclesScene:
 
 
 def _sphere_mesh(rings: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and quads on meridians and parallels; the quads at the poles have one side of length 0."""
+    """Return vertices and quads on meridians and parallels; the quads at the poles have one side of length 0."""
     theta, phi = np.linspace(0, np.pi, rings + 1), np.arange(2 * rings) * np.pi / rings
     r, z = np.sin(theta)[:, None], np.cos(theta)[:, None]
     unit = np.stack(np.broadcast_arrays(r * np.cos(phi), r * np.sin(phi), z), -1)
@@ -153,7 +189,7 @@ def _sphere_mesh(rings: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _set_up(scene: bpy.types.Scene, bounces: int, samples: int, seed: int) -> None:
-    """Nothing that saves time at the price of bias."""
+    """Set Cycles to an unbiased path tracer, without what saves time at the price of bias."""
     scene.render.engine, scene.render.film_transparent = "CYCLES", True
     cycles = scene.cycles
     cycles.samples, cycles.seed, cycles.use_adaptive_sampling, cycles.use_denoising = samples, seed, False, False
@@ -166,7 +202,7 @@ def _set_up(scene: bpy.types.Scene, bounces: int, samples: int, seed: int) -> No
 
 
 def _material(surface: Surface) -> bpy.types.Material:
-    """Diffuse BSDF, or Principled."""
+    """Return a material of a Diffuse or a Principled BSDF."""
     material = bpy.data.materials.new("known")
     nodes, links = node_tree(material)
     shader = nodes.new("ShaderNodeBsdfDiffuse" if surface.diffuse else "ShaderNodeBsdfPrincipled")

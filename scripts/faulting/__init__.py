@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Faults and hostile input, group by group; run by scripts/faults.py."""
+"""Cases of faults and hostile input, one module for each group; run by scripts/faults.py."""

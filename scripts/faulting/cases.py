@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cases of faults and hostile input, apart from those of the numerical stress test."""
+"""Registry of the cases of faults and hostile input, separate from those of the numerical stress test."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ Register = Callable[[Callable[[Measured], None]], Callable[[Measured], None]]
 
 
 def case_of(name: str) -> Callable[..., Register]:
-    """A decorator (name, holds, quick) that registers cases of this group."""
+    """Return a decorator (name, holds, quick) that registers cases of a group."""
     return group(name, CASES)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stands for the engine in a job, with the same files and no libraries: `counter.py STEPS` counts until told to stop, or to its end."""
+"""Substitute for the engine in a job, with the same files and no libraries: `counter.py STEPS` counts until cancelled, or to its end."""
 
 import json
 import os
@@ -8,6 +8,12 @@ import time
 
 
 def main(folder: str, steps: int) -> int:
+    """Count, write events and look for the request to cancel; return the exit status.
+
+    Args:
+        folder: folder of the job.
+        steps: number to count to.
+    """
     print("starting", file=sys.stderr, flush=True)
     for step in range(1, steps + 1):
         with open(os.path.join(folder, "events.jsonl"), "a", encoding="utf-8") as file:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every reader against many wrong files: an InputError in one line or a result, time_limit a second and half a gigabyte."""
+"""Fuzzer of all file readers: each broken file gives an InputError in one line or a result, within a second and half a gigabyte."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ case = case_of("fuzz")
 SCRIPTS = Path(__file__).resolve().parents[1]
 PROGRAM = ("-m", "faulting.fuzz_child")
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
-STUCK = 3.0  # seconds of processor time for one file, after which even code that hears no signal is ended
-READY = 300.0  # seconds of processor time until the first
-LOOK = 0.25  # seconds between two looks at a process
-ASLEEP = 240  # looks in a row at one that sleeps over a file: it waits for what never comes
-SHARE = 10_000  # files that a process reads before another takes its place
-EVENLY = 1_000_003  # a prime: no two shares draw the same
-SHOWN = 5  # failures of a kind that are told
+STUCK = 3.0  # seconds of processor time for one file, after which even code that ignores signals is ended
+READY = 300.0  # seconds of processor time until the first file
+LOOK = 0.25  # seconds between two checks of a process
+ASLEEP = 240  # successive checks that find a process asleep over one file: it waits for ever
+BATCH = 10_000  # files that a process reads before another replaces it
+SEED_STEP = 1_000_003  # a prime, so that no two batches have the same seed
+SHOWN = 5  # kinds of faults that a case reports
 
 
 class ReaderProcess:
-    """The process that reads: started when it is needed, and again once it has died or read SHARE files."""
+    """Process that reads files: started when it is needed, and again once it has died or read BATCH files."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
@@ -44,8 +44,21 @@ class ReaderProcess:
         atexit.register(self.end)
 
     def read(self, reader: str, place: Path, seed: int, count: int) -> tuple[int, str | None]:
-        """Read a share of wrong files; how many were, and how the process ended where it did. Raises RuntimeError for faults of its own."""
-        if self._read + count > SHARE:
+        """Read a batch of broken files.
+
+        Args:
+            reader: name of the reader.
+            place: folder of the files.
+            seed: seed of the broken files.
+            count: number of files.
+
+        Returns:
+            How many files were read, and how the process ended where it did.
+
+        Raises:
+            RuntimeError: where the process fails by itself.
+        """
+        if self._read + count > BATCH:
             self.end()
         self._read += count
         process = self._process = self._process or _started()
@@ -59,7 +72,7 @@ class ReaderProcess:
         self.end()
         number = _number(place / "progress")
         if answer or not number:
-            raise RuntimeError(f"reading as such failed: {answer or f'status {process.returncode}'}")
+            raise RuntimeError(f"the reading process failed: {answer or f'status {process.returncode}'}")
         return number, stuck or f"crash, status {process.returncode}"
 
     def end(self) -> None:
@@ -67,23 +80,25 @@ class ReaderProcess:
         process, self._process, self._read = self._process, None, 0
         if process is not None:
             assert process.stdin and process.stdout
-            process.stdin.close()  # ends one that waits for more
+            process.stdin.close()  # ends a process that waits for more
             process.wait()
             process.stdout.close()
 
 
 def _started() -> subprocess.Popen[str]:
+    """Start a process."""
     paths = os.pathsep.join([str(SCRIPTS), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": paths}
     return subprocess.Popen([sys.executable, *PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def _number(progress: Path) -> int:
+    """Return the number of the file that is being read, 0 before the first."""
     return struct.unpack("<Q", progress.read_bytes())[0]
 
 
 def _wait_for_answer(process: subprocess.Popen[str], progress: Path) -> str | None:
-    """Wait until a process has answered or ended; why it was ended where it made no progress."""
+    """Wait until a process has answered or ended; return why it was killed where it made no progress."""
     watched, before, since, asleep = psutil.Process(process.pid), 0, None, 0
     assert process.stdout
     while not select.select([process.stdout], [], [], LOOK)[0]:
@@ -102,13 +117,23 @@ READER_PROCESS = ReaderProcess()
 
 
 def read_mutated(reader: Reader, cases: int, seed: int, kept: Path | None = None) -> tuple[int, Counter[str]]:
-    """How many wrong files were read, and the faults that showed, with how often each. kept: where files that show one are copied."""
+    """Read broken files and count the faults.
+
+    Args:
+        reader: reader to test.
+        cases: number of files.
+        seed: seed of the broken files.
+        kept: folder for copies of the files that show a fault.
+
+    Returns:
+        How many files were read, and the faults with how often each occurred.
+    """
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as name:
         place, done = Path(name), 0
         log = place / "log"
         log.mkdir()
         while done < cases:
-            count, ended = READER_PROCESS.read(reader.name, place, seed + EVENLY * done, min(SHARE, cases - done))
+            count, ended = READER_PROCESS.read(reader.name, place, seed + SEED_STEP * done, min(BATCH, cases - done))
             done += count
             if ended is not None:
                 _keep_broken_files(reader, place, ended)
@@ -119,17 +144,19 @@ def read_mutated(reader: Reader, cases: int, seed: int, kept: Path | None = None
 
 
 def _keep_broken_files(reader: Reader, place: Path, ended: str) -> None:
-    """Note the file over which a process came to its end."""
+    """Record the file over which a process ended."""
     broken = [f for f in reader.files if (place / "scene" / f).read_bytes() != (place / "right" / f).read_bytes()]
-    for file in broken or reader.files[:1]:  # it may be as it was: a wrong version can be a right one
+    for file in broken or reader.files[:1]:  # the file may be unchanged: a mutation can give a valid file
         keep_fault(place / "log", ended, Path(file).name, (place / "scene" / file).read_bytes())
 
 
 def _case(reader: Reader, cases: int, quick: bool) -> None:
-    text = f"{cases:,} wrong files: each is read or refused in one line, time_limit {SECONDS:g} s and {MEMORY >> 20} MB, without a crash."
+    """Register a case of a reader."""
+    text = f"{cases:,} broken files: each is read or refused in one line, within {SECONDS:g} s and {MEMORY >> 20} MB, without a crash."
 
     @case(f"{reader.name}, {cases:,} files", text, quick)
     def run(measured: Measured) -> None:
+        """Read the broken files and check that there is no fault."""
         kept = os.environ.get("IRGSPP_KEEP_FAULTS")
         done, faults = read_mutated(reader, cases, 1 if quick else 2, Path(kept) if kept else None)
         measured.at_least("files", done, cases)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that reads wrong files, started by `fuzz.py` as `python -m faulting.fuzz_child`, with no thread of its own.
+"""Process that reads broken files, started by `fuzz.py` as `python -m faulting.fuzz_child`, with a single thread.
 
-On its standard input it is given one line of JSON for each share of files: {"reader": a name, "place": a folder, "seed": 1, "count": 150}.
-There it makes right files in `right`, unless they are there, and reads wrong versions of them in `scene`, the same for the same seed. It
+Its standard input has one line of JSON for each batch of files: {"reader": a name, "place": a folder, "seed": 1, "count": 150}. In that
+folder it makes valid files in `right`, unless they exist, and reads broken versions of them in `scene`, the same for the same seed. It
 writes into `progress`, which must have 8 bytes, the number of the file that it reads, 0 before the first, and into `log` each file that
-shows a fault, with the fault as *.fault. It answers each share with one line on its standard output, "done" or what went wrong with the
-process itself, and ends when its input does.
+shows a fault, with the fault as *.fault. It answers each batch with one line on its standard output, "done" or what went wrong with the
+process itself, and ends with its input.
 """
 
 from __future__ import annotations
@@ -31,19 +31,20 @@ from irgspp.core.errors import InputError
 from .mutate import mutated
 from .readers import READERS, Reader
 
-MEMORY = 512 << 20  # bytes beyond what it has in use once the right files are read
+MEMORY = 512 << 20  # bytes beyond those in use once the valid files are read
 SECONDS = 1.0  # of processor time for one file
 
 
 class Hang(BaseException):
-    """Raised by a timer; no `except Exception` of a reader swallows it."""
+    """Exception of a timer; no `except Exception` of a reader catches it."""
 
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Raise Hang in the block after so much processor time."""
+    """Raise Hang in the block after some processor time in seconds."""
 
     def end(*_: object) -> None:
+        """Raise Hang."""
         raise Hang
 
     before = signal.signal(signal.SIGPROF, end)
@@ -56,7 +57,13 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def fault_of(reader: Reader, folder: Path, file: Path) -> str | None:
-    """What is wrong with how a file is read; None where it is read, or refused in one line."""
+    """Return the fault of a reader on a file; None where it reads the file, or refuses it in one line.
+
+    Args:
+        reader: reader to test.
+        folder: folder of the files.
+        file: broken file.
+    """
     try:
         with time_limit(SECONDS):
             reader.read(folder, file)
@@ -74,13 +81,14 @@ def fault_of(reader: Reader, folder: Path, file: Path) -> str | None:
 
 
 def _place() -> str:
+    """Return the file and line of the engine that raised the present exception."""
     frames = [f for f in traceback.extract_tb(sys.exc_info()[2]) if "core" in f.filename]
     return f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "a library"
 
 
 @contextmanager
 def memory_limit(more: int) -> Iterator[None]:
-    """In the block, let this process have at most `more` bytes of address space beyond what it has."""
+    """Limit the process's address space in the block to some bytes beyond its present size."""
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (psutil.Process().memory_info().vms + more, before[1]))
     try:
@@ -90,14 +98,28 @@ def memory_limit(more: int) -> Iterator[None]:
 
 
 def keep_fault(log: Path, fault: str, name: str, data: bytes) -> None:
-    """Note a fault, and the file that shows it."""
+    """Write a fault, and the file that shows it, into the log.
+
+    Args:
+        log: folder of the log.
+        fault: description of the fault.
+        name: name of the file.
+        data: content of the file.
+    """
     number = sum(1 for _ in log.iterdir())
     (log / f"{number:06}-{name}").write_bytes(data)
     (log / f"{number:06}-{name}.fault").write_text(fault)
 
 
-def read_share(reader: str, place: str, seed: int, count: int) -> None:
-    """Read so many wrong files."""
+def read_batch(reader: str, place: str, seed: int, count: int) -> None:
+    """Read a batch of broken files.
+
+    Args:
+        reader: name of the reader.
+        place: folder of the files.
+        seed: seed of the broken files.
+        count: number of files.
+    """
     chosen = next(one for one in READERS if one.name == reader)
     root = Path(place)
     right, scene = root / "right", root / "scene"
@@ -108,12 +130,13 @@ def read_share(reader: str, place: str, seed: int, count: int) -> None:
     shutil.rmtree(scene, ignore_errors=True)
     shutil.copytree(right, scene)
     for file in chosen.files:
-        chosen.read(scene, scene / file)  # right files are read
+        chosen.read(scene, scene / file)  # valid files must be read without an error
     with open(root / "progress", "r+b") as file, mmap.mmap(file.fileno(), 8) as progress, memory_limit(MEMORY):
-        _read_wrong(chosen, scene, random.Random(seed), count, progress, root / "log")
+        _read_broken(chosen, scene, random.Random(seed), count, progress, root / "log")
 
 
-def _read_wrong(reader: Reader, folder: Path, chance: random.Random, count: int, progress: mmap.mmap, log: Path) -> None:
+def _read_broken(reader: Reader, folder: Path, chance: random.Random, count: int, progress: mmap.mmap, log: Path) -> None:
+    """Read broken files, one at a time next to valid ones."""
     files = [folder / file for file in reader.files]
     right = [file.read_bytes() for file in files]
     for number in range(1, count + 1):
@@ -128,15 +151,15 @@ def _read_wrong(reader: Reader, folder: Path, chance: random.Random, count: int,
 
 
 def main() -> None:
-    """Read shares until there are no more."""
+    """Read batches until the input ends."""
     warnings.simplefilter("ignore")
     answers = os.fdopen(os.dup(1), "w")
     silence = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
-        os.dup2(silence, stream)  # libraries of C print
+        os.dup2(silence, stream)  # C libraries print
     for line in sys.stdin:
         try:
-            read_share(**json.loads(line))
+            read_batch(**json.loads(line))
             answer = "done"
         except BaseException:
             answer = " ".join(traceback.format_exc().split())[-600:]

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One reader against files that coverage leads to: `python scripts/faulting/guided.py READER [RUNS]`, with the package atheris.
+"""Coverage-guided fuzzer of one reader, with the package atheris: `python scripts/faulting/guided.py READER [RUNS]`.
 
-Code of ours is instrumented, libraries of C are not. What brings a reader down is kept as crash-*, in the present folder.
+The engine's code is instrumented, C libraries are not. Files that crash a reader are kept as crash-* in the current folder.
 """
 
 # pyright: reportMissingImports=false, reportMissingModuleSource=false, reportAttributeAccessIssue=false
-# (atheris is no requirement of anything else)
+# (atheris is not among the requirements)
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ with atheris.instrument_imports(include=[f"irgspp.core.{room}" for room in ROOMS
 
 
 def main(name: str, runs: int) -> None:
-    """Fuzz the reader of that name; each of its files in turn is what the data is written to."""
+    """Fuzz a reader; each of its files in turn is broken.
+
+    Args:
+        name: name of the reader.
+        runs: number of files.
+    """
     reader = next(reader for reader in READERS if reader.name == name)
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as place:
         folder, corpus = Path(place, "scene"), Path(place, "corpus")
@@ -35,6 +40,7 @@ def main(name: str, runs: int) -> None:
             (corpus / str(number)).write_bytes(bytes([number]) + data)
 
         def once(data: bytes) -> None:
+            """Read one broken file."""
             which = data[0] % len(right) if data else 0
             file = folder / reader.files[which]
             file.write_bytes(data[1:])

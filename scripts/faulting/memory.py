@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Memory: compare_estimate before a job starts, and where it is short, less of it is taken, or one clear line says what is needed."""
+"""Memory of a job: estimated before the start; where it is short, the job takes less of it or ends with one clear message."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .cases import case_of
 from .tiny import JobStarter, KillPoint, differing_files, reference_run, settings, user_lines, work, write_dataset
 
 case = case_of("memory")
-WITHIN = 0.25  # of the measured peak
+WITHIN = 0.25  # fraction of the measured peak by which the estimate may be off
 MIB = 1 << 20
 STATED = {  # jobs whose peak is compared with the estimate: preset and changes
     "tiny": ("draft", ()),
@@ -32,7 +32,14 @@ STATED = {  # jobs whose peak is compared with the estimate: preset and changes
 
 
 def job(dataset: str, run: str, preset_name: str, changes: tuple[str, ...]) -> None:
-    """A job of these settings in a process of its own."""
+    """Run a job in a process of its own.
+
+    Args:
+        dataset: folder of the photographs.
+        run: run folder.
+        preset_name: preset to start from.
+        changes: settings as `KEY=VALUE`.
+    """
     import os
 
     from irgspp.core.pipeline import reconstruct
@@ -42,20 +49,27 @@ def job(dataset: str, run: str, preset_name: str, changes: tuple[str, ...]) -> N
 
 
 def peak(run: Path) -> int:
-    """Bytes at most in use in any phase of a finished run."""
+    """Return the peak memory of a finished run in bytes."""
     return max(phase["peak_memory"] for phase in read_run(run)["phases"].values())
 
 
-def compare_estimate(measured: Measured, name: str, dataset: Path, how: Settings, run: Path) -> None:
-    """Compare estimate and peak."""
-    estimate, found = estimate_memory(how, load_dataset(dataset, how.data).pixels()), peak(run)
-    measured.at_most(
-        f"{name}: {estimate / MIB:.0f} MB compare_estimate, {found / MIB:.0f} taken, off by", abs(estimate / found - 1), WITHIN
-    )
+def compare_estimate(measured: Measured, name: str, dataset: Path, job_settings: Settings, run: Path) -> None:
+    """Compare the estimate with the measured peak.
+
+    Args:
+        measured: result of the case.
+        name: name of the job.
+        dataset: folder of the photographs.
+        job_settings: settings of the job.
+        run: run folder.
+    """
+    estimate, found = estimate_memory(job_settings, load_dataset(dataset, job_settings.data).pixels()), peak(run)
+    measured.at_most(f"{name}: {estimate / MIB:.0f} MB estimated, {found / MIB:.0f} used, off by", abs(estimate / found - 1), WITHIN)
 
 
-@case("estimate of a job of seconds", f"The estimate before the start is time_limit {WITHIN:.0%} of the measured peak.", quick=False)
+@case("estimate of a job of seconds", f"The estimate before the start is within {WITHIN:.0%} of the measured peak.", quick=False)
 def estimate(measured: Measured) -> None:
+    """Check the estimate of a job of seconds."""
     starter = JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data, run = write_dataset(Path(name, "photographs")), Path(name, "run")
@@ -65,10 +79,11 @@ def estimate(measured: Measured) -> None:
 
 @case(
     "estimates of presets",
-    f"On the demonstration's photographs, time_limit {WITHIN:.0%} for draft, balanced, and more points.",
+    f"On the demonstration's photographs, within {WITHIN:.0%} for draft, balanced, and more points.",
     quick=False,
 )
 def estimates(measured: Measured) -> None:
+    """Check the estimates of the presets."""
     starter = JobStarter()
     for title, (name, changes) in STATED.items():
         if title == "tiny":
@@ -80,12 +95,19 @@ def estimates(measured: Measured) -> None:
 
 
 def work_with_memory_limit(dataset: str, run: str, more: int) -> None:
-    """The job, with at most `more` bytes of address space beyond what its libraries take."""
+    """Run the job with a limit on its address space once it has read the dataset.
+
+    Args:
+        dataset: folder of the photographs.
+        run: run folder.
+        more: bytes beyond those in use then.
+    """
     from irgspp.core import pipeline
 
     load = pipeline.load_dataset
 
     def limited(*words, **options):
+        """Read the dataset and set the limit."""
         data = load(*words, **options)
         most = psutil.Process().memory_info().vms + more
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
@@ -97,11 +119,12 @@ def work_with_memory_limit(dataset: str, run: str, more: int) -> None:
 
 @case(
     "ulimit -v, from plenty to nothing",
-    """The job ends well with the same bits as without a limit, with fewer rays at a time where that makes it fit, or says in one line,
-    before anything is written or with what is done kept, that memory is short; it is never killed.""",
+    """The job succeeds with the same bits as without a limit, with fewer rays at a time where that makes it fit, or says in one line
+    that memory is short, before anything is written or with finished phases kept; it is never killed.""",
     quick=False,
 )
 def limits(measured: Measured) -> None:
+    """Check limits from plenty to too little."""
     starter, ends = JobStarter(), []
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
@@ -121,8 +144,9 @@ def limits(measured: Measured) -> None:
         measured.note("; ".join(ends))
 
 
-@case("no memory at all", "With 20 MB to spare nothing is begun: exit status 2 and one line that says what is needed.")
+@case("no memory at all", "With 20 MB to spare no job begins: exit status 2 and one line with the memory that is needed.")
 def none(measured: Measured) -> None:
+    """Check that a job without enough memory does not begin."""
     starter = JobStarter()
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data, run = write_dataset(Path(name, "photographs")), Path(name, "run")
@@ -130,4 +154,4 @@ def none(measured: Measured) -> None:
         measured.holds(f"exit status 2, not {status}", status == 2)
         measured.holds(f"one line, not {lines}", len(lines) == 1 and "the job needs about" in lines[0] and "ulimit -v" in lines[0])
         measured.holds("nothing is left behind", not run.exists())
-        measured.note("told in one line")
+        measured.note("one line")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files made wrong: bytes, numbers and structure, in the ways that files go wrong and that attackers make them."""
+"""Mutations of files: bytes, numbers and structure, in the ways that files get damaged and that attackers forge them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,14 @@ TOKEN = re.compile(r"[-+]?\d[\w.+-]*|[A-Za-z_]\w*|[^\w\s]")
 
 
 def mutated(data: bytes, chance: random.Random, others: list[bytes], text: bool) -> bytes:
-    """A wrong version of a right file; `others` are right ones that parts may come from."""
+    """Return a broken version of a valid file.
+
+    Args:
+        data: content of the file.
+        chance: random numbers.
+        others: valid files that parts may come from.
+        text: True for text files.
+    """
     if data.startswith((ZIP, PNG)) and chance.random() < 0.5:
         return _archive(data, chance) if data.startswith(ZIP) else _png(data, chance)
     for _ in range(1 + min(int(chance.expovariate(0.7)), 8)):
@@ -32,11 +39,11 @@ def mutated(data: bytes, chance: random.Random, others: list[bytes], text: bool)
 
 
 def _archive(data: bytes, chance: random.Random) -> bytes:
-    """One of the files in a zip made wrong by intent: with a checksum that is right."""
+    """Mutate one of the files in a zip deliberately: with a correct checksum."""
     made = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(made, "w") as new:
         entries = old.infolist()
-        chosen = entries[0] if chance.random() < 0.3 else chance.choice(entries)  # the first of a checkpoint says what the others are
+        chosen = entries[0] if chance.random() < 0.3 else chance.choice(entries)  # a checkpoint's first file describes the others
         for entry in entries:
             part = old.read(entry)
             new.writestr(entry, mutated(part, chance, [part], False) if entry is chosen else part)
@@ -44,7 +51,7 @@ def _archive(data: bytes, chance: random.Random) -> bytes:
 
 
 def _png(data: bytes, chance: random.Random) -> bytes:
-    """One of a PNG's chunks made wrong by intent: with checksums that are right."""
+    """Mutate one of a PNG's chunks deliberately: with correct checksums."""
     chunks, at = [], len(PNG)
     while at < len(data):
         (size,) = struct.unpack_from(">I", data, at)
@@ -60,6 +67,7 @@ def _png(data: bytes, chance: random.Random) -> bytes:
 
 
 def _flip(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Flip a bit."""
     out = bytearray(data)
     if out:
         out[chance.randrange(len(out))] ^= 1 << chance.randrange(8)
@@ -67,6 +75,7 @@ def _flip(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
 
 
 def _number(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Overwrite bytes by an extreme number, mostly in the header."""
     kind = chance.choice("BHIQfd")
     value = chance.choice(REAL) if kind in "fd" else chance.choice(WHOLE) & ((1 << (8 * struct.calcsize(kind))) - 1)
     try:
@@ -74,36 +83,42 @@ def _number(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
     except OverflowError:
         packed = struct.pack("<f", float("inf"))
     at = chance.randrange(len(data) + 1)
-    if chance.random() < 0.7:  # headers say how much follows
+    if chance.random() < 0.7:  # headers hold sizes and counts
         at = min(at, chance.randrange(1, 200))
     return data[:at] + packed + data[at + len(packed) :]
 
 
 def _cut(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Truncate the file."""
     return data[: chance.randrange(len(data) + 1)]
 
 
 def _drop(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Remove some bytes."""
     at = chance.randrange(len(data) + 1)
     return data[:at] + data[at + chance.randrange(1, 64) :]
 
 
 def _insert(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Insert some bytes."""
     at = chance.randrange(len(data) + 1)
     return data[:at] + chance.choice((chance.randbytes(chance.randrange(1, 32)), b"\0" * 16, b"\xff" * 16)) + data[at:]
 
 
 def _repeat(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Repeat some bytes."""
     at = chance.randrange(len(data) + 1)
     return data[:at] + data[at : at + chance.randrange(1, 256)] * chance.randrange(2, 40) + data[at:]
 
 
 def _splice(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Continue the file with the end of another."""
     other = chance.choice(others)
     return data[: chance.randrange(len(data) + 1)] + other[chance.randrange(len(other) + 1) :]
 
 
 def _token(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Replace a word, number or sign of a text."""
     text = data.decode("utf-8", "replace")
     found = list(TOKEN.finditer(text))
     if not found:
@@ -114,6 +129,7 @@ def _token(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
 
 
 def _line(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
+    """Remove, repeat or exchange a line of a text."""
     lines = data.split(b"\n")
     at = chance.randrange(len(lines))
     lines[at : at + 1] = chance.choice(([], [lines[at]] * 2, [lines[chance.randrange(len(lines))]], [lines[at] * 2], [b""]))
@@ -121,7 +137,7 @@ def _line(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
 
 
 def _tree(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
-    """Of JSON: another value somewhere in the tree."""
+    """Replace or remove a value of a JSON tree."""
     try:
         root = json.loads(data)
     except (ValueError, RecursionError):
@@ -142,6 +158,7 @@ def _tree(data: bytes, chance: random.Random, others: list[bytes]) -> bytes:
 
 
 def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
+    """Collect the container and key of each value of a tree."""
     pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, child in list(pairs):
         places.append((value, key))
@@ -149,10 +166,12 @@ def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
 
 
 def _strange(chance: random.Random) -> Any:
+    """Return an unusual value."""
     return chance.choice((*WORDS, *REAL, *WHOLE, None, True, False, [], {}, [[]], {"": {}}, 10**400, -(10**30)))
 
 
 def _nested(chance: random.Random) -> Any:
+    """Return an unusual value in deeply nested lists and objects."""
     value: Any = _strange(chance)
     for _ in range(chance.choice((1, 3, 40, 400))):
         value = [value] if chance.random() < 0.5 else {"a": value}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where people keep their files and install their programs: odd names, other locales, read-only folders, one case for all letters."""
+"""Unusual places of files and programs: odd names, other locales, read-only folders, case-insensitive file systems."""
 
 from __future__ import annotations
 
@@ -30,7 +30,15 @@ GERMAN = "de_DE.UTF-8"
 
 
 def check_same_bits(measured: Measured, starter: JobStarter, data: Path, run: Path, function: Callable[..., None] = work) -> None:
-    """A job there has the same bits as one in a plain folder."""
+    """Check that a job there has the same bits as one in a plain folder.
+
+    Args:
+        measured: result of the case.
+        starter: starter of processes.
+        data: folder of the photographs.
+        run: run folder.
+        function: function of the job.
+    """
     _, reference, _ = reference_run()
     status = starter.run(function, str(data), str(run), False, KillPoint())
     measured.holds(f"the job ends well, not with status {status}: {Path(f'{run}.txt').read_text('utf-8')[-300:]}", status == 0)
@@ -42,6 +50,7 @@ def check_same_bits(measured: Measured, starter: JobStarter, data: Path, run: Pa
 
 @case("odd names", "A job in folders with spaces, quotes, umlauts, Chinese, format signs, 250 characters deep: the same bits as elsewhere.")
 def names(measured: Measured) -> None:
+    """Check odd names."""
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         odd = Path(name) / ODD
         data, run = write_dataset(odd / "Fotos ä"), odd / "Läufe 1"
@@ -50,7 +59,14 @@ def names(measured: Measured) -> None:
 
 
 def work_in_german_locale(dataset: str, run: str, resume: bool, kill_point: KillPoint) -> None:
-    """The job where a half is written 0,5, in libraries of C too."""
+    """Run the job where a half is written 0,5, in C libraries too.
+
+    Args:
+        dataset: folder of the photographs.
+        run: run folder.
+        resume: True to resume the run.
+        kill_point: see `tiny.work`.
+    """
     os.environ |= {"LOCPATH": str(Path(dataset).parent), "LC_ALL": GERMAN, "LANG": GERMAN}  # of Blender's process, too
     locale.setlocale(locale.LC_ALL, GERMAN)
     assert locale.localeconv()["decimal_point"] == ","
@@ -59,6 +75,7 @@ def work_in_german_locale(dataset: str, run: str, resume: bool, kill_point: Kill
 
 @case("German decimals", f"A job under {GERMAN}, set in its process for C as well: the same bits as elsewhere.", quick=False)
 def decimals(measured: Measured) -> None:
+    """Check the German locale."""
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         folder = Path(name)
         if shutil.which("localedef") is None:
@@ -72,6 +89,7 @@ def decimals(measured: Measured) -> None:
 
 @case("read-only install folder", "A job from a folder that can't be written to, with kernels that are not compiled yet.", quick=False)
 def installed(measured: Measured) -> None:
+    """Check a read-only install folder."""
     if not can_mount():
         measured.note(LEFT_OUT)
         return
@@ -92,10 +110,11 @@ def installed(measured: Measured) -> None:
 
 @case(
     "a file system where A is a",
-    "Views a.png, A.jpg and á.png, á.png of other folders keep apart: as many undistorted copies or images as views (ext4, casefold).",
+    "Views a.png, A.jpg and á.png, á.png of other folders stay separate: as many undistorted copies or images as views (ext4, casefold).",
     quick=False,
 )
 def one_case(measured: Measured) -> None:
+    """Check a case-insensitive file system."""
     if not can_mount() or shutil.which("mkfs.ext4") is None:
         measured.note(LEFT_OUT)
         return
@@ -111,7 +130,7 @@ def one_case(measured: Measured) -> None:
 
 
 def _check_view_names(measured: Measured, disk: Path) -> None:
-    """Views of such names, saved there."""
+    """Save views whose names differ in case or normalisation alone."""
     runs = disk / "runs"
     runs.mkdir()
     subprocess.run(["chattr", "+F", str(runs)], check=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every reader of files from elsewhere, with right files to begin from."""
+"""Readers of files from elsewhere, with valid files to start from."""
 
 from __future__ import annotations
 
@@ -42,7 +42,15 @@ EXRS = ("zip.exr", "half.exr", "piz.exr", "grey.exr")
 
 @dataclass(frozen=True)
 class Reader:
-    """`make` writes right files into a folder; one of `files` is then made wrong, and `read` is given the folder and that file."""
+    """Reader of files.
+
+    Attributes:
+        name: name of the reader.
+        files: files, of which one at a time is broken.
+        make: writes valid files into a folder.
+        read: reads a folder whose given file is broken.
+        text: True for text files.
+    """
 
     name: str
     files: tuple[str, ...]
@@ -52,7 +60,12 @@ class Reader:
 
 
 def write_scene(format: str, folder: Path) -> None:
-    """Five views and few points of the demonstration in the layout of a dataset."""
+    """Write five views and few points of the demonstration in the layout of a dataset.
+
+    Args:
+        format: name of the layout.
+        folder: folder of the files.
+    """
     source = load_source(DEMO_DATA)
     points = {"points": source.points[:60], "normals": source.normals[:60]}
     few = replace(source, name="scene", train=source.train[::10], test=source.test[:1], **points)
@@ -62,13 +75,18 @@ def write_scene(format: str, folder: Path) -> None:
 
 
 def write_colmap(folder: Path, text: bool) -> None:
-    """A sparse model of five views in binary or text, with points."""
+    """Write a sparse model of five views with points.
+
+    Args:
+        folder: folder of the files.
+        text: True for the text format, False for the binary one.
+    """
     write_scene("ref-real", folder)
     model = next(f.parent for f in sorted(folder.rglob("cameras.*")))
-    wanted = ".txt" if text else ".bin"
-    if not (model / f"cameras{wanted}").is_file():
+    suffix = ".txt" if text else ".bin"
+    if not (model / f"cameras{suffix}").is_file():
         _converted(model, text)
-    for file in [f for f in model.iterdir() if f.suffix != wanted]:
+    for file in [f for f in model.iterdir() if f.suffix != suffix]:
         file.unlink()
     if model != folder / "sparse" / "0":
         (folder / "sparse").mkdir(exist_ok=True)
@@ -76,6 +94,7 @@ def write_colmap(folder: Path, text: bool) -> None:
 
 
 def _converted(model: Path, text: bool) -> None:
+    """Convert a binary model to text."""
     from formats import colmap_files
     from irgspp.core.datasets.formats import colmap_model
 
@@ -94,12 +113,17 @@ def _converted(model: Path, text: bool) -> None:
 
 
 def read_dataset(folder: Path, file: Path) -> object:
-    """What a command makes of a dataset before it decodes images: its description, and the cameras fitted to them."""
+    """Read a dataset as commands do before they decode images: its description, and the cameras.
+
+    Args:
+        folder: folder of the dataset.
+        file: broken file, unused.
+    """
     return load_dataset_cameras(folder, "all", DataSettings())
 
 
 def write_transforms(folder: Path) -> None:
-    """One file with everything that the family knows, and its images."""
+    """Write a transforms.json with all that the format's variants have, and its images."""
     write_scene("nerfstudio", folder)
     for file in folder.glob("transforms*.json"):
         content = json.loads(file.read_text())
@@ -108,7 +132,7 @@ def write_transforms(folder: Path) -> None:
 
 
 def write_plys(folder: Path) -> None:
-    """Points, Gaussians and meshes, binary and in ASCII."""
+    """Write points, Gaussians and meshes, binary and ASCII."""
     random = np.random.default_rng(0)
     values = (torch.from_numpy(random.normal(size=s).astype(np.float32)) for s in ((3, 4), (4, 4), (2, 4), (4,), (16, 3, 4), (5, 4)))
     save_gaussians(Gaussians(*values), folder / "gaussians.ply")
@@ -124,12 +148,17 @@ def write_plys(folder: Path) -> None:
 
 
 def read_ply(folder: Path, file: Path) -> object:
-    """By every reader of PLY files that there is."""
+    """Read a file by every reader of PLY files.
+
+    Args:
+        folder: folder of the file, unused.
+        file: file to read.
+    """
     return _all([lambda f=f: f(file) for f in (read_points, load_gaussians, load_mesh_ply, load_edited_mesh)])
 
 
 def _all(reads: list[Callable[[], object]]) -> list[object]:
-    """What each of them makes of a file; the last InputError is raised where all refuse it."""
+    """Return the results of several readers; raise the last InputError where all refuse the file."""
     results, refused = [], InputError("", "")
     for read in reads:
         try:
@@ -142,7 +171,7 @@ def _all(reads: list[Callable[[], object]]) -> list[object]:
 
 
 def write_exrs(folder: Path) -> None:
-    """Float and half, of several compressions."""
+    """Write float and half images with several compressions."""
     import OpenEXR
 
     pixels = np.random.default_rng(0).random((12, 16, 3)).astype(np.float32)
@@ -156,14 +185,14 @@ def write_exrs(folder: Path) -> None:
 
 
 def write_hdrs(folder: Path) -> None:
-    """Run lengths and flat, 2:1 and not."""
+    """Write images with and without run lengths, of aspect 2:1 and others."""
     random = np.random.default_rng(0)
     cv2.imwrite(str(folder / "light.hdr"), random.random((16, 32, 3)).astype(np.float32))
     cv2.imwrite(str(folder / "small.hdr"), random.random((4, 6, 3)).astype(np.float32))  # too narrow for run lengths
 
 
 def write_images(folder: Path) -> None:
-    """PNGs of every kind that is met, and a JPEG."""
+    """Write PNG files of every kind that occurs, and a JPEG."""
     pixels = np.random.default_rng(0).integers(0, 256, (12, 16, 4)).astype(np.uint8)
     Image.fromarray(pixels).save(folder / "picture.png")
     Image.fromarray(pixels[..., 0]).save(folder / "grey.png")
@@ -173,12 +202,17 @@ def write_images(folder: Path) -> None:
 
 
 def read_any_image(folder: Path, file: Path) -> object:
-    """Size, pixels, as a mask, and as a light."""
+    """Read an image's size, its pixels, a mask, and a light map.
+
+    Args:
+        folder: folder of the file, unused.
+        file: file to read.
+    """
     return _all([lambda f=f: f(file) for f in (image_size, read_image, read_mask, read_environment)])
 
 
 def write_toml(folder: Path) -> None:
-    """A list of jobs."""
+    """Write a list of jobs."""
     (folder / "jobs.toml").write_text(
         '[defaults]\npreset = "draft"\nset = ["first.iterations=5"]\n\n[[job]]\ndataset = "a"\noutput = "runs/a"\nseed = 3\n'
         'after = ["evaluate -o {output}/e", "export -o {name}.glb"]\n\n[[job]]\nname = "b"\ndataset = "b"\noutput = "runs/b"\n'
@@ -186,13 +220,13 @@ def write_toml(folder: Path) -> None:
 
 
 def write_points(folder: Path) -> None:
-    """A true surface's, as scripts/render_dataset.py writes them."""
+    """Write surface samples as scripts/render_dataset.py writes them."""
     normals = np.eye(3, dtype=np.float16)
     np.savez_compressed(folder / "surface_points.npz", points=np.eye(3, dtype=np.float32), normals=normals)
 
 
 def write_pickles(folder: Path) -> None:
-    """Cameras as GlossySynthetic has them, in several protocols."""
+    """Write cameras as GlossySynthetic has them, in several protocols."""
     for protocol in (0, 2, 4, 5):
         value = [np.arange(12.0).reshape(3, 4), {"a": np.float32(2), "b": [1, "x", (None, True)]}]
         (folder / f"{protocol}.pkl").write_bytes(pickle.dumps(value, protocol))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run folder after its first stage, and how its files are read."""
+"""Run folder after its first stage, and readers of its files."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ from .tiny import settings, write_dataset
 
 
 @functools.cache
-def fit() -> Trainer:
-    """One of few disks, some steps done."""
+def short_training() -> Trainer:
+    """Return a trainer of few surfels after some steps."""
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data = load_dataset(write_dataset(Path(name)), settings().data)
-    how = replace(settings().first, light_height=8)
-    trainer = Trainer(data, how, initial_gaussians(data, 40, np.random.default_rng(0)), COATED, 0, 0)
+    first = replace(settings().first, light_height=8)
+    trainer = Trainer(data, first, initial_gaussians(data, 40, np.random.default_rng(0)), COATED, 0, 0)
     for _ in range(3):
         trainer.step()
     return trainer
 
 
 def write_run(folder: Path) -> None:
-    """A run folder after its first stage: run.json, checkpoints, cameras."""
+    """Write a run folder after its first stage: run.json, checkpoints, cameras."""
     run = RunFolder.open(folder / "run", settings(), "photos")
     run.record("first stage", 1.0, 1 << 20, finished=True)
     random = np.random.default_rng(0)
     surface = Surface(random.random((4, 3)), random.random((4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), 0.1)
     run.save("geometry", surface.state())
-    run.save("first_stage", fit().state())
+    run.save("first_stage", short_training().state())
     reflections = Reflections(torch.full((5, 4), 0.5), torch.ones(2, 4, 3))
     reflections.save(run.path / "reflections.npz")
     run.close()
@@ -56,7 +56,12 @@ def write_run(folder: Path) -> None:
 
 
 def read_state(folder: Path, file: Path) -> object:
-    """As `--resume`, `evaluate` and `batch` read run.json."""
+    """Read run.json as `--resume`, `evaluate` and `batch` do.
+
+    Args:
+        folder: folder of the run folder.
+        file: broken file.
+    """
     state = read_run(folder / "run")
     from_dict(state["settings"], file)
     run = RunFolder.open(folder / "run", settings(), "photos", resume=True)
@@ -67,18 +72,28 @@ def read_state(folder: Path, file: Path) -> object:
 
 
 def read_checkpoint(folder: Path, file: Path) -> object:
-    """As a resumed job does."""
+    """Read a checkpoint as a resumed job does.
+
+    Args:
+        folder: folder of the run folder.
+        file: broken file.
+    """
     run = RunFolder(folder / "run", {}, None)  # pyright: ignore[reportArgumentType]
     if file.stem == "geometry":
         return run.load("geometry", Surface.restored)
     state = run.load("first_stage")
-    material_class_named(state.get("kind", ""), fit().dataset)
-    fit().restore(state)
-    with suppress(IrgsppError):  # values that lead nowhere, said in one line
-        fit().step()
+    material_class_named(state.get("kind", ""), short_training().dataset)
+    short_training().restore(state)
+    with suppress(IrgsppError):  # diverging values give an error in one line
+        short_training().step()
     return state
 
 
 def read_layer(folder: Path, file: Path) -> object:
-    """What else a run folder has."""
+    """Read the other files of a run folder.
+
+    Args:
+        folder: folder of the run folder, unused.
+        file: broken file.
+    """
     return Reflections.load(file, 4) if file.suffix == ".npz" else load_run_cameras(file)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job that takes seconds, in processes of its own that may be killed at any moment."""
+"""Job of some seconds, in processes of its own that may be killed at any moment."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, preset
 
-VIEWS, CHECKS = 20, 1  # of the demonstration's photographs
+VIEWS, CHECKS = 20, 1  # training and test views of the demonstration
 SETTINGS = (
     "materials=low-gloss",
     "data.resolution=32",
@@ -38,18 +38,18 @@ SETTINGS = (
     "surface.texture=64",
 )
 CHECKPOINT_SECONDS = 0.05
-EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree")  # of the interpreter, before it does it
-CHATTER = ("events.jsonl", "log.txt")  # what is only appended to
-UNLIKE = ("run.json", "scene.blend", "first_stage.pt")  # have times, addresses or the moment of a checkpoint in them
+EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree")  # audit events of operations on files
+LOGS = ("events.jsonl", "log.txt")  # files that are only appended to
+VARYING = ("run.json", "scene.blend", "first_stage.pt")  # hold times, addresses or the moment of a checkpoint
 
 
 def settings() -> Settings:
-    """Those of the job."""
+    """Return the settings of the job."""
     return with_overrides(preset("draft"), SETTINGS)
 
 
 def write_dataset(folder: Path) -> Path:
-    """A few views of the demonstration's photographs."""
+    """Write a few views of the demonstration's photographs, and return the folder."""
     for name, count in (("train", VIEWS), ("test", CHECKS)):
         content = json.loads((DEMO_DATA / f"transforms_{name}.json").read_text())
         content["frames"] = content["frames"][:: len(content["frames"]) // count][:count]
@@ -63,14 +63,28 @@ def write_dataset(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class KillPoint:
-    """When a process ends itself: before its so-manieth operation on files of the run, 0 for never. counted: where to note how many."""
+    """Operation on files of the run before which a process kills itself.
+
+    Attributes:
+        operation: number of the operation, 0 for none.
+        counted: file for the number of operations; "" for none.
+    """
 
     operation: int = 0
     counted: str = ""
 
 
 def work(dataset: str, run: str, resume: bool, kill_point: KillPoint, overwrite: bool = False, output: str = "") -> None:
-    """The job, from its command line, what it says to RUN.txt unless told elsewhere; ends the process with its exit status."""
+    """Run the job from its command line and end the process with its exit status.
+
+    Args:
+        dataset: folder of the photographs.
+        run: run folder.
+        resume: True to resume the run.
+        kill_point: operation before which the process kills itself.
+        overwrite: True to replace an existing run.
+        output: file for the job's messages; "" for RUN.txt.
+    """
     with open(output or f"{run}.txt", "w", encoding="utf-8") as said:
         for stream in (1, 2):
             os.dup2(said.fileno(), stream)
@@ -89,15 +103,16 @@ def work(dataset: str, run: str, resume: bool, kill_point: KillPoint, overwrite:
 
 
 def _watch(run: Path, kill_point: KillPoint) -> list[str]:
-    """Count what is done to the run's files, and die before the one that is named."""
+    """Count the operations on the run's files, and kill the process before one of them."""
     operations: list[str] = []
 
     def look(event: str, arguments: tuple[Any, ...]) -> None:
+        """Count an operation."""
         if event not in EVENTS or not arguments or not isinstance(arguments[0], (str, bytes, os.PathLike)):
             return
         path = os.fsdecode(arguments[0])
         writes = event != "open" or (isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"))
-        if not writes or not path.startswith(str(run)) or path.endswith(CHATTER):
+        if not writes or not path.startswith(str(run)) or path.endswith(LOGS):
             return
         operations.append(f"{event} {path}")
         if len(operations) == kill_point.operation:
@@ -108,7 +123,7 @@ def _watch(run: Path, kill_point: KillPoint) -> list[str]:
 
 
 class JobStarter:
-    """Starts jobs quickly: a process that has loaded the libraries is copied for each."""
+    """Starter of jobs that copies a process in which the libraries are loaded already."""
 
     def __init__(self) -> None:
         name = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
@@ -117,13 +132,23 @@ class JobStarter:
             self._context.set_forkserver_preload(["irgspp.core.pipeline", "irgspp.core.cli.main", "faulting.tiny"])
 
     def start(self, function: Callable[..., None], *arguments: Any) -> BaseProcess:
-        """A process at work on `function(*arguments)`."""
+        """Start a process.
+
+        Args:
+            function: function to call.
+            *arguments: arguments of the function.
+        """
         process = self._context.Process(target=function, args=arguments)  # pyright: ignore[reportAttributeAccessIssue]
         process.start()
         return process
 
     def run(self, function: Callable[..., None], *arguments: Any) -> int:
-        """Its exit status once it has ended, negative where a signal ended it."""
+        """Run a process to its end and return its exit status, negative where a signal ended it.
+
+        Args:
+            function: function to call.
+            *arguments: arguments of the function.
+        """
         process = self.start(function, *arguments)
         process.join()
         assert process.exitcode is not None
@@ -132,18 +157,26 @@ class JobStarter:
 
 @functools.cache
 def reference_run() -> tuple[Path, Path, int]:
-    """(photographs, run folder of a job that nobody disturbed, how many operations on files that took): made once in a process."""
+    """Return photographs, the run folder of an undisturbed job, and its number of operations on files; made once in a process."""
     folder = Path(tempfile.mkdtemp(prefix="irgspp-faults-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     data, run, count = write_dataset(folder / "photographs"), folder / "reference", folder / "operations"
     status = JobStarter().run(work, str(data), str(run), False, KillPoint(counted=str(count)))
     if status:
-        raise RuntimeError(f"the reference_run job ended with status {status}: {user_lines(Path(f'{run}.txt'))}")
+        raise RuntimeError(f"the undisturbed job ended with status {status}: {user_lines(Path(f'{run}.txt'))}")
     return data, run, int(count.read_text("utf-8"))
 
 
 def kill_after(process: BaseProcess, seconds: float) -> bool:
-    """Kill a process at that moment; False where it had ended before."""
+    """Kill a process after some time.
+
+    Args:
+        process: process to kill.
+        seconds: seconds from now.
+
+    Returns:
+        False where it had ended before.
+    """
     process.join(seconds)
     if process.exitcode is not None:
         return False
@@ -153,25 +186,31 @@ def kill_after(process: BaseProcess, seconds: float) -> bool:
 
 
 def differing_files(run: Path, other: Path) -> list[str]:
-    """Names of the files that are not the same in both runs, bit by bit, or are in one alone."""
-    names = {p.relative_to(f).as_posix() for f in (run, other) for p in f.rglob("*") if p.is_file()}
-    kept = [n for n in sorted(names) if not n.endswith((*UNLIKE, *CHATTER)) and not n.startswith("previews/") and n != ".lock"]
-    return [n for n in kept if not (run / n).is_file() or not (other / n).is_file() or (run / n).read_bytes() != (other / n).read_bytes()]
+    """Return the names of the files that differ in any bit between two runs, or are in one alone.
+
+    Args:
+        run: run folder.
+        other: run folder.
+    """
+    found = {p.relative_to(f).as_posix() for f in (run, other) for p in f.rglob("*") if p.is_file()}
+    names = [n for n in sorted(found) if not n.endswith((*VARYING, *LOGS)) and not n.startswith("previews/") and n != ".lock"]
+    return [n for n in names if not (run / n).is_file() or not (other / n).is_file() or (run / n).read_bytes() != (other / n).read_bytes()]
 
 
 def phase_of(run: Path) -> str:
-    """What the run was doing last, by its events."""
+    """Return the last phase of a run by its events."""
     return next((str(event["phase"]) for event in reversed(_events(run)) if event.get("phase")), "read")
 
 
 def phase_seconds(run: Path) -> list[tuple[str, float]]:
-    """The phases of a finished run in order, with the seconds from each one's beginning to the next one's."""
+    """Return the phases of a finished run in order, with the seconds until the next one begins."""
     begun = [(event["phase"], event["time"]) for event in _events(run) if event.get("step") == 0]
     ends = [time for _, time in begun[1:]] + [_events(run)[-1]["time"]]
     return [("read", 0.3), *((name, end - time) for (name, time), end in zip(begun, ends, strict=True))]
 
 
 def _events(run: Path) -> list[dict[str, Any]]:
+    """Return the events of a run."""
     try:
         lines = (run / "events.jsonl").read_text("utf-8").splitlines()
     except OSError:
@@ -180,5 +219,5 @@ def _events(run: Path) -> list[dict[str, Any]]:
 
 
 def user_lines(file: Path) -> list[str]:
-    """The lines that a job ended with: those for the user."""
+    """Return the lines of a job's output that are meant for the user."""
     return [line for line in file.read_text("utf-8").splitlines() if line.startswith(("irgspp: ", "Traceback"))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writers of a rendered scene in the layout of each dataset of the field: what the readers are tested with."""
+"""Writers of a rendered scene in the layout of each supported dataset, to test the readers with."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The binary files of a COLMAP sparse model."""
+"""Binary files of a COLMAP sparse model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,16 @@ MODELS = {"PINHOLE": 1, "SIMPLE_RADIAL": 2}
 def write_model(
     folder: Path, model: str, size: tuple[int, int], parameters: list[float], poses: dict[str, np.ndarray], points: np.ndarray
 ) -> None:
-    """Write cameras.bin, images.bin and points3D.bin: one camera; poses (4, 4) camera to world as in Blender, by image name."""
+    """Write cameras.bin, images.bin and points3D.bin with one camera.
+
+    Args:
+        folder: folder to make.
+        model: COLMAP's camera model, one of MODELS.
+        size: width and height in pixels.
+        parameters: parameters of the camera model.
+        poses: (4, 4) camera to world, axes as Blender's, by image name.
+        points: sparse points (N, 3).
+    """
     folder.mkdir(parents=True, exist_ok=True)
     camera = struct.pack("<QIiQQ", 1, 1, MODELS[model], *size) + struct.pack(f"<{len(parameters)}d", *parameters)
     (folder / "cameras.bin").write_bytes(camera)

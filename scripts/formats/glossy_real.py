@@ -11,11 +11,19 @@ from .colmap_files import write_model
 from .source import Source, moved_points, over, placed, save_ply, save_png, similarity
 
 BACKDROP = 0.45
-WORLD = similarity((-120.0, 15.0, 40.0), 0.7, (0.4, -0.3, 2.5))  # a solver's frame has no meaning
+WORLD = similarity((-120.0, 15.0, 40.0), 0.7, (0.4, -0.3, 2.5))  # structure from motion chooses an arbitrary frame
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME."""
+    """Write folder/NAME.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the similarity (4, 4) from the scene's world to the dataset's frame.
+    """
     scene = folder / source.name
     shots = {f"{1436 + i}.png": s for i, s in enumerate(source.interleaved())}
     for name, shot in shots.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""NeRO's GlossySynthetic: pickled cameras, 16-bit depth, a world with +Y up, relit images apart."""
+"""NeRO's GlossySynthetic: pickled cameras, 16-bit depth, a world with +Y up, relit images in folders of their own."""
 
 from __future__ import annotations
 
@@ -17,7 +17,15 @@ WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  #
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/GlossySynthetic/NAME, and folder/relight_gt and folder/hdr2k; every eighth view is a test view while there are any."""
+    """Write folder/GlossySynthetic/NAME, folder/relight_gt and folder/hdr2k; every eighth view is a test view while there are any.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the similarity (4, 4) from the scene's world to the dataset's frame.
+    """
     scene = folder / "GlossySynthetic" / source.name
     for number, shot in enumerate(source.interleaved()):
         _view(source, shot, shot.rgba, scene, number)
@@ -30,7 +38,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
 
 
 def _view(source: Source, shot: Shot, rgba: np.ndarray, folder: Path, number: int) -> None:
-    """The colour has the old background at edges, the depth map says hard where the object is."""
+    """Write a view: colour over white with soft edges, and depth with a hard edge."""
     save_png(folder / f"{number}.png", over(rgba, 1.0))
     width, height = source.size
     intrinsics = np.array([[source.focal, 0, width / 2], [0, source.focal, height / 2], [0, 0, 1]])

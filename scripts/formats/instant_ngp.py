@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A capture as instant-ngp's colmap2nerf leaves it: shared intrinsics, sharpness, every image in one list."""
+"""Capture as instant-ngp's colmap2nerf writes it: shared intrinsics, sharpness, all images in one list."""
 
 from __future__ import annotations
 
@@ -15,7 +15,15 @@ WORLD = similarity((0.0, 0.0, 110.0), 1.5, (0.3, 0.0, 0.2))
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME; the images have an alpha channel, as instant-ngp takes them."""
+    """Write folder/NAME with images that have an alpha channel, as instant-ngp takes them.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the similarity (4, 4) from the scene's world to the dataset's frame.
+    """
     scene, lens = folder / source.name, RealLens.of(source)
     frames = []
     for number, shot in enumerate(source.interleaved()):

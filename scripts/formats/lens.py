@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A real camera's images: the scene's own, as they look through a lens with distortion and a shifted centre."""
+"""Images of a real camera: the scene's own, seen through a lens with distortion and a shifted centre."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
 @dataclass(frozen=True)
 class RealLens:
-    """Intrinsics in pixels and OpenCV's order of coefficients (k1, k2, p1, p2, k3)."""
+    """Lens with distortion.
+
+    Attributes:
+        focal: focal length in pixels.
+        cx: column of the principal point in pixels.
+        cy: row of the principal point in pixels.
+        distortion: OpenCV's coefficients k1, k2, p1, p2, k3.
+    """
 
     focal: float
     cx: float
@@ -24,12 +31,20 @@ class RealLens:
 
     @classmethod
     def of(cls, source: Source) -> RealLens:
-        """A lens like a telephone's for images of the scene's size."""
+        """Return a lens like a smartphone's for images of the scene's size."""
         width, height = source.size
         return cls(source.focal * 0.97, 0.5 * width + 0.02 * width, 0.5 * height - 0.03 * height, (0.06, -0.02, 0.004, -0.003, 0.0))
 
     def image(self, source: Source, rgba: np.ndarray) -> np.ndarray:
-        """(H, W, 4) uint8 as seen through it."""
+        """Return an image as seen through the lens.
+
+        Args:
+            source: scene of the image.
+            rgba: (H, W, 4) uint8.
+
+        Returns:
+            (H, W, 4) uint8.
+        """
         width, height = source.size
         x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         pixels = np.stack([x, y], -1).reshape(-1, 1, 2)
@@ -46,5 +61,11 @@ class RealLens:
 
 
 def matrix(focal: float, cx: float, cy: float) -> np.ndarray:
-    """(3, 3) in OpenCV's coordinates, where pixel centres are whole numbers."""
+    """Return the camera matrix (3, 3) in OpenCV's coordinates, where pixel centres are integers.
+
+    Args:
+        focal: focal length in pixels.
+        cx: column of the principal point in pixels.
+        cy: row of the principal point in pixels.
+    """
     return np.array([[focal, 0, cx - 0.5], [0, focal, cy - 0.5], [0, 0, 1]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras as Metashape exports them: XML in the chunk's own frame, OpenCV's axes, tangential coefficients in its own order."""
+"""Cameras as Metashape exports them: XML in the chunk's own frame, OpenCV's axes, tangential coefficients in Metashape's order."""
 
 from __future__ import annotations
 
@@ -16,7 +16,15 @@ WORLD = similarity((95.0, 30.0, -15.0), 2.0, (-1.0, 0.5, 3.0))
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME with cameras.xml, images and masks."""
+    """Write folder/NAME with cameras.xml, images and masks.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the similarity (4, 4) from the scene's world to the dataset's frame.
+    """
     scene, lens = folder / source.name, RealLens.of(source)
     document = ElementTree.Element("document", version="2.0.0")
     chunk = ElementTree.SubElement(document, "chunk", label="Chunk 1", enabled="true")
@@ -39,6 +47,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
 
 
 def _sensor(sensors: ElementTree.Element, lens: RealLens, size: tuple[int, int]) -> None:
+    """Add a sensor with a calibrated lens."""
     sensor = ElementTree.SubElement(sensors, "sensor", id="0", label="telephone", type="frame")
     resolution = {"width": str(size[0]), "height": str(size[1])}
     ElementTree.SubElement(sensor, "resolution", resolution)

@@ -11,7 +11,15 @@ from .source import Source, save_json, save_png
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME."""
+    """Write folder/NAME.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the identity (4, 4): the dataset has the scene's frame.
+    """
     scene = folder / source.name
     for split, shots in (("train", source.train), ("val", source.test[:1]), ("test", source.test)):
         frames = []

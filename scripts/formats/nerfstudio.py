@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A capture processed by nerfstudio: one transforms.json with a camera model, points, masks, splits, and smaller copies."""
+"""Capture processed by nerfstudio: one transforms.json with a camera model, points, masks, splits, and smaller copies of the images."""
 
 from __future__ import annotations
 
@@ -16,7 +16,15 @@ WORLD = similarity((0.0, 0.0, -50.0), 0.25, (0.05, 0.1, -0.1))
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME."""
+    """Write folder/NAME.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the similarity (4, 4) from the scene's world to the dataset's frame.
+    """
     scene, lens = folder / source.name, RealLens.of(source)
     frames, tests = [], {id(s) for s in source.test}
     listed: dict[str, list[str]] = {"train": [], "test": []}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras as RealityCapture exports them: CSV with angles of a survey, +Z up, coordinates far from the origin."""
+"""Cameras as RealityCapture exports them: CSV with a survey's angles, +Z up, coordinates far from the origin."""
 
 from __future__ import annotations
 
@@ -18,7 +18,16 @@ COLUMNS = ["#name", "x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py"
 
 
 def write(source: Source, folder: Path, world: np.ndarray = WORLD) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME with cameras.csv, images and masks; `world` may be tilted, as where nobody has set the ground."""
+    """Write folder/NAME with cameras.csv, images and masks.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+        world: similarity (4, 4) from the scene's world to the dataset's frame; it may be tilted, as without a defined ground.
+
+    Returns:
+        The scene's folder, and the similarity.
+    """
     scene, lens = folder / source.name, RealLens.of(source)
     (width, height), longest = source.size, max(source.size)
     k1, k2, p1, p2, k3 = lens.distortion

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ref-NeRF's real scenes: COLMAP with images at full, a quarter and an eighth of the size, a sphere of interest known by the name."""
+"""Ref-NeRF's real scenes: COLMAP with images at full, a quarter and an eighth of the size, the sphere of interest by the scene's name."""
 
 from __future__ import annotations
 
@@ -14,11 +14,19 @@ from .source import Source, moved_points, over, placed, save_png, similarity
 
 SCENE = "sedan"
 BACKDROP = 0.6
-REACH = 1.3  # of the scene's own object, which fills the published sphere
+REACH = 1.3  # radius of the scene's own object, which is scaled to the published sphere
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/sedan."""
+    """Write folder/sedan.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the similarity (4, 4) from the scene's world to the dataset's frame.
+    """
     scene = folder / SCENE
     centre, radius = SPHERES[SCENE]
     world = similarity((70.0, -20.0, 10.0), radius / REACH, centre)

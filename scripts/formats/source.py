@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene that is written: images, cameras, layers and lights as scripts/render_dataset.py leaves them."""
+"""Scene to write in other layouts: images, cameras, layers and lights as scripts/render_dataset.py writes them."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ from scipy.spatial.transform import Rotation
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One view: pose (4, 4) camera to world as in Blender, rgba (H, W, 4) uint8 encoded straight; layers of a test view.
+    """One view.
 
-    layers: albedo (H, W, 3) linear, normal (H, W, 3) world, depth (H, W) planar, material (H, W, 2) where it is known.
-    relit: light -> rgba uint8.
+    Attributes:
+        pose: (4, 4) camera to world, axes as Blender's.
+        rgba: (H, W, 4) uint8, encoded, straight alpha.
+        layers: of a test view: albedo (H, W, 3) linear, normal (H, W, 3) in the world, depth (H, W) planar, material (H, W, 2) where known.
+        relit: (H, W, 4) uint8 by light.
     """
 
     pose: np.ndarray
@@ -34,18 +37,28 @@ class Shot:
 
     @property
     def alpha(self) -> np.ndarray:
-        """(H, W) 0..1."""
+        """Alpha (H, W), 0..1."""
         return self.rgba[..., 3] / 255
 
     @property
     def linear(self) -> np.ndarray:
-        """(H, W, 3) float32 straight colour."""
+        """Straight linear colour (H, W, 3), float32."""
         return decode_srgb(self.rgba[..., :3].astype(np.float32) / 255)
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A whole scene: views, the angle across an image in radians, lights by name with that of the training first, surface points."""
+    """Whole scene.
+
+    Attributes:
+        name: name of the scene.
+        angle: horizontal field of view in radians.
+        train: training views.
+        test: test views with layers.
+        lights: linear light maps (H, W, 3) by name, the training light first.
+        points: surface samples (N, 3).
+        normals: their normals (N, 3).
+    """
 
     name: str
     angle: float
@@ -57,12 +70,12 @@ class Source:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Width and height in pixels."""
         return self.train[0].rgba.shape[1], self.train[0].rgba.shape[0]
 
     @property
     def focal(self) -> float:
-        """In pixels."""
+        """Focal length in pixels."""
         return 0.5 * self.size[0] / math.tan(0.5 * self.angle)
 
     @property
@@ -71,7 +84,7 @@ class Source:
         return list(self.lights)[1:]
 
     def interleaved(self) -> list[Shot]:
-        """All views, with a test view at every eighth place while there are any."""
+        """Return all views, with a test view at every eighth place while there are any."""
         train, test, shots = list(self.train), list(self.test), []
         while train or test:
             shots.append(test.pop(0) if test and (len(shots) % 8 == 0 or not train) else train.pop(0))
@@ -79,9 +92,16 @@ class Source:
 
 
 def load_source(folder: Path) -> Source:
-    """Read a scene that scripts/render_dataset.py wrote. Raises InputError where the folder is none."""
+    """Read a scene that scripts/render_dataset.py wrote.
+
+    Args:
+        folder: folder of the scene.
+
+    Raises:
+        InputError: where the folder is not such a scene.
+    """
     if not (folder / "meta.json").is_file():
-        raise InputError(folder, "is no rendered scene", "scripts/render_dataset.py writes one")
+        raise InputError(folder, "is not a rendered scene", "scripts/render_dataset.py writes one")
     meta = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
     names = [meta["train_light"], *meta["relights"]]
     content = {split: json.loads((folder / f"transforms_{split}.json").read_text(encoding="utf-8")) for split in ("train", "test")}
@@ -93,6 +113,7 @@ def load_source(folder: Path) -> Source:
 
 
 def _shot(folder: Path, frame: dict[str, Any], relights: list[str]) -> Shot:
+    """Read a view."""
     file = folder / (frame["file_path"] + ".png")
     pose = np.array(frame["transform_matrix"])
     if not (file.parent / "depth.exr").is_file():
@@ -106,45 +127,78 @@ def _shot(folder: Path, frame: dict[str, Any], relights: list[str]) -> Shot:
 
 
 def read_rgba(file: Path) -> np.ndarray:
-    """(H, W, 4) uint8."""
+    """Read an image as (H, W, 4) uint8."""
     with Image.open(file) as image:
         return np.asarray(image.convert("RGBA"))
 
 
 def save_png(file: Path, pixels: np.ndarray) -> None:
-    """Write uint8 or floats in 0..1, (H, W) or (H, W, 3 or 4), as an 8-bit PNG."""
+    """Write an 8-bit PNG file.
+
+    Args:
+        file: file to write; its folder is made.
+        pixels: (H, W), (H, W, 3) or (H, W, 4), uint8 or floats in 0..1.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     pixels = pixels if pixels.dtype == np.uint8 else np.round(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
     Image.fromarray(pixels).save(file)
 
 
 def save_exr(file: Path, linear: np.ndarray) -> None:
-    """Write (H, W, 3) linear."""
+    """Write an EXR file.
+
+    Args:
+        file: file to write; its folder is made.
+        linear: (H, W, 3) linear.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     write_exr(file, rgb_channels(linear))
 
 
 def save_hdr(file: Path, linear: np.ndarray) -> None:
-    """Write (H, W, 3) linear as Radiance's shared exponents."""
+    """Write a Radiance HDR file.
+
+    Args:
+        file: file to write; its folder is made.
+        linear: (H, W, 3) linear.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(file), np.ascontiguousarray(linear[..., ::-1], np.float32))
 
 
 def save_ply(file: Path, points: np.ndarray) -> None:
-    """Write positions (N, 3)."""
+    """Write points as a PLY file.
+
+    Args:
+        file: file to write; its folder is made.
+        points: (N, 3).
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     rows = np.array([tuple(p) for p in points], dtype=[(c, "f4") for c in "xyz"])
     PlyData([PlyElement.describe(rows, "vertex")]).write(str(file))
 
 
 def save_json(file: Path, content: object) -> None:
-    """Write JSON with folders."""
+    """Write a JSON file.
+
+    Args:
+        file: file to write; its folder is made.
+        content: objects that JSON can hold.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 def over(rgba: np.ndarray, backdrop: float | np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8: the encoded image over an encoded backdrop, blended in linear light."""
+    """Composite an image over a background, blended in linear light.
+
+    Args:
+        rgba: (H, W, 4) uint8, encoded.
+        backdrop: encoded background, a number or (H, W, 3), 0..1.
+
+    Returns:
+        (H, W, 3) uint8, encoded.
+    """
     alpha = rgba[..., 3:].astype(np.float32) / 255
     linear = decode_srgb(rgba[..., :3].astype(np.float32) / 255) * alpha
     behind = decode_srgb(np.broadcast_to(np.asarray(backdrop, np.float32), linear.shape))
@@ -152,19 +206,41 @@ def over(rgba: np.ndarray, backdrop: float | np.ndarray) -> np.ndarray:
 
 
 def placed(world: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """A pose (4, 4) after a similarity of the world, rigid again."""
+    """Apply a similarity of the world to a pose and make it rigid again.
+
+    Args:
+        world: similarity (4, 4).
+        pose: camera to world (4, 4).
+
+    Returns:
+        (4, 4).
+    """
     moved = world @ pose
     moved[:3, :3] /= np.cbrt(np.linalg.det(moved[:3, :3]))
     return moved
 
 
 def moved_points(world: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(N, 3) after a similarity."""
+    """Apply a similarity to points.
+
+    Args:
+        world: similarity (4, 4).
+        points: (N, 3).
+
+    Returns:
+        (N, 3).
+    """
     return points @ world[:3, :3].T + world[:3, 3]
 
 
 def similarity(angles: tuple[float, float, float], scale: float, shift: tuple[float, float, float]) -> np.ndarray:
-    """(4, 4) from degrees about X, Y, Z in turn, a scale, and a shift."""
+    """Return a similarity (4, 4).
+
+    Args:
+        angles: degrees about X, Y and Z, applied in that order.
+        scale: scale factor.
+        shift: translation.
+    """
     world = np.eye(4)
     world[:3, :3] = scale * Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
     world[:3, 3] = shift
@@ -172,5 +248,5 @@ def similarity(angles: tuple[float, float, float], scale: float, shift: tuple[fl
 
 
 def upright_camera(pose: np.ndarray) -> np.ndarray:
-    """(4, 4) world to camera in OpenCV's axes."""
+    """Return world to camera (4, 4) in OpenCV's axes for a pose (4, 4) in Blender's."""
     return np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(pose)

@@ -11,12 +11,21 @@ from irgspp.core.io.srgb import decode_srgb, encode_srgb
 
 from .source import Shot, Source, over, placed, save_exr, save_json, save_png, similarity
 
-WORLDS = [similarity((0, 0, 35.0 * i + 20), 0.8 + 0.1 * i, (0.1 * i, -0.2, 0.05)) for i in range(8)]  # each capture has a frame of its own
+WORLDS = [similarity((0, 0, 35.0 * i + 20), 0.8 + 0.1 * i, (0.1 * i, -0.2, 0.05)) for i in range(8)]  # each capture has its own frame
 BACKDROP = 0.4
 
 
 def write(source: Source, folder: Path, hdr: bool = True) -> tuple[Path, np.ndarray]:
-    """Write folder/blender_HDR (or _LDR) with a capture for each light, the training light's first, and folder/ground_truth."""
+    """Write folder/blender_HDR (or _LDR) with a capture for each light, the training light's first, and folder/ground_truth.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+        hdr: True for EXR photographs, False for PNG.
+
+    Returns:
+        The first capture's folder, and the similarity (4, 4) from the scene's world to its frame.
+    """
     root = folder / ("blender_HDR" if hdr else "blender_LDR")
     for number, light in enumerate(source.lights):
         train = source.train if number == 0 else source.test
@@ -34,11 +43,12 @@ def write(source: Source, folder: Path, hdr: bool = True) -> tuple[Path, np.ndar
 
 
 def _name(source: Source, number: int) -> str:
+    """Return the name of a capture."""
     return f"{source.name}_scene{number + 1:03d}"
 
 
 def _capture(source: Source, train: list[Shot], light: str, number: int, root: Path, hdr: bool) -> None:
-    """One capture with its own images, and the light maps of its test views."""
+    """Write a capture with its own images, and the light maps of its test views."""
     scene = root / _name(source, number)
     for split, shots in (("train", train), ("test", source.test)):
         frames = []
@@ -53,6 +63,7 @@ def _capture(source: Source, train: list[Shot], light: str, number: int, root: P
 
 
 def _image(scene: Path, split: str, name: str, rgba: np.ndarray, hdr: bool) -> None:
+    """Write a photograph and its mask."""
     pixels = over(rgba, BACKDROP)
     if hdr:
         save_exr(scene / split / f"{name}.exr", decode_srgb(pixels.astype(np.float32) / 255))
@@ -62,7 +73,7 @@ def _image(scene: Path, split: str, name: str, rgba: np.ndarray, hdr: bool) -> N
 
 
 def _novel(source: Source, scene: Path) -> None:
-    """The test views of the other captures, in the frame of this one; each frame has its own angle."""
+    """Write the test views of the other captures, in the frame of this one; each frame has its own angle."""
     frames = []
     for number in range(1, len(source.lights)):
         for i, shot in enumerate(source.test):
@@ -73,8 +84,15 @@ def _novel(source: Source, scene: Path) -> None:
 
 
 def camera_map(light: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """A map (H, W, 3) of Blender's world as a camera with this (3, 3) rotation to the world has it: -Z in the middle, +X right of it,
-    +Y on top."""
+    """Resample a light map to the frame of a camera: -Z in the middle, +X to its right, +Y on top.
+
+    Args:
+        light: map of Blender's world (H, W, 3).
+        rotation: camera to world (3, 3).
+
+    Returns:
+        (H, W, 3).
+    """
     height, width = light.shape[:2]
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     turn, polar = 2 * np.pi * (u - 0.5), np.pi * v
@@ -83,7 +101,15 @@ def camera_map(light: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def sampled(light: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """(..., 3) bilinear values of a map of Blender's world in unit directions (..., 3)."""
+    """Look up a light map of Blender's world bilinearly.
+
+    Args:
+        light: (H, W, 3).
+        direction: unit directions (..., 3).
+
+    Returns:
+        (..., 3) float32.
+    """
     height, width = light.shape[:2]
     column = (0.5 - np.arctan2(direction[..., 1], direction[..., 0]) / (2 * np.pi)) * width - 0.5
     row = np.clip(np.arccos(np.clip(direction[..., 2], -1, 1)) / np.pi * height - 0.5, 0, height - 1)
@@ -95,13 +121,13 @@ def sampled(light: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def _layers(shot: Shot, truth: Path, name: str) -> None:
-    """Normals in the camera's frame, depth in the capture's units, -1 where nothing is."""
+    """Write albedo, normals in the camera's frame, and depth in the capture's units, -1 where nothing is seen."""
     save_png(truth / "pseudo_gt_albedo" / f"{name}.png", encode_srgb(shot.layers["albedo"]))
-    there = shot.layers["depth"] > 0
+    visible = shot.layers["depth"] > 0
     size = float(np.cbrt(np.linalg.det(WORLDS[0][:3, :3])))
     for kind, layer in (
         ("surface_normal", shot.layers["normal"] @ shot.pose[:3, :3]),
-        ("z_depth", np.where(there, shot.layers["depth"] * size, -1)),
+        ("z_depth", np.where(visible, shot.layers["depth"] * size, -1)),
     ):
         (truth / kind).mkdir(parents=True, exist_ok=True)
         np.save(truth / kind / f"{name}.npy", layer.astype(np.float32))

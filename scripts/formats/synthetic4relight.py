@@ -10,12 +10,20 @@ from irgspp.core.io.srgb import encode_srgb
 
 from .source import Shot, Source, save_exr, save_json, save_png
 
-BACKDROP = 0.3  # the photographs are not cut out
+BACKDROP = 0.3  # linear grey of the photographs' background
 LIGHTS = ("envmap3", "envmap6", "envmap12")
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME and folder/envmaps."""
+    """Write folder/NAME and folder/envmaps.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the identity (4, 4): the dataset has the scene's frame.
+    """
     scene = folder / source.name
     for split, shots in (("train", source.train), ("test", source.test)):
         frames = [{"file_path": f"{split}/{i:03d}", "transform_matrix": s.pose.tolist()} for i, s in enumerate(shots)]
@@ -32,6 +40,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
 
 
 def _test(source: Source, shot: Shot, scene: Path, name: str) -> None:
+    """Write a test view: image, albedo, roughness and relit images."""
     alpha = shot.alpha[..., None]
     save_png(scene / "test" / f"{name}_rgba.png", shot.rgba)
     save_png(scene / "test" / f"{name}_albedo.png", np.concatenate([encode_srgb(shot.layers["albedo"]), alpha], -1))

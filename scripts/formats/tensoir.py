@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""TensoIR synthetic: a folder a view, linear 8-bit albedo, light maps beside the scenes."""
+"""TensoIR synthetic: one folder for each view, linear 8-bit albedo, light maps next to the scenes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,15 @@ RELIGHTS = ("bridge", "city", "fireplace", "forest", "night")
 
 
 def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
-    """Write folder/NAME and folder/Environment_Maps."""
+    """Write folder/NAME and folder/Environment_Maps.
+
+    Args:
+        source: scene to write.
+        folder: folder of the collection.
+
+    Returns:
+        The scene's folder, and the identity (4, 4): the dataset has the scene's frame.
+    """
     scene = folder / source.name
     for split, shots in (("train", source.train), ("test", source.test), ("val", source.test[:1])):
         for i, shot in enumerate(shots):
@@ -24,6 +32,7 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
 
 
 def _view(source: Source, shot: Shot, view: Path, complete: bool) -> None:
+    """Write a view; `complete` ones have layers and relit images."""
     matrix = ",".join(repr(float(v)) for v in shot.pose.reshape(-1))
     meta = {"cam_angle_x": source.angle, "cam_transform_mat": matrix, "imw": source.size[0], "imh": source.size[1], "scene": "", "spp": 1}
     save_json(view / "metadata.json", meta)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of scripts/gpu_check.py."""
+"""Measurements of scripts/gpu_check.py and their test scene."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is measured on a GPU, one measurement after the other."""
+"""Measurements on a GPU: correctness, iterations, relighting, a whole job, memory, bandwidth and profile."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import FirstStageSettings, SecondStageSettings, preset
-from irgspp.core.stages.first.material_class import KINDS
+from irgspp.core.stages.first.material_class import MATERIAL_CLASSES
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second.pixel_pool import pool_pixels
 from irgspp.core.stages.second.refinement import Refinement
@@ -28,13 +28,13 @@ from irgspp.core.stages.second.refinement import Refinement
 from .scene import RADIUS, Work, ring
 
 ROOT = Path(__file__).resolve().parents[2]
-PROFILED = 12  # operations that the profile tells of,
-PROFILED_STEPS = 5  # in so many iterations
+PROFILED = 12  # operations that the profile lists
+PROFILED_STEPS = 5  # iterations that are profiled
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A line of the table."""
+    """Line of the table: name, measured value, and target."""
 
     name: str
     measured: str
@@ -43,13 +43,23 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done; the first are the sizes that targets are stated for."""
+    """Size of the work; the defaults are the sizes that the targets are stated for.
+
+    Attributes:
+        gaussians: number of Gaussians.
+        image: pixels along a side of the images.
+        triangles: triangles of the mesh.
+        pixels: pixels of an iteration of the second stage.
+        samples: secondary rays per pixel; 2^18 rays with the default.
+        repeats: timed calls.
+        warm: calls before the clock starts.
+    """
 
     gaussians: int = 100_000
     image: int = 800
     triangles: int = 200_000
-    pixels: int = 512  # of the second stage's step, times
-    samples: int = 512  # rays of each: 2^18
+    pixels: int = 512
+    samples: int = 512
     repeats: int = 50
     warm: int = 10
 
@@ -58,14 +68,20 @@ QUICK = Size(2000, 64, 2000, 32, 16, 3, 1)
 
 
 def synchronised(device: torch.device) -> float:
-    """Seconds, when all is done that was asked for."""
+    """Return the time in seconds once all queued work is done."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
 
 
 def seconds_each(work: Callable[[], object], size: Size, device: torch.device) -> float:
-    """Of one of many, one after the other, as in an optimisation."""
+    """Return the mean seconds of a call within many in a row, as in an optimisation.
+
+    Args:
+        work: function to time.
+        size: repeats and warm-up calls.
+        device: device to wait for.
+    """
     for _ in range(size.warm):
         work()
     began = synchronised(device)
@@ -75,16 +91,26 @@ def seconds_each(work: Callable[[], object], size: Size, device: torch.device) -
 
 
 def correctness(device: torch.device, quick: bool) -> Measurement:
-    """The kernels' tests on this device."""
+    """Run the kernels' tests on a device.
+
+    Args:
+        device: device of the kernels.
+        quick: True for the tests of one file.
+    """
     what = ["tests/core/kernels/test_devices.py"] if quick else ["tests/core", "-m", "cuda"]
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *what, *(["-k", "warp"] if quick else [])]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
-    said = (done.stdout.strip().splitlines() or ["nothing was said"])[-1]
-    return Measurement(f"correctness: tests on {device.type}", f"{'green' if done.returncode == 0 else 'FAILED'}: {said}", "green")
+    last_line = (done.stdout.strip().splitlines() or ["no output"])[-1]
+    return Measurement(f"correctness: tests on {device.type}", f"{'green' if done.returncode == 0 else 'FAILED'}: {last_line}", "green")
 
 
 def refinement(work: Work, size: Size) -> Refinement:
-    """The second stage, ready for its steps."""
+    """Return the second stage's refinement, ready for its iterations.
+
+    Args:
+        work: torus to reconstruct.
+        size: size of an iteration.
+    """
     tracer = SecondaryTracer(work.reconstruction)
     pool = pool_pixels(work.dataset.train, tracer, 100_000, np.random.default_rng(0))
     settings = replace(SecondStageSettings(), iterations=10_000, pixels=size.pixels, samples=size.samples)
@@ -92,13 +118,24 @@ def refinement(work: Work, size: Size) -> Refinement:
 
 
 def trainer(work: Work, size: Size) -> Trainer:
-    """The first stage, ready for its steps."""
+    """Return the first stage's trainer, ready for its iterations.
+
+    Args:
+        work: torus to reconstruct.
+        size: size of the work.
+    """
     settings = replace(FirstStageSettings(), iterations=10_000, gaussians=size.gaussians)
-    return Trainer(work.dataset, settings, work.reconstruction.gaussians, KINDS[1], 0, 0)
+    return Trainer(work.dataset, settings, work.reconstruction.gaussians, MATERIAL_CLASSES[1], 0, 0)
 
 
 def steps(work: Work, size: Size, device: torch.device) -> list[Measurement]:
-    """Of both stages."""
+    """Measure the iterations of both stages.
+
+    Args:
+        work: torus to reconstruct.
+        size: size of the work.
+        device: device of the kernels.
+    """
     second, first = refinement(work, size), trainer(work, size)
     rays = size.pixels * size.samples
     about = f"{size.gaussians:,} Gaussians, {size.image}x{size.image}"
@@ -111,7 +148,13 @@ def steps(work: Work, size: Size, device: torch.device) -> list[Measurement]:
 
 
 def relighting(work: Work, size: Size, device: torch.device) -> list[Measurement]:
-    """Pictures a second, mesh backend, each with a camera of its own: nothing is kept from one to the next."""
+    """Measure frames per second with the mesh backend, each with a camera of its own, so that nothing is cached.
+
+    Args:
+        work: torus to relight.
+        size: size of the work.
+        device: device of the kernels.
+    """
     query = MeshQuery(work.mesh, RADIUS, device)
     light = prepare(work.reconstruction.environment_map(), device)
     found = []
@@ -125,14 +168,21 @@ def relighting(work: Work, size: Size, device: torch.device) -> list[Measurement
 
 
 def memory(device: torch.device) -> Measurement:
-    """Most of the GPU's memory that was in use."""
+    """Return the peak of the GPU's memory in use."""
     if device.type != "cuda":
         return Measurement("the GPU's memory at most", "no GPU", "about 10 GB (paper)")
     return Measurement("the GPU's memory at most", f"{torch.cuda.max_memory_allocated(device) / 1e9:.2f} GB", "about 10 GB (paper)")
 
 
 def job(dataset: Path, run: Path, device: str, changes: tuple[str, ...]) -> list[Measurement]:
-    """A whole reconstruction by the preset `paper`."""
+    """Measure a whole reconstruction by the preset `paper`.
+
+    Args:
+        dataset: folder of the dataset.
+        run: run folder.
+        device: device option of the job.
+        changes: settings as `KEY=VALUE`.
+    """
     settings = with_overrides(replace(preset("paper"), device=device), changes)
     reconstruct(dataset, run, settings, overwrite=True)
     state = json.loads((run / "run.json").read_text())
@@ -144,7 +194,13 @@ def job(dataset: Path, run: Path, device: str, changes: tuple[str, ...]) -> list
 
 
 def profile(work: Work, size: Size, device: torch.device) -> list[Measurement]:
-    """Where the time of both stages' iterations goes."""
+    """Measure the most expensive operations of both stages' iterations.
+
+    Args:
+        work: torus to reconstruct.
+        size: size of the work.
+        device: device of the kernels.
+    """
     second, first = refinement(work, size), trainer(work, size)
     kinds = [torch.profiler.ProfilerActivity.CPU, *([torch.profiler.ProfilerActivity.CUDA] if device.type == "cuda" else [])]
     found = []
@@ -164,12 +220,18 @@ def profile(work: Work, size: Size, device: torch.device) -> list[Measurement]:
 
 
 def bandwidth(work: Work, size: Size, device: torch.device) -> Measurement:
-    """What the loss's passes move through memory a second: they read and write planes in order, and compute little."""
+    """Measure the memory bandwidth of the photometric loss, whose passes read and write planes in order and compute little.
+
+    Args:
+        work: unused.
+        size: pixels along a side of the images.
+        device: device of the kernels.
+    """
     from irgspp.core.kernels.photometric import photometric_loss
 
     a, b = (torch.rand(3, size.image, size.image, device=device) for _ in range(2))
     a.requires_grad_()
     each = seconds_each(lambda: photometric_loss(a, b), size, device)
-    planes = (2 + 5) + (5 + 4) + (3 + 3) + (5 + 1) + (3 + 1)  # read and written by each of its four passes, and by what takes the means
+    planes = (2 + 5) + (5 + 4) + (3 + 3) + (5 + 1) + (3 + 1)  # read and written by each of its four passes, and by the means
     moved = planes * a.numel() * 4
     return Measurement("bandwidth of the loss's passes", f"{moved / each / 1e9:.0f} GB/s", "4,800 GB/s is an H200's peak")

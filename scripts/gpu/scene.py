@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A torus of disks with photographs and a mesh: work for a GPU that needs no download."""
+"""Torus of surfels with photographs and a mesh: a workload for a GPU that needs no download."""
 
 from __future__ import annotations
 
@@ -25,7 +25,13 @@ VIEWS = 24
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """Attributes: reconstruction, dataset: the torus, and photographs that it made itself. mesh: the same as triangles."""
+    """Torus as the two stages and relighting take it.
+
+    Attributes:
+        reconstruction: surfels and light.
+        dataset: photographs rendered from the surfels.
+        mesh: the torus as triangles.
+    """
 
     reconstruction: Reconstruction
     dataset: Dataset
@@ -33,7 +39,14 @@ class Work:
 
 
 def make_work(gaussians: int, size: int, triangles: int, device: torch.device) -> Work:
-    """The torus of so many disks, in square images of `size` pixels, and of about so many triangles."""
+    """Return the torus.
+
+    Args:
+        gaussians: number of surfels.
+        size: pixels along a side of the photographs.
+        triangles: about how many triangles the mesh has.
+        device: device of the reconstruction.
+    """
     rng = np.random.default_rng(0)
     angles = rng.uniform(0, 2 * np.pi, (2, 3 * gaussians))
     fair = rng.random(3 * gaussians) * (MAJOR + MINOR) < MAJOR + MINOR * np.cos(angles[1])  # uniform by area
@@ -51,7 +64,12 @@ def make_work(gaussians: int, size: int, triangles: int, device: torch.device) -
 
 
 def ring(count: int, size: int) -> list[Camera]:
-    """Cameras around the torus at several heights."""
+    """Return cameras around the torus at several heights.
+
+    Args:
+        count: number of cameras.
+        size: pixels along a side of the images.
+    """
     z, angle = np.linspace(-0.6, 0.9, count), np.arange(count) * 2.399963
     r = np.sqrt(1 - z**2)
     places = 4 * np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
@@ -59,12 +77,14 @@ def ring(count: int, size: int) -> list[Camera]:
 
 
 def _photograph(reconstruction: Reconstruction, camera: Camera, number: int) -> View:
+    """Render the surfels as a photograph."""
     rgba = render_gbuffer(reconstruction, camera).image
     straight = rgba[..., :3] / np.maximum(rgba[..., 3:], 1e-4)
     return View(f"{number}", camera, Path(f"{number}.png"), encode_srgb(straight).clip(0, 1).astype(np.float32), rgba[..., 3].copy())
 
 
 def _mesh(triangles: int) -> Mesh:
+    """Return the torus as a mesh of one material."""
     sections = max(8, round(math.sqrt(triangles / 2)))
     torus = trimesh.creation.torus(MAJOR, MINOR, sections, sections)
     n = len(torus.vertices)

@@ -42,8 +42,8 @@ def render(template: str, **values: Any) -> str:
     """Render a page.
 
     Args:
-        template: Name of a file in `templates/` without its suffix `.html.jinja`.
-        **values: Variables of the template; they are escaped unless they are marked as safe.
+        template: name of a file in `templates/` without its suffix `.html.jinja`.
+        **values: variables of the template; they are escaped unless they are marked as safe.
 
     Returns:
         The HTML text.
@@ -55,9 +55,9 @@ def embedded_jpeg(file: Path, longest: int, **options: Any) -> str:
     """Return an image file as the `data:` address of a JPEG.
 
     Args:
-        file: Image in any format that Pillow reads.
-        longest: Pixels of the longer side at most; larger images are reduced.
-        **options: Options of Pillow's JPEG writer, such as `quality`.
+        file: image in any format that Pillow reads.
+        longest: pixels of the longer side at most; larger images are reduced.
+        **options: options of Pillow's JPEG writer, such as `quality`.
     """
     with Image.open(file) as opened:
         image = opened.convert("RGB")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scenes below a folder, and the job that reconstructs and evaluates each."""
+"""Scenes below a folder, and the job that reconstructs and evaluates each."""
 
 from __future__ import annotations
 
@@ -12,13 +12,20 @@ from irgspp.core.datasets.format_detection import LOOKED_FOR, NoDataset, parse_d
 from irgspp.core.errors import InputError
 from irgspp.core.settings.schema import DataSettings
 
-DEEPEST = 3  # folders below the root
-TRUTH = {"relight_gt", "ground_truth"}  # what collections keep beside their scenes, with cameras of its own
+DEEPEST = 3  # levels of folders below the root
+TRUTH = {"relight_gt", "ground_truth"}  # folders of ground truth next to scenes, which have cameras of their own
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A dataset below the root: its name (the way there, with _ between folders) and format; `trouble`: why it can't be read."""
+    """Dataset below the root.
+
+    Attributes:
+        name: path from the root, with _ between folders.
+        path: folder of the dataset.
+        format: name of the format.
+        trouble: reason why it can't be read; "" where it can.
+    """
 
     name: str
     path: Path
@@ -27,25 +34,34 @@ class Scene:
 
     @property
     def known_as(self) -> str:
-        """What papers call it: the folder's name, without what converters add."""
+        """Name that papers use: the folder's name without what converters add."""
         return self.path.resolve().name.lower().removesuffix("_blender")
 
 
-def find_scenes(root: Path, wanted: Sequence[str] | None = None) -> list[Scene]:
-    """All datasets below a folder, or those of the `wanted` names. Raises InputError where there are none, or a name is missing."""
+def find_scenes(root: Path, names: Sequence[str] | None = None) -> list[Scene]:
+    """Return the datasets below a folder in order of their names.
+
+    Args:
+        root: folder to search.
+        names: names of the scenes to return; None: all.
+
+    Raises:
+        InputError: where there is no dataset, or a name is unknown.
+    """
     if not root.is_dir():
-        raise InputError(root, "is no folder")
+        raise InputError(root, "is not a folder")
     found = sorted(_scenes(root, root, DEEPEST), key=lambda scene: scene.name)
     if not found:
         raise InputError(root, "no dataset in it or below", LOOKED_FOR)
-    if wanted is None:
+    if names is None:
         return found
-    if missing := [name for name in wanted if name not in {scene.name for scene in found}]:
+    if missing := [name for name in names if name not in {scene.name for scene in found}]:
         raise InputError("--scenes", f"there is no {', '.join(missing)}", f"use {', '.join(scene.name for scene in found)}")
-    return [scene for scene in found if scene.name in wanted]
+    return [scene for scene in found if scene.name in names]
 
 
 def _scenes(folder: Path, root: Path, deeper: int) -> Iterator[Scene]:
+    """Yield the datasets in and below a folder, `deeper` levels deep at most."""
     name = "_".join(folder.relative_to(root).parts) or root.resolve().name
     try:
         yield Scene(name, folder, parse_dataset(folder, DataSettings()).format)
@@ -58,7 +74,15 @@ def _scenes(folder: Path, root: Path, deeper: int) -> Iterator[Scene]:
 
 
 def job_of(scene: Scene, out: Path, protocol: str, reconstruct: Sequence[str], evaluate: Sequence[str]) -> Job:
-    """Reconstruct into out/runs/SCENE and evaluate into out/reports/SCENE, with further words for each of the two."""
+    """Return the job that reconstructs a scene into out/runs/SCENE and evaluates it into out/reports/SCENE.
+
+    Args:
+        scene: scene of the job.
+        out: folder of runs and reports.
+        protocol: protocol of the evaluation.
+        reconstruct: further options of `irgspp reconstruct`.
+        evaluate: further options of `irgspp evaluate`.
+    """
     run, report, dataset = out / "runs" / scene.name, out / "reports" / scene.name, str(scene.path.resolve())
     first = ("reconstruct", dataset, "-o", str(run), *reconstruct)
     return Job(scene.name, run, (first, ("evaluate", str(run), dataset, "-o", str(report), "--protocol", protocol, *evaluate)), out)

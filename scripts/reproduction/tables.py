@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The papers' tables, with published rows beside ours: as Markdown, JSON and one HTML page."""
+"""Tables of the papers with published rows next to ours: as Markdown, JSON and one HTML page."""
 
 from __future__ import annotations
 
@@ -15,14 +15,21 @@ from reports.pages import Row as PageRow
 
 PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
 MEASURED = "measured here"
-LONGEST = 1400  # pixels of a contact sheet that is shown
+LONGEST = 1400  # pixels of a contact sheet's longer side on the page
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came of one scene: the JSON of its report, minutes of its reconstruction, or why there is none.
+    """Result of one scene.
 
-    `known_as`: what papers call it.
+    Attributes:
+        scene: name of the scene.
+        known_as: name that papers use.
+        format: format of the dataset.
+        report: JSON of the evaluation's report; None where there is none.
+        minutes: minutes of the reconstruction.
+        trouble: reason why there is no report.
+        sheet: contact sheet.
     """
 
     scene: str
@@ -36,7 +43,14 @@ class Result:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table; `figures` by the columns' keys."""
+    """Line of a table.
+
+    Attributes:
+        of: scene, or "mean".
+        by: method.
+        source: where the numbers are from.
+        figures: metrics by the columns' keys.
+    """
 
     of: str
     by: str
@@ -46,7 +60,14 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """All scenes of one format: columns (key -> heading), rows, and what has to be known to read them."""
+    """Table of all scenes of one format.
+
+    Attributes:
+        title: title of the table.
+        columns: heading by key.
+        rows: lines of the table.
+        notes: notes on how to read it.
+    """
 
     title: str
     columns: dict[str, str]
@@ -55,12 +76,17 @@ class Table:
 
 
 def benchmark_of(form: str) -> dict[str, Any]:
-    """The published table of a format of datasets; the one without published rows where there is none."""
+    """Return the published table of a format of datasets; the one without published rows where there is none."""
     return PUBLISHED.get(form, PUBLISHED["other"])
 
 
 def tables_of(results: Sequence[Result], ours: str) -> list[Table]:
-    """A table for each format among the results; `ours`: what our rows are called."""
+    """Return a table for each format among the results.
+
+    Args:
+        results: results of all scenes.
+        ours: label of our rows.
+    """
     by_format: dict[str, list[Result]] = {}
     for result in results:
         if result.format:
@@ -69,53 +95,56 @@ def tables_of(results: Sequence[Result], ours: str) -> list[Table]:
 
 
 def _table(form: str, results: Sequence[Result], ours: str) -> Table:
-    known, told = benchmark_of(form), [result for result in results if result.report]
+    """Return the table of a format."""
+    known, measured = benchmark_of(form), [result for result in results if result.report]
     columns = dict(known["columns"])
     rows = [Row("mean", row["method"], row["source"], row["figures"]) for row in known.get("rows", [])]
-    minutes = [result.minutes for result in told if result.minutes is not None]
-    if told:
-        mean = _mean([_figures(result, columns) for result in told])
-        rows.append(Row(f"mean of {len(told)}", ours, MEASURED, mean | ({"minutes": float(np.mean(minutes))} if minutes else {})))
-    for result in told:
+    minutes = [result.minutes for result in measured if result.minutes is not None]
+    if measured:
+        mean = _mean([_figures(result, columns) for result in measured])
+        rows.append(Row(f"mean of {len(measured)}", ours, MEASURED, mean | ({"minutes": float(np.mean(minutes))} if minutes else {})))
+    for result in measured:
         for row in known.get("rows", []):
             if result.known_as in row.get("scenes", {}):
                 rows.append(Row(result.scene, row["method"], row["source"], row["scenes"][result.known_as]))
         spent = {} if result.minutes is None else {"minutes": result.minutes}
         rows.append(Row(result.scene, ours, MEASURED, _figures(result, columns) | spent))
     columns["minutes"] = "minutes"
-    there = {name for row in rows for name in row.figures}
-    return Table(known["title"], {key: text for key, text in columns.items() if key in there}, rows, _notes(known, results))
+    keys = {name for row in rows for name in row.figures}
+    return Table(known["title"], {key: text for key, text in columns.items() if key in keys}, rows, _notes(known, results))
 
 
 def _figures(result: Result, columns: Mapping[str, str]) -> dict[str, float]:
+    """Return a result's metrics for the columns."""
     assert result.report is not None
     return {key: result.report["figures"][key] for key in columns if key in result.report["figures"]}
 
 
 def _mean(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Of the figures that every scene has: a mean over some would look like one over all."""
+    """Return the means of the metrics that every scene has: a mean over some would look like one over all."""
     return {key: float(np.mean([row[key] for row in rows])) for key in rows[0] if all(key in row for row in rows)}
 
 
 def _notes(known: Mapping[str, Any], results: Sequence[Result]) -> list[str]:
-    """What is of other scenes, views or samples than what was published; and how ours were computed."""
-    told = [result for result in results if result.report]
+    """Return what differs from the published scenes, views or samples, and how our numbers were computed."""
+    measured = [result for result in results if result.report]
     notes = [f"{result.scene} is missing: {result.trouble}" for result in results if not result.report]
-    if known.get("rows") and {result.known_as for result in told} != set(known["scenes"]):
+    if known.get("rows") and {result.known_as for result in measured} != set(known["scenes"]):
         notes.append(f"Ours is not a mean over the published scenes ({', '.join(known['scenes'])}): the means can't be compared.")
-    said = [line for result in told for line in (result.report or {})["protocol"]]
-    return [*notes, *known["notes"], *dict.fromkeys(line for line in said if not line.startswith("Scale of the albedo"))]
+    protocols = [line for result in measured for line in (result.report or {})["protocol"]]
+    return [*notes, *known["notes"], *dict.fromkeys(line for line in protocols if not line.startswith("Scale of the albedo"))]
 
 
-# --- written
+# --- formats
 
 
 def as_markdown(tables: Sequence[Table]) -> str:
-    """Tables with a heading each."""
+    """Return the tables as Markdown, with a heading each."""
     return "\n\n".join(_markdown(table) for table in tables) + "\n"
 
 
 def _markdown(table: Table) -> str:
+    """Return a table as Markdown."""
     lines = [f"## {table.title}", "", _line(["scene", "by", "source", *table.columns.values()])]
     lines.append(_line(["---"] * 3 + ["---:"] * len(table.columns)))
     lines += [_line([row.of, row.by, row.source, *(formatted(row.figures.get(key)) for key in table.columns)]) for row in table.rows]
@@ -123,11 +152,12 @@ def _markdown(table: Table) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
+    """Return a Markdown row."""
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def as_json(tables: Sequence[Table]) -> list[dict[str, Any]]:
-    """The same as plain objects."""
+    """Return the tables as plain objects for JSON."""
     return [asdict(table) for table in tables]
 
 
@@ -135,8 +165,8 @@ def as_html(tables: Sequence[Table], results: Sequence[Result]) -> str:
     """Return one page with all tables and the contact sheet of each scene inside.
 
     Args:
-        tables: Tables in the order of the page.
-        results: Results of all scenes; those without one are listed with the reason.
+        tables: tables in the order of the page.
+        results: results of all scenes; those without one are listed with the reason.
 
     Returns:
         The HTML text.
@@ -161,7 +191,7 @@ def _page_table(table: Table) -> dict[str, Any]:
 
 
 def formatted(value: float | None) -> str:
-    """A figure in as many digits as tables have; a dash where there is none."""
+    """Return a number in the digits that tables use; a dash for None."""
     if value is None:
         return "–"
     return f"{value:.2e}" if 0 < abs(value) < 1e-3 else f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures and exact surface layers of a Blender scene, by Cycles."""
+"""Images and exact surface layers of a Blender scene, rendered by Cycles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,13 @@ ALBEDO, MATERIAL = "irgspp_albedo", "irgspp_material"
 
 
 def prepare(scene: bpy.types.Scene, samples: int, seed: int) -> None:
-    """Physically complete light paths, transparent film, denoised; the layers come from AOVs in every material."""
+    """Set a scene to complete light paths and a transparent film, and add AOVs of the layers to every material.
+
+    Args:
+        scene: scene to render.
+        samples: samples per pixel.
+        seed: seed of Cycles.
+    """
     scene.render.engine = "CYCLES"
     scene.render.film_transparent = True
     scene.render.use_persistent_data = True
@@ -37,7 +43,7 @@ def prepare(scene: bpy.types.Scene, samples: int, seed: int) -> None:
 
 
 def _expose_inputs(material: bpy.types.Material) -> None:
-    """Send what feeds the Principled BSDF to the AOVs as well."""
+    """Connect the inputs of the Principled BSDF to the AOVs as well."""
     tree = material.node_tree
     principled = next((n for n in tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled"), None) if tree else None
     if tree is None or principled is None:
@@ -56,6 +62,7 @@ def _expose_inputs(material: bpy.types.Material) -> None:
 
 
 def _copy_input(tree: bpy.types.NodeTree, source: bpy.types.NodeSocket, target: bpy.types.NodeSocket) -> None:
+    """Give a socket the link or the value of another."""
     if source.is_linked:
         tree.links.new(source.links[0].from_socket, target)
     else:
@@ -63,7 +70,12 @@ def _copy_input(tree: bpy.types.NodeTree, source: bpy.types.NodeSocket, target: 
 
 
 def place_camera(scene: bpy.types.Scene, camera: Camera) -> None:
-    """Look through a centred camera with square pixels."""
+    """Set the scene's camera to a centred camera with square pixels.
+
+    Args:
+        scene: scene to render.
+        camera: camera to set.
+    """
     if scene.camera is None:
         scene.camera = bpy.data.objects.new("irgspp camera", bpy.data.cameras.new("irgspp camera"))
         scene.collection.objects.link(scene.camera)
@@ -80,10 +92,11 @@ def place_camera(scene: bpy.types.Scene, camera: Camera) -> None:
 
 
 def render_image(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
-    """The scene through its camera.
+    """Render the scene through its camera.
 
-    Returns `rgba` (H, W, 4) linear premultiplied and denoised; `albedo` (H, W, 3) linear and `material` (H, W, 2) roughness and
-    metallic, both divided by alpha, 0 where nothing is.
+    Returns:
+        "rgba" (H, W, 4) linear premultiplied and denoised; "albedo" (H, W, 3) linear and "material" (H, W, 2), roughness and metallic, both
+        divided by alpha, 0 where nothing is.
     """
     scene.cycles.use_denoising = True
     scene.cycles.denoiser = "OPENIMAGEDENOISE"
@@ -100,7 +113,15 @@ def render_image(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
 
 
 def render_geometry(scene: bpy.types.Scene, camera: Camera) -> dict[str, np.ndarray]:
-    """What one ray through each pixel centre hits: `normal` (H, W, 3) unit world, `depth` (H, W) planar; 0 where nothing is."""
+    """Render the geometry that one ray through each pixel's centre hits.
+
+    Args:
+        scene: scene to render.
+        camera: the scene's camera.
+
+    Returns:
+        "normal" (H, W, 3) unit, in world axes, "depth" (H, W) planar; 0 where nothing is.
+    """
     samples = scene.cycles.samples
     scene.cycles.use_denoising, scene.cycles.samples, scene.cycles.filter_width = False, 1, 0.01
     channels = _render_layers(scene)
@@ -113,7 +134,7 @@ def render_geometry(scene: bpy.types.Scene, camera: Camera) -> dict[str, np.ndar
 
 
 def _render_layers(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
-    """Render to a multilayer EXR and read it: pass and channel -> (H, W)."""
+    """Render to a multilayer EXR and return its channels (H, W) by pass and channel."""
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "MULTI_LAYER_IMAGE"
@@ -128,11 +149,22 @@ def _render_layers(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
 
 
 def _stack(channels: dict[str, np.ndarray], layer: str, names: str) -> np.ndarray:
+    """Return channels of a layer as (H, W, C)."""
     return np.stack([channels[f"{layer}.{name}"] for name in names], -1)
 
 
 def visible_points(scene: bpy.types.Scene, cameras: list[Camera], count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Area-uniform samples of the surface that some camera sees: positions (N, 3) and geometric normals (N, 3), N <= count."""
+    """Draw area-uniform samples of the surface that some camera sees.
+
+    Args:
+        scene: scene with the surface.
+        cameras: cameras that may see it.
+        count: number of samples at most.
+        seed: seed of the samples.
+
+    Returns:
+        Positions (N, 3) and geometric normals (N, 3), N <= count.
+    """
     triangles = world_triangles(scene)
     tree = BVHTree.FromPolygons(triangles.reshape(-1, 3).tolist(), np.arange(3 * len(triangles)).reshape(-1, 3).tolist())
     a, b, c = triangles.transpose(1, 0, 2)
@@ -150,6 +182,7 @@ def visible_points(scene: bpy.types.Scene, cameras: list[Camera], count: int, se
 
 
 def _sees(tree: BVHTree, eye: np.ndarray, point: np.ndarray, slack: float) -> bool:
+    """Return True where the first hit of a ray from the eye is the point."""
     ray = Vector(point - eye)
     distance = ray.length
     hit = tree.ray_cast(Vector(eye), ray.normalized())[3]
@@ -157,7 +190,7 @@ def _sees(tree: BVHTree, eye: np.ndarray, point: np.ndarray, slack: float) -> bo
 
 
 def world_triangles(scene: bpy.types.Scene) -> np.ndarray:
-    """(T, 3, 3) corners of everything that renders, modifiers applied."""
+    """Return the corners of everything that renders, with modifiers applied, (T, 3, 3)."""
     graph = bpy.context.evaluated_depsgraph_get()
     parts = []
     for thing in scene.objects:

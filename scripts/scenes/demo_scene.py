@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene of the embedded dataset: Blender's monkey in blotchy glaze on a copper ring; or all of it of one kind, as a .blend.
+"""Scene of the embedded dataset: Blender's monkey in a mottled glaze on a copper ring; or both of one material, as a .blend file.
 
 python scripts/scenes/demo_scene.py mixed|low-gloss|glossy FILE.blend
 """
@@ -13,13 +13,18 @@ from pathlib import Path
 import bpy
 from irgspp.irgspp_addon.world.light_to_world import node_tree
 
-KINDS = {"mixed": ("glaze", "copper"), "low-gloss": ("glaze", "glaze"), "glossy": ("copper", "copper")}  # of the monkey, of the ring
+KINDS = {
+    "mixed": ("glaze", "copper"),
+    "low-gloss": ("glaze", "glaze"),
+    "glossy": ("copper", "copper"),
+}  # materials of the monkey and of the ring
 
 
 def build_demo_scene(kind: str = "mixed") -> list[bpy.types.Object]:
-    """Fill an empty file with the demonstration objects, inside radius 1.3 around the origin, and return them.
+    """Fill an empty file with the demonstration's objects, inside radius 1.3 around the origin, and return them.
 
-    kind: one of KINDS.
+    Args:
+        kind: one of KINDS.
     """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.mesh.primitive_monkey_add(size=1.75, location=(0.0, 0.05, 0.08), rotation=(radians(-18), 0.0, 0.0))
@@ -40,7 +45,7 @@ def build_demo_scene(kind: str = "mixed") -> list[bpy.types.Object]:
 
 
 def _glaze() -> bpy.types.Material:
-    """A dielectric: soft patches of four colours, and roughness that changes on another scale."""
+    """Return a dielectric with soft patches of four colours, and roughness that varies on another scale."""
     material = bpy.data.materials.new("glaze")
     nodes, links = node_tree(material)
     principled, position = _principled(nodes, links)
@@ -55,7 +60,7 @@ def _glaze() -> bpy.types.Material:
 
 
 def _copper() -> bpy.types.Material:
-    """A metal whose roughness changes slowly along the ring."""
+    """Return a metal whose roughness varies slowly along the ring."""
     material = bpy.data.materials.new("copper")
     nodes, links = node_tree(material)
     principled, position = _principled(nodes, links)
@@ -66,6 +71,7 @@ def _copper() -> bpy.types.Material:
 
 
 def _principled(nodes, links):
+    """Return a Principled BSDF connected to the output, and the world position."""
     principled = nodes.new("ShaderNodeBsdfPrincipled")
     output = nodes.new("ShaderNodeOutputMaterial")
     links.new(principled.outputs["BSDF"], output.inputs["Surface"])
@@ -73,7 +79,7 @@ def _principled(nodes, links):
 
 
 def _noise(nodes, links, position, scale: float, offset: float):
-    """Smooth noise of the world position, about 0.3..0.7."""
+    """Return smooth noise of the world position, about 0.3..0.7."""
     shift = nodes.new("ShaderNodeVectorMath")
     shift.inputs[1].default_value = (offset, offset, offset)
     noise = nodes.new("ShaderNodeTexNoise")
@@ -84,7 +90,7 @@ def _noise(nodes, links, position, scale: float, offset: float):
 
 
 def _mapped(nodes, links, value, low: float, high: float):
-    """Noise 0.35..0.65 spread over low..high."""
+    """Return noise 0.35..0.65 mapped to low..high."""
     spread = nodes.new("ShaderNodeMapRange")
     for index, number in enumerate((0.35, 0.65, low, high), 1):
         spread.inputs[index].default_value = number
@@ -93,6 +99,7 @@ def _mapped(nodes, links, value, low: float, high: float):
 
 
 def _fill(ramp: bpy.types.ColorRamp, stops: list[tuple[float, tuple[float, float, float]]]) -> None:
+    """Set the stops of a colour ramp."""
     while len(ramp.elements) < len(stops):
         ramp.elements.new(0.5)
     for element, (position, colour) in zip(ramp.elements, stops, strict=True):

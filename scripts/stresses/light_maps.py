@@ -11,7 +11,7 @@ from irgspp.core.shading.environment_lookup import lookup, solid_angles, texel_d
 
 
 def maps(height: int = 32) -> dict[str, torch.Tensor]:
-    """Extreme lights by name, (H, W, 3)."""
+    """Return extreme light maps (H, W, 3) by name, most of some height."""
     black = torch.zeros(height, 2 * height, 3)
     lamp, pole, seam = black.clone(), black.clone(), black.clone()
     lamp[height // 3, height // 2] = 1e6
@@ -24,13 +24,21 @@ def maps(height: int = 32) -> dict[str, torch.Tensor]:
 
 
 def lattice(count: int) -> torch.Tensor:
-    """(count, 2) float64 points spread evenly over the unit square."""
+    """Return points spread evenly over the unit square, (count, 2) float64."""
     i = torch.arange(count, dtype=torch.float64)
     return torch.stack([(i + 0.5) / count, (i * 0.6180339887498949) % 1], 1)
 
 
 def filtered(light: torch.Tensor, roughness: float | None) -> torch.Tensor:
-    """(H, W, 3) float64: every texel as the weighted mean of all others; roughness None is the cosine filter."""
+    """Prefilter a light map by the definition: every texel is the weighted mean of all others.
+
+    Args:
+        light: (H, W, 3).
+        roughness: of the GGX lobe; None for the cosine filter.
+
+    Returns:
+        (H, W, 3) float64.
+    """
     height, width = light.shape[:2]
     towards = texel_directions(height, width, torch.float64).reshape(-1, 3)
     cosine = (towards @ towards.T).clamp(-1, 1)
@@ -41,7 +49,16 @@ def filtered(light: torch.Tensor, roughness: float | None) -> torch.Tensor:
 
 
 def quadrature(light: torch.Tensor, normal: torch.Tensor, finer: int = 8) -> torch.Tensor:
-    """(P, 3) float64 irradiance / pi of planes under a map, bilinear between texels, on a grid so many times finer."""
+    """Integrate a light map, bilinear between texels, over the hemispheres of planes.
+
+    Args:
+        light: (H, W, 3).
+        normal: unit normals (P, 3).
+        finer: factor of the grid's resolution.
+
+    Returns:
+        Irradiance / pi (P, 3), float64.
+    """
     height, width = finer * light.shape[0], finer * light.shape[1]
     towards = texel_directions(height, width, torch.float64).reshape(-1, 3)
     shining = lookup(light.double(), towards) * solid_angles(height, width, torch.float64).repeat_interleave(width)[:, None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light maps of any brightness, contrast and size: distribution, lookup, filters, and images under them."""
+"""Light maps of any brightness, contrast and size: distribution, lookup, prefiltering, and images under them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from irgspp.core.stages.first.initialization import surfels
 
 from .case import Measured, group, relative
 from .light_maps import filtered, lattice, maps, quadrature
-from .references import camera
+from .surfel_scenes import camera
 
 case = group("lights")
 SAMPLES = 4096
@@ -33,10 +33,11 @@ SAMPLES = 4096
 @case(
     "distributions of extreme maps",
     """One texel of 1e6 in black (in the middle, at the pole, on the seam), 1e-12, white, black, 2x1, 1x1 and 1x2 texels: the density
-    integrates to 1 to 1e-6, is that of float64 to 1e-5, and 4096 samples fall into texels as it says (to 0.002 of all).""",
+    integrates to 1 to 1e-6, is that of float64 to 1e-5, and 4096 samples fall into texels accordingly (to 0.002 of all).""",
 )
 def distributions(measured: Measured) -> None:
-    total, error, share = 0.0, 0.0, 0.0
+    """Check the distributions of extreme maps."""
+    total, error, fraction = 0.0, 0.0, 0.0
     for name, light in maps().items():
         ours, exact = LightDistribution(light), LightDistribution(light.double())
         height, width = light.shape[:2]
@@ -50,19 +51,20 @@ def distributions(measured: Measured) -> None:
         error = max(error, float(((ours.texels - exact.texels).abs() / exact.texels).max()))
         u, v = direction_to_uv(direction.double())
         place = (v * height).long().clamp(0, height - 1) * width + (u * width).long().clamp(0, width - 1)
-        share = max(share, float((torch.bincount(place, minlength=height * width) / SAMPLES - probability).abs().max()))
+        fraction = max(fraction, float((torch.bincount(place, minlength=height * width) / SAMPLES - probability).abs().max()))
     measured.at_most("integral off by", total, 1e-6)
     measured.at_most("density's error", error, 1e-5)
-    measured.at_most("samples' share off by", share, 2e-3)
+    measured.at_most("samples' fraction off by", fraction, 2e-3)
 
 
 @case(
     "a sample's own density",
     """Directions drawn by the kernel for 200 points under each of these maps carry the density that float64 gives to the very texel they
-    were drawn from, but for 1 in 1000, which float32 rounds over a texel's edge; a stray one's weight in an image is bounded, as the
-    mixture's other parts hold it.""",
+    were drawn from, but for 1 in 1000, which float32 rounds over a texel's edge; the weight of such a sample in an image is bounded
+    by the mixture's other parts.""",
 )
 def own_density(measured: Measured) -> None:
+    """Check the densities that samples carry."""
     g = torch.Generator().manual_seed(1)
     normal = torch.nn.functional.normalize(torch.randn(200, 3, generator=g), dim=1)
     roughness, astray = torch.rand(200, generator=g), 0.0
@@ -73,15 +75,16 @@ def own_density(measured: Measured) -> None:
         true = exact.density(samples.direction.double())
         off = (samples.density - true).abs() > 1e-4 * true
         astray = max(astray, float(off.double().mean()))
-    measured.at_most("share astray", astray, 1e-3)
+    measured.at_most("fraction over an edge", astray, 1e-3)
 
 
 @case(
-    "filters of extreme maps",
+    "prefiltering of extreme maps",
     """Diffuse and specular prefiltering of all these maps: finite, never negative, that of float64 by its definition to 1e-6 of the
     brightest texel, white stays white to 1e-6; gradients finite.""",
 )
 def filters(measured: Measured) -> None:
+    """Check diffuse and specular prefiltering."""
     least, error = math.inf, 0.0
     for name, light in maps(8).items():
         leaf = light.clone().requires_grad_()
@@ -106,6 +109,7 @@ def filters(measured: Measured) -> None:
     are finite.""",
 )
 def poles_and_seam(measured: Measured) -> None:
+    """Check lookups at the poles and the seam."""
     height, width = 4096, 8192
     theta = torch.cat([torch.logspace(-7, -1, 61, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)])
     theta = torch.cat([theta, math.pi - theta])
@@ -139,7 +143,7 @@ def poles_and_seam(measured: Measured) -> None:
 
 @cache
 def ball() -> Reconstruction:
-    """A ball of 2000 surfels beside a small one, grey, half of it glossy metal."""
+    """Return a ball of 2000 surfels next to a small one, grey, half of it glossy metal."""
     z, angle = 1 - 2 * (np.arange(2000) + 0.5) / 2000, np.arange(2000) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
     gaussians = surfels(normal, normal, np.full((2000, 3), 0.5), np.full(2000, math.sqrt(4 * math.pi / 2000)), 0.99)
@@ -152,10 +156,11 @@ def ball() -> Reconstruction:
 
 @case(
     "images under extreme maps",
-    """Two balls relit by each of these maps: finite, not negative, black under black, at most what the brightest texel could send, 1e-12
-    of the image under white where the light is 1e-12 (to 1e-3); under white no pixel sends back more than 1 (5 % of noise).""",
+    """Two balls relit by each of these maps: finite, not negative, black under black, at most as bright as the brightest texel allows,
+    1e-12 of the image under white where the light is 1e-12 (to 1e-3); under white no pixel reflects more than 1 (5 % of noise).""",
 )
 def images(measured: Measured) -> None:
+    """Check relit images."""
     scene = ball()
     relighter = Relighter(scene, GaussianQuery(scene), RelightSettings(samples=32))
     surface = relighter.surface(camera(32, (3.0, 1.25, 2.0)))
@@ -170,11 +175,12 @@ def images(measured: Measured) -> None:
 
 
 @case(
-    "light that reaches a plane",
+    "irradiance of a plane",
     """A white plane under one texel of 1e6, wherever it is, and under all other maps: 256 samples find the irradiance that float64
     quadrature finds to 3 % (the lamp is one in 2048 texels), in the mean over 16 planes.""",
 )
 def irradiance(measured: Measured) -> None:
+    """Check the irradiance of planes."""
     g = torch.Generator().manual_seed(4)
     for name, light in maps().items():
         if name == "black" or min(light.shape[:2]) < 2:
@@ -191,16 +197,17 @@ def irradiance(measured: Measured) -> None:
 
 @case(
     "files with impossible texels",
-    "Maps with NaN, infinity, negative and no light at all are repaired to finite ones >= 0 with a remark for each, black to a dim grey.",
+    "Maps with NaN, infinite or negative texels, and black ones, are repaired to finite values >= 0, black to grey, with remarks.",
 )
 def impossible(measured: Measured) -> None:
+    """Check the repair of files."""
     image = np.full((4, 8, 3), 0.5, np.float32)
     image[0, 0], image[1, 1], image[2, 2] = np.nan, np.inf, -1.0
     light, remarks = repaired(image, "map")
     measured.holds("finite and >= 0", bool(np.isfinite(light).all() and (light >= 0).all()))
     measured.at_least("remarks", len(remarks), 3)
-    dim, told = repaired(np.zeros((4, 8, 3), np.float32), "map")
-    measured.holds("black is told and made dim", bool(told) and float(dim.min()) == np.float32(DIM))
+    dim, dim_remarks = repaired(np.zeros((4, 8, 3), np.float32), "map")
+    measured.holds("black is reported and made dim", bool(dim_remarks) and float(dim.min()) == np.float32(DIM))
 
 
 @case(
@@ -210,6 +217,7 @@ def impossible(measured: Measured) -> None:
     quick=False,
 )
 def large_map(measured: Measured) -> None:
+    """Check a large map."""
     light = torch.full((4096, 8192, 3), 1e-3)
     for row, column in ((0, 100), (2000, 0), (1500, 4000)):
         light[row, column] = 1e6 * float(solid_angles(4096, 8192, torch.float64)[2048] / solid_angles(4096, 8192, torch.float64)[row])
@@ -230,4 +238,4 @@ def large_map(measured: Measured) -> None:
     measured.at_least("found again by lookup", float(((looked_up - true).abs() <= 1e-3 * true).double().mean()), 0.99)
     scene = ball()
     relighter = Relighter(scene, GaussianQuery(scene), RelightSettings(samples=32))
-    measured.finite("picture", relighter.relit(relighter.surface(camera(32)), prepare(light.numpy())))
+    measured.finite("image", relighter.relit(relighter.surface(camera(32)), prepare(light.numpy())))

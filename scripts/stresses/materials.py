@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials and views at the ends of their ranges: the BRDF, its sampling, its tables, and what they make of light."""
+"""Materials and views at the ends of their ranges: the BRDF, its sampling, its tables, and reflected light."""
 
 from __future__ import annotations
 
@@ -24,17 +24,25 @@ case = group("materials")
 ROUGHNESS = (0.0, 1e-4, 0.05, 0.3, 1.0)
 METALLIC = (0.0, 1.0)
 ALBEDO = (0.0, 1.0)
-COSINES = (-1.0, -0.3, -1e-6, 0.0, 1e-6, 1e-4, 1.5e-3, 0.1, 1.0)  # n.v, below 0 where normals look away; at 0.001 is a kink
+COSINES = (-1.0, -0.3, -1e-6, 0.0, 1e-6, 1e-4, 1.5e-3, 0.1, 1.0)  # n.v, below 0 where normals face away; it is clamped at 0.001
 COUNTS = (64, 128, 64)
 Points = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 def points(cosines: tuple[float, ...] = COSINES, seed: int = 0) -> Points:
-    """view, normal (P, 3), albedo (P, 3), roughness and metallic (P,): every combination, turned at random."""
+    """Return every combination of material and view, with random orientation.
+
+    Args:
+        cosines: values of n.v.
+        seed: seed of the orientations.
+
+    Returns:
+        View and normal (P, 3), albedo (P, 3), roughness and metallic (P,).
+    """
     rows = torch.tensor(list(itertools.product(ROUGHNESS, METALLIC, ALBEDO, cosines)), dtype=torch.float64)
     g = torch.Generator().manual_seed(seed)
     normal = torch.nn.functional.normalize(torch.randn(len(rows), 3, generator=g, dtype=torch.float64), dim=1)
-    normal[:6] = torch.cat([torch.eye(3), -torch.eye(3)]).double()  # frames have their corner cases along the axes
+    normal[:6] = torch.cat([torch.eye(3), -torch.eye(3)]).double()  # tangent frames have their special cases along the axes
     aside = torch.linalg.cross(normal, torch.randn(len(rows), 3, generator=g, dtype=torch.float64))
     aside = torch.nn.functional.normalize(aside, dim=1)
     n_v = rows[:, 3:]
@@ -44,37 +52,44 @@ def points(cosines: tuple[float, ...] = COSINES, seed: int = 0) -> Points:
 
 
 def grazing_mirrors(values: Sequence[torch.Tensor]) -> torch.Tensor:
-    """(P,) which points are mirrors seen at grazing angles, where float32 has its limit.
+    """Return a mask (P,) of mirrors seen at grazing angles, where float32 has its limit.
 
     There direction and view almost cancel in the half vector, which is 2e-3 long and known to 1e-7, and the lobe is 2.5e-3 wide: a sample's
-    weight is known to some per cent, the mean of many to less.
+    weight is known to some per cent, the mean of many more precisely.
     """
     view, normal, _, roughness, _ = values
     return (roughness <= 0.05) & ((view * normal).sum(1) < 2e-3)
 
 
 def some_light(height: int = 16) -> torch.Tensor:
-    """(H, 2H, 3) bright and dark texels."""
+    """Return a light map of bright and dark texels, (H, 2H, 3)."""
     return torch.rand(height, 2 * height, 3, generator=torch.Generator().manual_seed(2)) ** 4 * 10
 
 
 def estimate(values: list[torch.Tensor], samples: Samples, incoming: torch.Tensor) -> torch.Tensor:
-    """(P, 3) reflected light."""
+    """Return reflected light (P, 3).
+
+    Args:
+        values: `points`.
+        samples: directions (P, N, 3) and densities (P, N).
+        incoming: incident radiance (P, N, 3).
+    """
     view, normal, albedo, roughness, metallic = values
     return sum(reflect_light(view, normal, albedo, roughness, metallic, samples, incoming))  # type: ignore[return-value]
 
 
 def in_double(samples: Samples) -> Samples:
-    """The same samples for the float64 twin."""
+    """Return samples in float64 for the reference."""
     return Samples(samples.direction.double(), samples.density.double())
 
 
 @case(
     "reflected light at all extremes",
-    """Roughness 0 to 1, metallic and albedo 0 and 1, n.v from 1e-6, normals flipped and back-facing: light sent back is finite,
-    not negative, and that of the float64 twin to 1e-4 of the light (1e-2 for mirrors at n.v < 0.002, float32's limit).""",
+    """Roughness 0 to 1, metallic and albedo 0 and 1, n.v from 1e-6, normals flipped and back-facing: reflected light is finite,
+    not negative, and that of the float64 reference to 1e-4 of the light (1e-2 for mirrors at n.v < 0.002, float32's limit).""",
 )
 def reflection(measured: Measured) -> None:
+    """Check reflected light."""
     values = list(points())
     light = LightDistribution(some_light())
     samples = draw(values[0], values[1], values[3], COUNTS, light, torch.Generator().manual_seed(3))
@@ -95,6 +110,7 @@ def reflection(measured: Measured) -> None:
     1e-3 (of mirrors at n.v < 0.002 to 0.1, float32's limit).""",
 )
 def gradients(measured: Measured) -> None:
+    """Check the gradients of reflected light."""
     inputs = [*points(), *_incoming()]
     samples = draw(inputs[0], inputs[1], inputs[3], COUNTS, LightDistribution(some_light()), torch.Generator().manual_seed(3))
     weight = torch.rand(len(inputs[0]), 3, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
@@ -110,19 +126,22 @@ def gradients(measured: Measured) -> None:
 
 
 def _incoming() -> list[torch.Tensor]:
+    """Return random incident light."""
     return [torch.rand(len(points()[0]), sum(COUNTS), 3, generator=torch.Generator().manual_seed(4))]
 
 
 def _leaves(inputs: list[torch.Tensor], dtype: torch.dtype) -> list[torch.Tensor]:
+    """Return inputs as leaves of a precision."""
     return [value.detach().to(dtype).clone().requires_grad_() for value in inputs]
 
 
 @case(
     "gradients by finite differences",
-    """Roughness, metallic, albedo: slopes of the float64 twin by finite differences agree with the float32 kernel's gradients to 1e-3
+    """Roughness, metallic, albedo: slopes of the float64 reference by finite differences agree with the float32 kernel's gradients to 1e-3
     (roughness above its floor of 0.05; below it the gradient is 0).""",
 )
 def finite_differences(measured: Measured) -> None:
+    """Check gradients by finite differences."""
     values = list(points((1e-3, 0.1, 1.0)))
     samples = draw(values[0], values[1], values[3], COUNTS, LightDistribution(some_light()), torch.Generator().manual_seed(3))
     incoming = torch.rand(*samples.direction.shape, generator=torch.Generator().manual_seed(4))
@@ -146,11 +165,12 @@ def finite_differences(measured: Measured) -> None:
 
 @case(
     "energy under a white sky",
-    """No material sends back more than it gets: diffuse and specular together are at most 1 under a white sky, for every view, by
-    sampling (4096 samples; 1 % of noise) and by split-sum (0.1 %); a black metal seen frontally sends back nothing. What the table says
-    of metal is what the samples say, to 0.01 (0.05 where n.v lies in the table's first step of 1/63).""",
+    """No material reflects more than it receives: diffuse and specular together are at most 1 under a white sky, for every view, by
+    sampling (4096 samples; 1 % of noise) and by split-sum (0.1 %); a black metal seen frontally reflects nothing. The table's albedo
+    of metal is that of the samples to 0.01 (0.05 where n.v lies in the table's first step of 1/63).""",
 )
 def energy(measured: Measured) -> None:
+    """Check the conservation of energy."""
     view, normal, albedo, roughness, metallic = points(tuple(c for c in COSINES if c >= 0))
     white = torch.ones(16, 32, 3)
     many = (1024, 2048, 1024)
@@ -170,9 +190,11 @@ def energy(measured: Measured) -> None:
 
 @case(
     "tables of the specular albedo",
-    """For roughness and n.v from 0 to 1 and beyond their ends: between 0 and 1, finite gradients, what is left for the body too.""",
+    """For roughness and n.v from 0 to 1 and beyond their ends: albedo and
+    the fraction left to the diffuse lobe are between 0 and 1, gradients finite.""",
 )
 def tables(measured: Measured) -> None:
+    """Check the tables of the specular albedo."""
     ends = torch.tensor([-1.0, 0.0, 1e-6, 1e-4, 1e-3, 0.05, 0.5, 1.0, 1.5])
     n_v, roughness = (v.flatten().requires_grad_() for v in torch.meshgrid(ends, ends, indexing="ij"))
     f0 = torch.linspace(0, 1, len(n_v))[:, None].repeat(1, 3).requires_grad_()
@@ -187,9 +209,10 @@ def tables(measured: Measured) -> None:
 @case(
     "directions drawn at all extremes",
     """Directions are unit to 1e-6, densities finite and positive, those of the float64 mixture in the same directions to 1e-3 (99.9 % of
-    them; mirrors at n.v < 0.002 to 0.3); what a sample carries, f cos / density, is at most 10 times the light.""",
+    them; mirrors at n.v < 0.002 to 0.3); a sample's weight, f cos / density, is at most 10.""",
 )
 def directions(measured: Measured) -> None:
+    """Check the sampled directions and their densities."""
     view, normal, _, roughness, _ = points()
     light = LightDistribution(some_light())
     samples = draw(view, normal, roughness, COUNTS, light, torch.Generator().manual_seed(7))
@@ -203,13 +226,24 @@ def directions(measured: Measured) -> None:
     bent, alpha = facing(view, normal), ggx_alpha(roughness)
     n_l, value, _ = specular_lobe(bent, normal, alpha, samples.direction)
     carried = (value * n_l.clamp_min(0) / samples.density).max()
-    measured.at_most("carried", float(carried), 10)
+    measured.at_most("weight", float(carried), 10)
 
 
 def mixture_density(
     view: torch.Tensor, normal: torch.Tensor, roughness: torch.Tensor, direction: torch.Tensor, light: LightDistribution
 ) -> torch.Tensor:
-    """(P, N) float64 density of the mixture of COUNTS, each part from its formula: cos / pi, G1 D / (4 n.v), the light's texel."""
+    """Return the density of the mixture of COUNTS, each part by its formula: cos / pi, G1 D / (4 n.v), the light's texel.
+
+    Args:
+        view: (P, 3) unit.
+        normal: (P, 3) unit.
+        roughness: (P,).
+        direction: (P, N, 3) unit.
+        light: distribution of the light.
+
+    Returns:
+        (P, N) float64.
+    """
     n, d = normal.double()[:, None], direction.double()
     v = facing(view.double(), normal.double())[:, None]
     a2 = ggx_alpha(roughness.double())[:, None] ** 2
@@ -232,6 +266,7 @@ def mixture_density(
     float64 lobe to 1e-3 of the largest, and the sums are the rows times the light to 1e-4.""",
 )
 def lobes(measured: Measured) -> None:
+    """Check the lobes of the second stage."""
     view, normal, _, roughness, _ = points()
     place = torch.arange(len(view)).numpy()
     height = 8
@@ -248,7 +283,7 @@ def lobes(measured: Measured) -> None:
     true = value * n_l.clamp_min(0) * angle
     rows = torch.from_numpy(np.stack([scaled, added]))
     exact = torch.stack([true * (1 - power), true * power])
-    front = (view * normal).sum(1) > 1e-3  # at and behind the silhouette the kernel takes n.v for 0.001 and leaves the view as it is
+    front = (view * normal).sum(1) > 1e-3  # at and behind the silhouette the kernel uses n.v = 0.001 with the unchanged view
     measured.finite("rows", rows)
     measured.at_least("least", float(rows.min()), 0.0)
     measured.at_most("error", float((rows - exact)[:, front].abs().max() / exact[:, front].max()), 1e-3)

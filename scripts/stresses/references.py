@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Disks seen by the rasteriser and the ray tracer in float32 and by their twins in float64, and how far these are apart.
+"""Comparison of the float32 rasteriser and ray tracer with their float64 references.
 
-Both kernels take decisions: alpha below 1/255 is nothing, below 2 % of the light left a ray is done, the nearer disk comes first. Where
-one hangs by a rounding error, float32 and float64 may rightly differ. Such rays are found by the reference alone: it is asked again with
-NOISE in its inputs, a few units in float32's last place, and where its own answer moves by more than UNDECIDED, a share of what is
-tolerated, the ray counts as undecided. Their share is said in the table and limited; on all others the kernels must compare with the reference.
+Both kernels take decisions: alpha below 1/255 is ignored, a ray stops below 2 % of transmittance, the nearer surfel comes first. Where one
+depends on a rounding error, float32 and float64 may rightly differ. Such rays are found by the reference alone: it is evaluated again with
+NOISE in its inputs, a few units in float32's last place, and where its own answer changes by more than UNDECIDED, a fraction of the
+tolerance, the ray counts as undecided. The fraction of undecided rays is reported and limited; on all others the kernels must agree with
+the reference.
 
-What is perturbed: directions and logarithms; in images the place relative to the camera, along rays their direction. Differences of
-places are exact in float32, so that nothing else has a rounding error that depends on where the scene lies.
+Perturbed values: directions and logarithms; in images the position relative to the camera, along rays their direction. Differences of
+positions are exact in float32, so that no other rounding error depends on where the scene lies.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -23,53 +23,42 @@ from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.reference.rasterize import rasterize_reference
 from irgspp.core.kernels.reference.trace import trace_reference
 from irgspp.core.kernels.trace import trace
-from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.camera import Camera
 
 from .case import Measured, relative
+from .surfel_scenes import GEOMETRY, Rays, Surfels
 
-NOISE = 2.0**-21
-UNDECIDED = 0.3  # of what is tolerated
+NOISE = 2.0**-21  # relative
+UNDECIDED = 0.3  # fraction of the tolerance
 TOLERANCE = 1e-4  # of a sum, relative where it is above 1
 GRADIENT = 1e-3  # relative L2 of each parameter's gradient, or 10 times what NOISE does to the reference's
-GEOMETRY = ("position", "quaternion", "log_scale", "opacity")
 
-Surfels = dict[str, torch.Tensor]
-Rays = tuple[torch.Tensor, torch.Tensor]
 Evaluator = Callable[[Surfels], torch.Tensor]
 Perturb = Callable[[Surfels, int], Surfels]
 
 
-def cloud(count: int, seed: int = 0, size: float = 0.12) -> Surfels:
-    """Disks of any orientation in a ball of about 1, of scale `size`, with opacity logits around 0."""
-    g = torch.Generator().manual_seed(seed)
-    random = lambda *shape: torch.randn(*shape, generator=g)  # noqa: E731
-    geometry = (random(3, count) * 0.5, random(4, count), math.log(size) + 0.3 * random(2, count), 1.5 * random(count))
-    rest = {"sh": 0.3 * random(16, 3, count), "extra": torch.rand(2, count, generator=g)}
-    return dict(zip(GEOMETRY, geometry, strict=True)) | rest
-
-
-def camera(size: int = 24, eye: tuple[float, float, float] = (3.0, 1.25, 2.0), target: tuple[float, float, float] = (0, 0, 0)) -> Camera:
-    """A small image; `eye` must be a number of float32, in which the kernels see it."""
-    return Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(eye, target))
-
-
-def scattered(count: int, seed: int = 0, spread: float = 0.7) -> Rays:
-    """Rays in all directions from places in and around the cloud."""
-    g = torch.Generator().manual_seed(seed)
-    direction = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=1)
-    return spread * torch.randn(count, 3, generator=g), direction
-
-
 @dataclass
 class Evaluation:
-    """What one of two viewers made of the surfels: rows of sums (P, C), and gradients by parameter."""
+    """Result of one implementation.
+
+    Attributes:
+        rows: sums (P, C).
+        gradients: gradients by parameter.
+    """
 
     rows: torch.Tensor
     gradients: dict[str, torch.Tensor | None]
 
 
 def evaluated(evaluator: Evaluator, values: Surfels, weight: torch.Tensor | None, dtype: torch.dtype) -> Evaluation:
-    """Sums of a evaluator, and gradients of their sum weighted by (P, C)."""
+    """Evaluate an implementation.
+
+    Args:
+        evaluator: rasteriser or ray tracer.
+        values: surfels.
+        weight: weights of the sums (P, C) for the gradients; None: no gradients.
+        dtype: precision.
+    """
     leaves = {name: value.detach().to(dtype).clone().requires_grad_() for name, value in values.items()}
     rows = evaluator(leaves)
     if weight is not None and rows.requires_grad:
@@ -78,7 +67,14 @@ def evaluated(evaluator: Evaluator, values: Surfels, weight: torch.Tensor | None
 
 
 def perturbed_values(values: Surfels, perturbed: Sequence[str], eye: np.ndarray | None, seed: int) -> Surfels:
-    """The values in float64, those named with NOISE: of directions, logarithms, and distances from `eye` (3,)."""
+    """Return the values in float64 with NOISE added to some.
+
+    Args:
+        values: surfels.
+        perturbed: names of the parameters.
+        eye: point (3,) whose distance scales the noise of positions.
+        seed: seed of the noise.
+    """
     g = torch.Generator().manual_seed(seed)
     moved = {name: value.double() for name, value in values.items()}
     for name in perturbed:
@@ -94,9 +90,13 @@ def perturbed_values(values: Surfels, perturbed: Sequence[str], eye: np.ndarray 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a comparison allows: the share of undecided rays and the error of the others.
+    """Limits of a comparison.
 
-    perturbed: what noise is added to, `tries` times; None: all that the evaluator's rounding errors come from.
+    Attributes:
+        undecided: largest fraction of undecided rays.
+        tolerance: largest error of the other rays' sums.
+        perturbed: parameters with noise; None: all that rounding errors come from.
+        tries: number of perturbed evaluations.
     """
 
     undecided: float = 0.1
@@ -111,8 +111,17 @@ ALLOWED = Limits()
 def compare(
     measured: Measured, what: str, pair: tuple[Evaluator, Evaluator], values: Surfels, reference: Surfels, perturb: Perturb, limits: Limits
 ) -> None:
-    """Compare a kernel, which sees `values`, with its reference, which sees `reference`: sums over the rays that are decided, and gradients of
-    their randomly weighted sum."""
+    """Compare a kernel with its reference: sums over the decided rays, and gradients of their randomly weighted sum.
+
+    Args:
+        measured: result of the case.
+        what: name of the comparison.
+        pair: kernel and reference.
+        values: surfels that the kernel gets.
+        reference: surfels that the reference gets.
+        perturb: adds noise to surfels by a seed.
+        limits: what the comparison allows.
+    """
     fast, slow = pair
     exact = evaluated(slow, reference, None, torch.float64).rows
     moved = torch.stack([evaluated(slow, perturb(reference, seed), None, torch.float64).rows for seed in range(limits.tries)])
@@ -132,7 +141,7 @@ def compare(
 def _compare_gradients(
     measured: Measured, pair: tuple[Evaluator, Evaluator], values: Surfels, reference: Surfels, perturb: Perturb, weight: torch.Tensor
 ) -> None:
-    """The largest relative error of a gradient, against its limit."""
+    """Compare the gradients, and check the largest relative error against its limit."""
     ours, theirs = evaluated(pair[0], values, weight, torch.float32), evaluated(pair[1], reference, weight, torch.float64)
     moved = [evaluated(pair[1], perturb(reference, seed), weight, torch.float64) for seed in range(2)]
     worst, limit = 0.0, GRADIENT
@@ -140,8 +149,8 @@ def _compare_gradients(
         mine = ours.gradients[name]
         if true is None or mine is None or not true.any():
             continue
-        perturbed = [relative(other.gradients[name], true) for other in moved]  # type: ignore[arg-type]
-        error, allowed = relative(mine, true), max(GRADIENT, 10 * max(perturbed))
+        noise = [relative(other.gradients[name], true) for other in moved]  # type: ignore[arg-type]
+        error, allowed = relative(mine, true), max(GRADIENT, 10 * max(noise))
         if error / allowed > worst / limit:
             worst, limit = error, allowed
     measured.at_most("gradient", worst, limit)
@@ -156,16 +165,29 @@ def compare_images(
     reference: Surfels | None = None,
     limits: Limits = ALLOWED,
 ) -> None:
-    """The rasteriser against its reference."""
+    """Compare the rasteriser with its reference.
+
+    Args:
+        measured: result of the case.
+        what: name of the comparison.
+        values: surfels.
+        view: camera.
+        radius: radius of the scene, which scales the near plane.
+        reference: surfels that the reference gets; None: the same.
+        limits: what the comparison allows.
+    """
     perturbed = GEOMETRY if limits.perturbed is None else limits.perturbed
 
     def fast(v: Surfels) -> torch.Tensor:
+        """Rasterise, (P, C)."""
         return rasterize(*v.values(), view, radius)[0].flatten(1).T
 
     def slow(v: Surfels) -> torch.Tensor:
+        """Rasterise by the reference, (P, C)."""
         return rasterize_reference(*v.values(), view, radius).flatten(1).T
 
     def perturb(v: Surfels, seed: int) -> Surfels:
+        """Add noise to surfels."""
         return perturbed_values(v, perturbed, view.centre, seed)
 
     compare(measured, f"{what}, image", (fast, slow), values, values if reference is None else reference, perturb, limits)
@@ -174,23 +196,29 @@ def compare_images(
 def compare_rays(
     measured: Measured, what: str, values: Surfels, rays: Rays, reference: Surfels | None = None, limits: Limits = ALLOWED
 ) -> None:
-    """The ray tracer against its reference."""
+    """Compare the ray tracer with its reference.
+
+    Args:
+        measured: result of the case.
+        what: name of the comparison.
+        values: surfels.
+        rays: origins and directions (R, 3).
+        reference: surfels that the reference gets; None: the same.
+        limits: what the comparison allows.
+    """
     both = {"origin": rays[0], "direction": rays[1]}
     perturbed = (*GEOMETRY[1:], "direction") if limits.perturbed is None else limits.perturbed
 
     def fast(v: Surfels) -> torch.Tensor:
+        """Trace, (R, C)."""
         return trace(*v.values(), tree=SurfelTree.build(*(v[name] for name in GEOMETRY)))
 
     def slow(v: Surfels) -> torch.Tensor:
+        """Trace by the reference, (R, C)."""
         return trace_reference(*v.values())
 
     def perturb(v: Surfels, seed: int) -> Surfels:
+        """Add noise to surfels and rays."""
         return perturbed_values(v, perturbed, None, seed)
 
     compare(measured, f"{what}, rays", (fast, slow), values | both, (values if reference is None else reference) | both, perturb, limits)
-
-
-def towards(eye: np.ndarray, points: torch.Tensor) -> Rays:
-    """Rays from one place (3,) through points (R, 3)."""
-    origin = torch.as_tensor(eye, dtype=torch.float32).expand(len(points), 3).contiguous()
-    return origin, torch.nn.functional.normalize(points.float() - origin, dim=1)

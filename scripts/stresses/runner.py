@@ -25,7 +25,17 @@ WIDTHS = (34, 50, 58, 7, 6)
 
 
 def examine(cases: Sequence[Case], stem: str, title: str, arguments: Sequence[str] | None) -> int:
-    """Run those of the cases that the arguments choose and report under a name and a title; returns the exit status."""
+    """Run the chosen cases and report them.
+
+    Args:
+        cases: all cases.
+        stem: name of the command and of the report's files.
+        title: title of the report.
+        arguments: options of the command line; None: those of the process.
+
+    Returns:
+        The exit status.
+    """
     options = parsed(arguments, stem, title)
     chosen = selected(cases, options.quick, options.only)
     if not chosen:
@@ -39,6 +49,13 @@ def examine(cases: Sequence[Case], stem: str, title: str, arguments: Sequence[st
 
 
 def parsed(arguments: Sequence[str] | None, stem: str, title: str) -> argparse.Namespace:
+    """Parse the command line.
+
+    Args:
+        arguments: options; None: those of the process.
+        stem: name of the report's files.
+        title: title of the report.
+    """
     parser = argparse.ArgumentParser(description=title)
     parser.add_argument("--quick", action="store_true", help="only the cases that take seconds")
     parser.add_argument("--only", metavar="TEXT", default="", help="only cases with this in their group or name")
@@ -47,12 +64,18 @@ def parsed(arguments: Sequence[str] | None, stem: str, title: str) -> argparse.N
 
 
 def selected(cases: Sequence[Case], quick: bool, only: str) -> list[Case]:
-    """The cases asked for, in the order they were registered."""
+    """Return the chosen cases in the order they were registered.
+
+    Args:
+        cases: all cases.
+        quick: True for the quick cases alone.
+        only: text in the group or name; "" for all.
+    """
     return [case for case in cases if (case.quick or not quick) and only.lower() in f"{case.group}: {case.name}".lower()]
 
 
 def run(cases: Sequence[Case]) -> list[Outcome]:
-    """All of them, one after the other, each told on stderr as it ends."""
+    """Run cases one after the other and print a line on stderr for each."""
     outcomes = []
     for case in cases:
         outcomes.append(attempt(case))
@@ -61,18 +84,18 @@ def run(cases: Sequence[Case]) -> list[Outcome]:
 
 
 def verdict(outcome: Outcome) -> str:
-    """One word."""
+    """Return the result of a case in one word."""
     return "holds" if outcome.passed else "FAILS"
 
 
 def cells(outcome: Outcome) -> tuple[str, str, str, str, str]:
-    """A row of the table."""
+    """Return a case's row of the table."""
     case = outcome.case
     return f"{case.group}: {case.name}", case.holds, "; ".join(outcome.figures), verdict(outcome), f"{outcome.seconds:.1f}"
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
-    """The table for a terminal, long cells wrapped, and a line that sums it up."""
+    """Return the table for a terminal, with wrapped cells, a summary and the faults."""
     rule = "-+-".join("-" * width for width in WIDTHS)
     lines = [_row(HEAD), rule]
     for outcome in outcomes:
@@ -84,6 +107,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def _row(texts: Sequence[str]) -> str:
+    """Return a row of wrapped cells."""
     columns = [_wrapped(text, width) for text, width in zip(texts, WIDTHS, strict=True)]
     height = max(map(len, columns))
     padded = [column + [""] * (height - len(column)) for column in columns]
@@ -92,17 +116,25 @@ def _row(texts: Sequence[str]) -> str:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
+    """Return the lines of a wrapped cell."""
     return textwrap.wrap(text, width) or [""]
 
 
 def about() -> dict[str, str | int]:
-    """The machine and the versions that figures depend on."""
+    """Return the machine and the versions that results depend on."""
     versions = {"python": platform.python_version(), "numpy": numpy.__version__, "torch": torch.__version__, "numba": numba.__version__}
     return {"machine": platform.machine(), "system": platform.system(), "threads": thread_count(), **versions}
 
 
 def write(folder: Path, outcomes: Sequence[Outcome], stem: str, title: str) -> None:
-    """Report as `stem`.json and `stem`.html into `folder`."""
+    """Write the report as `stem`.json and `stem`.html.
+
+    Args:
+        folder: folder to make.
+        outcomes: outcomes in the order they were run.
+        stem: name of the files.
+        title: title of the report.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     records = [
         {
@@ -127,8 +159,8 @@ def page(outcomes: Sequence[Outcome], title: str) -> str:
     """Return the report as HTML text, with a table for each group.
 
     Args:
-        outcomes: Outcomes in the order they were run.
-        title: Title and heading of the page.
+        outcomes: outcomes in the order they were run.
+        title: title and heading of the page.
     """
     groups = []
     for name in dict.fromkeys(o.case.group for o in outcomes):

@@ -8,7 +8,13 @@ from irgspp.core.surface.meshing import Triangles
 
 
 def ball(rows: int, radius: float = 1.0, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Triangles:
-    """A sphere of 4 rows (rows - 2) triangles, without its poles' caps but for a triangle fan each."""
+    """Return a sphere of 4 rows (rows - 2) triangles, without caps at its poles but for a triangle fan each.
+
+    Args:
+        rows: number of rows.
+        radius: radius.
+        centre: centre.
+    """
     columns = 2 * rows
     theta, phi = np.meshgrid(np.arange(1, rows) / rows * np.pi, np.arange(columns) / columns * 2 * np.pi, indexing="ij")
     ring = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
@@ -23,7 +29,12 @@ def ball(rows: int, radius: float = 1.0, centre: tuple[float, float, float] = (0
 
 
 def box(size: tuple[float, float, float], cells: int = 10) -> Triangles:
-    """A closed box of these half widths, each side a grid of cells x cells squares, whose borders are not sewn together."""
+    """Return a closed box whose sides are grids of cells x cells squares and share no vertices.
+
+    Args:
+        size: half widths.
+        cells: squares along a side.
+    """
     u, v = np.meshgrid(np.linspace(-1, 1, cells + 1), np.linspace(-1, 1, cells + 1), indexing="ij")
     i = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1)
     side = np.concatenate([np.stack([i, i + cells + 1, i + cells + 2], -1), np.stack([i, i + cells + 2, i + 1], -1)])
@@ -37,21 +48,21 @@ def box(size: tuple[float, float, float], cells: int = 10) -> Triangles:
 
 
 def round_box(cells: int) -> Triangles:
-    """A unit sphere of 12 cells^2 triangles of like size, sewn together."""
+    """Return a unit sphere of 12 cells^2 triangles of similar size that share vertices."""
     mesh = box((1.0, 1.0, 1.0), cells)
     vertices, welded = np.unique(mesh.vertices.round(9), axis=0, return_inverse=True)
     return Triangles(vertices / np.linalg.norm(vertices, axis=-1, keepdims=True), welded.reshape(-1)[mesh.faces])
 
 
 def joined(*parts: Triangles) -> Triangles:
-    """All of them as one mesh."""
+    """Return several meshes as one."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
     return Triangles(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
 def mobius(count: int = 40) -> Triangles:
-    """A strip with one side: no orientation of its faces agrees."""
+    """Return a strip with one side, whose faces can't be oriented consistently."""
     t = np.arange(count) / count * 2 * np.pi
     rim = [np.stack([(1 + s * np.cos(t / 2)) * np.cos(t), (1 + s * np.cos(t / 2)) * np.sin(t), s * np.sin(t / 2)], -1) for s in (-0.3, 0.3)]
     a, b = np.arange(count), np.roll(np.arange(count), -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that are hard to mesh, unwrap or bake: nothing, thin sheets, many parts, non-manifold, tiny and huge meshes."""
+"""Surfaces that are hard to mesh, unwrap or bake: empty fields, thin sheets, many parts, non-manifold, tiny and huge meshes."""
 
 from __future__ import annotations
 
@@ -37,12 +37,24 @@ BAKED = "UVs lie in the square and hardly overlap, all is finite, normals are un
 
 
 def colour_of(points: np.ndarray) -> np.ndarray:
-    """A smooth colour for every place, (..., 3) in 0..1."""
+    """Return a smooth colour for each point.
+
+    Args:
+        points: (..., 3).
+
+    Returns:
+        (..., 3) in 0..1.
+    """
     return 0.5 + 0.4 * np.sin(points * np.array([2.0, 3.0, 2.5]) + np.array([0.0, 1.0, 2.0]))
 
 
-def seen(mesh: Triangles, views: list[Camera]) -> list[GBuffer]:
-    """What cameras see of a mesh: exact depth and flat normals, both sides alike, coloured by place."""
+def gbuffers_of(mesh: Triangles, views: list[Camera]) -> list[GBuffer]:
+    """Render the G-buffers of a mesh: exact depth and flat normals, two-sided, coloured by position.
+
+    Args:
+        mesh: mesh to render.
+        views: cameras.
+    """
     scene, corners = EmbreeScene(), mesh.vertices[mesh.faces]
     TriangleMesh(scene, np.ascontiguousarray(corners, np.float32))
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -62,15 +74,22 @@ def seen(mesh: Triangles, views: list[Camera]) -> list[GBuffer]:
 
 
 def samples(mesh: Triangles) -> SurfaceSamples:
-    """Points all over a mesh, as its Gaussians would be."""
+    """Return samples all over a mesh, as its Gaussians would be."""
     points, normal = Surface(mesh.vertices, vertex_normals(mesh), mesh.faces, VOXEL).samples(3000, np.random.default_rng(0))
     colour = colour_of(points).astype(np.float32)
     return SurfaceSamples(points, normal, np.full(len(points), 0.9, np.float32), colour, colour[:, 1], colour[:, 2])
 
 
 def check_reconstruction(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS) -> Surface:
-    """From what 12 cameras see of a mesh to a surface, checked, unwrapped and check_baking."""
-    views = seen(mesh, cameras(12, 96, 4.5))
+    """Extract a surface from 12 G-buffers of a mesh, and check it, its UVs and its textures.
+
+    Args:
+        measured: result of the case.
+        what: name of the mesh.
+        mesh: true surface.
+        settings: settings of the extraction.
+    """
+    views = gbuffers_of(mesh, cameras(12, 96, 4.5))
     surface = extract_geometry(views, samples(mesh), BOUND, settings, Silent())
     measured.holds(f"{what}: vertices finite", bool(np.isfinite(surface.vertices).all() and np.isfinite(surface.normals).all()))
     measured.at_most(f"{what}: triangles", len(surface.faces), settings.triangles)
@@ -81,7 +100,16 @@ def check_reconstruction(measured: Measured, what: str, mesh: Triangles, setting
 def check_baking(
     measured: Measured, what: str, surface: Surface, views: list[GBuffer], own: SurfaceSamples, settings: SurfaceSettings = SETTINGS
 ) -> Mesh:
-    """Unwrap and bake, and compare the texels with the colour of the places they show."""
+    """Unwrap and bake a surface, and compare the texels with the colour of their positions.
+
+    Args:
+        measured: result of the case.
+        what: name of the surface.
+        surface: surface to bake.
+        views: G-buffers with its colour.
+        own: samples of its Gaussians.
+        settings: settings of the textures.
+    """
     mesh = textured_mesh(surface, views, own, settings, Silent())
     arrays = [mesh.vertices, mesh.normals, mesh.uvs, mesh.albedo, mesh.roughness, mesh.metallic]
     measured.finite(f"{what}: mesh", [torch.from_numpy(np.ascontiguousarray(array)) for array in arrays])
@@ -102,33 +130,35 @@ def check_baking(
 
 @case(
     "an empty field",
-    """Views that see nothing, depths of NaN, infinity and 0, samples of no opacity, none, or all outside the bound, and depths that
-    agree on no more than a speck: one clear line, no surface.""",
+    """Views that see nothing, depths of NaN, infinity and 0, samples of opacity 0, none, or all outside the bound, and depths that
+    agree on a speck alone: one clear line, no surface.""",
 )
 def empty(measured: Measured) -> None:
-    full = seen(ball(16), cameras(12, 48))
+    """Check fields without a surface."""
+    full = gbuffers_of(ball(16), cameras(12, 48))
     nobody = SurfaceSamples(*(np.zeros(shape, np.float32) for shape in ((0, 3), (0, 3), (0,), (0, 3), (0,), (0,))))
     clear = [replace(view, alpha=0 * view.alpha) for view in full]
     fields = {"nothing": (clear, nobody), "transparent Gaussians": (clear, replace(samples(ball(16)), opacity=np.zeros(3000, np.float32)))}
     for name, value in (("depth NaN", np.nan), ("depth infinite", np.inf), ("depth 0", 0.0), ("outside", 50.0)):
         fields[name] = ([replace(view, depth=np.full_like(view.depth, value)) for view in full], nobody)
-    fields["a speck"] = (seen(ball(8, 1e-9), cameras(12, 48)), nobody)
+    fields["a speck"] = (gbuffers_of(ball(8, 1e-9), cameras(12, 48)), nobody)
     for name, (views, own) in fields.items():
         try:
             surface = extract_geometry(views, own, BOUND, SETTINGS, Silent())
         except IrgsppError as error:
-            measured.holds(f"{name}: told in one line", "\n" not in str(error) and "surface" in str(error))
+            measured.holds(f"{name}: one line", "\n" not in str(error) and "surface" in str(error))
             continue
-        measured.holds(f"{name}: {len(surface.faces)} triangles of nothing", False)
+        measured.holds(f"{name}: {len(surface.faces)} triangles without a surface", False)
 
 
 @case(
     "a thin sheet",
-    """A plate 2 wide and 0.004 thick, a tenth of a voxel, comes out closed: its sides lie within 1 voxel of it, its rim, which no view sees
-    frontally, within 3. """
+    """A plate 2 wide and 0.004 thick, a tenth of a voxel, is reconstructed closed: its sides lie within 1 voxel of it, its rim, which no
+    view sees frontally, within 3. """
     + BAKED,
 )
 def thin(measured: Measured) -> None:
+    """Check a thin sheet."""
     surface = check_reconstruction(measured, "plate", box((1.0, 0.8, 0.002)))
     beyond = np.abs(surface.vertices) - np.array([1.0, 0.8, 0.002])
     voxels, sides = np.maximum(beyond, 0).max(1) / surface.voxel, (beyond[:, :2] < -0.15).all(1)
@@ -140,9 +170,10 @@ def thin(measured: Measured) -> None:
 
 @case(
     "several components",
-    "Balls of 0.6 and 0.4 and one of 0.03 far from them, a fragment: two components come out, closed, where they are. " + BAKED,
+    "Balls of 0.6 and 0.4 and one of 0.03 far from them, a fragment: two closed components are reconstructed in place. " + BAKED,
 )
 def components(measured: Measured) -> None:
+    """Check several components."""
     parts = ball(24, 0.6, (-0.7, 0, 0)), ball(24, 0.4, (0.7, 0.2, 0.3)), ball(8, 0.03, (0.2, 1.0, -0.8))
     surface = check_reconstruction(measured, "balls", joined(*parts))
     mesh = Triangles(surface.vertices, surface.faces)
@@ -154,30 +185,41 @@ def components(measured: Measured) -> None:
 
 
 def _adjacency(mesh: Triangles):
+    """Return the adjacency matrix of the vertices."""
     i, j = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
     return sparse.csr_matrix((np.ones(len(i)), (i, j)), shape=(len(mesh.vertices),) * 2)
 
 
 def _open_edges(faces: np.ndarray) -> int:
+    """Return the number of edges of a single face."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     return int((count == 1).sum())
 
 
 def check_as_is(measured: Measured, what: str, mesh: Triangles, settings: SurfaceSettings = SETTINGS, size: int = 96) -> None:
-    """Unwrap and bake a mesh as it is."""
+    """Unwrap and bake a mesh without extraction.
+
+    Args:
+        measured: result of the case.
+        what: name of the mesh.
+        mesh: mesh to bake.
+        settings: settings of the textures.
+        size: pixels along a side of the G-buffers.
+    """
     surface = Surface(mesh.vertices, vertex_normals(mesh), mesh.faces, VOXEL)
     measured.finite(f"{what}: normals", torch.from_numpy(surface.normals))
-    check_baking(measured, what, surface, seen(mesh, cameras(12, size, 4.5)), samples(mesh), settings)
+    check_baking(measured, what, surface, gbuffers_of(mesh, cameras(12, size, 4.5)), samples(mesh), settings)
 
 
 @case(
     "non-manifold",
     """Three sheets on one edge, two cones on one vertex, a one-sided strip, faces repeated, turned over, without area or on one line, lone
-    vertices: unwrapped and check_baking as they are; cleaned, smoothed and decimated they stay finite. """
+    vertices: unwrapped and baked as they are; cleaned, smoothed and decimated they stay finite. """
     + BAKED,
 )
 def non_manifold(measured: Measured) -> None:
+    """Check meshes that are not manifold."""
     book = Triangles(
         np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0], [-0.5, 0.9, 0], [-0.5, -0.9, 0.0]]), np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     )
@@ -190,11 +232,12 @@ def non_manifold(measured: Measured) -> None:
         check_as_is(measured, name, mesh)
         mended = decimated(smoothed(main_components(cleaned(mesh), 0.0), 5), max(4, len(mesh.faces) // 2))
         measured.finite(f"{name} cleaned, smoothed, decimated", torch.from_numpy(mended.vertices))
-        measured.holds(f"{name}: something is left", len(mended.faces) > 0)
+        measured.holds(f"{name}: faces are left", len(mended.faces) > 0)
 
 
 @case("10 triangles", "A bipyramid of 10 triangles, one of 1e-6 its size, and one 1000 times as long as wide. " + BAKED)
 def ten(measured: Measured) -> None:
+    """Check tiny meshes."""
     angle = np.arange(5) / 5 * 2 * np.pi
     vertices = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1), [[0, 0, 1.0], [0, 0, -1.0]]])
     a, b = np.arange(5), np.roll(np.arange(5), -1)
@@ -204,10 +247,11 @@ def ten(measured: Measured) -> None:
     small = Triangles(1e-6 * vertices, faces)
     near = [replace(view, to_world=_closer(view.to_world, 1e-6)) for view in cameras(12, 96, 4.5)]
     surface = Surface(small.vertices, vertex_normals(small), small.faces, 1e-6 * VOXEL)
-    check_baking(measured, "1e-6", surface, seen(small, near), samples(small))
+    check_baking(measured, "1e-6", surface, gbuffers_of(small, near), samples(small))
 
 
 def _closer(pose: np.ndarray, factor: float) -> np.ndarray:
+    """Return a pose nearer to the origin."""
     moved = pose.copy()
     moved[:3, 3] *= factor
     return moved
@@ -215,12 +259,13 @@ def _closer(pose: np.ndarray, factor: float) -> np.ndarray:
 
 @case(
     "2 million triangles",
-    """A ball of 2 million, smoothed, decimated to 20,000 as every surface is, within 0.002 of the sphere, closed; that unwrapped and check_baking.
-    (Unwrapping the 2 million themselves is not tried: xatlas takes minutes from 100,000 on.) """
+    """A ball of 2 million, smoothed, decimated to 20,000 as every surface is, within 0.002 of the sphere, closed; that unwrapped and baked.
+    (Unwrapping all 2 million is not tested: xatlas takes minutes from 100,000 on.) """
     + BAKED,
     quick=False,
 )
 def huge(measured: Measured) -> None:
+    """Check a huge mesh."""
     mesh = round_box(409)
     measured.at_least("triangles", len(mesh.faces), 2_000_000)
     few = cleaned(decimated(smoothed(mesh, 2), 20_000))

@@ -12,7 +12,7 @@ import torch
 
 @contextmanager
 def threads_set_to(threads: int) -> Iterator[None]:
-    """Kernels and torch on so many threads."""
+    """Run the kernels and torch with some number of threads within the block."""
     before, torch_before = os.environ.get("IRGSPP_THREADS"), torch.get_num_threads()
     os.environ["IRGSPP_THREADS"] = str(threads)
     torch.set_num_threads(threads)

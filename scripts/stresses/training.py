@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Training where nothing can be learnt: it holds, or it stops with one clear line."""
+"""Training on degenerate photographs: results stay finite, or training stops with one clear message."""
 
 from __future__ import annotations
 
@@ -37,31 +37,57 @@ ColourFunction = Callable[[np.ndarray], np.ndarray]
 
 
 def cameras(count: int, size: int, distance: float = 4.0) -> list[Camera]:
-    """On a spiral around the origin."""
+    """Return cameras on a spiral around the origin.
+
+    Args:
+        count: number of cameras.
+        size: pixels along a side.
+        distance: distance from the origin.
+    """
     z, angle = np.linspace(-0.8, 0.8, count) if count > 1 else np.array([0.3]), np.arange(count) * 2.399963
     r = np.sqrt(1 - z**2)
     places = distance * np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
     return [Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at(place)) for place in places]
 
 
-def checks(points: np.ndarray) -> np.ndarray:
-    """(..., 3) encoded colours of a chequered ball."""
+def chequered(points: np.ndarray) -> np.ndarray:
+    """Return the encoded colours of a chequered ball.
+
+    Args:
+        points: (..., 3).
+
+    Returns:
+        (..., 3).
+    """
     odd = (np.floor(2.5 * points + 0.1).astype(int).sum(-1) % 2 == 0)[..., None]
     return np.where(odd, [0.9, 0.6, 0.2], [0.15, 0.3, 0.5])
 
 
-def flat(value: float) -> ColourFunction:
-    """One grey for every place."""
+def uniform(value: float) -> ColourFunction:
+    """Return a function that gives one grey to every point."""
     return lambda points: np.full((*points.shape[:-1], 3), value)
 
 
 def saturated(points: np.ndarray) -> np.ndarray:
-    """Saturated on one side, black on the other."""
+    """Return colours that are saturated on one side and black on the other.
+
+    Args:
+        points: (..., 3).
+
+    Returns:
+        (..., 3).
+    """
     return np.where(points[..., :1] > 0, np.ones(3), np.zeros(3))
 
 
-def photographs(views: list[Camera], colour_at: ColourFunction = checks, masked: bool = True) -> Dataset:
-    """A unit ball of these colours; its surroundings look like a far wall painted alike."""
+def photographs(views: list[Camera], colour_at: ColourFunction = chequered, masked: bool = True) -> Dataset:
+    """Return a dataset of a unit ball, whose surroundings look like a far wall of the same colours.
+
+    Args:
+        views: cameras.
+        colour_at: encoded colours (..., 3) of points (..., 3).
+        masked: True for views with alpha.
+    """
     images = []
     for i, camera in enumerate(views):
         rays = camera.rays().astype(np.float64)
@@ -76,18 +102,31 @@ def photographs(views: list[Camera], colour_at: ColourFunction = checks, masked:
 
 
 def trainer(dataset: Dataset, kind: MaterialClass, settings: FirstStageSettings = TINY.first) -> Trainer:
-    """On the hull or at random, one view in four held back."""
+    """Return a trainer that starts on the visual hull or at random, with one view in four held back.
+
+    Args:
+        dataset: photographs.
+        kind: material class.
+        settings: settings of the first stage.
+    """
     start = initial_gaussians(dataset, settings.gaussians, np.random.default_rng(0))
     return Trainer(dataset, settings, start, kind, 0, 4 if len(dataset.train) >= 4 else 0)
 
 
 def values(trained: Trainer) -> list[torch.Tensor]:
-    """All that is learnt."""
+    """Return all parameters of a trainer."""
     return [*trained.optimizer.leaves.values(), *trained.optimizer.others.values()]
 
 
 def check_training(measured: Measured, what: str, dataset: Dataset, steps: int = 25) -> None:
-    """Steps of what may be metal and of what may not, each density control included, leave finite values and losses."""
+    """Check that training as a metal and as low-gloss, with density control, leaves finite parameters and losses.
+
+    Args:
+        measured: result of the case.
+        what: name of the dataset.
+        dataset: photographs.
+        steps: number of iterations.
+    """
     settings = replace(TINY.first, iterations=steps)
     for kind in (LOW_GLOSS, METAL):
         fitted = trainer(dataset, kind, settings)
@@ -97,12 +136,13 @@ def check_training(measured: Measured, what: str, dataset: Dataset, steps: int =
 
 @case(
     "white, black, saturated images",
-    """With and without masks, low-gloss and metal: losses, Gaussians and light stay finite; a white and a black object's colour is met
-    to 0.05 after 60 iterations, and the light told apart from it is finite.""",
+    """With and without masks, low-gloss and metal: losses, Gaussians and light stay finite; the colour of a white and a black object is
+    within 0.05 after 60 iterations, and the light separated from it is finite.""",
 )
 def flat_images(measured: Measured) -> None:
+    """Check images of one colour."""
     views = cameras(9, 16)
-    for name, colour_at in (("white", flat(1.0)), ("black", flat(0.0)), ("saturated", saturated)):
+    for name, colour_at in (("white", uniform(1.0)), ("black", uniform(0.0)), ("saturated", saturated)):
         for masked in (True, False):
             check_training(measured, f"{name}{' masked' if masked else ''}", photographs(views, colour_at, masked))
         if name == "saturated":
@@ -118,17 +158,18 @@ def flat_images(measured: Measured) -> None:
 
 @case(
     "images of one pixel, a single view",
-    """The first stage on images of 1x1, 2x2 and 3x3 pixels, and on one view alone, ends with finite values or one clear line; at the
-    door both are refused with one line (exit status 2).""",
+    """The first stage on images of 1x1, 2x2 and 3x3 pixels, and on one view alone, ends with finite values or one clear line; as a
+    dataset both are refused with one line (exit status 2).""",
 )
 def smallest(measured: Measured) -> None:
+    """Check the smallest datasets."""
     for size in (1, 2, 3):
         for masked in (True, False):
             _check_training_or_error(
-                measured, f"{size}x{size}{' masked' if masked else ''}", photographs(cameras(9, size), flat(0.6), masked)
+                measured, f"{size}x{size}{' masked' if masked else ''}", photographs(cameras(9, size), uniform(0.6), masked)
             )
     for masked in (True, False):
-        check_training(measured, f"one view{' masked' if masked else ''}", photographs(cameras(1, 16), checks, masked))
+        check_training(measured, f"one view{' masked' if masked else ''}", photographs(cameras(1, 16), chequered, masked))
     with tempfile.TemporaryDirectory() as folder:
         for name, count, size in (("one view", 1, 32), ("one pixel", 9, 1)):
             refused = _error_of(write(Path(folder) / name.replace(" ", "_"), cameras(count, size)))
@@ -137,15 +178,24 @@ def smallest(measured: Measured) -> None:
 
 
 def _check_training_or_error(measured: Measured, what: str, dataset: Dataset) -> None:
+    """Check that training leaves finite values, or stops with one line."""
     try:
         check_training(measured, what, dataset)
     except IrgsppError as error:
         measured.note(f"{what}: {error}")
-        measured.holds(f"{what}: told in one line", bool(str(error)) and "\n" not in str(error))
+        measured.holds(f"{what}: one line", bool(str(error)) and "\n" not in str(error))
 
 
 def write(folder: Path, views: list[Camera]) -> Path:
-    """Photographs of the ball as files with a transforms.json."""
+    """Write photographs of the ball as files with a transforms.json.
+
+    Args:
+        folder: folder to make.
+        views: cameras.
+
+    Returns:
+        The folder.
+    """
     folder.mkdir()
     for view in photographs(views).train:
         assert view.alpha is not None
@@ -158,6 +208,7 @@ def write(folder: Path, views: list[Camera]) -> Path:
 
 
 def _error_of(folder: Path) -> str:
+    """Return the message that a dataset is refused with; "" where it is read."""
     try:
         load_dataset(folder)
     except InputError as error:
@@ -170,6 +221,7 @@ def _error_of(folder: Path) -> str:
     "Poses swapped among photographs, turned away, upside down, all at one place, inside the object: finite values or one clear line.",
 )
 def wrong_poses(measured: Measured) -> None:
+    """Check wrong poses."""
     right = cameras(9, 16)
     away = [replace(c, to_world=c.to_world @ np.diag([1.0, 1, -1, 1]) @ np.diag([-1.0, 1, 1, 1])) for c in right]
     kinds = {
@@ -181,34 +233,35 @@ def wrong_poses(measured: Measured) -> None:
     }
     for name, poses in kinds.items():
         for masked in (True, False):
-            seen = photographs(right, checks, masked).train
+            seen = photographs(right, chequered, masked).train
             views = [replace(view, camera=camera) for view, camera in zip(seen, poses, strict=True)]
             _check_training_or_error(
-                measured, f"{name}{' masked' if masked else ''}", replace(photographs(right, checks, masked), train=views)
+                measured, f"{name}{' masked' if masked else ''}", replace(photographs(right, chequered, masked), train=views)
             )
 
 
 @case(
     "same seed",
-    """20 iterations of low-gloss, masked and not, and of metal: done again the same bits; on 1, 2 and 5 threads
+    """20 iterations of low-gloss, masked and not, and of metal: the same bits when repeated; on 1, 2 and 5 threads
     the loss of each iteration is within 1e-5 of the others.""",
 )
 def same_seed(measured: Measured) -> None:
+    """Check repeated training."""
     apart = 0.0
     for kind, masked in ((LOW_GLOSS, True), (LOW_GLOSS, False), (METAL, True)):
-        dataset, losses, bits = photographs(cameras(9, 16), checks, masked), [], []
+        dataset, losses, bits = photographs(cameras(9, 16), chequered, masked), [], []
         for threads in (2, 2, 1, 5):
             with threads_set_to(threads):
                 fitted = trainer(dataset, kind)
                 losses.append(torch.tensor([fitted.step() for _ in range(20)], dtype=torch.float64))
             bits.append(digest(values(fitted)))
-        measured.holds(f"{kind.name}: same bits when done again", bits[0] == bits[1])
+        measured.holds(f"{kind.name}: same bits when repeated", bits[0] == bits[1])
         apart = max(apart, *(float((other - losses[0]).abs().max()) for other in losses))
     measured.at_most("loss apart on other numbers of threads", apart, 1e-5)
 
 
 def digest(tensors: list[torch.Tensor]) -> str:
-    """A fingerprint of every bit."""
+    """Return a digest of every bit of tensors (...,)."""
     sums = hashlib.sha256()
     for tensor in tensors:
         sums.update(tensor.detach().contiguous().numpy().tobytes())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ways to what is not in sight: menus, the file browser, buttons of a sidebar that scrolls, windows of their own."""
+"""Controls that are not directly visible: menus, the file browser, buttons of a scrolled sidebar, windows of their own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ import driver
 
 
 def from_menu(x: float, entry: str) -> Iterator[float]:
-    """A click on a menu of the top bar, and its entry by the menu's own search."""
+    """Choose an entry of a menu of the top bar by the menu's own search.
+
+    Args:
+        x: place of the menu in pixels from the left.
+        entry: text of the entry.
+    """
     yield from driver.click_at(x, driver.window().height - 12)
     driver.key("space")
     yield 1.0
@@ -26,7 +31,13 @@ def from_menu(x: float, entry: str) -> Iterator[float]:
 
 
 def confirm_files(name: str, directory: Path | None = None, file: str = "") -> Iterator[float]:
-    """The file browser: an image of it, then Return with the mouse over it."""
+    """Fill in the file browser, take an image of it, and confirm.
+
+    Args:
+        name: name of the image.
+        directory: folder to choose; None: the one shown.
+        file: name of the file; "" for the one shown.
+    """
     yield from driver.wait(file_area, 10)
     yield 1.5
     found = file_area()
@@ -47,7 +58,7 @@ def confirm_files(name: str, directory: Path | None = None, file: str = "") -> I
 
 
 def file_area() -> tuple[bpy.types.Window, bpy.types.Area] | None:
-    """The open file browser."""
+    """Return the window and the area of the open file browser; None where there is none."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "FILE_BROWSER":
@@ -56,6 +67,7 @@ def file_area() -> tuple[bpy.types.Window, bpy.types.Area] | None:
 
 
 def close_other_windows() -> Iterator[float]:
+    """Close all windows but the first."""
     for window in list(bpy.context.window_manager.windows)[1:]:
         with bpy.context.temp_override(window=window):
             bpy.ops.wm.window_close()
@@ -63,13 +75,13 @@ def close_other_windows() -> Iterator[float]:
 
 
 def below() -> Iterator[float]:
-    """The mouse one button further down."""
+    """Move the mouse one button further down."""
     subprocess.Popen(["xdotool", "mousemove_relative", "--", "0", "18", "sleep", "0.1", "mousemove_relative", "--", "0", "2"])
     yield 0.5
 
 
 def open_panels(*names: str) -> None:
-    """Let panels that are closed at first be open from their first drawing on."""
+    """Open panels that are closed by default, from their first drawing on."""
     for name in names:
         cls = getattr(bpy.types, name)
         bpy.utils.unregister_class(cls)
@@ -77,22 +89,35 @@ def open_panels(*names: str) -> None:
         bpy.utils.register_class(cls)
 
 
-def reach(wanted: str, across: float = 0.4) -> Iterator[float]:
-    """Find a button wherever the sidebar has to be scrolled to."""
+def reach(button: str, across: float = 0.4) -> Iterator[float]:
+    """Move the mouse to a button, wherever the sidebar has to be scrolled to.
+
+    Args:
+        button: operator or property of the button.
+        across: place across the sidebar, 0..1.
+
+    Raises:
+        RuntimeError: where there is no such button.
+    """
     for scroll in ("", "scroll_down", "scroll_up"):
         if scroll:
             yield from scrolled(scroll)
         try:
-            yield from driver.find(wanted, across=across)
+            yield from driver.find(button, across=across)
             return
         except RuntimeError:
             if scroll == "scroll_up":
                 raise
 
 
-def press_button(wanted: str, across: float = 0.4) -> Iterator[float]:
-    """A real click on a button wherever the sidebar has to be scrolled to."""
-    yield from reach(wanted, across)
+def press_button(button: str, across: float = 0.4) -> Iterator[float]:
+    """Click on a button, wherever the sidebar has to be scrolled to.
+
+    Args:
+        button: operator or property of the button.
+        across: place across the sidebar, 0..1.
+    """
+    yield from reach(button, across)
     driver.click_here()
     yield 1.0
 
@@ -113,14 +138,15 @@ def new_world(name: str) -> bpy.types.World:
 
 
 def frame_selected() -> Iterator[float]:
+    """Frame the selected objects in the 3D View."""
     with driver.override():
         bpy.ops.view3d.view_selected()
     yield 1.0
 
 
-def scrolled(way: str) -> Iterator[float]:
-    """The sidebar at its end ("scroll_down") or beginning."""
+def scrolled(operator: str) -> Iterator[float]:
+    """Scroll the sidebar to its end ("scroll_down") or its beginning ("scroll_up")."""
     with driver.override("UI"):
         for _ in range(60):
-            getattr(bpy.ops.view2d, way)()
+            getattr(bpy.ops.view2d, operator)()
     yield 1.0

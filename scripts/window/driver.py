@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Eyes and driver inside a Blender window: images, real mouse and keys, and waiting while Blender goes on.
+"""Driver of a Blender window: images, real mouse and keyboard input, and waiting while Blender runs.
 
-A story is a generator: each `yield SECONDS` gives the time back to Blender. Coordinates are Blender's, with the origin below left.
+A story is a generator: each `yield SECONDS` returns control to Blender for that time. Coordinates are Blender's, with the origin at the
+lower left.
 """
 
 from __future__ import annotations
@@ -19,17 +20,18 @@ from types import ModuleType
 
 import bpy
 
-sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # Blender is ended without ceremony
+sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # Blender is ended by os._exit, without flushing
 OUTPUT, ENGINE = Path(sys.argv[-2]), sys.argv[-1]
 MODULE = "bl_ext.user_default.irgspp"  # name of the installed extension
-STEP = 7  # pixels between places that are looked at for a button: less than its height
+STEP = 7  # pixels between places that are searched for a button: less than its height
 
 
 def run_story(story: Callable[[], Iterator[float]]) -> None:
-    """Run a story in the window's event loop, write down how it ended, and quit."""
+    """Run a story in the window's event loop, write its result, and quit Blender."""
     steps = story()
 
     def go_on() -> float | None:
+        """Run the story to its next pause."""
         try:
             return next(steps)
         except StopIteration:
@@ -44,6 +46,7 @@ def run_story(story: Callable[[], Iterator[float]]) -> None:
 
 
 def _end(error: str | None) -> None:
+    """Write the result of the story and quit Blender."""
     partial = OUTPUT / "end.part"
     slowest = {
         name: f"{max(seconds) * 1000:.1f} ms, median {statistics.median(seconds) * 1000:.2f} ms of {len(seconds)}"
@@ -52,24 +55,31 @@ def _end(error: str | None) -> None:
     }
     partial.write_text(json.dumps({"error": error, "slowest": slowest}, indent=1))
     os.replace(partial, OUTPUT / "end.json")
-    bpy.app.timers.register(lambda: os._exit(0), first_interval=1.0)  # no question about an unsaved file
+    bpy.app.timers.register(lambda: os._exit(0), first_interval=1.0)  # without asking about unsaved changes
 
 
 _times: dict[str, list[float]] = {}
 
 
 def time_calls(owner: object, name: str, label: str) -> None:
-    """From now on note how much processor time each call of a method takes: that long Blender could not answer."""
+    """Record the processor time of each call of a method: the time that Blender's interface is blocked.
+
+    Args:
+        owner: class or module.
+        name: name of the method.
+        label: label in the result.
+    """
     method, seconds = getattr(owner, name), _times.setdefault(label, [])
 
     def timed(*args: object) -> object:
+        """Call the method and record its time."""
         began = time.thread_time()
         try:
             return method(*args)
         finally:
             seconds.append(time.thread_time() - began)
 
-    # Blender driver over as many arguments as the method's code says it takes.
+    # Blender passes as many arguments as the method's code says it takes.
     takes = {0: lambda: timed(), 2: lambda self, context: timed(self, context), 3: lambda self, context, event: timed(self, context, event)}
     setattr(owner, name, takes[method.__code__.co_argcount])
 
@@ -80,30 +90,53 @@ def extension_module(name: str) -> ModuleType:
 
 
 def window() -> bpy.types.Window:
+    """Return the first window."""
     return bpy.context.window_manager.windows[0]
 
 
 def view3d() -> bpy.types.Area:
+    """Return the largest 3D View."""
     return max((area for area in window().screen.areas if area.type == "VIEW_3D"), key=lambda area: area.width * area.height)
 
 
 def region(kind: str = "UI", area: bpy.types.Area | None = None) -> bpy.types.Region:
+    """Return a region of an area.
+
+    Args:
+        kind: type of the region.
+        area: area; None: the 3D View.
+    """
     return next(part for part in (area or view3d()).regions if part.type == kind)
 
 
 def override(kind: str = "WINDOW", area: bpy.types.Area | None = None):
+    """Return a context override for operators in a region.
+
+    Args:
+        kind: type of the region.
+        area: area; None: the 3D View.
+    """
     place = area or view3d()
     return bpy.context.temp_override(window=window(), screen=window().screen, area=place, region=region(kind, place))
 
 
 def redraw() -> None:
+    """Redraw all areas."""
     for one in bpy.context.window_manager.windows:
         for area in one.screen.areas:
             area.tag_redraw()
 
 
 def shot(name: str, box: tuple[int, int, int, int] | None = None) -> Path:
-    """An image of the window as it is now, or of a part of it: x, y, width, height with y from the top."""
+    """Write an image of the screen or of a part of it.
+
+    Args:
+        name: name of the image.
+        box: x, y, width and height in pixels, with y from the top; None: everything.
+
+    Returns:
+        The file.
+    """
     path = OUTPUT / f"{name}.png"
     crop = ["-crop", "{2}x{3}+{0}+{1}".format(*box), "+repage"] if box else []
     subprocess.run(["import", "-window", "root", *crop, str(path)], check=True)
@@ -111,7 +144,7 @@ def shot(name: str, box: tuple[int, int, int, int] | None = None) -> Path:
 
 
 def sidebar_shot(name: str) -> Path:
-    """An image of the sidebar alone."""
+    """Write an image of the sidebar."""
     part = region("UI")
     return shot(name, (part.x, window().height - part.y - part.height, part.width, part.height))
 
@@ -124,7 +157,7 @@ def open_sidebar(tab: str) -> Iterator[float]:
         yield 0.3
         try:
             region().active_panel_category = tab
-        except TypeError:  # its tabs are known once it was drawn
+        except TypeError:  # tabs are known after the first drawing
             continue
         if region().active_panel_category == tab:
             redraw()
@@ -134,22 +167,41 @@ def open_sidebar(tab: str) -> Iterator[float]:
 
 
 def wait(condition: Callable[[], object], timeout: float = 120.0, step: float = 0.25) -> Iterator[float]:
-    """Until the condition holds."""
+    """Wait until a condition holds.
+
+    Args:
+        condition: function without arguments.
+        timeout: seconds.
+        step: seconds between calls.
+
+    Raises:
+        TimeoutError: where it does not hold in time.
+    """
     end = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > end:
-            raise TimeoutError(f"not so after {timeout:g} s")
+            raise TimeoutError(f"the condition does not hold after {timeout:g} s")
         yield step
 
 
 def move(x: float, y: float) -> None:
-    """The mouse, in two steps: Blender looks for the button below when it moves."""
+    """Move the mouse, in two steps, because Blender looks for the button below when the mouse moves.
+
+    Args:
+        x: pixels from the left.
+        y: pixels from below.
+    """
     top = window().height - y
     subprocess.Popen(["xdotool", "mousemove", f"{x - 2:.0f}", f"{top - 1:.0f}", "sleep", "0.03", "mousemove", f"{x:.0f}", f"{top:.0f}"])
 
 
 def click_at(x: float, y: float) -> Iterator[float]:
-    """A real click at a place in the window."""
+    """Click at a place in the window.
+
+    Args:
+        x: pixels from the left.
+        y: pixels from below.
+    """
     move(x, y)
     yield 0.5
     click_here()
@@ -157,23 +209,30 @@ def click_at(x: float, y: float) -> Iterator[float]:
 
 
 def click_here(button: int = 1) -> None:
+    """Click where the mouse is."""
     subprocess.Popen(["xdotool", "mousedown", str(button), "sleep", "0.15", "mouseup", str(button)])
 
 
 def key(name: str) -> None:
+    """Press a key."""
     subprocess.Popen(["xdotool", "key", name])
 
 
 def write(text: str) -> None:
-    """Real keys, one after another."""
+    """Type a text."""
     subprocess.Popen(["xdotool", "type", "--delay", "60", text])
 
 
 def under_mouse(kind: str = "UI", area: bpy.types.Area | None = None) -> str:
-    """The operator (`render.render`) or property (`preset`) of the button below the mouse, or ""."""
+    """Return the operator (`render.render`) or property (`preset`) of the button below the mouse, or "".
+
+    Args:
+        kind: type of the region.
+        area: area; None: the 3D View.
+    """
     clipboard = bpy.context.window_manager
     with override(kind, area):
-        if bpy.ops.ui.copy_python_command_button.poll():  # what a person copies by Ctrl-C over a button
+        if bpy.ops.ui.copy_python_command_button.poll():  # as Ctrl-C over a button does
             bpy.ops.ui.copy_python_command_button()
             return clipboard.clipboard.partition("(")[0].removeprefix("bpy.ops.")
         if bpy.ops.ui.copy_data_path_button.poll():
@@ -182,21 +241,38 @@ def under_mouse(kind: str = "UI", area: bpy.types.Area | None = None) -> str:
     return ""
 
 
-def find(wanted: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4) -> Iterator[float]:
-    """Move the mouse down the region until it is over the button of that operator or property."""
+def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4) -> Iterator[float]:
+    """Move the mouse down a region until it is over a button.
+
+    Args:
+        button: operator or property of the button.
+        kind: type of the region.
+        area: area; None: the 3D View.
+        across: place across the region, 0..1.
+
+    Raises:
+        RuntimeError: where there is no such button.
+    """
     part = region(kind, area)
     x, y = part.x + across * part.width, part.y + part.height - 4
     while y > part.y:
         move(x, y)
         yield 0.12
-        if under_mouse(kind, area) == wanted:
+        if under_mouse(kind, area) == button:
             return
         y -= STEP
-    raise RuntimeError(f"no button {wanted} is to be seen")
+    raise RuntimeError(f"no button {button} is visible")
 
 
-def click(wanted: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4) -> Iterator[float]:
-    """A real click on the button of an operator or property."""
-    yield from find(wanted, kind, area, across)
+def click(button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4) -> Iterator[float]:
+    """Click on a button.
+
+    Args:
+        button: operator or property of the button.
+        kind: type of the region.
+        area: area; None: the 3D View.
+        across: place across the region, 0..1.
+    """
+    yield from find(button, kind, area, across)
     click_here()
     yield 1.0

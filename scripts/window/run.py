@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drive the extension in a real Blender window, by real clicks, and take images at each step.
+"""Drive the extension in a real Blender window by real clicks, and take images at each step.
 
     python scripts/build_extension.py -o dist
     python scripts/window/run.py --zip dist/irgspp-0.1.0.zip --engine .venv/bin/python -o images
 
-Needs Linux with Blender, xdotool and ImageMagick (`import`); where there is no screen, Xvfb (`xvfb-run`) gives one. Blender starts with
-settings of its own in a temporary folder. Exit status: 0 done, 1 a step failed, 2 bad usage, 3 Blender ended or took too long.
+Needs Linux with Blender, xdotool and ImageMagick (`import`); without a screen also Xvfb (`xvfb-run`). Blender starts with settings of its
+own in a temporary folder. Exit status: 0 done, 1 a step failed, 2 bad usage, 3 Blender ended or took too long.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ STORIES = sorted(path.stem for path in HERE.glob("story_*.py"))
 
 
 def main() -> int:
+    """Install the extension, run a story, and return the exit status."""
     args = arguments()
     for tool in ("xdotool", "import", *([] if os.environ.get("DISPLAY") else ["xvfb-run"])):
         if shutil.which(tool) is None:
@@ -45,11 +46,12 @@ PREFERENCES = (
 
 
 def arguments() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--zip", type=Path, required=True, help="the extension")
+    parser.add_argument("--zip", type=Path, required=True, help="zip of the extension")
     parser.add_argument("--engine", default=os.environ.get("IRGSPP_PYTHON", ""), help="Python with the engine (default: $IRGSPP_PYTHON)")
     parser.add_argument("-o", dest="output", type=Path, required=True, help="folder for the images")
-    parser.add_argument("--story", choices=STORIES, default="story_first_day", help="what is done (default: story_first_day)")
+    parser.add_argument("--story", choices=STORIES, default="story_first_day", help="story to run (default: story_first_day)")
     parser.add_argument("--run", type=Path, help="a finished run's folder, for story_result; a copy is used")
     parser.add_argument("--blender", default="blender", help="Blender's executable")
     parser.add_argument("--size", default="1600x1000", help="of the window (default: 1600x1000)")
@@ -63,14 +65,19 @@ def arguments() -> argparse.Namespace:
 
 
 def blender(args: argparse.Namespace, *words: str) -> None:
-    """One command in the background; what it says is shown where it fails."""
+    """Run Blender in the background, and show its output where it fails.
+
+    Args:
+        args: parsed options.
+        *words: arguments of Blender.
+    """
     done = subprocess.run([args.blender, *words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"window: blender {words[0]} failed: {(done.stdout + done.stderr).strip()}")
 
 
 def drive(args: argparse.Namespace) -> int:
-    """The window, until the story is told."""
+    """Run the story in a window and return the exit status."""
     end = args.output / "end.json"
     end.unlink(missing_ok=True)
     width, height = args.size.split("x")
@@ -93,11 +100,11 @@ def drive(args: argparse.Namespace) -> int:
     if not end.exists():
         print(f"window: Blender ended or took too long; see {args.output / 'blender.log'}", file=sys.stderr)
         return 3
-    told = json.loads(end.read_text())
-    print(told["error"] or f"window: images in {args.output}", file=sys.stderr if told["error"] else sys.stdout)
-    for name, time_taken in told["slowest"].items():
+    result = json.loads(end.read_text())
+    print(result["error"] or f"window: images in {args.output}", file=sys.stderr if result["error"] else sys.stdout)
+    for name, time_taken in result["slowest"].items():
         print(f"  slowest {name}: {time_taken}")
-    return 1 if told["error"] else 0
+    return 1 if result["error"] else 0
 
 
 if __name__ == "__main__":

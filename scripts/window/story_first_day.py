@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A person's first day: set up the engine, look at photographs, reconstruct them, relight the object by an HDRI that turns."""
+"""Story of a first day: set up the engine, inspect photographs, reconstruct them, relight the object by an HDRI that turns."""
 
 import os
 import shutil
@@ -14,11 +14,12 @@ import bpy
 import browsing
 import driver
 
-# A small part of the work, so that the story ends in a minute or two; the images are of 64x64 pixels anyway.
+# Short schedules, so that the story ends in a minute or two; the photographs have 64x64 pixels.
 SETTINGS = "first.iterations=300 first.trial_iterations=60 first.gaussians=8000 surface.voxels=96 surface.triangles=8000"
 
 
 def story() -> Iterator[float]:
+    """Run the story."""
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     demo = Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data"
     photographs = Path(shutil.copytree(demo, work / "monkey"))
@@ -38,7 +39,7 @@ def story() -> Iterator[float]:
 
 
 def time_callbacks() -> None:
-    """Every panel's drawing, every operator's start, and what looks after the jobs."""
+    """Time every panel's drawing, every operator's start, and the polling of jobs."""
     for cls in driver.extension_module("panels.registration").CLASSES:
         for name in ("draw", "invoke"):
             if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
@@ -48,7 +49,7 @@ def time_callbacks() -> None:
 
 
 def set_up_engine() -> Iterator[float]:
-    """Without an engine the panel leads to the preferences."""
+    """Set up the engine in the preferences, to which the panel leads without one."""
     driver.sidebar_shot("01_no_engine")
     yield from driver.find("preferences.addon_show")
     preferences = bpy.context.preferences.addons[driver.MODULE].preferences
@@ -64,7 +65,7 @@ def set_up_engine() -> Iterator[float]:
 
 
 def look_at(photographs: Path) -> Iterator[float]:
-    """What is in a folder, and its cameras in the scene."""
+    """Inspect a folder and import its cameras."""
     settings = bpy.context.scene.irgspp
     settings.dataset = f"//{photographs.name}"
     yield 1.0
@@ -80,7 +81,7 @@ def look_at(photographs: Path) -> Iterator[float]:
 
 
 def reconstruct(run: Path) -> Iterator[float]:
-    """A real click on the button; progress, then the object."""
+    """Reconstruct, with images of the progress and of the object."""
     settings = bpy.context.scene.irgspp
     settings.preset, settings.overrides = "draft", SETTINGS
     assert settings.run_path() == run
@@ -97,7 +98,7 @@ def reconstruct(run: Path) -> Iterator[float]:
 
 
 def show_result() -> Iterator[float]:
-    """The object, selected and in view."""
+    """Select and frame the object."""
     yield from browsing.frame_selected()
     driver.view3d().spaces[0].shading.type = "MATERIAL"
     yield 40.0  # shaders are compiled
@@ -108,7 +109,7 @@ def show_result() -> Iterator[float]:
 
 
 def look_through_a_camera() -> Iterator[float]:
-    """The object where it is in the photograph: before it, then with the photograph half over it."""
+    """Look through a photograph's camera: first at the object, then with the photograph half over it."""
     photographed = [thing for thing in bpy.context.scene.objects if thing.type == "CAMERA" and thing.data.background_images]
     bpy.context.view_layer.objects.active = photographed[-1]
     yield 1.0
@@ -125,7 +126,7 @@ def look_through_a_camera() -> Iterator[float]:
 
 
 def relight(hdri: Path) -> Iterator[float]:
-    """The World as light, then turned."""
+    """Relight the object by an HDRI in the World, then turn it."""
     mapping = sunset_world(hdri)
     editor = open_image_editor()
     yield 1.0
@@ -152,7 +153,7 @@ def relight(hdri: Path) -> Iterator[float]:
 
 
 def sunset_world(hdri: Path) -> bpy.types.Node:
-    """A World lit by an HDRI; the node that turns it."""
+    """Set a World lit by an HDRI and return the node that turns it."""
     world = browsing.new_world("Sunset")
     nodes, links = world.node_tree.nodes, world.node_tree.links
     coordinates, mapping, texture = (nodes.new(f"ShaderNode{name}") for name in ("TexCoord", "Mapping", "TexEnvironment"))
@@ -166,7 +167,7 @@ def sunset_world(hdri: Path) -> bpy.types.Node:
 
 
 def open_image_editor() -> bpy.types.Area:
-    """Beside the 3D View, in a part of its area."""
+    """Open an Image Editor in a part of the 3D View's area."""
     before = {area.as_pointer() for area in driver.window().screen.areas}
     with driver.override():
         bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
@@ -176,7 +177,7 @@ def open_image_editor() -> bpy.types.Area:
 
 
 def see_jobs() -> Iterator[float]:
-    """The list of what was done."""
+    """Show the list of jobs."""
     yield from browsing.scrolled("scroll_down")
     part = driver.region()
     yield from driver.click_at(part.x + 60, part.y + 14)  # the last panel is closed at first; its header is the last row
@@ -186,6 +187,7 @@ def see_jobs() -> Iterator[float]:
 
 
 def frame_all() -> Iterator[float]:
+    """Frame all objects in the 3D View."""
     with driver.override():
         bpy.ops.view3d.view_all(use_all_regions=False)
     yield 1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a person does with a finished run (run.py --run): open it, bake and export, relight by a sky, files, F12, Rendered shading."""
+"""Story of a finished run (run.py --run): open it, bake and export, relight by a sky, write files, F12, Rendered shading."""
 
 import os
 import shutil
@@ -16,6 +16,7 @@ import driver
 
 
 def story() -> Iterator[float]:
+    """Run the story."""
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     run = Path(shutil.copytree(os.environ["IRGSPP_RUN"], work / "spot"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "result.blend"))
@@ -39,7 +40,7 @@ def story() -> Iterator[float]:
 
 
 def time_callbacks() -> None:
-    """Whatever Blender has to wait for while jobs and previews go on."""
+    """Time what blocks Blender while jobs and previews run."""
     driver.time_calls(driver.extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
     driver.time_calls(driver.extension_module("irgspp_addon.relight.live_image"), "beat", "relight.live_image.beat")
     for cls in driver.extension_module("panels.registration").CLASSES:
@@ -48,7 +49,7 @@ def time_callbacks() -> None:
 
 
 def demo_and_cancel() -> Iterator[float]:
-    """The demonstration by its button, and out of it again."""
+    """Start the demonstration by its button and cancel it."""
     yield from browsing.press_button("irgspp.demo")
     yield 1.0
     driver.shot("59_demo_asked")
@@ -64,7 +65,7 @@ def demo_and_cancel() -> Iterator[float]:
 
 
 def open_run(run: Path) -> Iterator[float]:
-    """File > Import > IRGS++ Run, and its file browser."""
+    """Open the run by File > Import > IRGS++ Run and the file browser."""
     yield from browsing.from_menu(45, "IRGS++ Run")
     yield from browsing.confirm_files("35_open_run", directory=run)
     yield from driver.wait(lambda: any(thing.type == "MESH" for thing in bpy.context.scene.objects), 60)
@@ -73,7 +74,7 @@ def open_run(run: Path) -> Iterator[float]:
 
 
 def bake_again() -> Iterator[float]:
-    """Textures of another size."""
+    """Bake textures of another size."""
     bpy.context.scene.irgspp.texture_size = 512
     yield 1.0
     driver.sidebar_shot("37_bake_panel")
@@ -88,7 +89,7 @@ def bake_again() -> Iterator[float]:
 
 
 def export(run: Path) -> Iterator[float]:
-    """An asset and a .blend by their buttons."""
+    """Export an asset and a .blend file by their buttons."""
     driver.sidebar_shot("40_export_panel")
     yield from browsing.reach("irgspp.export")
     for number, suffix in enumerate((".glb", ".blend")):
@@ -106,7 +107,7 @@ def export(run: Path) -> Iterator[float]:
 
 
 def relight_by_sky() -> Iterator[float]:
-    """A Sky Texture, which another Blender renders; the preview comes in a window of its own."""
+    """Relight by a Sky Texture, which another Blender renders; the preview opens in a window of its own."""
     bpy.context.scene.world, sky = sky_world()
     yield from browsing.scrolled("scroll_down")
     yield from browsing.press_button("irgspp.relight_preview")
@@ -130,7 +131,7 @@ def relight_by_sky() -> Iterator[float]:
 
 
 def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
-    """A World with a Sky Texture."""
+    """Return a World with a Sky Texture, and its node."""
     world = browsing.new_world("Sky")
     nodes = world.node_tree.nodes
     sky = nodes.new("ShaderNodeTexSky")
@@ -141,7 +142,7 @@ def sky_world() -> tuple[bpy.types.World, bpy.types.Node]:
 
 
 def write_files(work: Path) -> Iterator[float]:
-    """The World as a light map, and photographed views, relit."""
+    """Write the World as a light map, and photographed views relit."""
     driver.sidebar_shot("47_files_panel")
     yield from browsing.press_button("irgspp.world_to_map")
     yield from browsing.confirm_files("48_world_map", directory=work, file="sky.exr")
@@ -160,7 +161,7 @@ def write_files(work: Path) -> Iterator[float]:
 
 
 def render(work: Path) -> Iterator[float]:
-    """IRGS++ as the scene's render engine: F12 to its end, and left by Esc."""
+    """Render by IRGS++ as the scene's render engine: F12 to its end, and cancelled by Esc."""
     yield from browsing.press_button("wm.context_set_enum")
     assert bpy.context.scene.render.engine == "IRGSPP"
     scene = bpy.context.scene
@@ -195,7 +196,7 @@ def render(work: Path) -> Iterator[float]:
 
 
 def rendered_shading() -> Iterator[float]:
-    """Rendered shading of the 3D View by IRGS++."""
+    """Show the Rendered shading of the 3D View by IRGS++."""
     driver.view3d().spaces[0].shading.type = "RENDERED"
     yield 2.0
     follow = driver.extension_module("irgspp_addon.relight.live_image")
@@ -214,7 +215,7 @@ def rendered_shading() -> Iterator[float]:
 
 
 def ended(job) -> Iterator[float]:
-    """Until a job has ended and the panels know."""
+    """Wait until a job has ended and the panels show it."""
     yield from driver.wait(lambda: job.finished, 300)
     yield 1.5
     assert not (job.state == "failed" or (job.error and job.state == "done")), (job.state, job.error)

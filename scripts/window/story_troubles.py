@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a person sees where something is missing or asked for: preferences, folders that are no datasets, a run that would be replaced."""
+"""Story of missing and wrong input: preferences, folders that are not datasets, a bad setting, a run that would be replaced."""
 
 import os
 import shutil
@@ -16,6 +16,7 @@ import driver
 
 
 def story() -> Iterator[float]:
+    """Run the story."""
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "troubles.blend"))
     settings, jobs = bpy.context.scene.irgspp, driver.extension_module("irgspp_addon.jobs.queue")
@@ -71,7 +72,7 @@ def story() -> Iterator[float]:
 
 
 def open_preferences() -> Iterator[float]:
-    """By the panel's button; they come in a window of their own."""
+    """Open the preferences by the panel's button; they open in a window of their own."""
     yield from driver.click("preferences.addon_show")
     yield from driver.wait(lambda: len(bpy.context.window_manager.windows) > 1, 10)
     yield 2.0

@@ -23,7 +23,7 @@ def test_the_embedded_scene_in_other_layouts(name, tmp_path, capsys):
 def test_bad_input_ends_with_status_2_and_one_line(tmp_path, capsys):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()
-    for scene, out, words in ((tmp_path, "new", "no rendered scene"), (DEMO_DATA, "full", "not empty")):
+    for scene, out, words in ((tmp_path, "new", "not a rendered scene"), (DEMO_DATA, "full", "not empty")):
         assert main([str(scene), "--format", "tensoir", "-o", str(tmp_path / out)]) == 2
         assert words in capsys.readouterr().err
     assert not (tmp_path / "new").exists()

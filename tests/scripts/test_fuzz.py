@@ -52,7 +52,7 @@ def fuzz(monkeypatch, tmp_path):
     (tmp_path / "child.py").write_text(CHILD)
     child = module.ReaderProcess()
     monkeypatch.setattr(module, "PROGRAM", (str(tmp_path / "child.py"),))
-    monkeypatch.setattr(module, "CHILD", child)
+    monkeypatch.setattr(module, "READER_PROCESS", child)
     monkeypatch.setattr(module, "STUCK", 1.5)
     monkeypatch.setattr(module, "ASLEEP", 6)
     yield module
