@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A dataset as files that need no library to read but numpy: what Blender builds cameras and points from."""
+"""Export of a dataset to files that need no library but numpy to read, from which Blender builds cameras and points."""
 
 from __future__ import annotations
 
@@ -21,16 +21,26 @@ from .summary import summary
 
 
 def save_dataset(dataset: Dataset, settings: DataSettings, folder: Path, progress: Progress) -> None:
-    """Write cameras.json, points.npz (where there are points), and dataset.json last: with it the folder is complete.
+    """Write cameras.json, points.npz (if there are points), and dataset.json, which is written last and marks the folder as complete.
 
-    Cameras are those of the unreduced photographs; where these show lens distortion, undistorted copies are written to `photographs/`.
-    points.npz holds `position` (P, 3) float32 in our world and `colour` (P, 3) uint8 sRGB; dataset.json is `summary.summary`.
-    Raises InputError where the folder can't be written or a photograph has changed, Cancelled where the user stopped the work.
+    The cameras are those of the unreduced photographs; of photographs with lens distortion, undistorted copies are written to
+    `photographs/`. points.npz holds `position` (P, 3) float32 in the world and `colour` (P, 3) uint8 sRGB; dataset.json is
+    `summary.summary`.
+
+    Args:
+        dataset: the dataset, as read with these settings.
+        settings: its settings.
+        folder: the folder to write.
+        progress: reports the photographs, and cancels.
+
+    Raises:
+        InputError: if the folder can't be written or a photograph has changed.
+        Cancelled: if the user stopped the work.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "dataset.json").unlink(missing_ok=True)
-        save_views(folder / "cameras.json", _told(dataset, settings, progress))
+        save_views(folder / "cameras.json", _with_progress(dataset, settings, progress))
         (folder / "points.npz").unlink(missing_ok=True)
         if dataset.points is not None:
             data = io.BytesIO()
@@ -41,7 +51,8 @@ def save_dataset(dataset: Dataset, settings: DataSettings, folder: Path, progres
         raise InputError(folder, f"can't be written ({error.strerror})") from error
 
 
-def _told(dataset: Dataset, settings: DataSettings, progress: Progress) -> Iterator[tuple[str, View]]:
+def _with_progress(dataset: Dataset, settings: DataSettings, progress: Progress) -> Iterator[tuple[str, View]]:
+    """Yield (split, view) of the unreduced photographs, and report each to `progress`."""
     progress.phase("export", len(dataset.train) + len(dataset.test))
     for done, pair in enumerate(full_size_views(dataset, settings), 1):
         if progress.cancelled:

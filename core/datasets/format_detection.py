@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What kind of dataset a path holds, told by what is in it."""
+"""Detection of a dataset's format by its files."""
 
 from __future__ import annotations
 
@@ -19,34 +19,41 @@ LOOKED_FOR = (
 
 
 class NoDataset(InputError):
-    """A folder has nothing of any dataset in it."""
+    """No known dataset format was found in a folder."""
 
 
 Recognise = Callable[[Path], object]
 Read = Callable[[Path, DataSettings], ParsedDataset]
 
-# Those whose files nothing else has come first, those that only one file gives away come last.
+# Formats with files that no other format has come first; those recognised by a single file of cameras come last.
 BEFORE: tuple[tuple[Recognise, Read], ...] = (
-    (tensoir.views_of, tensoir.read_tensoir),
-    (glossy_synthetic.views_of, glossy_synthetic.read_glossy_synthetic),
-    (glossy_real.object_points, glossy_real.read_glossy_real),
+    (tensoir.find_views, tensoir.read_tensoir),
+    (glossy_synthetic.find_camera_files, glossy_synthetic.read_glossy_synthetic),
+    (glossy_real.find_object_points, glossy_real.read_glossy_real),
 )
 AFTER: tuple[tuple[Recognise, Read], ...] = (
     (metashape.find_cameras, metashape.read_metashape),
     (realitycapture.find_cameras, realitycapture.read_realitycapture),
 )
 FINISH: dict[str, Callable[[ParsedDataset], ParsedDataset]] = {
-    "stanford-orb": stanford_orb.with_novel,
-    "glossy-synthetic": glossy_synthetic.upright,
+    "stanford-orb": stanford_orb.add_novel_views,
+    "glossy-synthetic": glossy_synthetic.to_z_up,
 }
 
 
 def parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
-    """Read the description of the dataset that is at `path`: a folder, a file of cameras, or the folder of a COLMAP model.
+    """Read the description of a dataset, without its images.
 
-    Of a folder that has several descriptions the one with its own test split is read (transforms_train.json), then a COLMAP model with
-    points, then transforms.json, then a COLMAP model; the path of one of them chooses it. Raises InputError on bad input, NoDataset where
-    there is none.
+    If a folder has several descriptions, the order of precedence is: transforms_train.json, which has its own test split; a COLMAP model
+    with points; transforms.json; a COLMAP model without points. The path of one of them selects it.
+
+    Args:
+        path: a folder, a file of cameras, or the folder of a COLMAP model.
+        settings: settings of the dataset.
+
+    Raises:
+        InputError: if a file is missing or damaged.
+        NoDataset: if the folder holds no known dataset.
     """
     path = Path(path)
     if not path.exists():
@@ -56,7 +63,7 @@ def parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
     for recognise, read in BEFORE:
         if recognise(path):
             return read(path, settings)
-    file, model = transforms_of(path), colmap.find_model(path)
+    file, model = find_transforms(path), colmap.find_model(path)
     if file is not None:
         return _read_transforms(file, settings)
     if model is not None:
@@ -67,8 +74,8 @@ def parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
     raise NoDataset(path, "no dataset here", LOOKED_FOR)
 
 
-def transforms_of(folder: Path) -> Path | None:
-    """The transforms file that a folder is read from, or None."""
+def find_transforms(folder: Path) -> Path | None:
+    """Return the transforms file that a folder is read from, or None."""
     train, single, model = folder / "transforms_train.json", folder / "transforms.json", colmap.find_model(folder)
     if train.is_file():
         return train
@@ -77,9 +84,9 @@ def transforms_of(folder: Path) -> Path | None:
 
 
 def _read_transforms(file: Path, settings: DataSettings) -> ParsedDataset:
-    """A transforms file, and what the collection it belongs to has besides."""
-    capture = transforms.read_transforms(file, settings)
-    return FINISH.get(capture.format, lambda same: same)(capture)
+    """Read a transforms file, and apply the conventions of the collection that it belongs to."""
+    parsed = transforms.read_transforms(file, settings)
+    return FINISH.get(parsed.format, lambda same: same)(parsed)
 
 
 def _read_file(file: Path, settings: DataSettings) -> ParsedDataset:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the files of a dataset say, before a single pixel is decoded."""
+"""Description of a dataset as parsed from its files, before any image is decoded."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from ..scene.dataset import Bound, PointCloud
 from ..settings.schema import DataSettings
 
 MINIMUM_VIEWS = 3
-FARTHEST = 1e9  # coordinates beyond are damage, and squares of them would drown everything else
+FARTHEST = 1e9  # coordinates beyond are damage, and their squares would cancel all others
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Intrinsics of a real camera, lens distortion included.
+    """Intrinsics of a real camera, with its lens distortion.
 
     Attributes:
-        model: the name the file gives, for people ("SIMPLE_RADIAL", "OPENCV", ...).
-        width, height: image size in pixels that the numbers belong to.
-        fx, fy, cx, cy: in pixels; the centre of the first pixel is at (0.5, 0.5).
-        distortion: OpenCV's order, (k1, k2, p1, p2, k3) or, where fisheye, (k1, k2, k3, k4); all 0 for a pinhole.
-        fisheye: angles instead of tangents (OpenCV's equidistant model).
+        model: name of the camera model in the file, for the user ("SIMPLE_RADIAL", "OPENCV", ...).
+        width, height: image size in pixels that the intrinsics belong to.
+        fx, fy, cx, cy: focal lengths and principal point in pixels; the centre of the first pixel is at (0.5, 0.5).
+        distortion: coefficients in OpenCV's order, (k1, k2, p1, p2, k3) or, for a fisheye, (k1, k2, k3, k4); all 0 for a pinhole.
+        fisheye: OpenCV's equidistant model, whose polynomial is in the angle instead of its tangent.
     """
 
     model: str
@@ -44,21 +44,33 @@ class Lens:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Size as (width, height) in pixels."""
         return self.width, self.height
 
     @property
     def distorted(self) -> bool:
-        """False for a plain pinhole."""
+        """True unless this is a plain pinhole."""
         return self.fisheye or any(self.distortion)
 
     def resized(self, width: int, height: int) -> Lens:
-        """The same lens for an image of another size; distortion is relative and stays."""
+        """Return the same lens for an image of another size; the distortion is relative and does not change.
+
+        Args:
+            width: in pixels.
+            height: in pixels.
+        """
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
     def checked(self, where: object) -> Lens:
-        """The lens itself. Raises InputError where its numbers can't belong to a camera."""
+        """Check that the values are possible for a camera, and return the lens.
+
+        Args:
+            where: the file, for messages.
+
+        Raises:
+            InputError: if focal length, principal point or distortion is impossible.
+        """
         longest = max(self.size)
         if not (min(self.fx, self.fy) > 1e-3 * longest and max(self.fx, self.fy) < 1e5 * longest):
             raise InputError(where, f"has an impossible focal length ({self.fx:g}, {self.fy:g} for {self.width}x{self.height} pixels)")
@@ -79,16 +91,16 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One photograph as listed.
+    """Photograph as listed in the dataset's files.
 
     Attributes:
-        listed: the name in the file that lists it, with folders.
-        image: its file, or None where there is none on disk.
+        listed: its name in the file that lists it, with folders.
+        image: its file, or None if it is not on disk.
         mask: its mask file, or None.
         lens: intrinsics.
         to_world: (4, 4) float64 rigid camera to world, looking along -Z, +Y up.
-        far: where the mask file is a depth map, the share of its range at and beyond which there is background; else None.
-        light: the light the image was taken under, where that is not the dataset's.
+        far: if the mask file is a depth map, the fraction of its range from which on there is background; else None.
+        light: name of the light that it was taken under, if it is not the dataset's own.
     """
 
     listed: str
@@ -102,19 +114,19 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class ParsedDataset:
-    """A dataset as its files describe it, images that are listed but missing included.
+    """Dataset as its files describe it, including images that are listed but missing.
 
     Attributes:
         source: the file or model folder that was read.
-        root: the folder that every image and mask lies in.
-        format: its short name, see docs/datasets.md.
-        train, test: frames in the listed order; test is None where the files name no split.
-        to_world: (4, 4) similarity from the dataset's frame to ours; the frames and points are already in ours.
-        points: sparse points, or None.
-        bound: the object's bound in our world where the files say it, or None.
-        published: names (`listed`) of the test views of the dataset's own paper, where that is a split apart from `test`; or empty.
-        novel: frames of the same object under other lights, each with its `light`: to compare relit images with.
-        warnings: lines worth telling the user.
+        root: the folder that contains every image and mask.
+        format: short name of the format, see docs/datasets.md.
+        train, test: frames in the listed order; test is None if the files name no split.
+        to_world: (4, 4) similarity from the dataset's own frame to the world; frames and points are already in the world.
+        points: sparse points in the world, or None.
+        bound: bounding sphere of the object in the world if the files state it, or None.
+        published: names (`listed`) of the test views of the dataset's paper, if that is another split than `test`; else empty.
+        novel: frames of the same object under other lights, each with its `light`; relit images are compared with them.
+        warnings: warnings for the user, one line each.
     """
 
     source: Path
@@ -130,9 +142,19 @@ class ParsedDataset:
     warnings: list[str] = field(default_factory=list)
 
     def split(self, settings: DataSettings) -> tuple[list[Frame], list[Frame]]:
-        """(train, test) as the settings say: the declared split, that of the dataset's paper, or every `holdout`-th view with an image
-        held out, where enough are left to learn from. Raises InputError where the paper's split is asked for and not known."""
-        every = self.train if self.test is None else sorted([*self.train, *self.test], key=lambda f: _natural(f.listed))
+        """Split the frames into training and test frames.
+
+        Args:
+            settings: `split` selects the declared split, that of the dataset's paper, or every `holdout`-th view with an image as a test
+                view, if enough training views are left.
+
+        Returns:
+            Training frames and test frames.
+
+        Raises:
+            InputError: if the paper's split is requested but not known.
+        """
+        every = self.train if self.test is None else sorted([*self.train, *self.test], key=lambda f: _natural_key(f.listed))
         if settings.split == "published":
             if not self.published:
                 raise InputError("data.split", f"no published split is known for the format {self.format}", "use auto or holdout")
@@ -146,30 +168,33 @@ class ParsedDataset:
         return [f for i, f in enumerate(frames) if i % holdout], frames[::holdout]
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
-    """A key that sorts numbers in names by their size."""
+def _natural_key(name: str) -> list[tuple[int, str]]:
+    """Return a sort key that orders numbers in names by their value."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def view_names(listed: list[str]) -> list[str]:
-    """Unique view names: the file name without folders, extension or a final `rgba` part; folder parts are added where names collide.
+    """Derive unique view names: file names without folders, extension or a final `rgba` part; folders are prepended where names collide.
 
-    They can be names of files on every system, also where large and small letters are the same.
+    They are valid and distinct file names on every system, also where upper and lower case are the same.
+
+    Args:
+        listed: names of the images with folders.
     """
     parts = [_name_parts(name) for name in listed]
     depth = [1] * len(parts)
     while True:
         names = [possible_name("_".join(p[-d:])) for p, d in zip(parts, depth, strict=True)]
-        counts = Counter(map(_key, names))
-        grow = [i for i, n in enumerate(names) if counts[_key(n)] > 1 and depth[i] < len(parts[i])]
+        counts = Counter(map(_file_name_key, names))
+        grow = [i for i, n in enumerate(names) if counts[_file_name_key(n)] > 1 and depth[i] < len(parts[i])]
         if not grow:
             return _numbered(names)
         for i in grow:
             depth[i] += 1
 
 
-def _key(name: str) -> str:
-    """The same for names that are one file on some system: those that don't tell large from small letters, or spell accents otherwise."""
+def _file_name_key(name: str) -> str:
+    """Return a key that is equal for names of the same file on some system, which ignores case or composes accents differently."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
 
@@ -181,14 +206,14 @@ def _name_parts(listed: str) -> list[str]:
 
 
 def _numbered(names: list[str]) -> list[str]:
-    """Files that differ in nothing but the extension, or are listed twice, get a number."""
-    taken, unique = set(map(_key, names)), []
+    """Append a number to the names of files that differ only in the extension or are listed twice."""
+    taken, unique = set(map(_file_name_key, names)), []
     seen: set[str] = set()
     for name in names:
         candidate, number = name, 2
-        while _key(candidate) in seen or (candidate != name and _key(candidate) in taken):
+        while _file_name_key(candidate) in seen or (candidate != name and _file_name_key(candidate) in taken):
             candidate, number = f"{name}_{number}", number + 1
-        seen.add(_key(candidate))
+        seen.add(_file_name_key(candidate))
         unique.append(candidate)
     return unique
 
@@ -197,7 +222,11 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 
 def find_image(base: Path) -> Path | None:
-    """The image file meant by `base`: as given, with another known extension, or with one added (lower or upper case)."""
+    """Find the image file of a listed path: as it is, with another known extension, or with one appended (lower or upper case).
+
+    Returns:
+        The file, or None if there is none.
+    """
     stem = base
     if base.suffix.lower() in IMAGE_SUFFIXES:
         if is_file(base):
@@ -208,9 +237,16 @@ def find_image(base: Path) -> Path | None:
 
 
 def find_mask(image: Path, root: Path) -> Path | None:
-    """The mask file of an image, or None: NAME.png or NAME.ext.png in a folder of masks, with the image's sub-folders, or NAME_mask.png.
+    """Find the mask file of an image: NAME_mask.png next to it, or NAME.png or NAME.ext.png in a folder of masks with its sub-folders.
 
-    For images below `images_4` the folders are `masks_4`, `masks` beside it, `masks` inside it; for `train` also `train_mask`.
+    For images in `images_4`, the folders are `masks_4` and `masks` next to it and `masks` inside it; for `train` also `train_mask`.
+
+    Args:
+        image: the image file.
+        root: the folder of images that contains it.
+
+    Returns:
+        The file, or None if there is none.
     """
     scaled = "masks" + root.name.removeprefix("images") if root.name.startswith("images") else "masks"
     folders = (root.parent / scaled, root.parent / "masks", root / "masks", root.parent / (root.name + "_mask"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Point clouds in PLY files."""
+"""Sparse points from PLY files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from .parsed_dataset import FARTHEST
 
 
 def read_points(path: Path) -> PointCloud:
-    """The points of a PLY file in its own frame, grey where it has no colours. Raises InputError where it is damaged."""
+    """Read the points of a PLY file in its own frame, grey if it has no colours.
+
+    Raises:
+        InputError: if the file is damaged.
+    """
     try:
         vertex = PlyData.read(str(path))["vertex"]
         position = np.stack([vertex[c] for c in "xyz"], -1).astype(np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What was understood of a dataset, for people and for programs."""
+"""Summary of a loaded dataset, as text for the user and as values for programs."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ SHOWN = 5  # lines of one kind before the rest is only counted
 
 
 def describe(dataset: Dataset) -> str:
-    """A compact table: format, views, sizes, cameras, points, masks, object bound, warnings."""
+    """Format a dataset's summary as a table: format, views, sizes, cameras, points, masks, object's bound, warnings."""
     return "\n".join(f"{name:<10}{text}" for name, text in _rows(dataset))
 
 
 def summary(dataset: Dataset) -> dict[str, Any]:
-    """The same as plain values for JSON.
+    """Return a dataset's summary as plain values for JSON.
 
-    path, format; train, test: numbers of views; novel: of those under other lights, by light; sizes: [[width, height, images]], the most
-    common first; kinds: of files; lenses: the real cameras, one line each; distorted: photographs that show lens distortion; masked:
-    training views with a mask; object_share: of their pixels, or None; points: their number, or None; centre, radius: the object's bound
-    in our world; to_world: (4, 4) from the dataset's own frame to it; warnings; rows: [[name, text]] as `describe` puts them.
+    Returns:
+        path, format; train, test: numbers of views; novel: numbers of views under other lights, by light; sizes: [[width, height,
+        images]], the most common first; kinds: file types; lenses: the real cameras, one line each; distorted: number of photographs with
+        lens distortion; masked: number of training views with a mask; object_share: fraction of their pixels that the object covers, or
+        None; points: their number, or None; centre, radius: the object's bound in the world; to_world: (4, 4) from the dataset's own
+        frame to the world; warnings; rows: [[name, text]] as in `describe`.
     """
     views = [*dataset.train, *dataset.test]
     masks = [v.alpha for v in dataset.train if v.alpha is not None]
@@ -102,12 +104,12 @@ def _object_share(masks: list[np.ndarray]) -> float | None:
 
 def _frame(dataset: Dataset) -> str:
     if np.array_equal(dataset.to_world, np.eye(4)):
-        return "same as the tool's"
+        return "the same as the world"
     up = dataset.to_world[2, :3] / np.linalg.norm(dataset.to_world[2, :3])
     origin = np.linalg.inv(dataset.to_world)[:3, 3]
     radius = dataset.bound.radius / np.cbrt(np.linalg.det(dataset.to_world[:3, :3]))
     centre = _numbers(_own_centre(dataset), radius)
-    return f"up was ({_numbers(up, 1.0)}), origin moved to ({_numbers(origin, radius)}); in it the object is at ({centre})"
+    return f"up is ({_numbers(up, 1.0)}), the world's origin is at ({_numbers(origin, radius)}), the object at ({centre})"
 
 
 def _own_centre(dataset: Dataset) -> np.ndarray:
@@ -115,8 +117,8 @@ def _own_centre(dataset: Dataset) -> np.ndarray:
 
 
 def _numbers(values: object, scale: float) -> str:
-    """The values to a thousandth of `scale`: what is smaller is noise."""
-    rounded = np.round(np.asarray(values, np.float64), 3 - int(np.floor(np.log10(scale)))) + 0.0  # no minus before a zero
+    """Format values rounded to a thousandth of `scale`, since smaller digits are noise."""
+    rounded = np.round(np.asarray(values, np.float64), 3 - int(np.floor(np.log10(scale)))) + 0.0  # avoids -0
     return ", ".join(f"{v:.6g}" for v in rounded)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures through a real lens, resampled as a pinhole camera sees them."""
+"""Undistortion: images of a real lens, resampled as a pinhole camera sees them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from ..errors import InputError
 from ..io.image import DecodedImage
 from .parsed_dataset import Lens
 
-GRID = 33  # samples along a side when looking for blank borders
-LARGEST_ZOOM = 3.0  # beyond, next to nothing of the image would be left
+GRID = 33  # samples along a side of the check for blank borders
+LARGEST_ZOOM = 3.0  # beyond, almost nothing of the image would be left
 
 
 @lru_cache(maxsize=256)
 def pinhole(lens: Lens) -> Lens:
-    """The pinhole lens of the undistorted image: same size and principal point, focal lengths raised as little as it takes
-    for every pixel to have a source, so that no blank corner is ever taken for background.
+    """Return the pinhole lens of the undistorted image, with the same size and principal point.
 
-    Raises InputError where the coefficients make no sense for images of this size.
+    The focal lengths are raised just enough for every pixel to have a source, so that no blank corner is taken for background.
+
+    Raises:
+        InputError: if the coefficients are impossible for images of this size.
     """
     plain = replace(lens, distortion=(), fisheye=False)
     if not lens.distorted:
@@ -33,7 +35,7 @@ def pinhole(lens: Lens) -> Lens:
     while not _covered(lens, high):
         low, high = high, high * 1.05
         if high > LARGEST_ZOOM:
-            raise InputError("distortion", f"can't be undone ({lens})", "check the coefficients")
+            raise InputError("lens distortion", f"can't be removed ({lens})", "check the distortion coefficients")
     for _ in range(20):
         middle = (low + high) / 2
         low, high = (low, middle) if _covered(lens, middle) else (middle, high)
@@ -41,7 +43,12 @@ def pinhole(lens: Lens) -> Lens:
 
 
 def undistort(image: DecodedImage, lens: Lens) -> DecodedImage:
-    """The image as `pinhole(lens)` sees it; lens and image have the same size. Bicubic, colour weighted by alpha."""
+    """Resample an image as `pinhole(lens)` sees it: bicubic, with colour weighted by alpha.
+
+    Args:
+        image: float image.
+        lens: the lens that it was taken with, of the image's size.
+    """
     if not lens.distorted:
         return image
     maps = _maps(lens)
@@ -50,13 +57,18 @@ def undistort(image: DecodedImage, lens: Lens) -> DecodedImage:
         return DecodedImage(np.clip(_resample(image.colour, maps), 0, brightest), None)
     pixels = _resample(np.dstack([image.colour * image.alpha[..., None], image.alpha]), maps)
     alpha = pixels[..., 3]
-    # Both overshoot alike, so the quotient stays the colour.
+    # Premultiplied colour and alpha overshoot alike, so that their quotient is still the colour.
     straight = np.where(alpha[..., None] > 1e-3, pixels[..., :3] / np.maximum(alpha, 1e-3)[..., None], 0)
     return DecodedImage(np.clip(straight, 0, brightest), np.clip(alpha, 0, 1))
 
 
 def undistort_mask(mask: np.ndarray, lens: Lens) -> np.ndarray:
-    """(H, W) float32 mask as `pinhole(lens)` sees it."""
+    """Resample a mask as `pinhole(lens)` sees it.
+
+    Args:
+        mask: (H, W) float32 in 0..1.
+        lens: the lens that its image was taken with, of the mask's size.
+    """
     return np.clip(_resample(mask, _maps(lens)), 0, 1) if lens.distorted else mask
 
 
@@ -70,7 +82,7 @@ def _maps(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _covered(lens: Lens, zoom: float) -> bool:
-    """True where every output pixel at this zoom has a source inside the image, and the mapping does not fold over."""
+    """Return True if every output pixel at this zoom has a source inside the image, and the mapping does not fold over."""
     plain = replace(lens, fx=lens.fx * zoom, fy=lens.fy * zoom, distortion=(), fisheye=False)
     # A coarse image whose outermost pixel centres are those of the real one.
     x = _stretch(lens.width, plain.fx, plain.cx)
@@ -87,7 +99,7 @@ def _stretch(pixels: int, focal: float, centre: float) -> tuple[float, float]:
 
 
 def _source_positions(lens: Lens, output: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of `output` (a pinhole) lies in the image of `lens`, in OpenCV's coordinates (pixel centres at integers)."""
+    """Return the source x and y in the image of `lens` of each pixel of `output`, a pinhole; OpenCV's pixel centres are at integers."""
     build = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
     coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
     return build(_matrix(lens), coefficients, np.eye(3), _matrix(output), output.size, cv2.CV_32FC1)

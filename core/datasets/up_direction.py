@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which way is up, judged from how people hold cameras."""
+"""Up direction of a scene, estimated from the orientation in which people hold cameras."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from ..scene.camera import Camera
 
 
-def up_of(cameras: Sequence[Camera]) -> np.ndarray:
-    """(3,) unit vector: the direction that the cameras' horizontal axes are square to, on the side of the images' tops.
+def estimate_up(cameras: Sequence[Camera]) -> np.ndarray:
+    """Estimate the up direction: the unit vector (3,) perpendicular to the cameras' horizontal axes, on the side of the images' tops.
 
-    Level cameras leave the horizontal axis square to the vertical however steeply they look up or down, while the mean of their tops
-    leans towards wherever most of them stand. Where the horizontal axes fix no direction, that mean has to do.
+    The horizontal axis of a level camera is perpendicular to the vertical however steeply the camera looks up or down, while the mean of
+    the images' up axes leans towards where most cameras stand. That mean is used only where the horizontal axes determine no direction.
     """
     rights = np.stack([c.to_world[:3, 0] for c in cameras])
     mean = np.stack([c.to_world[:3, 1] for c in cameras]).mean(0)
@@ -22,7 +22,7 @@ def up_of(cameras: Sequence[Camera]) -> np.ndarray:
     mean = mean / length if length > 1e-3 else np.array([0.0, 0.0, 1.0])
     weights = np.ones(len(cameras))
     up, decided = mean, False
-    for _ in range(10):  # reweighting: images taken on edge have their horizontal axis along the vertical
+    for _ in range(10):  # reweighting: images in portrait orientation have their horizontal axis along the vertical
         values, vectors = np.linalg.eigh((weights[:, None, None] * rights[:, :, None] * rights[:, None, :]).sum(0) / weights.sum())
         decided = bool(values[0] < 0.3 * values[1])
         up = vectors[:, 0] * (1 if vectors[:, 0] @ mean >= 0 else -1)
@@ -31,11 +31,11 @@ def up_of(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def rotation_to_z(up: np.ndarray) -> np.ndarray:
-    """(3, 3) the smallest rotation that takes the unit vector `up` to +Z."""
+    """Return the smallest rotation (3, 3) that takes the unit vector `up` (3,) to +Z."""
     axis = np.cross(up, [0, 0, 1])
     cosine, sine2 = float(up[2]), float(axis @ axis)
     if cosine < 0 and sine2 < 1e-30:
         return np.diag([1.0, -1.0, -1.0])
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    # sin^2 / (1 - cos) is 1 + cos, without its cancellation near straight down.
+    # sin^2 / (1 - cos) equals 1 + cos without its cancellation near straight down.
     return np.eye(3) + skew + skew @ skew / (1 + cosine if cosine > 0 else sine2 / (1 - cosine))

@@ -25,7 +25,7 @@ def wait_for(device: torch.device) -> None:
 
 def incomplete_images() -> int:
     """Count the images rendered by warp so far that lack some splats, because more were visible than its buffers on the device hold."""
-    module = sys.modules.get(__package__.rpartition(".")[0] + ".kernels.warp.rasterize")  # not loaded: it has rendered nothing
+    module = sys.modules.get(__name__.rsplit(".", 2)[0] + ".kernels.warp.rasterize")  # not loaded: it has rendered nothing
     return sum(buffers.overflowed for buffers in module.ROOMS.values()) if module else 0
 
 

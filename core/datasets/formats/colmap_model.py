@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The files of a COLMAP sparse model, text and binary, as plain records."""
+"""Files of a COLMAP sparse model, text and binary, as plain records."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LONGEST_NAME = 4096
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """One camera: model name, image size in pixels, parameters in COLMAP's order."""
+    """Camera of a model: name of its camera model, image size in pixels, parameters in COLMAP's order."""
 
     model: str
     width: int
@@ -31,7 +31,7 @@ class CameraRecord:
 
 @dataclass(frozen=True)
 class ImageRecord:
-    """One registered image: name with folders, camera id, world-to-camera rotation (w, x, y, z) and translation (OpenCV axes)."""
+    """Registered image: name with folders, camera id, rotation (w, x, y, z) and translation from world to camera (OpenCV's axes)."""
 
     name: str
     camera: int
@@ -41,7 +41,7 @@ class ImageRecord:
 
 @dataclass(frozen=True, eq=False)
 class PointRecords:
-    """position (P, 3) float64, colour (P, 3) uint8, track (P,) number of images that see the point."""
+    """Sparse points: position (P, 3) float64, colour (P, 3) uint8, track (P,) number of images that see each point."""
 
     position: np.ndarray
     colour: np.ndarray
@@ -49,7 +49,11 @@ class PointRecords:
 
 
 def model_files(folder: Path) -> dict[str, Path] | None:
-    """{"cameras", "images", maybe "points3D"}: files of the model in this folder, all binary or all text; None where there is no model."""
+    """Find the files of the model in a folder, all binary or all text.
+
+    Returns:
+        Files by the keys "cameras", "images" and, if it exists, "points3D"; None if there is no model.
+    """
     for suffix in (".bin", ".txt"):
         files = {n: folder / (n + suffix) for n in ("cameras", "images", "points3D")}
         if files["cameras"].is_file() and files["images"].is_file():
@@ -58,7 +62,11 @@ def model_files(folder: Path) -> dict[str, Path] | None:
 
 
 def read_cameras(file: Path) -> dict[int, CameraRecord]:
-    """Cameras by id. Raises InputError where the file is damaged or a model is not supported."""
+    """Read the cameras by id.
+
+    Raises:
+        InputError: if the file is damaged or a camera model is not supported.
+    """
     cameras = dict(_binary_cameras(file) if file.suffix == ".bin" else _text_cameras(file))
     for number, camera in cameras.items():
         if not np.isfinite(camera.parameters).all():
@@ -69,7 +77,11 @@ def read_cameras(file: Path) -> dict[int, CameraRecord]:
 
 
 def read_images(file: Path) -> list[ImageRecord]:
-    """Registered images in the order of their names. Raises InputError where the file is damaged."""
+    """Read the registered images, sorted by name.
+
+    Raises:
+        InputError: if the file is damaged.
+    """
     images = list(_binary_images(file) if file.suffix == ".bin" else _text_images(file))
     for image in images:
         # Negated comparisons: they are true for NaN.
@@ -79,7 +91,11 @@ def read_images(file: Path) -> list[ImageRecord]:
 
 
 def read_points(file: Path) -> PointRecords:
-    """Sparse points. Raises InputError where the file is damaged or a point is not finite."""
+    """Read the sparse points.
+
+    Raises:
+        InputError: if the file is damaged or a point is not finite.
+    """
     rows = list(_binary_points(file) if file.suffix == ".bin" else _text_points(file))
     position = np.array([r[0] for r in rows], np.float64).reshape(-1, 3)
     bad = np.flatnonzero(~np.isfinite(position).all(-1))
@@ -100,7 +116,7 @@ def _model_name(file: Path, camera: int, name: str) -> str:
 
 
 class _Binary:
-    """A little-endian file read front to back, every step checked against its end."""
+    """Sequential reader of a little-endian file; every read is checked against the end of the file."""
 
     def __init__(self, file: Path) -> None:
         try:
@@ -117,7 +133,7 @@ class _Binary:
         return values
 
     def records(self, kind: str, smallest: int) -> Iterator[int]:
-        """The announced number of records, refused before anything is allocated where the file is too short for them."""
+        """Yield the indices of the announced records, after a check that the file is long enough for that many."""
         (count,) = self.take("Q")
         if count * smallest > len(self.data) - self.offset:
             raise InputError(self.file, f"truncated: {count} {kind}s announced, {len(self.data)} bytes are too few")
@@ -151,7 +167,7 @@ def _binary_cameras(file: Path) -> Iterator[tuple[int, CameraRecord]]:
 
 def _binary_images(file: Path) -> Iterator[ImageRecord]:
     source = _Binary(file)
-    for _ in source.records("picture", 4 + 56 + 4 + 1 + 8):
+    for _ in source.records("image", 4 + 56 + 4 + 1 + 8):
         _, *pose, camera = source.take("I7dI")
         name = source.name()
         (points,) = source.take("Q")
@@ -168,7 +184,7 @@ def _binary_points(file: Path) -> Iterator[tuple[tuple, tuple, int]]:
 
 
 def _lines(file: Path) -> Iterator[tuple[int, str]]:
-    """(line number, line) without comments; blank lines are kept, since an image without points has a blank second line."""
+    """Return (line number, line) without comments; blank lines stay, since the second line of an image without points is blank."""
     try:
         text = file.read_text("utf-8", "replace")
     except OSError as error:

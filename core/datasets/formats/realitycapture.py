@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras as RealityCapture exports them (Registration > Internal/External camera parameters, .csv)."""
+"""Reader of cameras exported by RealityCapture (Registration > Internal/External camera parameters, .csv)."""
 
 from __future__ import annotations
 
@@ -14,46 +14,54 @@ from ...io.image import image_size
 from ...io.safe_paths import inside
 from ...settings.schema import DataSettings
 from ..parsed_dataset import FARTHEST, Frame, Lens, ParsedDataset, find_image, find_mask
-from ..world_frame import settle
+from ..world_frame import normalise_world_frame
 from .metashape import IMAGE_FOLDERS
 
 COLUMNS = ("#name", "x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
-FILM = 36.0  # mm: focal lengths are those of a 35 mm camera, whose longer side this is
-HEAD = 5  # lines among which the columns are named
+FILM = 36.0  # mm, longer side of 35 mm film, which the focal lengths refer to
+HEAD = 5  # number of lines within which the header must be
 
 
 def find_cameras(folder: Path) -> Path | None:
-    """The file of cameras in a folder, or None."""
+    """Return RealityCapture's file of cameras in a folder, or None."""
     return next((f for f in sorted(folder.glob("*.csv")) if _header(f) is not None), None)
 
 
 def read_realitycapture(path: Path, settings: DataSettings) -> ParsedDataset:
-    """Read such a file, or the folder it lies in, with the images beside it or in `images`.
+    """Read the cameras of a RealityCapture export, with the images next to the file or in `images` or `photos`.
 
-    The world has +Z up already; the object is moved to the origin. Raises InputError on bad input.
+    The frame of the export has +Z up already; the object is moved to the origin.
+
+    Args:
+        path: the .csv, or the folder that contains it.
+        settings: settings of the dataset.
+
+    Raises:
+        InputError: if the file is missing, damaged or not supported.
     """
     file = find_cameras(path) if path.is_dir() else path
     start = None if file is None else _header(file)
     if file is None or start is None:
         raise InputError(path, "is not a file of cameras exported by RealityCapture", f"its columns are {', '.join(COLUMNS)}")
     rows = _rows(file, start)
-    places = {row["#name"]: _image(file.parent, row["#name"]) for row in rows}
-    present = {name: image for name, image in places.items() if image is not None}
+    images = {row["#name"]: _image(file.parent, row["#name"]) for row in rows}
+    present = {name: image for name, image in images.items() if image is not None}
     if not present:
-        raise InputError(file, f"none of its {len(rows)} images exists", f"looked for {rows[0]['#name'][:80]!r} beside it and in images")
+        fix = f"put them next to it or in images; first: {rows[0]['#name'][:80]!r}"
+        raise InputError(file, f"none of its {len(rows)} images exists", fix)
     frames = [_frame(file, row, present[row["#name"]]) for row in rows if row["#name"] in present]
     missing = len(rows) - len(frames)
     warnings = [f"{file.name}: {missing} of {len(rows)} images are missing; left out"] if missing else []
-    return settle(file, file.parent, "realitycapture", sorted(frames, key=lambda f: f.listed), None, warnings, upright=True)
+    return normalise_world_frame(file, file.parent, "realitycapture", sorted(frames, key=lambda f: f.listed), None, warnings, upright=True)
 
 
 def _header(file: Path) -> int | None:
-    """Which line names the columns, or None where none does."""
+    """Return the index of the line that names the columns, or None if there is none."""
     try:
         with file.open("r", encoding="utf-8-sig", errors="replace") as stream:
             lines = [stream.readline(2000) for _ in range(HEAD)]
     except OSError:
-        return None  # told where it is the file that was asked for
+        return None  # reported by the reader if it is the file that the user gave
     return next((i for i, line in enumerate(lines) if {"#name", "heading", "pitch", "roll", "f"} <= set(_split(line))), None)
 
 
@@ -74,7 +82,7 @@ def _rows(file: Path, start: int) -> list[dict[str, str]]:
     try:
         rows = [dict(zip(columns, row, strict=False)) for row in csv.reader(lines[1:], delimiter=separator) if row and row[0].strip()]
     except csv.Error as error:
-        raise InputError(file, f"is no table ({error})") from error
+        raise InputError(file, f"is not a readable table ({error})") from error
     if not rows:
         raise InputError(file, "lists no cameras")
     return rows
@@ -91,7 +99,8 @@ def _frame(file: Path, row: dict[str, str], image: Path) -> Frame:
     if max(map(abs, (x, y, z))) > FARTHEST:
         raise InputError(where, "puts the camera at infinity")
     if k4:
-        raise InputError(where, "has distortion that OpenCV's models have not (k4)", "choose Brown3 with or without tangential distortion")
+        fix = "choose the model Brown3, with or without tangential distortion"
+        raise InputError(where, "has a distortion coefficient that OpenCV's model lacks (k4)", fix)
     width, height = image_size(image)
     longest = max(width, height)
     distortion = (k1, k2, t1, t2, k3)
@@ -114,7 +123,7 @@ def _number(where: str, row: dict[str, str], column: str) -> float:
 
 
 def _rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
-    """(3, 3) from degrees about Z, then X, then Y of the turned frame; all 0 looks straight down with the image's top to +Y."""
+    """Return the rotation (3, 3) by degrees about Z, then X, then Y of the rotated frame; all 0 looks straight down, image top to +Y."""
     (sz, cz), (sx, cx), (sy, cy) = ((math.sin(a), math.cos(a)) for a in map(math.radians, (yaw, pitch, roll)))
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The real scenes of Ref-NeRF: COLMAP models of whole surroundings, with a published sphere around what is of interest."""
+"""Conventions of the real scenes of Ref-NeRF: COLMAP models of whole surroundings, with a published sphere of interest."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ...scene.dataset import Bound
-from ..bound import focus_of
+from ..bound import find_look_at_point
 from ..parsed_dataset import ParsedDataset
-from ..world_frame import rough_camera
+from ..world_frame import approximate_camera
 
 # Centre and radius in the models' own frames, as the reflective Gaussian methods use them.
 SPHERES = {
@@ -22,23 +22,23 @@ SPHERES = {
 
 
 def is_ref_real(folder: Path) -> bool:
-    """True where the images are there whole, at a quarter and at an eighth, and not at a half as in other collections."""
-    there = {n for n in (2, 4, 8) if (folder / f"images_{n}").is_dir()}
-    return (folder / "images").is_dir() and there == {4, 8}
+    """Return True if the images exist at full, quarter and eighth size, but not at half size as in other collections."""
+    reduced = {n for n in (2, 4, 8) if (folder / f"images_{n}").is_dir()}
+    return (folder / "images").is_dir() and reduced == {4, 8}
 
 
-def published_sphere(capture: ParsedDataset) -> ParsedDataset:
-    """The capture of such a scene, with the sphere of interest as its bound where it is one of those with a published one.
+def with_published_sphere(parsed: ParsedDataset) -> ParsedDataset:
+    """Return a Ref-NeRF scene with the published sphere of interest as its bound, if there is one for its name.
 
-    A scene that has nothing but the name in common with them is told by its cameras, which look at something outside that sphere.
+    Another scene of the same name is recognised by its cameras, which look at a point outside that sphere: a warning is added instead.
     """
-    capture = replace(capture, format="ref-real")
-    if capture.root.name not in SPHERES:
-        return capture
-    centre, radius = SPHERES[capture.root.name]
-    place = capture.to_world[:3, :3] @ centre + capture.to_world[:3, 3]
-    focus = focus_of([rough_camera(f) for f in capture.train])
-    if np.linalg.norm(place - focus.point) > radius:
-        return replace(capture, warnings=[*capture.warnings, f"{capture.root}: the published sphere of interest does not fit the cameras"])
-    x, y, z = (float(v) for v in place)
-    return replace(capture, bound=Bound((x, y, z), radius))
+    parsed = replace(parsed, format="ref-real")
+    if parsed.root.name not in SPHERES:
+        return parsed
+    centre, radius = SPHERES[parsed.root.name]
+    centre = parsed.to_world[:3, :3] @ centre + parsed.to_world[:3, 3]
+    target = find_look_at_point([approximate_camera(f) for f in parsed.train])
+    if np.linalg.norm(centre - target.point) > radius:
+        return replace(parsed, warnings=[*parsed.warnings, f"{parsed.root}: the published sphere of interest does not fit the cameras"])
+    x, y, z = (float(v) for v in centre)
+    return replace(parsed, bound=Bound((x, y, z), radius))

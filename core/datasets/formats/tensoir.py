@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""TensoIR's synthetic scenes: a folder for each view, with its camera, its image, and what is true of it."""
+"""Reader of TensoIR's synthetic scenes: a folder for each view, with its camera, image and ground truth."""
 
 from __future__ import annotations
 
@@ -11,23 +11,31 @@ import numpy as np
 
 from ...errors import InputError
 from ...settings.schema import DataSettings
-from ..intrinsics import lens_of
+from ..intrinsics import parse_lens
 from ..parsed_dataset import Frame, ParsedDataset
-from ..poses import rigid
+from ..poses import rigid_pose
 
 VIEW = re.compile(r"(train|test|val)_\d+")
 
 
-def views_of(folder: Path) -> list[Path]:
-    """The view folders of such a scene, by name; empty where the folder is none."""
+def find_views(folder: Path) -> list[Path]:
+    """Return the view folders of a TensoIR scene by name; empty if the folder is not one."""
     if not any(folder.glob("train_*/metadata.json")):
         return []
     return sorted(f for f in folder.iterdir() if VIEW.fullmatch(f.name) and (f / "metadata.json").is_file())
 
 
 def read_tensoir(folder: Path, settings: DataSettings) -> ParsedDataset:
-    """Read such a scene. The world is Blender's. Raises InputError on anything missing or not finite."""
-    frames = {split: [_frame(v) for v in views_of(folder) if v.name.startswith(split)] for split in ("train", "test", "val")}
+    """Read a TensoIR scene, whose frame is Blender's world.
+
+    Args:
+        folder: the scene's folder.
+        settings: settings of the dataset.
+
+    Raises:
+        InputError: if a value is missing or not finite.
+    """
+    frames = {split: [_frame(v) for v in find_views(folder) if v.name.startswith(split)] for split in ("train", "test", "val")}
     return ParsedDataset(folder, folder, "tensoir", frames["train"], frames["test"] or frames["val"] or None, np.eye(4))
 
 
@@ -42,5 +50,5 @@ def _frame(view: Path) -> Frame:
     if matrix.size != 16:
         raise InputError(file, f"cam_transform_mat has {matrix.size} numbers, not 16")
     image = view / "rgba.png"
-    pose = rigid(file, matrix.reshape(4, 4), "cam_transform_mat")
-    return Frame(f"{view.name}/rgba", image if image.is_file() else None, None, lens_of(str(file), values, None), pose)
+    pose = rigid_pose(file, matrix.reshape(4, 4), "cam_transform_mat")
+    return Frame(f"{view.name}/rgba", image if image.is_file() else None, None, parse_lens(str(file), values, None), pose)

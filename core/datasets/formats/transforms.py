@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The transforms.json family: NeRF-synthetic, instant-ngp, nerfstudio."""
+"""Reader of the transforms.json family: NeRF-synthetic, instant-ngp, nerfstudio."""
 
 from __future__ import annotations
 
@@ -16,42 +16,54 @@ from ...io.image import image_size
 from ...io.safe_paths import inside, is_file
 from ...scene.dataset import PointCloud
 from ...settings.schema import DataSettings
-from ..intrinsics import Size, lens_of, side_of
+from ..intrinsics import Size, parse_lens, parse_side
 from ..parsed_dataset import Frame, ParsedDataset, find_image, find_mask
-from ..poses import pose_of
+from ..poses import parse_pose
 from ..sparse_points import read_points
 
 NERFSTUDIO_KEYS = ("camera_model", "ply_file_path", "applied_transform", "orientation_override", "train_filenames")
 TENSOIR_VIEW = re.compile(r"(train|test|val)_\d+/rgba(\.png)?")
-GLOSSY_VIEW = re.compile(r"rgb/\d+(\.png)?")  # of the GlossySynthetic scenes converted by Ref-Gaussian and its kin
+GLOSSY_VIEW = re.compile(r"rgb/\d+(\.png)?")  # GlossySynthetic scenes as converted by Ref-Gaussian and related methods
 
 
 def read_transforms(file: Path, settings: DataSettings) -> ParsedDataset:
-    """Read a transforms file, with the one of the test views where the dataset has its own.
+    """Read a transforms file, and that of the test views if the dataset has one; its frame is the world (+Z up by convention).
 
-    The world is taken as it is (+Z up by convention). Raises InputError on anything missing, not finite or not rigid.
+    Args:
+        file: the transforms file.
+        settings: settings of the dataset.
+
+    Raises:
+        InputError: if a value is missing, not finite or not rigid.
     """
     content, test = load_transforms(file), _test_file(file)
-    images = [listed_image(file.parent, e["file_path"]) for e in content["frames"]]
+    images = [find_listed_image(file.parent, e["file_path"]) for e in content["frames"]]
     size = _known_size(file, content, images)
     images = _downscaled(file.parent, content, images, size, settings.resolution)
-    frames = frames_of(file, content, images, size)
+    frames = parse_frames(file, content, images, size)
     if test is None:
-        learn, check = _listed_split(content, frames)
+        train_frames, test_frames = _listed_split(content, frames)
     else:
         other = load_transforms(test)
-        others = [listed_image(test.parent, e["file_path"]) for e in other["frames"]]
-        learn, check = frames, frames_of(test, other, others, _known_size(test, other, others) or size)
-    if not learn:
-        raise InputError(file, "has no views to learn from", "all of its frames are test views, or none is listed in train_filenames")
-    return ParsedDataset(file, file.parent, kind_of(file, content, learn), learn, check, np.eye(4), _points(file, content))
+        others = [find_listed_image(test.parent, e["file_path"]) for e in other["frames"]]
+        train_frames, test_frames = frames, parse_frames(test, other, others, _known_size(test, other, others) or size)
+    if not train_frames:
+        raise InputError(file, "has no training views", "all of its frames are test views, or none is listed in train_filenames")
+    format = detect_format(file, content, train_frames)
+    return ParsedDataset(file, file.parent, format, train_frames, test_frames, np.eye(4), _points(file, content))
 
 
-def kind_of(file: Path, content: dict[str, Any], frames: list[Frame]) -> str:
-    """The short name of the dataset that such a file, its training frames and what lies beside it are found in."""
+def detect_format(file: Path, content: dict[str, Any], frames: list[Frame]) -> str:
+    """Detect the short name of the format that a transforms file belongs to.
+
+    Args:
+        file: the file, whose neighbours are looked at.
+        content: its content.
+        frames: its training frames.
+    """
     folder, first = file.parent, next((f for f in frames if f.image is not None), frames[0])
     listed = first.listed.removeprefix("./")
-    if (folder / "meta.json").is_file():  # of a dataset rendered by scripts/render_dataset.py
+    if (folder / "meta.json").is_file():  # rendered by scripts/render_dataset.py
         return "transforms"
     if (folder / "transforms_novel.json").is_file() or (folder / "train_mask").is_dir():
         return "stanford-orb"
@@ -69,7 +81,7 @@ def kind_of(file: Path, content: dict[str, Any], frames: list[Frame]) -> str:
 
 
 def _test_file(train: Path) -> Path | None:
-    """The file of the test views that goes with one of training views."""
+    """Return the file of the test views that belongs to a file of training views, or None."""
     if train.name != "transforms_train.json":
         return None
     files = (train.with_name(f"transforms_{split}.json") for split in ("test", "val"))
@@ -77,7 +89,11 @@ def _test_file(train: Path) -> Path | None:
 
 
 def load_transforms(file: Path) -> dict[str, Any]:
-    """The content of a transforms file, each of its frames with a `file_path`. Raises InputError where it is none."""
+    """Read the content of a transforms file, and check that each of its frames has a `file_path`.
+
+    Raises:
+        InputError: if the file can't be read or is not a transforms file.
+    """
     try:
         content = json.loads(file.read_bytes())
     except OSError as error:
@@ -96,10 +112,18 @@ def load_transforms(file: Path) -> dict[str, Any]:
     return content
 
 
-def listed_image(folder: Path, listed: str) -> Path | None:
-    """The image that a file in `folder` lists, or None where there is none.
+def find_listed_image(folder: Path, listed: str) -> Path | None:
+    """Find the image that a transforms file lists.
 
-    Raises InputError where it would lie outside that folder, or can't be the name of a file.
+    Args:
+        folder: the folder of the transforms file.
+        listed: name of the image in the file.
+
+    Returns:
+        The image, or None if it does not exist.
+
+    Raises:
+        InputError: if it would be outside of the folder, or is not a possible file name.
     """
     base = folder / listed.replace("\\", "/")
     try:
@@ -111,43 +135,53 @@ def listed_image(folder: Path, listed: str) -> Path | None:
         return next(filter(None, map(find_image, candidates)), None)
     except (OSError, ValueError) as error:  # names too long or otherwise impossible for the file system
         reason = getattr(error, "strerror", None) or error
-        raise InputError(folder, f"can't have the impossible file {listed[:80]!r} that is listed ({reason})") from error
+        raise InputError(folder, f"a frame lists the impossible file {listed[:80]!r} ({reason})") from error
 
 
 def _downscaled(folder: Path, content: dict[str, Any], images: list[Path | None], size: Size | None, resolution: int) -> list[Path | None]:
-    """Nerfstudio's smaller copies of all images, from images_2, images_4 or images_8, where they reach the resolution."""
+    """Return nerfstudio's smaller copies of all images, from images_2, images_4 or images_8, if they reach the resolution."""
     names = [e["file_path"].removeprefix("./") for e in content["frames"]]
     if size is None or not all(n.startswith("images/") for n in names):
         return images
     for factor in (8, 4, 2):
         small = folder / f"images_{factor}"
         if max(size) / factor >= resolution and small.is_dir():
-            copies = [listed_image(folder, f"images_{factor}/" + n.removeprefix("images/")) for n in names]
+            copies = [find_listed_image(folder, f"images_{factor}/" + n.removeprefix("images/")) for n in names]
             if all(c is not None or p is None for c, p in zip(copies, images, strict=True)):
                 return copies
     return images
 
 
 def _known_size(file: Path, content: dict[str, Any], images: list[Path | None]) -> Size | None:
-    """The size the cameras are for: as stated, or that of the first image that can be read; None where there is neither."""
+    """Return the image size of the cameras: as stated, or that of the first image that can be read; None if there is neither."""
     if "w" in content and "h" in content:
-        return side_of(file, content, "w"), side_of(file, content, "h")
+        return parse_side(file, content, "w"), parse_side(file, content, "h")
     for image in filter(None, images):
         try:
             return image_size(image)
         except InputError:
-            continue  # reported when its turn to be decoded comes
+            continue  # reported when it is decoded
     return None
 
 
-def frames_of(file: Path, content: dict[str, Any], images: list[Path | None], size: Size | None) -> list[Frame]:
-    """The frames of a file, with images in the order it lists them; `size` is that of cameras that don't say theirs."""
+def parse_frames(file: Path, content: dict[str, Any], images: list[Path | None], size: Size | None) -> list[Frame]:
+    """Parse the frames of a transforms file.
+
+    Args:
+        file: the file, for messages and as the place of masks.
+        content: its content.
+        images: the image of each frame, or None.
+        size: (width, height) in pixels of cameras that don't state theirs.
+
+    Raises:
+        InputError: if a camera is incomplete or impossible.
+    """
     shared = {k: v for k, v in content.items() if k != "frames"}
     frames = []
     for index, (entry, image) in enumerate(zip(content["frames"], images, strict=True)):
         where = f"{file}, frame {index} ({entry['file_path'][:80]})"
-        lens = lens_of(where, {**shared, **entry}, size)
-        frames.append(Frame(entry["file_path"], image, _mask(file, entry, image), lens, pose_of(where, entry)))
+        lens = parse_lens(where, {**shared, **entry}, size)
+        frames.append(Frame(entry["file_path"], image, _mask(file, entry, image), lens, parse_pose(where, entry)))
     return frames
 
 
@@ -160,12 +194,12 @@ def _mask(file: Path, entry: dict[str, Any], image: Path | None) -> Path | None:
     if image is None:
         return None
     # NAME_rgb.exr has its mask at NAME_mask.png.
-    twin = image.with_name(image.stem.removesuffix("_rgb") + "_mask.png")
-    return twin if twin != image and is_file(twin) else find_mask(image, _image_root(file, image))
+    mask = image.with_name(image.stem.removesuffix("_rgb") + "_mask.png")
+    return mask if mask != image and is_file(mask) else find_mask(image, _image_root(file, image))
 
 
 def _image_root(file: Path, image: Path) -> Path:
-    """The folder that the masks folder lies beside: the topmost folder of the image's path below the file's own."""
+    """Return the folder that the folder of masks is next to: the topmost folder of the image's path below that of the file."""
     try:
         parts = image.relative_to(file.parent).parts
     except ValueError:
@@ -174,18 +208,18 @@ def _image_root(file: Path, image: Path) -> Path:
 
 
 def _listed_split(content: dict[str, Any], frames: list[Frame]) -> tuple[list[Frame], list[Frame] | None]:
-    """Nerfstudio may name the images of each split inside the file."""
-    named = {split: content.get(f"{split}_filenames") for split in ("train", "val", "test")}
-    held = next((n for n in (named["test"], named["val"]) if isinstance(n, list) and n), None)
-    if held is None:
+    """Split frames as nerfstudio's lists of file names state; test frames are None if there is no such list."""
+    lists = {split: content.get(f"{split}_filenames") for split in ("train", "val", "test")}
+    held_out = next((n for n in (lists["test"], lists["val"]) if isinstance(n, list) and n), None)
+    if held_out is None:
         return frames, None
-    chosen = {str(n) for n in held}
-    learn = {str(n) for n in named["train"]} if isinstance(named["train"], list) else {f.listed for f in frames} - chosen
-    return [f for f in frames if f.listed in learn], [f for f in frames if f.listed in chosen]
+    test = {str(n) for n in held_out}
+    train = {str(n) for n in lists["train"]} if isinstance(lists["train"], list) else {f.listed for f in frames} - test
+    return [f for f in frames if f.listed in train], [f for f in frames if f.listed in test]
 
 
 def _points(file: Path, content: dict[str, Any]) -> PointCloud | None:
-    """Nerfstudio's sparse points, in the frame of the cameras."""
+    """Read nerfstudio's sparse points, in the frame of the cameras; None if the file names none."""
     name = content.get("ply_file_path")
     if not isinstance(name, str) or not name:
         return None

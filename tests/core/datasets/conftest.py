@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A tiny capture made from scratch: a coloured ball seen from a ring, written in every format by writers of the tests' own."""
+"""Tiny dataset made from scratch: a coloured ball seen from a ring, written in every format by independent writers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def ring(count: int, target: np.ndarray) -> list[np.ndarray]:
 
 
 def photograph(pose: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """(H, W, 4) uint8: a ball of this centre, coloured by the direction of its surface."""
+    """Render a ball of this centre (H, W, 4) uint8, coloured by the direction of its normal."""
     x, y = np.meshgrid((np.arange(W) + 0.5 - W / 2) / FOCAL, (np.arange(H) + 0.5 - H / 2) / FOCAL)
     ray = np.stack([x, -y, -np.ones_like(x)], -1) @ pose[:3, :3].T
     origin = pose[:3, 3] - centre
@@ -36,8 +36,8 @@ def photograph(pose: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 @dataclass
-class ParsedDataset:
-    """Poses (camera to world) and images (H, W, 4) uint8 of the ball about `centre`."""
+class BallDataset:
+    """Poses (camera to world) and images (H, W, 4) uint8 of the ball about `centre`, and the folder to write them to."""
 
     folder: Path
     centre: np.ndarray
@@ -64,7 +64,7 @@ class ParsedDataset:
             Image.fromarray(image if alpha else image[..., :3]).save(path, quality=95)
 
     def transforms(self, name: str = "transforms.json", names: list[str] | None = None, alpha: bool = True, **values: object) -> Path:
-        """Pictures and a transforms file; `values` replaces the shared intrinsics."""
+        """Write the images and a transforms file; `values` replaces the shared intrinsics."""
         listed = names or [f"images/{i:03d}.png" for i in range(len(self.poses))]
         self.save_images([n if "." in Path(n).name else n + ".png" for n in listed], alpha)
         frames = [{"file_path": n, "transform_matrix": p.tolist()} for n, p in zip(listed, self.poses, strict=True)]
@@ -88,7 +88,7 @@ class ParsedDataset:
         alpha: bool = False,
         points: np.ndarray | None = None,
     ) -> Path:
-        """Pictures and a sparse model in the same world; returns the model's folder."""
+        """Write the images and a sparse model in the same world; return the model's folder."""
         listed = names or [f"{i:03d}.png" for i in range(len(self.poses))]
         self.save_images([f"{images}/{n}" for n in listed], alpha)
         parameters = parameters or (FOCAL, FOCAL, W / 2, H / 2)
@@ -154,18 +154,18 @@ def write_binary(folder, model, parameters, names, poses, points, colours) -> No
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> ParsedDataset:
+def ball_dataset(tmp_path: Path) -> BallDataset:
     """Ten views around a ball that is not at the origin."""
     centre = np.array([0.3, -0.2, 0.4])
     poses = ring(10, centre)
-    return ParsedDataset(tmp_path, centre, poses, [photograph(p, centre) for p in poses])
+    return BallDataset(tmp_path, centre, poses, [photograph(p, centre) for p in poses])
 
 
 @pytest.fixture
-def trapped(capture: ParsedDataset, tmp_path_factory: pytest.TempPathFactory) -> ParsedDataset:
-    """A capture in a folder of its own, with an image beside that folder that is none of its business."""
+def confined_dataset(ball_dataset: BallDataset, tmp_path_factory: pytest.TempPathFactory) -> BallDataset:
+    """The dataset in a folder of its own, next to an image outside of it that must not be read."""
     home = tmp_path_factory.mktemp("home")
-    capture.folder = home / "dataset"
-    capture.folder.mkdir()
-    Image.fromarray(capture.images[0]).save(home / "secret.png")
-    return capture
+    ball_dataset.folder = home / "dataset"
+    ball_dataset.folder.mkdir()
+    Image.fromarray(ball_dataset.images[0]).save(home / "secret.png")
+    return ball_dataset

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The estimated object bound against a ball of known place and size; view names; the description of a dataset."""
+"""Estimated bound against a ball of known position and size; look-at point; view names; description of a dataset."""
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from irgspp.core.datasets.bound import focus_of
+from irgspp.core.datasets.bound import find_look_at_point
 from irgspp.core.datasets.load import load_dataset, load_dataset_cameras
 from irgspp.core.datasets.parsed_dataset import view_names
 from irgspp.core.datasets.summary import describe
@@ -13,71 +13,71 @@ from irgspp.core.datasets.up_direction import rotation_to_z
 from irgspp.core.settings.schema import DataSettings
 
 
-def test_masks_enclose_the_ball_tightly(capture):
-    capture.transforms()
-    bound = load_dataset(capture.folder).bound
-    slack = bound.radius - np.linalg.norm(np.array(bound.centre) - capture.centre)
-    assert slack > capture.radius and bound.radius < 1.35 * capture.radius
+def test_masks_enclose_the_ball_tightly(ball_dataset):
+    ball_dataset.transforms()
+    bound = load_dataset(ball_dataset.folder).bound
+    slack = bound.radius - np.linalg.norm(np.array(bound.centre) - ball_dataset.centre)
+    assert slack > ball_dataset.radius and bound.radius < 1.35 * ball_dataset.radius
 
 
-def test_one_bad_mask_does_not_break_the_bound(capture):
+def test_one_bad_mask_does_not_break_the_bound(ball_dataset):
     rng = np.random.default_rng(0)
-    more = [*capture.poses, *capture.poses, *capture.poses]
-    capture.images = [p.copy() for _ in range(3) for p in capture.images]
-    capture.poses = [p + np.pad(rng.normal(0, 1e-6, (3, 1)), ((0, 1), (3, 0))) for p in more]
-    capture.images[4][..., 3] = 0
-    capture.images[4][:6, :6, 3] = 255
-    capture.transforms()
-    bound = load_dataset(capture.folder, DataSettings(holdout=0)).bound
-    assert np.linalg.norm(np.array(bound.centre) - capture.centre) < 0.15 and 1 < bound.radius / capture.radius < 1.35
+    more = [*ball_dataset.poses, *ball_dataset.poses, *ball_dataset.poses]
+    ball_dataset.images = [p.copy() for _ in range(3) for p in ball_dataset.images]
+    ball_dataset.poses = [p + np.pad(rng.normal(0, 1e-6, (3, 1)), ((0, 1), (3, 0))) for p in more]
+    ball_dataset.images[4][..., 3] = 0
+    ball_dataset.images[4][:6, :6, 3] = 255
+    ball_dataset.transforms()
+    bound = load_dataset(ball_dataset.folder, DataSettings(holdout=0)).bound
+    assert np.linalg.norm(np.array(bound.centre) - ball_dataset.centre) < 0.15 and 1 < bound.radius / ball_dataset.radius < 1.35
 
 
-def test_masks_that_exclude_each_other_are_told(capture):
-    for i, image in enumerate(capture.images):
+def test_contradicting_masks_give_a_warning(ball_dataset):
+    for i, image in enumerate(ball_dataset.images):
         image[..., 3] = 0
         image[:8, (0 if i % 2 else 52) : (8 if i % 2 else 60), 3] = 255
-    capture.transforms()
-    assert any("masks" in w for w in load_dataset(capture.folder).warnings)
+    ball_dataset.transforms()
+    assert any("masks" in w for w in load_dataset(ball_dataset.folder).warnings)
 
 
-def test_cameras_alone_tell_the_place(capture):
-    capture.transforms(alpha=False)
-    data = load_dataset(capture.folder)
-    np.testing.assert_allclose(data.bound.centre, capture.centre, atol=0.02)
+def test_bound_from_cameras_alone(ball_dataset):
+    ball_dataset.transforms(alpha=False)
+    data = load_dataset(ball_dataset.folder)
+    np.testing.assert_allclose(data.bound.centre, ball_dataset.centre, atol=0.02)
     assert 0.5 < data.bound.radius < 1.2
 
 
-def test_points_tell_the_size_in_spite_of_a_wall(capture):
+def test_bound_from_points_in_front_of_a_wall(ball_dataset):
     rng = np.random.default_rng(3)
-    wall = capture.centre + np.stack([rng.uniform(-6, 6, 400), np.full(400, 4.0), rng.uniform(-3, 3, 400)], -1)
-    capture.colmap(True, points=np.concatenate([capture.surface(), wall]))
-    data = load_dataset(capture.folder)
+    wall = ball_dataset.centre + np.stack([rng.uniform(-6, 6, 400), np.full(400, 4.0), rng.uniform(-3, 3, 400)], -1)
+    ball_dataset.colmap(True, points=np.concatenate([ball_dataset.surface(), wall]))
+    data = load_dataset(ball_dataset.folder)
     own = np.linalg.inv(data.to_world) @ [*data.bound.centre, 1]
-    assert np.linalg.norm(own[:3] - capture.centre) < 0.1 and 0.95 < data.bound.radius / capture.radius < 1.35
+    assert np.linalg.norm(own[:3] - ball_dataset.centre) < 0.1 and 0.95 < data.bound.radius / ball_dataset.radius < 1.35
 
 
-def test_a_given_bound_is_in_the_datasets_own_frame(capture):
-    capture.colmap(True)
-    data = load_dataset(capture.folder, DataSettings(centre=tuple(capture.centre + 0.1), radius=0.7))
+def test_a_given_bound_is_in_the_datasets_own_frame(ball_dataset):
+    ball_dataset.colmap(True)
+    data = load_dataset(ball_dataset.folder, DataSettings(centre=tuple(ball_dataset.centre + 0.1), radius=0.7))
     own = np.linalg.inv(data.to_world) @ [*data.bound.centre, 1]
-    np.testing.assert_allclose(own[:3], capture.centre + 0.1, atol=1e-9)
+    np.testing.assert_allclose(own[:3], ball_dataset.centre + 0.1, atol=1e-9)
     assert data.bound.radius == pytest.approx(0.7)
 
 
-def test_cameras_that_look_outwards_are_told(capture):
-    for pose in capture.poses:
+def test_cameras_that_look_outwards_give_a_warning(ball_dataset):
+    for pose in ball_dataset.poses:
         pose[:3, [0, 2]] *= -1
-    capture.transforms(alpha=False)
-    data = load_dataset(capture.folder)
+    ball_dataset.transforms(alpha=False)
+    data = load_dataset(ball_dataset.folder)
     assert any("look at one point" in w for w in data.warnings)
 
 
-def test_focus_survives_a_stray_camera(capture):
-    capture.poses[0][:3, 3] += capture.poses[0][:3, 0] * 2
-    capture.transforms()
-    cameras = [c for _, c in load_dataset_cameras(capture.folder, "all")[0]]
-    focus = focus_of(cameras)
-    assert focus.reliable and np.linalg.norm(focus.point - capture.centre) < 0.1
+def test_look_at_point_is_robust_to_a_stray_camera(ball_dataset):
+    ball_dataset.poses[0][:3, 3] += ball_dataset.poses[0][:3, 0] * 2
+    ball_dataset.transforms()
+    cameras = [c for _, c in load_dataset_cameras(ball_dataset.folder, "all")[0]]
+    target = find_look_at_point(cameras)
+    assert target.reliable and np.linalg.norm(target.point - ball_dataset.centre) < 0.1
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1))
@@ -106,9 +106,9 @@ def test_names_are_unique_and_safe(listed):
     assert all("/" not in n and n not in ("", ".", "..") for n in names)
 
 
-def test_description(capture):
-    capture.colmap(True, "OPENCV", (70.0, 70.0, 30.0, 24.0, 0.1, 0, 0, 0))
-    (capture.folder / "images/007.png").unlink()
-    text = describe(load_dataset(capture.folder))
+def test_description(ball_dataset):
+    ball_dataset.colmap(True, "OPENCV", (70.0, 70.0, 30.0, 24.0, 0.1, 0, 0, 0))
+    (ball_dataset.folder / "images/007.png").unlink()
+    text = describe(load_dataset(ball_dataset.folder))
     for words in ("colmap", "7 training, 2 test", "OPENCV 60x48", "k1 0.1", "300", "007.png", "none"):
         assert words in text

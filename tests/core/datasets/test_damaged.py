@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whole files with bytes changed, lost or added: an InputError, or something sound, and nothing else."""
+"""Valid files with bytes changed, lost or added give an InputError or a valid result, and nothing else."""
 
 import contextlib
 import struct
@@ -54,14 +54,14 @@ def test_damaged_images(tmp_path_factory, cut, edits, file):
 
 @fuzz
 @given(cuts, places, st.binary(max_size=30))
-def test_damaged_transforms(capture, cut, edits, noise):
-    path = capture.folder / "transforms.json"
+def test_damaged_transforms(ball_dataset, cut, edits, noise):
+    path = ball_dataset.folder / "transforms.json"
     if not path.exists():
-        capture.transforms()
+        ball_dataset.transforms()
         SAMPLES["transforms.json"] = path.read_bytes()
     path.write_bytes(damage(SAMPLES["transforms.json"], cut, edits) + (noise if cut < 0.5 else b""))
     with contextlib.suppress(InputError):
-        load_dataset_cameras(capture.folder, "all")
+        load_dataset_cameras(ball_dataset.folder, "all")
 
 
 SAMPLES: dict[str, bytes] = {}
@@ -69,7 +69,7 @@ SAMPLES: dict[str, bytes] = {}
 
 @pytest.fixture(scope="module", autouse=True)
 def samples(tmp_path_factory):
-    """Whole files to damage."""
+    """Valid files to damage."""
     folder = tmp_path_factory.mktemp("samples")
     rng = np.random.default_rng(0)
     camera = struct.pack("<QIiQQ4d", 1, 1, 1, 60, 48, 70, 70, 30, 24)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A dataset as plain files: the cameras of the unreduced photographs, points, and what is known of it."""
+"""Export of a dataset: the cameras of the unreduced photographs, points, and the summary."""
 
 import json
 from dataclasses import replace
@@ -22,8 +22,8 @@ FULL = DataSettings(resolution=1000)
 
 
 @pytest.fixture
-def bent(tmp_path):
-    """A capture through a lens that bends lines: gradients of 40x30 pixels, one of them broken."""
+def distorted_dataset(tmp_path):
+    """Dataset with lens distortion: gradients of 40x30 pixels, one of them broken."""
     from irgspp.core.scene.camera import look_at
 
     frames = []
@@ -51,10 +51,10 @@ def test_cameras_are_those_of_the_unreduced_images(tmp_path):
     assert not (tmp_path / "photographs").exists() and not (tmp_path / "points.npz").exists()
 
 
-def test_bent_photographs_are_straightened_at_full_size(bent, tmp_path_factory):
+def test_distorted_photographs_are_undistorted_at_full_size(distorted_dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("export")
-    save_dataset(load_dataset(bent, SMALL), SMALL, out, Silent())
-    data = load_dataset(bent, FULL)
+    save_dataset(load_dataset(distorted_dataset, SMALL), SMALL, out, Silent())
+    data = load_dataset(distorted_dataset, FULL)
     views = [*data.train, *data.test]
     placed = load_run_cameras(out / "cameras.json")
     assert [p.name for p in placed] == [v.name for v in views] == list("12340")  # without the broken one
@@ -64,7 +64,7 @@ def test_bent_photographs_are_straightened_at_full_size(bent, tmp_path_factory):
         assert np.abs(shown - view.colour).mean() < 0.01  # but for the losses of a JPEG
 
 
-def test_points_and_facts(tmp_path):
+def test_points_and_summary(tmp_path):
     data = load_dataset(DEMO_DATA, SMALL)
     from irgspp.core.scene.dataset import PointCloud
 
@@ -72,15 +72,15 @@ def test_points_and_facts(tmp_path):
     save_dataset(replace(data, points=cloud), SMALL, tmp_path, Silent())
     with np.load(tmp_path / "points.npz") as stored:
         assert np.array_equal(stored["position"], cloud.position) and (stored["colour"] == 51).all()
-    told = json.loads((tmp_path / "dataset.json").read_text())
-    assert (told["train"], told["test"], told["points"], told["masked"], told["distorted"]) == (40, 6, 50, 40, 0)
-    assert told["sizes"] == [[16, 16, 46]] and 0.2 < told["object_share"] < 0.5 and told["warnings"] == []
-    assert [name for name, _ in told["rows"]] == [line[:10].strip() for line in describe(replace(data, points=cloud)).splitlines()]
+    exported = json.loads((tmp_path / "dataset.json").read_text())
+    assert (exported["train"], exported["test"], exported["points"], exported["masked"], exported["distorted"]) == (40, 6, 50, 40, 0)
+    assert exported["sizes"] == [[16, 16, 46]] and 0.2 < exported["object_share"] < 0.5 and exported["warnings"] == []
+    assert [name for name, _ in exported["rows"]] == [line[:10].strip() for line in describe(replace(data, points=cloud)).splitlines()]
     save_dataset(data, SMALL, tmp_path, Silent())
     assert not (tmp_path / "points.npz").exists()  # nothing of an earlier export stays
 
 
-def test_stopped_export_is_not_taken_for_a_whole_one(tmp_path):
+def test_a_cancelled_export_is_incomplete(tmp_path):
     data, progress = load_dataset(DEMO_DATA, SMALL), Silent()
     save_dataset(data, SMALL, tmp_path, progress)
     progress.cancelled = True
@@ -89,17 +89,17 @@ def test_stopped_export_is_not_taken_for_a_whole_one(tmp_path):
     assert not (tmp_path / "dataset.json").exists()
 
 
-def test_folder_that_cant_be_made_is_named(tmp_path):
+def test_a_folder_that_cannot_be_created_is_named(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match=r"file.* can't be written"):
         save_dataset(load_dataset(DEMO_DATA, SMALL), SMALL, tmp_path / "file", Silent())
 
 
-def test_commands_words(bent, tmp_path_factory, capsys):
+def test_command_prints_the_exported_summary(distorted_dataset, tmp_path_factory, capsys):
     out = tmp_path_factory.mktemp("export")
-    assert main(["inspect", str(bent), "--json", "--export", str(out)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told == json.loads((out / "dataset.json").read_text())
-    assert told["distorted"] == 5 and told["masked"] == 0 and told["object_share"] is None
-    assert any("5.png" in line for line in told["warnings"])
-    assert told["lenses"] and told == json.loads(json.dumps(summary(load_dataset(bent))))
+    assert main(["inspect", str(distorted_dataset), "--json", "--export", str(out)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((out / "dataset.json").read_text())
+    assert printed["distorted"] == 5 and printed["masked"] == 0 and printed["object_share"] is None
+    assert any("5.png" in line for line in printed["warnings"])
+    assert printed["lenses"] and printed == json.loads(json.dumps(summary(load_dataset(distorted_dataset))))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that once brought a reader down, found by scripts/faults.py: each is refused in one line now."""
+"""Files that once made a reader fail, found by scripts/faults.py: each is refused in one line now."""
 
 import json
 import pickle
@@ -51,7 +51,7 @@ def frame(content):
     ("change", "words"),
     [
         (lambda c: frame(c)["transform_matrix"][0].__setitem__(0, 10**400), "not a matrix of numbers"),
-        (lambda c: c.update(test_filenames=[f["file_path"] for f in c["frames"]]), "no views to learn from"),
+        (lambda c: c.update(test_filenames=[f["file_path"] for f in c["frames"]]), "has no training views"),
         (lambda c: frame(c).update(mask_path="m" * 5000), "no such mask file"),
         (lambda c: c.update(ply_file_path="p" * 5000), "no such file"),
     ],
@@ -62,7 +62,7 @@ def test_transforms(tmp_path, change, words):
 
 
 def test_colmap_pose_with_one_value_that_is_no_number(tmp_path):
-    """max() of Python passes over a NaN that does not come first."""
+    """Python's max() ignores a NaN that does not come first."""
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 8 8 9 9 4 4\n")
     (tmp_path / "images.txt").write_text("".join(f"{i} 1 0 0 0 {i} nan 3 1 {i}.png\n\n" for i in range(4)))
     with refused("not finite"):
@@ -105,7 +105,7 @@ def test_setting_beyond_all_floats():
 
 
 def test_checkpoint_that_lost_a_bit(tmp_path):
-    """torch reads on where the numbers are others than those that were written."""
+    """torch itself does not notice changed numbers."""
     folder = RunFolder.open(tmp_path / "run", Settings(), "photos")
     folder.save("first_stage", {"values": torch.arange(1000.0)})
     path = tmp_path / "run" / "checkpoint" / "first_stage.pt"
@@ -130,13 +130,13 @@ def test_archive_of_a_version_that_is_none(tmp_path):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"\x80\x04K\x01r\xff\xff\xff\x7f.", "numbers a value 2147483647"),  # the memo would become a table of 16 GB
+        (b"\x80\x04K\x01r\xff\xff\xff\x7f.", "gives a value the number 2147483647"),  # the memo would become a table of 16 GB
         (b"\x80\x05\x8e\x00\x00\x00\x00\x10\x00\x00\x00abc.", "not a readable pickle"),  # bytes, 64 GB of them announced
         (b"\x80\x05\x96\x00\x00\x00\x00\x10\x00\x00\x00abc.", "not a readable pickle"),  # a bytearray
         (b"\x80\x04(" + b"K\x00" * 3_000_000 + b"l.", "operations"),
     ],
 )
-def test_pickles_that_take_more_room_than_they_have(tmp_path, data, words):
+def test_pickles_that_claim_more_memory_than_they_have(tmp_path, data, words):
     (tmp_path / "a.pkl").write_bytes(data)
     with refused(words):
         read_pickle(tmp_path / "a.pkl")
@@ -205,7 +205,7 @@ def test_checkpoint_of_no_surface(tmp_path, change):
 
 
 def test_checkpoint_that_unpacks_to_more_than_it_is(tmp_path):
-    with closing(saved(tmp_path, "first stage", {"values": torch.zeros(10_000)})) as run:
+    with closing(saved(tmp_path, "first_stage", {"values": torch.zeros(10_000)})) as run:
         path = tmp_path / "run" / "checkpoint" / "first_stage.pt"
         with zipfile.ZipFile(path) as archive:
             parts = {entry.filename: archive.read(entry) for entry in archive.infolist()}
@@ -217,7 +217,7 @@ def test_checkpoint_that_unpacks_to_more_than_it_is(tmp_path):
 
 
 def test_arrays_that_claim_more_than_they_have(tmp_path):
-    """numpy makes room for what a header claims before it looks whether it is there."""
+    """numpy allocates what a header claims before it checks whether the file has it."""
     path = tmp_path / "surface_points.npz"
     np.savez_compressed(path, points=np.eye(3, dtype=np.float32), normals=np.asfortranarray(-np.eye(3, dtype=np.float16)))
     position, normal = rendered_points(tmp_path)
@@ -242,7 +242,7 @@ def test_array_that_claims_to_be_larger_than_its_file(tmp_path):
         rendered_points(tmp_path)
 
 
-def test_arrays_that_unpack_to_more_than_there_is_room_for(tmp_path):
+def test_arrays_that_unpack_to_too_much(tmp_path):
     path = tmp_path / "surface_points.npz"
     np.savez_compressed(path, points=np.zeros((12 << 20, 3), np.float32), normals=np.zeros((1, 3), np.float32))
     assert path.stat().st_size < 1 << 20

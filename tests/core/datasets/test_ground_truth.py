@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Arrays beside images that lie about their size, or hold objects."""
+"""Ground truth arrays that claim a wrong size or hold objects are refused."""
 
 import pickle
 
@@ -10,14 +10,14 @@ from PIL import Image
 from refused import refused
 
 
-def test_arrays_that_lie_or_hold_objects_are_refused(tmp_path, capture):
+def test_arrays_with_wrong_sizes_or_objects_are_refused(tmp_path, ball_dataset):
     scene = tmp_path / "blender_LDR" / "thing"
     truth = tmp_path / "ground_truth" / "thing" / "z_depth"
     truth.mkdir(parents=True)
     (scene / "test").mkdir(parents=True)
     Image.new("RGB", (8, 8)).save(scene / "test" / "0000.png")
-    capture.transforms()
-    view = load_dataset(capture.folder).train[0]
+    ball_dataset.transforms()
+    view = load_dataset(ball_dataset.folder).train[0]
     view = type(view)(view.name, view.camera, scene / "test" / "0000.png", view.colour, None)
     path = truth / "0000.npy"
     np.save(path, np.ones((8, 8), np.float32))

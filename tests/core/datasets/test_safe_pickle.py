@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pickled cameras: arrays are read whatever the protocol, code is refused and not run."""
+"""Pickled cameras: arrays are read in every protocol; code is refused and not run."""
 
 import io
 import os
@@ -16,7 +16,7 @@ from refused import refused
 
 
 class Runs:
-    """Unpickled by the standard library, it makes a file."""
+    """Object that creates a folder when the standard library unpickles it."""
 
     def __init__(self, marker):
         self.marker = str(marker)

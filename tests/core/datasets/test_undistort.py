@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undistortion against the forward distortion formulas, by drawing dots where a real lens would."""
+"""Undistortion against the forward distortion formulas: dots drawn where a real lens would project them."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def lens(distortion, fisheye=False, fx=150.0, fy=148.0, cx=83.0, cy=57.0):
 
 
 def distorted_pixel(optics: Lens, x, y):
-    """Where the ray (x, y, 1) lands in the real image, by the formulas of the OpenCV documentation, pixel centres at .5."""
+    """Project the ray (x, y, 1) into the real image by the formulas of OpenCV's documentation, with pixel centres at .5."""
     r2 = x * x + y * y
     if optics.fisheye:
         theta = np.arctan(np.sqrt(r2))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras of Metashape: sensors of every kind, and files that are hostile or damaged."""
+"""Cameras of Metashape: every type of sensor, and hostile or damaged files."""
 
 import pytest
 from irgspp.core.datasets.format_detection import parse_dataset
@@ -35,30 +35,30 @@ def metashape(folder, doctype="", extra="", label="{i:03d}", pose=POSE):
         (dict(pose="2 0 0 {i} 0 1 0 0 0 0 1 0 0 0 0 1"), ["not rigid"]),
     ],
 )
-def test_hostile_and_damaged_cameras_of_metashape(trapped, given, words):
-    trapped.save_images([f"images/{i:03d}.png" for i in range(10)])
-    metashape(trapped.folder)
-    assert parse_dataset(trapped.folder, DataSettings()).format == "metashape"
-    given = {k: v.replace("{{outside}}", str(trapped.folder.parent)) for k, v in given.items()}
-    metashape(trapped.folder, **given)
+def test_hostile_and_damaged_cameras_of_metashape(confined_dataset, given, words):
+    confined_dataset.save_images([f"images/{i:03d}.png" for i in range(10)])
+    metashape(confined_dataset.folder)
+    assert parse_dataset(confined_dataset.folder, DataSettings()).format == "metashape"
+    given = {k: v.replace("{{outside}}", str(confined_dataset.folder.parent)) for k, v in given.items()}
+    metashape(confined_dataset.folder, **given)
     with refused(*words):
-        load_dataset(trapped.folder)
+        load_dataset(confined_dataset.folder)
 
 
-def test_sensors_of_metashape(trapped):
+def test_sensors_of_metashape(confined_dataset):
     """A fisheye and a frame camera, one sensor never calibrated, one camera switched off."""
-    trapped.save_images([f"images/{i:03d}.png" for i in range(10)])
-    metashape(trapped.folder)
-    file = trapped.folder / "cameras.xml"
+    confined_dataset.save_images([f"images/{i:03d}.png" for i in range(10)])
+    metashape(confined_dataset.folder)
+    file = confined_dataset.folder / "cameras.xml"
     fisheye = """<sensor id="1" label="f" type="fisheye"><resolution width="60" height="48"/><calibration type="fisheye" class="initial">
         <f>30</f></calibration><calibration type="fisheye" class="adjusted"><f>31</f><cx>0.5</cx><cy>-1</cy><k1>0.01</k1><k4>0.002</k4>
         <b1>2</b1></calibration></sensor><sensor id="2" label="n" type="frame"><resolution width="60" height="48"/></sensor></sensors>"""
     text = file.read_text().replace("</sensors>", fisheye)
     text = text.replace('id="3" sensor_id="0"', 'id="3" sensor_id="1"').replace('id="4" sensor_id="0"', 'id="4" sensor_id="2"')
     file.write_text(text.replace('id="5" sensor_id="0"', 'id="5" sensor_id="0" enabled="false"'))
-    capture = parse_dataset(trapped.folder, DataSettings())
-    lenses = {f.listed: f.lens for f in capture.train}
-    assert sorted(lenses) == [f"{i:03d}" for i in range(10) if i not in (4, 5)] and "2 cameras" in capture.warnings[0]
+    parsed = parse_dataset(confined_dataset.folder, DataSettings())
+    lenses = {f.listed: f.lens for f in parsed.train}
+    assert sorted(lenses) == [f"{i:03d}" for i in range(10) if i not in (4, 5)] and "2 cameras" in parsed.warnings[0]
     one = lenses["003"]
     assert one.fisheye and (one.fx, one.fy, one.cx, one.cy) == (33, 31, 30.5, 23) and one.distortion == (0.01, 0, 0, 0.002)
     assert not lenses["000"].distorted and (lenses["000"].fx, lenses["000"].cx) == (70, 30)

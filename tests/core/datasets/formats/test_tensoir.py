@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""TensoIR's scenes with damaged descriptions, and with truth that leads elsewhere."""
+"""TensoIR's scenes with damaged descriptions, and with links in the ground truth that lead out of the folder."""
 
 import json
 

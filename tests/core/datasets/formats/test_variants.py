@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What single datasets of the field have besides: other layouts, further files, splits of their papers, missing images."""
+"""Peculiarities of single datasets: other layouts, further files, splits of their papers, missing images."""
 
 import json
 import pickle
@@ -31,13 +31,13 @@ def test_ldr_captures_of_stanford_orb(source, tmp_path):
 
 
 def test_rolled_cameras_of_realitycapture(source, tmp_path):
-    """The scene's own cameras are level: only a tilted world has all three angles."""
+    """The scene's own cameras are level; only in a tilted world are all three angles different from 0."""
     world = similarity((20.0, -35.0, 65.0), 1.2, (25.0, -12.0, 3.0))
     dataset = Written(*realitycapture.write(source, tmp_path, world), source)
     rolls = np.loadtxt(dataset.path / "cameras.csv", delimiter=",", skiprows=1, usecols=6)
-    capture = parse_dataset(dataset.path, DataSettings())
+    parsed = parse_dataset(dataset.path, DataSettings())
     assert np.abs(rolls).max() > 20 and rolls.min() < 0 < rolls.max()
-    assert max(dataset.shot_of(f.to_world, capture.to_world)[1] for f in capture.train) < 1e-5
+    assert max(dataset.shot_of(f.to_world, parsed.to_world)[1] for f in parsed.train) < 1e-5
 
 
 def test_nero_split_file(every, tmp_path):
@@ -54,7 +54,7 @@ def test_nero_split_file(every, tmp_path):
 
 
 def test_cached_cameras_of_glossy_real(every, tmp_path):
-    """Where the COLMAP model is gone, what NeRO keeps of it will do."""
+    """Without the COLMAP model, NeRO's own copy of the cameras is read."""
     scene = tmp_path / "scene"
     shutil.copytree(every["glossy-real"].path, scene)
     model = parse_dataset(scene, DataSettings())
@@ -105,22 +105,22 @@ def test_views_under_other_lights_are_counted_and_named(every):
 def test_scenes_converted_for_other_methods(every, source, tmp_path):
     """GlossySynthetic and TensoIR as transforms files, as the Gaussian methods convert them."""
     glossy = every["glossy-synthetic"]
-    capture = parse_dataset(glossy.path, DataSettings())
-    own = np.linalg.inv(capture.to_world)
+    parsed = parse_dataset(glossy.path, DataSettings())
+    own = np.linalg.inv(parsed.to_world)
     width, height = source.size
     content = {"w": width, "h": height, "fl_x": source.focal, "fl_y": source.focal, "cx": width / 2, "cy": height / 2}
     content["camera_angle_x"] = source.angle
-    for split, frames in zip(("train", "test"), capture.split(DataSettings()), strict=True):
+    for split, frames in zip(("train", "test"), parsed.split(DataSettings()), strict=True):
         rows = [{"file_path": f"rgb/{f.listed[:-4]}", "transform_matrix": (own @ f.to_world).tolist()} for f in frames]
         (tmp_path / f"transforms_{split}.json").write_text(json.dumps({**content, "frames": rows}))
     (tmp_path / "rgb").mkdir()
-    for frame in capture.train:
-        shot, _ = glossy.shot_of(frame.to_world, capture.to_world)
+    for frame in parsed.train:
+        shot, _ = glossy.shot_of(frame.to_world, parsed.to_world)
         Image.fromarray(shot.rgba).save(tmp_path / "rgb" / frame.listed)
     data = load_dataset(tmp_path)
     assert data.format == "glossy-synthetic" and data.has_alpha and len(data.test) == 3
     assert max(glossy.shot_of(v.camera.to_world, data.to_world)[1] for v in data.train) < 1e-5
-    assert np.array_equal(data.to_world, capture.to_world)
+    assert np.array_equal(data.to_world, parsed.to_world)
     scene = tmp_path / "tensoir"
     shutil.copytree(every["tensoir"].path, scene)
     for split, shots in (("train", source.train), ("test", source.test)):
@@ -133,7 +133,7 @@ def test_scenes_converted_for_other_methods(every, source, tmp_path):
     assert data.format == "tensoir" and truth.albedo is not None and set(truth.relit) == {"bridge", "city"}
 
 
-def test_a_name_alone_makes_no_published_sphere(every, tmp_path):
+def test_a_published_sphere_must_fit_the_cameras(every, tmp_path):
     scene = tmp_path / "toycar"  # the cameras are those of the sedan
     shutil.copytree(every["ref-real"].path, scene)
     data = load_dataset(scene)
@@ -153,7 +153,7 @@ def test_captures_of_stanford_orb_as_colmap_models(every, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["tensoir", "glossy-synthetic", "metashape", "realitycapture"])
-def test_missing_images_are_left_out_and_told(name, every, tmp_path):
+def test_missing_images_are_left_out_with_a_warning(name, every, tmp_path):
     scene = tmp_path / "scene"
     shutil.copytree(every[name].path, scene)
     frame = parse_dataset(scene, DataSettings()).train[3]
@@ -184,6 +184,6 @@ def test_larger_light_maps_come_first(every, tmp_path):
         ({"camera_angle_x": 0.8}, "transforms"),
     ],
 )
-def test_kinds_of_transforms(capture, content, expected):
-    capture.transforms(**content)
-    assert load_dataset(capture.folder).format == expected
+def test_formats_of_transforms(ball_dataset, content, expected):
+    ball_dataset.transforms(**content)
+    assert load_dataset(ball_dataset.folder).format == expected
