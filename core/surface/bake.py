@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Textures: which texel shows which point of the mesh, and the normal texture's tangent frames."""
+"""Texture baking: rasterisation of triangles in UV space, tangent frames, and normals with detail."""
 
 from __future__ import annotations
 
@@ -12,13 +12,21 @@ from ..io.srgb import encode_srgb
 from ..kernels.cpu.jit import kernel
 from .meshing import unit
 
-NOISE = 1.5  # times the median difference between two normals: what is less is noise
-STEEPEST = 0.8  # sine of the largest angle that a normal texture turns a normal by
+NOISE = 1.5  # differences between two normals below this multiple of their median count as noise
+STEEPEST = 0.8  # sine of the largest angle between the normals of texture and mesh
 
 
 @dataclass(frozen=True, eq=False)
 class Texels:
-    """The texels inside triangles: row and column (P,), face (P,), barycentric coordinates (P, 3) float64; `size` texels a side."""
+    """Texels whose centre lies in a triangle.
+
+    Attributes:
+        size: texels along a side of the texture.
+        row: (P,) of each texel, from the image's top.
+        column: (P,).
+        face: (P,) index of the triangle.
+        barycentric: (P, 3) float64 coordinates of the texel's centre.
+    """
 
     size: int
     row: np.ndarray
@@ -27,11 +35,19 @@ class Texels:
     barycentric: np.ndarray
 
     def interpolate(self, values: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Vertex values (V, C) at the texels: (P, C)."""
+        """Interpolate vertex values at the texels.
+
+        Args:
+            values: (V, C) at the vertices.
+            faces: (F, 3) vertices of the triangles.
+
+        Returns:
+            (P, C).
+        """
         return (values[faces[self.face]] * self.barycentric[..., None]).sum(1)
 
     def image(self, values: np.ndarray) -> np.ndarray:
-        """Texel values (P, ...) as an image (size, size, ...); texels outside every triangle take the nearest value."""
+        """Make an image (size, size, ...) of texel values (P, ...); texels outside all triangles take the nearest value."""
         known = np.zeros((self.size, self.size), bool)
         known[self.row, self.column] = True
         image = np.zeros((self.size, self.size, *values.shape[1:]), values.dtype)
@@ -41,17 +57,24 @@ class Texels:
 
 
 def rasterise(uvs: np.ndarray, faces: np.ndarray, size: int) -> Texels:
-    """The texels whose centre lies in a triangle; v = 0 is the image's bottom row."""
+    """Find the texels whose centre lies in a triangle.
+
+    Args:
+        uvs: (V, 2) in 0..1; v = 0 is the bottom of the image.
+        faces: (F, 3) vertices of the triangles.
+        size: texels along a side of the texture.
+    """
     corners = uvs.astype(np.float64) * size
     corners[:, 1] = size - corners[:, 1]
     owner = np.full((size, size), -1, np.int32)
-    cover(0, len(faces), corners, faces, owner)
+    fill_owners(0, len(faces), corners, faces, owner)
     row, column = np.nonzero(owner >= 0)
     face = owner[row, column]
     return Texels(size, row, column, face, _barycentric(corners[faces[face]], np.stack([column + 0.5, row + 0.5], -1)))
 
 
 def _barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return barycentric coordinates (P, 3) of points (P, 2) in triangles (P, 3, 2)."""
     a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
     area = _cross(b - a, c - a)
     area = np.where(np.abs(area) < 1e-20, 1e-20, area)
@@ -60,12 +83,13 @@ def _barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the cross product (P,) of vectors (P, 2)."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 @kernel
-def cover(begin, end, corners, faces, owner):
-    """Write each triangle's index into the texels whose centres it covers."""
+def fill_owners(begin, end, corners, faces, owner):
+    """Write the index of each triangle begin..end into the texels of `owner` (H, W) int32 whose centres it covers."""
     height, width = owner.shape
     for f in range(begin, end):
         ax, ay = corners[faces[f, 0], 0], corners[faces[f, 0], 1]
@@ -85,7 +109,17 @@ def cover(begin, end, corners, faces, owner):
 
 
 def tangents(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 4) tangents as renderers rebuild them (MikkTSpace): unit direction of +u across the normal, and the side of +v (w = 1 or -1)."""
+    """Compute the tangents that renderers rebuild (MikkTSpace, Mikkelsen 2008).
+
+    Args:
+        vertices: (V, 3).
+        normals: (V, 3) unit.
+        uvs: (V, 2).
+        faces: (F, 3).
+
+    Returns:
+        (V, 4): unit tangent along +u and perpendicular to the normal, and the sign w = 1 or -1 of the bitangent along +v.
+    """
     corner, uv = vertices[faces].astype(np.float64), uvs[faces].astype(np.float64)
     e1, e2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
@@ -95,46 +129,64 @@ def tangents(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: 
     for k in range(3):
         normal = normals[faces[:, k]].astype(np.float64)
         edges = corner[:, (k + 1) % 3] - corner[:, k], corner[:, (k + 2) % 3] - corner[:, k]
-        a, b = (unit(_across(edge, normal)) for edge in edges)
+        a, b = (unit(_perpendicular(edge, normal)) for edge in edges)
         angle = np.arccos(np.clip((a * b).sum(-1), -1, 1))
-        along = unit(_across(direction, normal)) * angle[:, None]
+        along = unit(_perpendicular(direction, normal)) * angle[:, None]
         for axis in range(3):
             total[:, axis] += np.bincount(faces[:, k], along[:, axis], len(total))
         side += np.bincount(faces[:, k], angle * np.sign(area[:, 0]), len(side))
-    tangent = unit(_across(total, normals))
+    tangent = unit(_perpendicular(total, normals))
     return np.concatenate([tangent, np.where(side < 0, -1.0, 1.0)[:, None]], -1)
 
 
-def _across(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The part of the vectors at right angles to the normals."""
+def _perpendicular(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the component of vectors (..., 3) perpendicular to unit normals (..., 3)."""
     return vectors - (vectors * normals).sum(-1, keepdims=True) * normals
 
 
 def tangent_space(direction: np.ndarray, normal: np.ndarray, tangent: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """World directions (P, 3) in the frame of tangent, bitangent = side * normal x tangent, and normal."""
+    """Transform world directions to the frame of tangent, bitangent = side * normal x tangent, and normal.
+
+    Args:
+        direction: (P, 3) world.
+        normal: (P, 3) unit.
+        tangent: (P, 3) unit.
+        side: (P,) 1 or -1.
+
+    Returns:
+        (P, 3) components along tangent, bitangent and normal.
+    """
     bitangent = side[:, None] * np.cross(normal, tangent)
     return np.stack([(direction * axis).sum(-1) for axis in (tangent, bitangent, normal)], -1)
 
 
-def detailed(normal: np.ndarray, fused: np.ndarray, seen: np.ndarray, strength: float) -> np.ndarray:
-    """Unit normals (P, 3) of the mesh, turned towards the views' fused ones as far as these stand out of their noise.
+def add_normal_detail(normal: np.ndarray, fused: np.ndarray, seen: np.ndarray, strength: float) -> np.ndarray:
+    """Turn the mesh's normals towards those fused from the views as far as the difference exceeds its noise.
 
-    The noise is taken from the median over the `seen` (P,) points; `strength` in 0..1 scales what stands out: smooth parts stay
-    smooth, creases come back.
+    Smooth parts stay smooth, and creases that smoothing removed return.
+
+    Args:
+        normal: (P, 3) unit normals of the mesh.
+        fused: (P, 3) unit normals fused from the views.
+        seen: (P,) bool, points that some view sees; the median of the sine between both normals over them measures the noise.
+        strength: factor of the difference beyond the noise, 0..1.
+
+    Returns:
+        (P, 3) unit normals.
     """
-    across = _across(fused, normal)
-    sine = np.linalg.norm(across, axis=-1, keepdims=True)
+    difference = _perpendicular(fused, normal)
+    sine = np.linalg.norm(difference, axis=-1, keepdims=True)
     noise = NOISE * np.median(sine[seen]) if seen.any() else 0.0
-    kept = np.clip(sine - noise, 0, STEEPEST)
-    along = across / np.maximum(sine, 1e-9) * strength * kept
-    return unit(normal * np.sqrt(1 - (strength * kept) ** 2) + along)
+    turn = np.clip(sine - noise, 0, STEEPEST)
+    along = difference / np.maximum(sine, 1e-9) * strength * turn
+    return unit(normal * np.sqrt(1 - (strength * turn) ** 2) + along)
 
 
 def to_byte(values: np.ndarray) -> np.ndarray:
-    """0..1 to uint8, rounded."""
+    """Convert values 0..1 (...,) to uint8 with rounding."""
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
 def colour_byte(linear: np.ndarray) -> np.ndarray:
-    """Linear 0..1 to sRGB-encoded uint8."""
+    """Convert linear values 0..1 (...,) to sRGB-encoded uint8."""
     return to_byte(encode_srgb(np.clip(linear, 0, 1)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From rendered depth to the bare surface: fuse, mesh, smooth, decimate, move out to the silhouettes."""
+"""Surface extraction from rendered depth: TSDF fusion, marching cubes, smoothing, decimation, offset to the silhouettes."""
 
 from __future__ import annotations
 
@@ -27,16 +27,19 @@ def extract_geometry(
     progress: Progress,
     masks: Sequence[np.ndarray] | None = None,
 ) -> Surface:
-    """The object's surface.
+    """Extract the object's surface.
 
     Args:
-        views: what the training cameras see of the reconstruction.
-        samples: its Gaussians, asked where no view sees the surface.
-        bound: the object; what lies outside is left out.
-        masks: (H, W) opacity of each view's photograph, where known: the surface is moved out to fill them.
+        views: G-buffers of the reconstruction at the training cameras.
+        samples: its Gaussians; they mark space near the surface that no view sees.
+        bound: sphere around the object; everything outside is ignored.
+        settings: resolution, smoothing and triangle budget.
+        progress: receives steps and messages, and may cancel.
+        masks: (H, W) opacity of each view's image; where given, the surface is moved outward to fill them.
 
     Raises:
-        IrgsppError: no surface was found. Cancelled: the user stopped the work.
+        IrgsppError: no surface was found.
+        Cancelled: the user stopped the work.
     """
     progress.phase("fuse", len(views))
     grid = make_grid(views, samples, bound, settings.voxels)
@@ -44,18 +47,18 @@ def extract_geometry(
     if masks is not None:
         offset = silhouette_offset(surface.vertices, surface.faces, [view.camera for view in views], masks)
         surface = Surface(surface.vertices + offset * surface.normals, surface.normals, surface.faces, surface.voxel)
-        progress.message(f"surface moved out by {offset:.2g} to fill the masks")
+        progress.message(f"surface moved outward by {offset:.2g} scene units to fill the masks")
     progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
     if progress.cancelled:
-        raise Cancelled("stopped while the surface was being made")
+        raise Cancelled("stopped during surface extraction")
     return surface
 
 
 def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Surface:
-    """The mesh within its budget, and unit normals of its vertices."""
+    """Mesh distances (B, BLOCK^3) within the triangle budget, with unit vertex normals that a finer mesh supplies."""
     fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)
     if not len(fine.faces):
-        raise IrgsppError("no surface: what the views' depths agree on is too small to be an object")
+        raise IrgsppError("no surface: the largest one that the views' depths agree on is too small for an object")
     fine = meshing.smoothed(fine, settings.smoothing)
     normals = meshing.vertex_normals(fine, settings.normal_averages)
     mesh = meshing.cleaned(meshing.decimated(fine, settings.triangles))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Depth of all views fused into a truncated signed distance field (TSDF)."""
+"""Truncated signed distance field (TSDF) fusion of all views' depth (Curless and Levoy 1996), by distances to tangent planes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,25 @@ from ..scene.gbuffer import GBuffer
 from .voxel_grid import BLOCK, Grid
 
 TRUNCATION = 4.0  # voxels
-GRAZING = 0.1  # cosine below which a depth says nothing about the distance
-CARVED = 0.1  # weight of being seen through close to the object; a depth seen frontally weighs 1
+GRAZING = 0.1  # cosine between normal and ray below which a depth is ignored
+CARVED = 0.1  # weight of empty space that a view looks through near the object; a depth seen frontally has weight 1
 SMOOTHNESS = 0.5  # weight of the neighbours' mean against the depths
-RELAXATIONS = 10  # passes; what has no depth is bridged over about as many voxels
+RELAXATIONS = 10  # smoothing passes; gaps without depth are bridged over about as many voxels
 
 
 def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray:
-    """Fuse the views' depth into (B, BLOCK^3) float32 distances of the active blocks, in units of the truncation, -1 inside .. 1 outside.
+    """Fuse the depth of all views into signed distances of the grid's active blocks.
 
-    Space that no depth tells about joins smoothly what is around it, rather outside where a view looks through it: small holes close.
+    Voxels without depth continue their surroundings smoothly, with a weak preference for outside where a view looks through them, so
+    that small holes close.
+
+    Args:
+        views: G-buffers.
+        grid: voxel grid with B active blocks.
+        progress: receives the number of views done.
+
+    Returns:
+        (B, BLOCK^3) float32 distances in units of the truncation distance, from -1 inside to 1 outside.
     """
     shape = (len(grid.active), BLOCK**3)
     total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
@@ -47,21 +56,25 @@ def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray
 
 
 def projection(view: GBuffer) -> np.ndarray:
-    """(3, 4) float64 matrix: world point to (u z, v z, z), pixel centres at .5, z planar depth."""
+    """Return the (3, 4) float64 matrix from world points to (u z, v z, z), pixel centres at .5, z planar depth."""
     camera = view.camera
     intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
     return np.ascontiguousarray(intrinsics @ camera.world_to_cv[:3])
 
 
 def plane_layers(view: GBuffer, voxel: float) -> tuple[np.ndarray | float, ...]:
-    """What a voxel asks a view.
+    """Prepare the layers of a view that voxels look up.
+
+    Args:
+        view: G-buffer.
+        voxel: side of a voxel, world units.
 
     Returns:
         depth: (H, W) float32, 0 where there is none.
-        planes: (H, W, 4) float32, unit normal n and -n . p of the surface point p at each pixel's centre: n . x + w is x's distance.
+        planes: (H, W, 4) float32, unit normal n and w = -n . p of the surface point p at each pixel's centre: n . x + w is x's distance.
         weight: (H, W) float32, alpha times the cosine between normal and ray.
-        smooth: (H - 1, W - 1) bool, whether the four pixels around a corner show one surface.
-        gap: (H, W) float32, pixels from one without depth to the nearest with depth.
+        smooth: (H - 1, W - 1) bool, True where the four pixels around a corner show one surface.
+        gap: (H, W) float32, distance in pixels from a pixel without depth to the nearest with depth.
         pixel: width of a pixel at depth 1.
     """
     rays = view.camera.rays()
@@ -78,7 +91,7 @@ def plane_layers(view: GBuffer, voxel: float) -> tuple[np.ndarray | float, ...]:
 
 
 def _smooth_corners(planes: np.ndarray, points: np.ndarray, weight: np.ndarray, voxel: float) -> np.ndarray:
-    """(H - 1, W - 1) bool: opposite pixels lie in each other's plane, up to a voxel."""
+    """Return (H - 1, W - 1) bool: True where opposite pixels of a corner lie in each other's plane, up to a voxel."""
     smooth = np.ones((weight.shape[0] - 1, weight.shape[1] - 1), bool)
     corners = [(slice(i, i - 1 or None), slice(j, j - 1 or None)) for i, j in ((0, 0), (1, 1), (0, 1), (1, 0))]
     for one, other in zip(corners, [corners[1], corners[0], corners[3], corners[2]], strict=True):
@@ -89,7 +102,7 @@ def _smooth_corners(planes: np.ndarray, points: np.ndarray, weight: np.ndarray, 
 
 @kernel
 def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, planes, weight, smooth, gap, pixel, total, sum_weight, free):
-    """Add one view to the blocks begin..end: weighted distance to the plane that the voxel's pixel shows."""
+    """Add one view to the blocks begin..end: weighted distances to the pixels' planes `total`, `sum_weight` and `free`, (B, BLOCK^3)."""
     height, width = depth.shape
     for b in range(begin, end):
         for i in range(BLOCK * BLOCK * BLOCK):
@@ -107,7 +120,7 @@ def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, plan
             behind = far - depth[row, column]
             w = weight[row, column]
             free[b, i] |= gap[row, column] > 0 or behind < -truncation
-            if gap[row, column] * far * pixel > truncation:  # whatever the view sees is farther from here than that
+            if gap[row, column] * far * pixel > truncation:  # everything that the view sees is farther away than the truncation
                 total[b, i] += 1
                 sum_weight[b, i] += 1
             if w == 0 or behind > 1.5 * truncation:
@@ -121,7 +134,7 @@ def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, plan
                 distance = (1 - t) * upper + t * lower
             if distance < -truncation:
                 continue
-            # Fades out behind the surface: the far side of a thin part belongs to other views.
+            # The weight fades out behind the surface: other views see the far side of a thin part.
             w *= min(1.0, 1.0 + distance / truncation)
             total[b, i] += w * min(1.0, distance / truncation)
             sum_weight[b, i] += w
@@ -129,13 +142,13 @@ def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, plan
 
 @kernel
 def _to_plane(plane, x, y, z):
-    """Distance of a point to a plane (4,), positive in front."""
+    """Return the signed distance of a point to a plane (4,), positive in front."""
     return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
 
 
 @kernel
 def relax(begin, end, active, table, smoothness, total, weight, distance, relaxed):
-    """One Jacobi pass over the blocks begin..end: each distance between what the depths say and the mean of its six neighbours."""
+    """Do one Jacobi pass over the blocks begin..end: `relaxed` (B, BLOCK^3) mixes the depths' distance and the six neighbours' mean."""
     for b in range(begin, end):
         for i in range(BLOCK * BLOCK * BLOCK):
             mean, count = 0.0, 0

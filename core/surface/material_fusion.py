@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Normal and material at points of the surface: fused from the views that see them, from the nearest Gaussians elsewhere."""
+"""Material fusion: normals and materials of surface points from the views that see them, from the nearest Gaussians elsewhere."""
 
 from __future__ import annotations
 
@@ -14,14 +14,22 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from .fusion import projection
 
-FACING = 0.2  # cosine between normal and view direction below which a view has no say
-NEAREST = 8  # Gaussians asked where no view sees a point
-LAYERS = 8  # normal xyz, albedo rgb, roughness, metallic
+FACING = 0.2  # least cosine between normal and view direction of a view that counts
+NEAREST = 8  # Gaussians that are averaged where no view sees a point
+CHANNELS = 8  # normal xyz, albedo rgb, roughness, metallic
 
 
 @dataclass(frozen=True, eq=False)
-class Attributes:
-    """At P points, float32: unit world normal (P, 3), albedo (P, 3), roughness, metallic and weight (P,); weight 0 = seen by no view."""
+class FusedMaterials:
+    """Normals and materials of P surface points, float32.
+
+    Attributes:
+        normal: (P, 3) unit, world.
+        albedo: (P, 3) linear 0..1.
+        roughness: (P,) 0..1.
+        metallic: (P,) 0..1.
+        weight: (P,) sum of the views' weights; 0 where no view sees the point.
+    """
 
     normal: np.ndarray
     albedo: np.ndarray
@@ -30,48 +38,72 @@ class Attributes:
     weight: np.ndarray
 
 
-def fuse_attributes(
+def fuse_materials(
     points: np.ndarray,
     normals: np.ndarray,
     views: Sequence[GBuffer],
     samples: SurfaceSamples,
     voxel: float,
     step: Callable[[int], None] = lambda done: None,
-) -> Attributes:
-    """Attributes at surface points (P, 3) with unit normals (P, 3); `step` is told the number of views done."""
+) -> FusedMaterials:
+    """Fuse normals and materials of surface points.
+
+    Args:
+        points: (P, 3) world.
+        normals: (P, 3) unit, of the mesh.
+        views: G-buffers.
+        samples: the Gaussians, for points that no view sees.
+        voxel: resolution of the surface, world units; sets how far behind a view's depth a point may lie and still be seen.
+        step: called with the number of views done; may raise.
+    """
     points, normals = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64)
-    total, weight = np.zeros((len(points), LAYERS), np.float32), np.zeros(len(points), np.float32)
+    total, weight = np.zeros((len(points), CHANNELS), np.float32), np.zeros(len(points), np.float32)
     ranges = even_ranges(len(points), 4 * thread_count())
     for done, view in enumerate(views):
         pixel = max(1 / view.camera.fx, 1 / view.camera.fy)
         layers = _layers(view)
         alpha = np.where(np.isfinite(view.depth) & (view.depth > 0), view.alpha, 0).astype(np.float32)
         depth = np.ascontiguousarray(view.depth, np.float32)
-        run_ranges(gather, ranges, points, normals, view.camera.centre, projection(view), voxel, pixel, depth, alpha, layers, total, weight)
+        run_ranges(
+            add_view,
+            ranges,
+            points,
+            normals,
+            view.camera.centre,
+            projection(view),
+            voxel,
+            pixel,
+            depth,
+            alpha,
+            layers,
+            total,
+            weight,
+        )
         step(done + 1)
     unseen = weight <= 1e-6
     values = total / np.where(unseen, 1, weight)[:, None]
     if unseen.any():
-        values[unseen] = _nearest(points[unseen], samples)
+        values[unseen] = _nearest_samples(points[unseen], samples)
     materials = np.clip(values[:, 3:], 0, 1)
-    normal = _turned(values[:, :3], normals)
-    return Attributes(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight))
+    normal = _oriented(values[:, :3], normals)
+    return FusedMaterials(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight))
 
 
 def _layers(view: GBuffer) -> np.ndarray:
+    """Return normal and materials of a view, (H, W, CHANNELS) float32."""
     parts = [view.normal, view.albedo, view.roughness[..., None], view.metallic[..., None]]
     return np.ascontiguousarray(np.concatenate(parts, -1), np.float32)
 
 
-def _turned(fused: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Fused normals of length one on the side of the mesh's normals, which stand in where none was found."""
+def _oriented(fused: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return unit fused normals (P, 3) on the side of the mesh's normals (P, 3), which replace fused normals of zero length."""
     fused = np.where((fused * normals).sum(-1, keepdims=True) < 0, -fused, fused)
     length = np.linalg.norm(fused, axis=-1, keepdims=True)
     return np.where(length > 1e-6, fused / np.maximum(length, 1e-6), normals).astype(np.float32)
 
 
-def _nearest(points: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
-    """(P, LAYERS) averages over the nearest samples, by opacity; the normals of samples are turned to agree first."""
+def _nearest_samples(points: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
+    """Average the nearest samples of points (P, 3), weighted by opacity, with normals flipped to one side: (P, CHANNELS)."""
     _, index = KDTree(samples.position).query(points, k=min(NEAREST, len(samples.position)), workers=-1)
     index = index.reshape(len(points), -1)
     weight = (samples.opacity[index] + 1e-6)[..., None]
@@ -83,8 +115,8 @@ def _nearest(points: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
 
 
 @kernel
-def gather(begin, end, points, normals, centre, matrix, voxel, pixel, depth, alpha, layers, total, weight):
-    """Add one view's pixels to the points begin..end: bilinear over those of the four pixels that show the point's own surface."""
+def add_view(begin, end, points, normals, centre, matrix, voxel, pixel, depth, alpha, layers, total, weight):
+    """Add one view to the points begin..end: bilinear sums `total` (P, CHANNELS) of pixels that show the point's surface, `weight` (P,)."""
     height, width = depth.shape
     for p in range(begin, end):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
@@ -103,10 +135,10 @@ def gather(begin, end, points, normals, centre, matrix, voxel, pixel, depth, alp
         column, row = int(np.floor(u)), int(np.floor(v))
         for r in range(max(row, 0), min(row + 2, height)):
             for c in range(max(column, 0), min(column + 2, width)):
-                # Measured across the surface: a slanted one changes its depth from pixel to pixel.
+                # Measured along the normal: on a slanted surface the depth changes from pixel to pixel.
                 if alpha[r, c] <= 0.5 or abs(depth[r, c] - far) * facing > tolerance:
                     continue
-                # A thin part's far side is as near, but looks the other way.
+                # The far side of a thin part is as near, but faces the other way.
                 if layers[r, c, 0] * normals[p, 0] + layers[r, c, 1] * normals[p, 1] + layers[r, c, 2] * normals[p, 2] <= 0:
                     continue
                 w = facing * alpha[r, c] * (1 - abs(u - c)) * (1 - abs(v - r))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a distance field to a clean, smooth mesh within a triangle budget."""
+"""Meshing of a signed distance field: marching cubes, clean-up, Taubin smoothing, decimation and vertex normals."""
 
 from __future__ import annotations
 
@@ -15,37 +15,50 @@ from skimage.measure import marching_cubes
 from ..errors import IrgsppError
 from .voxel_grid import Grid
 
-PATIENCE = 5  # how fast decimation allows greater errors; its default, 7, errs three times as far in no less time
-TAUBIN = (0.5, -0.53)  # a shrinking and a growing step: noise goes, volume stays (Taubin 1995)
+AGGRESSION = 5  # `agg` of decimation; the library's default, 7, has three times the error in the same time
+TAUBIN = (0.5, -0.53)  # factors of the shrinking and the growing step, which together keep the volume (Taubin 1995)
 
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """Bare geometry: vertices (V, 3) float64 and faces (F, 3) int64, counter-clockwise seen from outside."""
+    """Triangle mesh without attributes.
+
+    Attributes:
+        vertices: (V, 3) float64.
+        faces: (F, 3) int64, counter-clockwise seen from outside.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
 
 
 def isosurface(distance: np.ndarray, grid: Grid) -> Triangles:
-    """Marching cubes over the active blocks' distances. Raises IrgsppError where there is no surface."""
+    """Extract the zero level by marching cubes (Lorensen and Cline 1987).
+
+    Args:
+        distance: (B, BLOCK^3) signed distances of the active blocks.
+        grid: their voxel grid.
+
+    Raises:
+        IrgsppError: there is no surface.
+    """
     known = grid.dense(np.ones(distance.shape, bool), False)
     cubes = known[1:, 1:, 1:].copy()
     for x, y, z in np.ndindex(2, 2, 2):
         cubes &= known[x : known.shape[0] - 1 + x, y : known.shape[1] - 1 + y, z : known.shape[2] - 1 + z]
     known[:] = False
-    known[1:, 1:, 1:] = cubes  # scikit-image asks the mask at a cube's far corner
-    # A vertex exactly on a voxel would make triangles of no area.
+    known[1:, 1:, 1:] = cubes  # scikit-image reads the mask at a cube's far corner
+    # A vertex exactly on a voxel would create triangles without area.
     distance = np.where(np.abs(distance) < 1e-4, np.float32(1e-4), distance)
     try:
         vertices, faces, _, _ = marching_cubes(grid.dense(distance, 1.0), 0.0, mask=known)
     except (ValueError, RuntimeError) as error:
-        raise IrgsppError("no surface: the views' depths agree on none; is the object inside the bound?") from error
+        raise IrgsppError("no surface: the views' depths agree on none; check that the object is inside the bound") from error
     return Triangles(grid.origin + grid.voxel * vertices.astype(np.float64), faces.astype(np.int64))
 
 
 def cleaned(mesh: Triangles) -> Triangles:
-    """Without degenerate and repeated faces, fins (two faces back to back, which decimation leaves), and vertices that no face uses."""
+    """Remove degenerate and repeated faces, fins (two faces back to back, which decimation leaves), and unused vertices."""
     f = mesh.faces
     f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
     smallest_first = np.take_along_axis(f, (f.argmin(-1)[:, None] + np.arange(3)) % 3, -1)
@@ -58,13 +71,18 @@ def cleaned(mesh: Triangles) -> Triangles:
 
 
 def compacted(mesh: Triangles) -> Triangles:
-    """Only the vertices that faces use."""
+    """Remove the vertices that no face uses."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     return Triangles(mesh.vertices[used], faces.reshape(-1, 3))
 
 
-def main_components(mesh: Triangles, share: float) -> Triangles:
-    """The components with at least `share` of the largest one's area. Hollows (closed, inside out) go too: no view can have seen them."""
+def main_components(mesh: Triangles, fraction: float) -> Triangles:
+    """Keep the large connected components; closed components that are inside out are cavities that no view can see, and are removed.
+
+    Args:
+        mesh: of any number of components.
+        fraction: least area of a component over that of the largest one.
+    """
     v, f = mesh.vertices, mesh.faces
     _, vertex_label = connected_components(adjacency(mesh), directed=False)
     label = vertex_label[f[:, 0]]
@@ -74,22 +92,22 @@ def main_components(mesh: Triangles, share: float) -> Triangles:
     centre = (np.bincount(label, a[:, i]) / np.maximum(np.bincount(label), 1) for i in range(3))
     offset = a - np.stack(list(centre), -1)[label]
     volume = np.bincount(label, (offset * cross).sum(-1) / 6)
-    open_surface = np.zeros(len(area), bool)  # its signed volume says nothing: a wall seen from one side
+    open_surface = np.zeros(len(area), bool)  # its signed volume is meaningless: a wall seen from one side
     open_surface[vertex_label[border_vertices(f)]] = True
     outward = open_surface | (volume > -1e-3 * area**1.5)
-    keep = outward & (area >= share * area[outward].max(initial=0))
+    keep = outward & (area >= fraction * area[outward].max(initial=0))
     return compacted(Triangles(v, f[keep[label]]))
 
 
 def border_vertices(faces: np.ndarray) -> np.ndarray:
-    """Vertices on edges that belong to one face only."""
+    """Return the vertices on edges that belong to only one of the faces (F, 3)."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     once, count = np.unique(edges, axis=0, return_counts=True)
     return np.unique(once[count == 1])
 
 
 def adjacency(mesh: Triangles) -> sparse.csr_matrix:
-    """(V, V) symmetric matrix, 1 where two vertices share an edge."""
+    """Return the symmetric adjacency matrix (V, V), 1 where two vertices share an edge."""
     i, j = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
     ones = np.ones(2 * len(i))
     matrix = sparse.csr_matrix((ones, (np.r_[i, j], np.r_[j, i])), shape=(len(mesh.vertices),) * 2)
@@ -98,7 +116,12 @@ def adjacency(mesh: Triangles) -> sparse.csr_matrix:
 
 
 def smoothed(mesh: Triangles, passes: int) -> Triangles:
-    """Taubin smoothing; vertices of an open border follow their neighbours on the border only."""
+    """Smooth a mesh while keeping its volume (Taubin 1995); vertices of an open border average their neighbours on the border only.
+
+    Args:
+        mesh: to smooth.
+        passes: number of shrinking and growing steps.
+    """
     average = _neighbour_average(mesh)
     vertices = mesh.vertices
     for _ in range(passes):
@@ -108,7 +131,7 @@ def smoothed(mesh: Triangles, passes: int) -> Triangles:
 
 
 def _neighbour_average(mesh: Triangles) -> sparse.csr_matrix:
-    """(V, V) matrix whose rows average a vertex's neighbours."""
+    """Return the matrix (V, V) whose rows average a vertex's neighbours."""
     edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), -1)
     edges, count = np.unique(edges, axis=0, return_counts=True)
     border = np.zeros(len(mesh.vertices), bool)
@@ -121,15 +144,28 @@ def _neighbour_average(mesh: Triangles) -> sparse.csr_matrix:
 
 
 def decimated(mesh: Triangles, triangles: int) -> Triangles:
-    """Quadric edge collapse down to about `triangles` faces; the mesh itself where it has no more."""
+    """Decimate a mesh by quadric edge collapse (Garland and Heckbert 1997).
+
+    Args:
+        mesh: to decimate; it is returned itself where it is small enough.
+        triangles: approximate number of faces of the result, at most.
+    """
     if len(mesh.faces) <= triangles:
         return mesh
-    vertices, faces, *_ = fast_simplification.simplify(mesh.vertices, mesh.faces.astype(np.int32), target_count=triangles, agg=PATIENCE)
+    vertices, faces, *_ = fast_simplification.simplify(mesh.vertices, mesh.faces.astype(np.int32), target_count=triangles, agg=AGGRESSION)
     return Triangles(np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
 
 
 def vertex_normals(mesh: Triangles, averages: int = 0) -> np.ndarray:
-    """(V, 3) float64 unit normals, faces weighted by their angle at the vertex, then averaged with the neighbours' `averages` times."""
+    """Compute vertex normals: the mean of the face normals, weighted by the face's angle at the vertex.
+
+    Args:
+        mesh: V vertices.
+        averages: number of times that normals are averaged with their neighbours'.
+
+    Returns:
+        (V, 3) float64 unit normals.
+    """
     corner = mesh.vertices[mesh.faces]
     face = unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
     normals = np.zeros_like(mesh.vertices)
@@ -148,13 +184,22 @@ def vertex_normals(mesh: Triangles, averages: int = 0) -> np.ndarray:
 
 
 def carried_normals(source: Triangles, normals: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(P, 3) unit normals at points on a mesh from those of its nearest vertices: a decimated mesh keeps the normals of the fine one."""
+    """Interpolate normals at points on a mesh from its nearest vertices, so that a decimated mesh keeps the normals of the fine one.
+
+    Args:
+        source: fine mesh with V vertices.
+        normals: (V, 3) its unit normals.
+        points: (P, 3).
+
+    Returns:
+        (P, 3) unit normals.
+    """
     distance, nearest = KDTree(source.vertices).query(points, k=4, workers=-1)
     weight = 1 / (distance + 1e-3 * distance[:, -1:] + 1e-12)
     return unit((normals[nearest] * weight[..., None]).sum(1))
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) of length one; +Z where there is none, so that no normal is ever invalid."""
+    """Normalise vectors (..., 3) to unit length; zero vectors become +Z, so that all normals are valid."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 1e-20, vectors / np.maximum(length, 1e-20), np.array([0.0, 0.0, 1.0]))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far a mesh lies inside the silhouettes of the photographs.
+"""Silhouette offset: distance between the outlines of a mesh and of the images' masks.
 
-Splatted surfels overhang the surface they stand for, so a fit to silhouettes puts them, and the mesh fused from their depth, a
-fraction of a pixel inside the object. The masks tell how much: the area between both outlines over the outline's length.
+Splatted surfels extend beyond the surface that they represent. A fit to silhouettes therefore places them, and the mesh fused from
+their depth, a fraction of a pixel inside the object. The masks measure the distance: area between both outlines over outline length.
 """
 
 from __future__ import annotations
@@ -15,17 +15,20 @@ from embreex.rtcore_scene import EmbreeScene
 
 from ..scene.camera import Camera
 
-LARGEST = 1.5  # pixels; a larger offset is no bias of splatting but something missing
+LARGEST = 1.5  # pixels; a larger offset is not a bias of splatting, but a missing part
 
 
 def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], masks: Sequence[np.ndarray]) -> float:
-    """World length by which the surface should move along its outward normals to fill the masks.
+    """Estimate the offset of the surface along its outward normals that fills the masks.
 
     Args:
-        vertices (V, 3), faces (F, 3): the mesh. masks: (H, W) opacity 0..1 of each camera's photograph.
+        vertices: (V, 3) of the mesh, world.
+        faces: (F, 3).
+        cameras: of the images.
+        masks: (H, W) opacity 0..1 of each camera's image.
 
     Returns:
-        The median over the views, 0 where it is implausible or no view shows an outline.
+        The median offset over the views in world units; 0 where it is implausibly large or no view shows an outline.
     """
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(vertices[faces], np.float32))
@@ -42,12 +45,12 @@ def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence
 
 
 def _gap(scene: EmbreeScene, camera: Camera, mask: np.ndarray) -> tuple[float, float]:
-    """Mean distance from the mesh's outline to the mask's in one view, and the size of a pixel there (0 without an outline)."""
+    """Return the mean distance of the outlines of mesh and mask (H, W) in one view and the size of a pixel there (0 without outline)."""
     rays = camera.rays().reshape(-1, 3)
     origins = np.repeat(camera.centre[None].astype(np.float32), len(rays), 0)
     result = scene.run(origins, rays, query="INTERSECT", output=True)
     hit = (result["primID"] >= 0).reshape(mask.shape)
-    outline = float(np.hypot(*np.gradient(mask)).sum())  # length: alpha rises by one across it
+    outline = float(np.hypot(*np.gradient(mask)).sum())  # length in pixels: alpha rises by one across it
     edge = hit & (np.hypot(*np.gradient(hit.astype(np.float32))) > 0)
     if outline < 1 or not edge.any():
         return 0.0, 0.0

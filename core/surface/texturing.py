@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From the bare surface to a textured mesh: unwrap, gather materials from the views, bake."""
+"""Texturing of the extracted surface: UV unwrapping, material fusion from the views, baking."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..scene.mesh import Mesh
 from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
 from . import meshing
-from .bake import colour_byte, detailed, rasterise, tangent_space, tangents, to_byte
-from .material_fusion import fuse_attributes
+from .bake import add_normal_detail, colour_byte, rasterise, tangent_space, tangents, to_byte
+from .material_fusion import fuse_materials
 from .meshing import Triangles
 from .unwrap import unwrap
 
@@ -23,22 +23,26 @@ from .unwrap import unwrap
 def textured_mesh(
     surface: Surface, views: Sequence[GBuffer], samples: SurfaceSamples, settings: SurfaceSettings, progress: Progress
 ) -> Mesh:
-    """The surface as a mesh with materials at the vertices and in textures.
+    """Unwrap the surface, and give it materials at the vertices and in textures.
 
     Args:
-        surface: where the mesh lies. views: what the training cameras see of the reconstruction.
-        samples: its Gaussians, asked where no view sees the surface.
+        surface: extracted from the reconstruction.
+        views: G-buffers of the reconstruction at the training cameras.
+        samples: its Gaussians, for parts that no view sees.
+        settings: texture size and strength of the normal detail.
+        progress: receives steps and may cancel.
 
-    Raises Cancelled where the user stopped the work.
+    Raises:
+        Cancelled: the user stopped the work.
     """
     progress.phase("unwrap", 1)
     source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texture)
     progress.step(1)
     if progress.cancelled:
-        raise Cancelled("stopped while the surface was being unwrapped")
+        raise Cancelled("stopped during UV unwrapping")
     progress.phase("bake", 2 * len(views))
-    fused = fuse_attributes(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
-    normals = detailed(surface.normals, fused.normal, fused.weight > 0, settings.detail)
+    fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
+    normals = add_normal_detail(surface.normals, fused.normal, fused.weight > 0, settings.detail)
     mesh = Mesh(
         vertices=surface.vertices[source].astype(np.float32),
         normals=normals[source].astype(np.float32),
@@ -53,12 +57,17 @@ def textured_mesh(
 
 
 def stoppable(progress: Progress, before: int = 0) -> Callable[[int], None]:
-    """Tells how many steps of a phase are done, those `before` included; raises Cancelled where the user stopped the work."""
+    """Make a function that reports the number of steps done, and raises Cancelled where the user stopped the work.
+
+    Args:
+        progress: receives the steps and may cancel.
+        before: steps of the phase that were done before.
+    """
 
     def step(done: int) -> None:
         progress.step(before + done)
         if progress.cancelled:
-            raise Cancelled("stopped while materials were being baked")
+            raise Cancelled("stopped during texture baking")
 
     return step
 
@@ -74,13 +83,24 @@ def painted_mesh(
     settings: SurfaceSettings,
     progress: Progress,
 ) -> Mesh:
-    """A mesh that is all there (shapes as in `Mesh`) with materials at its vertices and in textures; geometry and UVs stay as they are.
+    """Give an existing mesh materials at its vertices and in textures; geometry and UVs do not change.
 
     Args:
-        voxel: resolution of the surface that the views agree on, world units: how far from it the mesh may lie and still be seen.
+        vertices: (V, 3) world.
+        normals: (V, 3) unit.
+        uvs: (V, 2) in 0..1.
+        faces: (F, 3).
+        views: G-buffers of the reconstruction at the training cameras.
+        samples: its Gaussians, for parts that no view sees.
+        voxel: resolution of the extracted surface, world units; sets how far from it the mesh may lie and still be seen.
+        settings: texture size and strength of the normal detail.
+        progress: receives steps and may cancel.
+
+    Raises:
+        Cancelled: the user stopped the work.
     """
     progress.phase("bake", 2 * len(views))
-    fused = fuse_attributes(vertices, normals, views, samples, voxel, stoppable(progress))
+    fused = fuse_materials(vertices, normals, views, samples, voxel, stoppable(progress))
     mesh = Mesh(
         vertices=vertices.astype(np.float32),
         normals=normals.astype(np.float32),
@@ -102,17 +122,29 @@ def baked_textures(
     settings: SurfaceSettings,
     step: Callable[[int], None] = lambda done: None,
 ) -> dict[str, np.ndarray]:
-    """`Mesh.textures` for a mesh with UVs and normals; `step` is told the number of views done."""
+    """Bake albedo, roughness, metallic and normal textures.
+
+    Args:
+        mesh: with UVs and normals.
+        views: G-buffers of the reconstruction.
+        samples: its Gaussians, for parts that no view sees.
+        voxel: resolution of the surface, world units.
+        settings: texture size and strength of the normal detail.
+        step: called with the number of views done; may raise.
+
+    Returns:
+        Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness and metallic.
+    """
     texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
     frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
     points = texels.interpolate(mesh.vertices, mesh.faces)
     normal = meshing.unit(texels.interpolate(mesh.normals, mesh.faces))
-    fused = fuse_attributes(points, normal, views, samples, voxel, step)
+    fused = fuse_materials(points, normal, views, samples, voxel, step)
     side = frames[mesh.faces[texels.face, 0], 3]
     tangent = texels.interpolate(frames[:, :3], mesh.faces)
     tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
     seen = fused.weight > 0
-    detail = np.where(seen[:, None], detailed(normal, fused.normal, seen, settings.detail), normal)
+    detail = np.where(seen[:, None], add_normal_detail(normal, fused.normal, seen, settings.detail), normal)
     local = tangent_space(detail, normal, tangent, side)
     return {
         "albedo": texels.image(colour_byte(fused.albedo)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Texture coordinates by xatlas."""
+"""UV unwrapping by xatlas."""
 
 from __future__ import annotations
 
@@ -12,26 +12,30 @@ PADDING = 4  # texels between charts
 
 
 def unwrap(mesh: Triangles, texture: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Charts packed into one square of `texture` texels a side.
+    """Unwrap a mesh into charts packed into one square texture.
+
+    Args:
+        mesh: to unwrap.
+        texture: texels along a side.
 
     Returns:
-        source: (V,) int64, which vertex of `mesh` each vertex comes from: vertices on a seam come several times.
+        source: (V,) int64, vertex of `mesh` that each new vertex is a copy of; vertices on a seam have several copies.
         faces: (F, 3) int32 in the order of `mesh.faces`.
-        uvs: (V, 2) float32 in 0..1; no chart is mirrored, so that painted letters stay readable.
+        uvs: (V, 2) float32 in 0..1; no chart is mirrored, so that painted text stays readable.
     """
-    # Of size 1 around the origin: xatlas takes areas below an absolute limit for none, and has float32 coordinates.
+    # Scaled to size 1 around the origin: xatlas treats areas below an absolute limit as zero, and has float32 coordinates.
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     placed = (mesh.vertices - (low + high) / 2) / max(float((high - low).max()), 1e-30)
     atlas = xatlas.Atlas()
     atlas.add_mesh(placed.astype(np.float32), mesh.faces.astype(np.uint32))
     charts = xatlas.ChartOptions()
     charts.fix_winding = True
-    charts.max_cost = 4.0  # twice the default: far fewer shreds for no more stretch
+    charts.max_cost = 4.0  # twice the default: far fewer small charts without more stretch
     pack = xatlas.PackOptions()
     pack.resolution, pack.padding, pack.bilinear = texture, PADDING, True
     pack.rotate_charts = False  # xatlas rotates by swapping u and v, which mirrors the chart
     atlas.generate(charts, pack)
     source, faces, uvs = atlas[0]
-    # One scale for both axes keeps texels square where the atlas came out oblong.
+    # One scale for both axes keeps texels square where the atlas is not.
     uvs = uvs * np.array([atlas.width, atlas.height], np.float32) / max(atlas.width, atlas.height)
     return source.astype(np.int64), faces.astype(np.int32), np.clip(uvs, 0, 1).astype(np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The voxel grid around the object, and the blocks of it that can hold a surface."""
+"""Sparse voxel grid around the object: blocks that can contain the surface."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ MARGIN = 6  # voxels between the object and the border of the grid
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Voxels in blocks of BLOCK^3.
+    """Voxel grid in blocks of BLOCK^3 voxels.
 
     Attributes:
         origin: (3,) float64, world position of the centre of voxel (0, 0, 0).
         voxel: side of a voxel, world units.
         blocks: number of blocks along each axis.
-        active: (B, 3) int32 block indices near evidence of a surface; the rest of the grid is never stored or meshed.
+        active: (B, 3) int32 indices of the blocks near depths or Gaussians; other blocks are neither stored nor meshed.
     """
 
     origin: np.ndarray
@@ -40,13 +40,21 @@ class Grid:
         return x * BLOCK, y * BLOCK, z * BLOCK
 
     def table(self) -> np.ndarray:
-        """Which active block stands where, -1 for none, with a border of none all around: (X + 2, Y + 2, Z + 2) int32."""
+        """Return the number of the active block at each place, -1 for none, with a border of -1: (X + 2, Y + 2, Z + 2) int32."""
         table = np.full([n + 2 for n in self.blocks], -1, np.int32)
         table[tuple((self.active + 1).T)] = np.arange(len(self.active))
         return table
 
     def dense(self, values: np.ndarray, fill: float) -> np.ndarray:
-        """Values of the active blocks (B, BLOCK^3) as a volume of `shape`, `fill` elsewhere."""
+        """Make a dense volume.
+
+        Args:
+            values: (B, BLOCK^3) of the active blocks.
+            fill: value elsewhere.
+
+        Returns:
+            (X, Y, Z) volume of `shape`.
+        """
         x, y, z = self.blocks
         volume = np.full((x, y, z, BLOCK**3), fill, values.dtype)
         volume[tuple(self.active.T)] = values
@@ -55,14 +63,32 @@ class Grid:
 
 
 def depth_points(view: GBuffer, bound: Bound) -> np.ndarray:
-    """(P, 3) world points of the pixels with alpha > 0.5 whose depth falls inside the bound."""
+    """Back-project the pixels with alpha > 0.5 whose depth falls inside the bound.
+
+    Args:
+        view: G-buffer.
+        bound: sphere around the object.
+
+    Returns:
+        (P, 3) world points.
+    """
     seen = (view.alpha > 0.5) & np.isfinite(view.depth) & (view.depth > 0)
     points = view.camera.centre + view.depth[seen][:, None].astype(np.float64) * view.camera.rays()[seen]
     return points[_inside(points, bound)]
 
 
 def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, voxels: int) -> Grid:
-    """A grid of `voxels` along the object's longest side. Raises IrgsppError where no view and no Gaussian shows a surface."""
+    """Make a voxel grid around the object.
+
+    Args:
+        views: G-buffers.
+        samples: the Gaussians; opaque ones activate blocks, too.
+        bound: sphere around the object.
+        voxels: number along the object's longest side.
+
+    Raises:
+        IrgsppError: no view has a depth inside the bound.
+    """
     solid = samples.position[(samples.opacity > 0.5) & _inside(samples.position, bound)].astype(np.float64)
     seen = [depth_points(view, bound) for view in views]
     if not sum(map(len, seen)):
@@ -81,11 +107,12 @@ def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, v
 
 
 def _inside(points: np.ndarray, bound: Bound) -> np.ndarray:
+    """Return (P,) True for points (P, 3) inside the bound."""
     return np.linalg.norm(points - np.asarray(bound.centre), axis=-1) < bound.radius
 
 
 def _robust_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of a box that strays don't stretch, but that thin tips, rare among the points, still fit into."""
+    """Return the corners of a box of points (P, 3) that excludes outliers, but contains thin tips, which are rare among the points."""
     low, high = np.quantile(points, [0.005, 0.995], axis=0)
     reach = 0.15 * (high - low).max()
     kept = points[((points >= low - reach) & (points <= high + reach)).all(-1)]

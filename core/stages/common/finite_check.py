@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A guard: a value that is NaN or infinite ends a stage with one line that names it."""
+"""Check for NaN and infinity: a stage ends with one line that names the value."""
 
 from __future__ import annotations
 
@@ -9,16 +9,29 @@ import torch
 
 from ...errors import IrgsppError
 
-LOOK_EVERY = 50  # steps between looks at what a device computes, as the host has to wait for it
+LOOK_EVERY = 50  # steps between checks on a GPU, as each makes the host wait for the device
 
 
-def due(value: torch.Tensor, done: int) -> bool:
-    """Whether a value of step `done`, from 1 on, is to be looked at: each on the CPU, now and then on a device; NaN does not go away."""
-    return value.device.type == "cpu" or done % LOOK_EVERY == 1
+def check_due(value: torch.Tensor, step: int) -> bool:
+    """Return True where a value of this step is to be checked: each on the CPU, every LOOK_EVERY-th on a GPU (NaN persists).
+
+    Args:
+        value: tensor (...,) of any shape; only its device matters.
+        step: number of the step, from 1 on.
+    """
+    return value.device.type == "cpu" or step % LOOK_EVERY == 1
 
 
 def require_finite(values: Mapping[str, torch.Tensor], when: str) -> None:
-    """Raise IrgsppError for the first of the named tensors that holds something not finite; `when` says where in the work that is."""
+    """Check that named tensors are finite.
+
+    Args:
+        values: tensors (...,) of any shape by their names in the message.
+        when: point of the computation, for the message: "at iteration 3".
+
+    Raises:
+        IrgsppError: a tensor holds NaN or infinity; the first one is named.
+    """
     for name, value in values.items():
         bad = int((~value.isfinite()).sum())
         if bad:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rules that leave out work a scene does not need: decided by evidence, unless the settings decide."""
+"""Skip rules: work that a scene does not need is left out, decided by measured evidence unless the settings decide."""
 
 from __future__ import annotations
 
@@ -8,9 +8,17 @@ from ...settings.schema import SkipSettings
 
 
 def decide(settings: SkipSettings, rule: str, found: bool, evidence: str, progress: Progress) -> bool:
-    """True where a rule is in force: `found` says what the scene's own figures, in `evidence`, speak for; "on" and "off" overrule them.
+    """Decide whether a skip rule is in force, and report the decision to `progress`, which records it with the run.
 
-    `progress` is told, so that the run has it on record.
+    Args:
+        settings: choice per rule: "auto", "on" or "off".
+        rule: name of the rule, a field of `SkipSettings`.
+        found: decision that the scene's own measurements suggest; "on" and "off" overrule it.
+        evidence: these measurements in words.
+        progress: receives the decision.
+
+    Returns:
+        True where the rule is in force.
     """
     choice = getattr(settings, rule)
     on = found if choice == "auto" else choice == "on"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long schedules may be for a job to end within the time it is given.
+"""Time budget: schedule scales with which a job ends within the time it is given.
 
-The first stage gets what is left once the phases that nobody can shorten are paid for, by estimate; the second, which begins when most
-of the job is done, what is then left, so that it makes up for what the estimate missed.
+The first stage gets what remains after an estimate of the phases of fixed length. The second stage begins when most of the job is
+done and gets what then remains, which corrects the errors of that estimate.
 """
 
 from __future__ import annotations
@@ -10,23 +10,51 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from typing import Any, Protocol
 
+import torch
+
+from ...machine.backend import wait_for
 from ...settings.schema import SecondStageSettings
 
-MEASURED = 20  # steps after which the cost of one is known
-GROWTH = 1.2  # what a step of the first stage costs on average, by then: colour comes to depend on the view
-REST, REST_GLOSSY = 1000, 750  # what the phases of fixed length cost, in steps of the first stage; one that reflects costs more
-SECOND = 400  # the same of the second stage's schedules at the preset's own length
-FUSED = 2.5  # what follows the second stage takes so many times as long as fusing the surface did
-RADIANCE, RADIANCE_GLOSSY = 1.2, 2.3  # a step that fits the radiance, in steps of the refinement
-SHORTEST = 0.1  # times the preset's own schedules
-# Longer ones were seen to fit the photographs' noise: normals, albedo and relit images get worse again.
-FIRST_LONGEST = 4500  # steps, unless the preset has more
-SECOND_LONGEST = 5.0  # times the preset's
+MEASURED_STEPS = 20  # steps whose median duration is taken as the cost of a step
+STEP_COST_GROWTH = 1.2  # mean cost of a first-stage step over its cost at the start: SH degrees are added over time
+FIXED_PHASES, FIXED_PHASES_GLOSSY = 1000, 750  # cost of the phases of fixed length, in first-stage steps; a glossy step costs more
+SECOND_STAGE = 400  # cost of the second stage's schedules at the preset's length, in first-stage steps
+FUSED = 2.5  # duration of the phases after the second stage over that of the surface fusion
+REFIT_STEP, REFIT_STEP_GLOSSY = 1.2, 2.3  # cost of a step of the radiance refit, in steps of the refinement
+SMALLEST_SCALE = 0.1  # of the preset's schedules
+# Longer schedules were measured to fit the images' noise: normals, albedo and relit images get worse again.
+FIRST_STAGE_MOST_STEPS = 4500  # unless the preset has more
+SECOND_STAGE_LARGEST_SCALE = 5.0  # of the preset's schedules
 
 
-def seconds_a_step(step: Callable[[], object], steps: int = MEASURED) -> float:
-    """Median seconds that `step` takes."""
+class Schedulable(Protocol):
+    """Iterative optimisation whose schedule length (`settings.iterations`) can be changed while it runs."""
+
+    @property
+    def settings(self) -> Any:
+        """Settings of the stage with the number of `iterations`."""
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the tensors."""
+        ...
+
+    def step(self) -> object:
+        """Do one step."""
+
+    def reschedule(self, iterations: int) -> None:
+        """Continue with a schedule of so many steps in all."""
+
+
+def seconds_per_step(step: Callable[[], object], steps: int = MEASURED_STEPS) -> float:
+    """Return the median duration of a step in seconds.
+
+    Args:
+        step: function to measure.
+        steps: number of calls, at least 1.
+    """
     taken = []
     for _ in range(max(1, steps)):
         began = time.monotonic()
@@ -35,28 +63,71 @@ def seconds_a_step(step: Callable[[], object], steps: int = MEASURED) -> float:
     return statistics.median(taken)
 
 
-def first_schedule_scale(iterations: int, seconds: float, glossy: bool, step: float) -> float:
-    """Times the preset's schedules of both stages that so many seconds pay for.
+def scale_schedule(
+    optimisation: Schedulable, stage: str, deadline: float, scale_for: Callable[[float, float], float], largest: float
+) -> tuple[float, str]:
+    """Take the first steps of an optimisation to measure their cost, and scale its schedule so that it ends by the deadline.
 
     Args:
-        iterations: of the preset's first stage, which shows reflections where `glossy`. step: seconds that one takes in the beginning.
+        optimisation: at its start; MEASURED_STEPS steps of it are done.
+        stage: name of the stage for the report.
+        deadline: seconds on the monotonic clock.
+        scale_for: returns the schedule scale for (seconds left, seconds per step).
+        largest: schedule scale above which `scale_for` does not go.
+
+    Returns:
+        The schedule scale, as a multiple of the preset's length, and a line that reports it.
     """
-    rest = (REST_GLOSSY if glossy else REST) * step
-    preset = (GROWTH * iterations + SECOND) * step
-    return min(max((seconds - rest) / preset, SHORTEST), first_longest(iterations))
+    step = seconds_per_step(lambda: (optimisation.step(), wait_for(optimisation.device)))
+    left, iterations = deadline - time.monotonic(), optimisation.settings.iterations
+    schedule_scale = scale_for(left, step)
+    optimisation.reschedule(scaled_iterations(schedule_scale, iterations))
+    limit = "; a longer one does not help" if schedule_scale == largest else ""
+    return schedule_scale, (
+        f"{stage}: schedule {schedule_scale:.2f} times as long as the preset's ({left:.0f} s left, {1000 * step:.0f} ms per step{limit})"
+    )
 
 
-def first_longest(iterations: int) -> float:
-    """The most that `first_pace` gives a preset of so many iterations, whatever the time."""
-    return max(1.0, FIRST_LONGEST / iterations)
+def first_stage_schedule_scale(iterations: int, seconds: float, glossy: bool, step: float) -> float:
+    """Return the schedule scale of both stages that fits into a number of seconds.
+
+    Args:
+        iterations: steps of the preset's first stage.
+        seconds: time left for the whole job.
+        glossy: the first stage renders reflections.
+        step: measured seconds per step at the start of the first stage.
+    """
+    fixed = (FIXED_PHASES_GLOSSY if glossy else FIXED_PHASES) * step
+    preset = (STEP_COST_GROWTH * iterations + SECOND_STAGE) * step
+    return min(max((seconds - fixed) / preset, SMALLEST_SCALE), first_stage_largest_scale(iterations))
 
 
-def second_schedule_scale(settings: SecondStageSettings, seconds: float, glossy: bool, step: float) -> float:
-    """Times the preset's schedules of the second stage that so many seconds pay for, where a step of the refinement takes `step`."""
-    preset = step * (settings.iterations + (RADIANCE_GLOSSY if glossy else RADIANCE) * settings.radiance_iterations)
-    return min(max(seconds / preset, SHORTEST), SECOND_LONGEST) if preset > 0 else 1.0
+def first_stage_largest_scale(iterations: int) -> float:
+    """Return the largest value of `first_stage_schedule_scale` for a preset of `iterations` steps, however much time there is."""
+    return max(1.0, FIRST_STAGE_MOST_STEPS / iterations)
 
 
-def times(pace: float, iterations: int) -> int:
-    """A schedule `pace` times as long; none stays none."""
-    return max(1, round(pace * iterations)) if iterations else 0
+def second_stage_schedule_scale(settings: SecondStageSettings, seconds: float, glossy: bool, step: float) -> float:
+    """Return the schedule scale of the second stage that fits into a number of seconds.
+
+    Args:
+        settings: the preset's schedules.
+        seconds: time left for refinement and radiance refit.
+        glossy: the radiance refit renders reflections.
+        step: measured seconds per step of the refinement.
+    """
+    preset = step * (settings.iterations + (REFIT_STEP_GLOSSY if glossy else REFIT_STEP) * settings.radiance_iterations)
+    return min(max(seconds / preset, SMALLEST_SCALE), SECOND_STAGE_LARGEST_SCALE) if preset > 0 else 1.0
+
+
+def scaled_iterations(schedule_scale: float, iterations: int) -> int:
+    """Scale the length of a schedule.
+
+    Args:
+        schedule_scale: factor, > 0.
+        iterations: steps of the schedule.
+
+    Returns:
+        At least 1 step; 0 where the schedule has none.
+    """
+    return max(1, round(schedule_scale * iterations)) if iterations else 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Density control: clone, split and prune Gaussians by what the images ask for (3DGS's policy under a budget)."""
+"""Density control: clone, split and prune Gaussians by screen-space gradients (3DGS, Kerbl et al. 2023) within a budget."""
 
 from __future__ import annotations
 
@@ -13,42 +13,57 @@ from ...kernels.rasterize import MIN_GAUSSIANS, ScreenStatistics
 from ...scene.gaussians import Gaussians
 from ..common.optimizer import GaussianOptimizer
 
-PRUNE_OPACITY = 0.05
-RESET_OPACITY = 0.1
-SPLIT_SHRINK = 1.6
+PRUNE_OPACITY = 0.05  # Gaussians below are removed
+RESET_OPACITY = 0.1  # a reset clamps opacities to this
+SPLIT_SHRINK = 1.6  # scales of a split Gaussian are divided by this
 
 
 @dataclass
 class DensityControl:
-    """Keeps the statistics of the screen-space gradient and changes the set of Gaussians.
+    """Density control with the screen-space gradient statistics that it decides by.
 
     Attributes:
-        budget: most Gaussians there may be.
-        radius: scene radius; a Gaussian wider than `large` of it is split, a smaller one cloned, one wider than `huge` dropped.
+        budget: largest number of Gaussians.
+        radius: scene radius, world units.
+        large: scale over the scene radius above which a Gaussian is split, below which it is cloned.
+        huge: scale over the scene radius above which a Gaussian is removed.
+        grow: fraction of the Gaussians that are cloned or split at a time.
+        images: number of images since the last change.
+        gradient: (N,) sum over images of the screen-space gradient's norm.
+        seen: (N,) number of images with a gradient.
     """
 
     budget: int
     radius: float
     large: float = 0.01
     huge: float = 0.5
-    grow: float = 0.1  # share of the Gaussians that are cloned or split at a time
-    images: int = 0  # looked at since the last change
+    grow: float = 0.1
+    images: int = 0
     gradient: torch.Tensor = field(default_factory=lambda: torch.zeros(0))
     seen: torch.Tensor = field(default_factory=lambda: torch.zeros(0))
 
-    def observe(self, statistics: ScreenStatistics) -> None:
-        """Add one image's gradients."""
+    def accumulate(self, statistics: ScreenStatistics) -> None:
+        """Add the gradients of one image; call it after the backward pass."""
         if len(self.gradient) != len(statistics.radius):
             self.gradient, self.seen = torch.zeros_like(statistics.radius, dtype=torch.float32).repeat(2, 1)
         self.images += 1
-        assert statistics.gradient is not None, "observe after the backward pass"
+        assert statistics.gradient is not None, "accumulate after the backward pass"
         self.gradient += statistics.gradient
-        self.seen += statistics.gradient > 0  # what lies behind opaque surfaces has none
+        self.seen += statistics.gradient > 0  # Gaussians behind opaque surfaces have no gradient
 
     def refine(self, optimizer: GaussianOptimizer, generator: torch.Generator, grow: bool) -> tuple[int, int]:
-        """Prune what is transparent, huge, or was seen by no view since the last time; `grow`: clone and split what is pulled hardest.
+        """Prune Gaussians that are transparent, huge, or without gradient since the last call; optionally clone and split others.
 
-        Returns (added, pruned). Raises IrgsppError where nothing would be left.
+        Args:
+            optimizer: holds the Gaussians, which are replaced.
+            generator: of the positions of split Gaussians.
+            grow: clone and split the Gaussians with the largest mean gradient, as far as the budget allows.
+
+        Returns:
+            The numbers of added and of pruned Gaussians.
+
+        Raises:
+            IrgsppError: fewer than MIN_GAUSSIANS would be left.
         """
         g = optimizer.gaussians
         with torch.no_grad():
@@ -57,11 +72,11 @@ class DensityControl:
             if len(self.seen) == g.count:
                 keep &= self.seen > 0
             if int(keep.sum()) < MIN_GAUSSIANS:
-                raise IrgsppError("density control: no Gaussian is left that is opaque and seen; do cameras and masks fit the photographs?")
-            pull = torch.where(keep, self._pull(g.count), 0.0)
-            room = max(0, self.budget - int(keep.sum()))
-            count = min(room, math.ceil(self.grow * int(keep.sum())), int((pull > 0).sum())) if grow else 0
-            chosen = pull.topk(count).indices.sort().values
+                raise IrgsppError("first stage: no Gaussian is left that is opaque and visible; check that cameras and masks match")
+            mean_gradient = torch.where(keep, self._mean_gradient(g.count), 0.0)
+            spare = max(0, self.budget - int(keep.sum()))
+            count = min(spare, math.ceil(self.grow * int(keep.sum())), int((mean_gradient > 0).sum())) if grow else 0
+            chosen = mean_gradient.topk(count).indices.sort().values
             split = chosen[width[chosen] > self.large * self.radius]
             clone = chosen[width[chosen] <= self.large * self.radius]
             stay = torch.nonzero(keep)[:, 0]
@@ -76,13 +91,14 @@ class DensityControl:
         self.images, self.gradient, self.seen = 0, torch.zeros(0), torch.zeros(0)
         return len(chosen), pruned
 
-    def _pull(self, count: int) -> torch.Tensor:
+    def _mean_gradient(self, count: int) -> torch.Tensor:
+        """Return the (N,) mean gradient over the images that see a Gaussian; zeros where the statistics are of another set."""
         if len(self.gradient) != count:
             return self.gradient.new_zeros(count)
         return self.gradient / self.seen.clamp_min(1)
 
     def _half(self, g: Gaussians, index: torch.Tensor, generator: torch.Generator) -> Gaussians:
-        """A smaller copy of each Gaussian, drawn from its own distribution in its plane."""
+        """Return a smaller copy of each Gaussian, displaced within its plane by a draw from its own distribution."""
         half = g.select(index)
         tu, tv = half.tangents()
         offset = torch.randn(2, half.count, generator=generator).to(half.log_scale) * half.log_scale.exp()
@@ -92,7 +108,7 @@ class DensityControl:
 
 
 def reset_opacity(optimizer: GaussianOptimizer) -> None:
-    """Lower every opacity to at most RESET_OPACITY: what is needed comes back, floaters don't."""
+    """Clamp all opacities to RESET_OPACITY (3DGS): those of needed Gaussians recover, those of floaters do not."""
     limit = math.log(RESET_OPACITY / (1 - RESET_OPACITY))
     with torch.no_grad():
         optimizer.leaves["opacity"].clamp_(max=limit)

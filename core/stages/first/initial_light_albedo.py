@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""First albedo and light: the Gaussians' diffuse radiance explained by a distant light first, by albedo second.
+"""Initial light and albedo: the Gaussians' diffuse radiance is explained by a distant light first and by albedo second.
 
-Without shadows or inter-reflections. The second stage, which has both, starts from roughness and metallic alone, on metal also from
-this. "Light first" because an albedo started from the radiance itself is a local minimum that nothing leaves.
+Shadows and inter-reflections are neglected. The second stage models both and starts from roughness and metallic alone; on metal it also
+tries this light and albedo as a start. The light comes first because an albedo that starts from the radiance itself is a local minimum
+that no regulariser leaves.
 """
 
 from __future__ import annotations
@@ -19,29 +20,35 @@ from ...scene.reconstruction import Reconstruction
 from ...shading.environment_lookup import lookup
 from ...shading.split_sum import diffuse_light
 
-LIGHT_HEIGHT = 16
+LIGHT_HEIGHT = 16  # rows of the fitted light map
 STEPS = 200
-SAMPLE = 8000  # Gaussians that the light is fitted to
+SAMPLE = 8000  # Gaussians that the light is fitted to, at most
 ALBEDO_RANGE = (0.03, 0.97)
-SMOOTHNESS = 2.0  # of albedo between neighbours of like colour
+SMOOTHNESS = 2.0  # weight of the albedo difference between neighbours of similar colour
 
 
 def facing_radiance(gaussians: Gaussians) -> torch.Tensor:
-    """(N, 3) linear radiance of each disk towards its own normal."""
+    """Evaluate the (N, 3) linear SH radiance of each surfel in the direction of its own normal."""
     basis = sh_basis(-gaussians.normals(), 3)
     return ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0).T
 
 
 def estimate_light_albedo(reconstruction: Reconstruction, seed: int) -> Reconstruction:
-    """Set albedo, and the light where the stage has not found one by reflections, from the diffuse radiance.
+    """Estimate the albedo, and the light unless reflections have determined it, from the diffuse radiance.
 
-    The light is kept where `glossy`. The overall scale between light and albedo is unknowable: a light that is fitted here is
-    scaled so that the median albedo is 0.5. Where no disk is opaque there is nothing to separate and all stays as it is.
+    The overall scale between light and albedo is ambiguous: a fitted light is scaled so that the median albedo is 0.5.
+
+    Args:
+        reconstruction: result of the first stage, on the CPU; its light is kept where it is `glossy`. It is modified.
+        seed: of the selection of Gaussians that the light is fitted to.
+
+    Returns:
+        The same reconstruction; unchanged where no surfel is opaque.
     """
     g = reconstruction.gaussians
-    # The start orients normals outward, and training turns them by less than a right angle.
+    # Initial normals face outward, and training turns them by less than 90 degrees.
     normal, seen = g.normals().T, facing_radiance(g)
-    share = 1 - g.materials()[METALLIC]
+    diffuse_weight = 1 - g.materials()[METALLIC]
     solid = torch.nonzero(g.opacity.sigmoid() > 0.5)[:, 0]
     if not len(solid):
         return reconstruction
@@ -53,22 +60,23 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int) -> Reconstr
     irradiance = lookup(diffuse_light(reconstruction.environment), normal).clamp_min(1e-4)
     body = (seen / irradiance).clamp(*ALBEDO_RANGE)
     metal = g.materials()[ALBEDO].T
-    albedo = share[:, None] * body + (1 - share[:, None]) * metal
+    albedo = diffuse_weight[:, None] * body + (1 - diffuse_weight[:, None]) * metal
     g.material[ALBEDO] = torch.logit(albedo.clamp(1e-3, 1 - 1e-3)).T
     return reconstruction
 
 
 def _enlarge(light: torch.Tensor, height: int) -> torch.Tensor:
+    """Resample a light map (h, 2h, 3) to (height, 2 height, 3), bilinearly."""
     planes = light.permute(2, 0, 1)[None]
     wide = torch.nn.functional.interpolate(planes, size=(height, 2 * height), mode="bilinear", align_corners=False)
     return wide[0].permute(1, 2, 0).contiguous()
 
 
 def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
-    """(16, 32, 3) light: fitted with a constant albedo first, then jointly with a smooth one."""
+    """Fit a (16, 32, 3) light to radiance `seen` (N, 3): with constant albedo first, then jointly with a smooth albedo."""
     _, nearest = KDTree(position.numpy()).query(position.numpy(), k=5)
     neighbours = torch.from_numpy(np.asarray(nearest)[:, 1:])
-    alike = torch.exp(-10 * (seen[:, None] - seen[neighbours]).abs().sum(-1))
+    similarity = torch.exp(-10 * (seen[:, None] - seen[neighbours]).abs().sum(-1))
     log_light = torch.full((LIGHT_HEIGHT, 2 * LIGHT_HEIGHT, 3), math.log(2 * float(seen.mean()) + 1e-3), requires_grad=True)
     log_albedo = torch.full_like(seen, math.log(0.5)).requires_grad_()
     adam = torch.optim.Adam([{"params": [log_light], "lr": 0.1}, {"params": [log_albedo], "lr": 0.0}], fused=True)
@@ -77,12 +85,12 @@ def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor)
         adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else 0.05 * 0.1 ** (step / STEPS)
         albedo = log_albedo.exp()
         predicted = albedo * lookup(diffuse_light(log_light.exp()), normal)
-        # gather, not [neighbours]: the gradient of an index adds up in whatever order the threads come.
+        # gather, not [neighbours]: the gradient of indexing is summed in an order that depends on the threads.
         around = log_albedo.gather(0, neighbours.reshape(-1, 1).expand(-1, 3)).view(*neighbours.shape, 3)
         jumps = (log_albedo[:, None] - around).abs().sum(-1)
         prior = 1e-3 * (log_light - log_light.detach().mean((0, 1))).square().mean()
         loss = (predicted.clamp_min(1e-4).sqrt() - seen.clamp_min(1e-4).sqrt()).abs().mean() + prior
-        loss = loss + SMOOTHNESS * 1e-2 * (alike * jumps).mean()
+        loss = loss + SMOOTHNESS * 1e-2 * (similarity * jumps).mean()
         adam.zero_grad()
         loss.backward()
         adam.step()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the first Gaussians go: on the visual hull of the masks, on sparse points, or at random in the bound."""
+"""Initial Gaussians: on the visual hull of the masks, or else on sparse points and at random positions in and around the bound."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ...scene.dataset import Bound, Dataset, View
 from ...scene.gaussians import SH_COEFFICIENTS, SH_DC, Gaussians, quaternion_to
 
 GRID = 96  # cells along the longest side of the hull
-OPACITY = 0.7
-SURROUNDINGS = 5.0  # radii of the bound that random points reach
-SPREAD = 0.65  # scale of a disk in units of the spacing
-UNSEEN = 2.0  # alpha of a cell that no view has shown yet
-MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # albedo, roughness, metallic of the start
+OPACITY = 0.7  # of surfels on the hull
+SURROUNDINGS = 5.0  # largest distance of random points from the bound's centre, in radii of the bound
+SPREAD = 0.65  # scale of a surfel over the spacing of the points
+UNSEEN = 2.0  # alpha of a cell that no view has seen yet
+MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # initial albedo (3), roughness, metallic
 
 
 @kernel
 def carve_range(begin, end, corner, step, shape, matrix, alpha, inside):
-    """Lower `inside` (X, Y, Z) to the bilinear alpha of one view, for planes begin..end; cells out of the image stay."""
+    """Carve planes begin..end of `inside` (X, Y, Z): its minimum with the bilinear alpha of one view; cells outside the image stay."""
     height, width = alpha.shape
     for i in range(begin, end):
         for j in range(shape[1]):
@@ -47,12 +47,14 @@ def carve_range(begin, end, corner, step, shape, matrix, alpha, inside):
 
 
 def _projection(view: View) -> np.ndarray:
+    """Return the (3, 4) float32 matrix from world points to (u z, v z, z), pixel centres at .5."""
     c = view.camera
     intrinsics = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]])
     return (intrinsics @ c.world_to_cv[:3]).astype(np.float32)
 
 
 def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Carve the box low..high (3,) at `cells` cells along its longest side; returns as `visual_hull`."""
     step = float((high - low).max()) / cells
     shape = np.maximum(np.ceil((high - low) / step).astype(int) + 1, 3)
     inside = np.full(shape, UNSEEN, np.float32)
@@ -61,28 +63,41 @@ def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, c
         arrays = (low.astype(np.float32), np.float32(step), shape, _projection(view), view.alpha)
         run_ranges(carve_range, even_ranges(shape[0], thread_count()), *arrays, inside)
     x, y, z = ((low[i] + step * np.arange(shape[i]) - bound.centre[i]) ** 2 for i in range(3))
-    # The corners of the box lie beyond the bound and often beyond every image's border, where nothing carves them.
+    # The corners of the box lie outside the bound and often outside every image, where nothing carves them.
     inside[(x[:, None, None] + y[:, None] + z > bound.radius**2) | (inside > 1)] = 0
     return inside, low, step
 
 
 def visual_hull(views: list[View], bound: Bound) -> tuple[np.ndarray, np.ndarray, float]:
-    """Carve the bound with the masks of all views, coarse then fine.
+    """Carve the visual hull (Laurentini 1994) from the bound with the masks of all views, coarse then fine.
+
+    The hull that the surfels start on: the minimum of the bilinear alpha over all views, at GRID cells along the hull, by numba.
+    `core.datasets.bound.bound_of_masks` also carves, but only estimates the bounding sphere before any bound is known: coarsely, with
+    few views, and tolerant of masks that contradict each other.
+
+    Args:
+        views: all have masks.
+        bound: sphere outside which everything is empty.
 
     Returns:
-        minimum alpha per cell (X, Y, Z) float32, the world position of cell (0, 0, 0), and the cell size.
+        The minimum alpha of each cell (X, Y, Z) float32, the world position (3,) of cell (0, 0, 0), and the cell size in world units.
+
+    Raises:
+        InputError: no cell is inside all masks.
     """
     centre, radius = np.asarray(bound.centre), bound.radius
     inside, corner, step = _carve(views, bound, centre - radius, centre + radius, GRID // 2)
     cells = np.argwhere(inside > 0.1)
     if not len(cells):
-        raise InputError("masks", "no point of the object's bound is inside all masks", "check the cameras, or give the bound")
+        raise InputError(
+            "masks", "no point of the object's bound is inside all masks", "check the cameras, or set data.centre, data.radius"
+        )
     low, high = corner + (cells.min(0) - 1.5) * step, corner + (cells.max(0) + 1.5) * step
     return _carve(views, bound, low, high, GRID)
 
 
 def _surface(inside: np.ndarray, corner: np.ndarray, step: float, count: int, rng: np.random.Generator):
-    """Area-uniform points and outward normals on the hull's 0.5 level."""
+    """Sample `count` area-uniform points (N, 3) and outward unit normals (N, 3) on the hull's 0.5 level; also return its area."""
     padded = np.pad(inside, 1)
     vertices, faces, _, _ = marching_cubes(padded, min(0.5, 0.5 * float(inside.max())))
     triangles = ((vertices - 1) * step + corner)[faces]
@@ -101,21 +116,38 @@ def _surface(inside: np.ndarray, corner: np.ndarray, step: float, count: int, rn
 
 
 def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(N, 3) linear colour: mean over the views that a point's normal faces, weighted by the cosine; grey where none does."""
+    """Average the images' colours at surface points, weighted by the cosine between normal and view; occlusion is neglected.
+
+    Args:
+        views: images, which are averaged as they are encoded.
+        points: (N, 3) world.
+        normals: (N, 3) unit.
+
+    Returns:
+        (N, 3) float32 linear colour; grey where no view faces the point.
+    """
     total, weight = np.zeros((len(points), 3)), np.full((len(points), 1), 1e-9)
     for view in views:
         pixel, depth = view.camera.project(points)
         to_camera = view.camera.centre - points
         cosine = (to_camera * normals).sum(1) / np.linalg.norm(to_camera, axis=1)
         column, row = np.floor(pixel).astype(int).T
-        ok = (depth > 0) & (cosine > 0.2) & (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
-        total[ok] += cosine[ok, None] * view.colour[row[ok], column[ok]]
-        weight[ok] += cosine[ok, None]
+        visible = (depth > 0) & (cosine > 0.2) & (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
+        total[visible] += cosine[visible, None] * view.colour[row[visible], column[visible]]
+        weight[visible] += cosine[visible, None]
     return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)
 
 
 def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: np.ndarray, opacity: float) -> Gaussians:
-    """Disks on points (N, 3) facing normals (N, 3), linear colour (N, 3), scale from spacing (N,)."""
+    """Make round surfels with constant radiance.
+
+    Args:
+        points: (N, 3) centres, world.
+        normals: (N, 3) unit normals.
+        colour: (N, 3) linear radiance.
+        spacing: (N,) distance to neighbouring points in world units, which the scales follow.
+        opacity: of all surfels, 0..1.
+    """
     n = len(points)
     sh = torch.zeros(SH_COEFFICIENTS, 3, n)
     sh[0] = (torch.as_tensor(colour, dtype=torch.float32).T - 0.5) / SH_DC
@@ -127,7 +159,13 @@ def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing
 
 
 def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
-    """`count` surfels on the visual hull of the training masks, in spatial order."""
+    """Place surfels on the visual hull of the training masks, in spatial order.
+
+    Args:
+        dataset: views that all have masks.
+        count: number of surfels.
+        rng: of their positions.
+    """
     inside, corner, step = visual_hull(dataset.train, dataset.bound)
     points, normals, area = _surface(inside, corner, step, count, rng)
     order, spacing = spatial_order(points), np.full(count, np.sqrt(area / count))
@@ -136,9 +174,14 @@ def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussia
 
 
 def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
-    """Disks on the sparse points, and at random in and around the bound up to half of `count`; density control grows the rest.
+    """Place surfels on the sparse points, and at random in and around the bound up to half of `count`; density control adds the rest.
 
     Normals point to the nearest camera.
+
+    Args:
+        dataset: views and sparse points.
+        count: most surfels.
+        rng: of the selection and of random positions.
     """
     centre, radius = np.asarray(dataset.bound.centre), dataset.bound.radius
     known = dataset.points.position if dataset.points is not None else np.zeros((0, 3), np.float32)
@@ -148,13 +191,13 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
         known, colours = known[chosen], colours[chosen]
     direction = rng.normal(size=(max(count // 2 - len(known), 0), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    # Every other one around the object, log-uniform in distance, since the background has to be somewhere.
+    # Every other point lies around the object, log-uniform in distance, to represent the background.
     inner = rng.random(len(direction)) ** (1 / 3)
     reach = np.where(np.arange(len(direction)) % 2 == 0, inner, SURROUNDINGS ** rng.random(len(direction)))
     filler = centre + direction * radius * reach[:, None]
     cameras = np.stack([v.camera.centre for v in dataset.train])
-    room = 0.5 * np.linalg.norm(cameras - centre, axis=1).min()  # a disk close before a lens hides everything
-    filler = filler[KDTree(cameras).query(filler)[0] > room]
+    clearance = 0.5 * np.linalg.norm(cameras - centre, axis=1).min()  # a surfel close to a camera would hide everything
+    filler = filler[KDTree(cameras).query(filler)[0] > clearance]
     points = np.concatenate([known, filler])
     _, nearest = KDTree(cameras).query(points)
     normals = cameras[nearest] - points
@@ -166,7 +209,7 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
 
 
 def spatial_order(points: np.ndarray) -> np.ndarray:
-    """(N,) order of points (N, 3) along a Morton curve: what is near in space is near in memory, and seen or hidden together."""
+    """Return the (N,) order of points (N, 3) along a Morton curve, so that neighbours in space are neighbours in memory."""
     low, extent = points.min(0), np.ptp(points, 0).max()
     grid = ((points - low) / max(extent, 1e-30) * 1023).astype(np.uint32)
     code = np.zeros(len(points), np.uint32)
@@ -177,5 +220,11 @@ def spatial_order(points: np.ndarray) -> np.ndarray:
 
 
 def initial_gaussians(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
-    """The start of the first stage: the hull where every view has a mask, points or random elsewhere."""
+    """Make the initial Gaussians of the first stage: on the visual hull where every view has a mask, else on points and at random.
+
+    Args:
+        dataset: views, bound and sparse points.
+        count: most surfels; exactly as many on a hull.
+        rng: of positions.
+    """
     return from_hull(dataset, count, rng) if dataset.has_alpha else from_points(dataset, count, rng)

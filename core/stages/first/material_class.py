@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an object may be made of, as a start and a pace for the first stage."""
+"""Material classes: initial materials and learning rates of the first stage for low-gloss, coated and metal objects."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from dataclasses import dataclass, replace
 
 from ..common.optimizer import Rate
 
-MOVES = ("position", "quaternion", "log_scale")  # where surfels are, how they lie and how large they are
+GEOMETRY_RATES = ("position", "quaternion", "log_scale")  # parameters that move, turn and scale the surfels
 
 
 @dataclass(frozen=True)
 class MaterialClass:
-    """A start that the optimisation can't leave by itself: metallic 0.5 stays 0.5, so the start needs a decision.
+    """Initial materials that the optimisation does not leave by itself, so that they are chosen: metallic started at 0.5 stays at 0.5.
 
     Attributes:
-        name: for people.
-        glossy: the light is reflected by deferred split-sum; otherwise SH hold all radiance.
-        material: albedo (3), roughness, metallic of the start.
-        position: learning rate per scene radius. quaternion, log_scale: learning rates. What reflects turns twice as fast as
-            its normal, so a metal's normals go slowly; a matt surface has little to gain from moving and scatters if it does.
+        name: as shown to the user and stored in checkpoints.
+        glossy: reflections of a light map are rendered by deferred split-sum shading (Karis 2013); otherwise SH hold all radiance.
+        material: initial albedo (3), roughness, metallic.
+        position: learning rate per unit of scene radius.
+        quaternion: learning rate. A reflection turns twice as fast as the normal, so that a metal's normals need a low rate; a matt
+            surface gains little from moving and becomes noisy if it does.
+        log_scale: learning rate.
     """
 
     name: str
@@ -30,7 +32,7 @@ class MaterialClass:
     log_scale: float
 
     def rates(self, radius: float) -> dict[str, Rate]:
-        """Learning rates by parameter for a scene of this radius."""
+        """Return the learning rates by parameter for a scene of this radius in world units."""
         table = {
             "position": Rate(self.position * radius, 0.05),
             "quaternion": Rate(self.quaternion, 0.2),
@@ -47,14 +49,19 @@ class MaterialClass:
 LOW_GLOSS = MaterialClass("low-gloss", False, (0.5, 0.5, 0.5, 0.5, 0.02), 8e-4, 5e-4, 6e-3)
 COATED = MaterialClass("glossy", True, (0.5, 0.5, 0.5, 0.4, 0.1), 1.5e-3, 2e-3, 1e-2)
 METAL = MaterialClass("metal", True, (0.7, 0.7, 0.7, 0.25, 0.95), 1.2e-3, 5e-4, 1e-2)
-KINDS = (LOW_GLOSS, COATED, METAL)
+MATERIAL_CLASSES = (LOW_GLOSS, COATED, METAL)  # from the least to the most reflecting
 
 
-def candidates(materials: str) -> tuple[MaterialClass, ...]:
-    """The kinds that the setting `materials` allows: auto, low-gloss or glossy."""
-    return KINDS if materials == "auto" else tuple(k for k in KINDS if k.glossy == (materials == "glossy"))
+def allowed_material_classes(materials: str) -> tuple[MaterialClass, ...]:
+    """Return the material classes that the setting `materials` ("auto", "low-gloss" or "glossy") allows."""
+    return MATERIAL_CLASSES if materials == "auto" else tuple(m for m in MATERIAL_CLASSES if m.glossy == (materials == "glossy"))
 
 
-def with_schedule_scale(kind: MaterialClass, other: MaterialClass) -> MaterialClass:
-    """`kind` with the learning rates of `other`."""
-    return replace(kind, position=other.position, quaternion=other.quaternion, log_scale=other.log_scale)
+def with_geometry_rates(material_class: MaterialClass, other: MaterialClass) -> MaterialClass:
+    """Return a material class with the learning rates of position, quaternion and scale of another.
+
+    Args:
+        material_class: supplies everything else.
+        other: supplies the three rates.
+    """
+    return replace(material_class, position=other.position, quaternion=other.quaternion, log_scale=other.log_scale)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the object is made of, decided by brief fits of each kind that are compared on views held back."""
+"""Material class selection: brief fits of every allowed material class are compared on held-back views."""
 
 from __future__ import annotations
 
@@ -14,69 +14,79 @@ from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
 from ..common.skip_rules import decide
-from .material_class import COATED, KINDS, MaterialClass, candidates, with_schedule_scale
-from .trainer import Trainer, no_state
+from .material_class import COATED, MATERIAL_CLASSES, MaterialClass, allowed_material_classes, with_geometry_rates
+from .trainer import Trainer, invalid_checkpoint
 
-HOLD_BACK_FROM = 8  # views; fewer are all needed
-TRIAL_HOLD_BACK = 6  # one view in so many tests a trial
-LIGHT_HEIGHT = 32  # rows; images this small show no more
-HOPELESS = ((0.3, 4.0), (0.6, 2.0))  # by this share of a trial, so many dB behind the best is too far to catch up
+HOLD_BACK_FROM = 8  # views; with fewer, all are needed for training
+BRIEF_FIT_HOLD_BACK = 6  # every 6th view is held back from a brief fit
+LIGHT_HEIGHT = 32  # rows of the light map; the small images of a brief fit resolve no more
+GIVE_UP = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a brief fit done, dB behind the best from which a fit is abandoned)
 
 
 def select_material_class(
-    dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress, cut: bool = False
+    dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress, crop: bool = False
 ) -> MaterialClass:
-    """Decide what the object is made of: fit every kind briefly and take what explains the held-back views best.
+    """Select the object's material class: fit every allowed class briefly and take the one that predicts held-back views best.
 
-    Each kind must be better by `trial_margin` than the less reflecting one before it. Where no view can be held back, or no mask
-    tells the object from its background, it is the first of the allowed kinds. `cut`: images are cut to the object.
+    A class must be better by `first.trial_margin` dB than the less reflecting one selected before it. Where no view can be held back,
+    or no mask separates the object from its background, the first of the allowed classes is returned.
+
+    Args:
+        dataset: views.
+        settings: of the job.
+        gaussians: initial Gaussians.
+        progress: receives steps and messages, and may cancel.
+        crop: crop the images to the object.
+
+    Raises:
+        Cancelled: the user stopped the work.
     """
-    kinds = candidates(settings.materials)
+    classes = allowed_material_classes(settings.materials)
     if not dataset.has_alpha:
-        progress.message(f"materials: {kinds[0].name}; without masks the background would pass for reflections")
-        return material_class_named(kinds[0].name, dataset)
-    if len(kinds) == 1 or len(dataset.train) < HOLD_BACK_FROM:
-        return kinds[0]
-    # All at one pace: what is compared is the model.
-    trials = {kind: _trial(dataset, settings, gaussians, with_schedule_scale(kind, COATED), cut) for kind in kinds}
-    score = _compared(trials, settings, progress)
-    best = kinds[0]
-    for kind in kinds[1:]:
-        best = kind if score[kind] > score[best] + settings.first.trial_margin else best
-    progress.message("materials: " + ", ".join(f"{k.name} {v:.2f} dB" for k, v in score.items()) + f" -> {best.name}")
+        progress.message(f"materials: {classes[0].name}; without masks the background would be taken for reflections")
+        return material_class_named(classes[0].name, dataset)
+    if len(classes) == 1 or len(dataset.train) < HOLD_BACK_FROM:
+        return classes[0]
+    # The same geometry rates for all: the shading models are compared, not the rates.
+    fits = {m: _brief_fit(dataset, settings, gaussians, with_geometry_rates(m, COATED), crop) for m in classes}
+    score = _compare(fits, settings, progress)
+    best = classes[0]
+    for material_class in classes[1:]:
+        best = material_class if score[material_class] > score[best] + settings.first.trial_margin else best
+    progress.message("materials: " + ", ".join(f"{m.name} {v:.2f} dB" for m, v in score.items()) + f" -> {best.name}")
     return best
 
 
-def _trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, kind: MaterialClass, cut: bool) -> Trainer:
-    """A fit of few surfels to small images."""
+def _brief_fit(dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool) -> Trainer:
+    """Return a trainer of few surfels on small images."""
     brief, camera = settings.first, dataset.train[0].camera
-    few = thinned_out(gaussians, brief.trial_gaussians, settings.seed)
+    few = subsample(gaussians, brief.trial_gaussians, settings.seed)
     light_height = min(LIGHT_HEIGHT, brief.light_height)
     brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height)
     reduction = max(1, max(camera.width, camera.height) // brief.trial_resolution)
-    return Trainer(dataset, brief, few, kind, settings.seed, TRIAL_HOLD_BACK, reduction, cut)
+    return Trainer(dataset, brief, few, material_class, settings.seed, BRIEF_FIT_HOLD_BACK, reduction, crop)
 
 
-def _compared(trials: dict[MaterialClass, Trainer], settings: Settings, progress: Progress) -> dict[MaterialClass, float]:
-    """dB of each kind on the held-back views, at its end or where it was given up; all are fitted side by side."""
+def _compare(fits: dict[MaterialClass, Trainer], settings: Settings, progress: Progress) -> dict[MaterialClass, float]:
+    """Run all fits in turns and return the PSNR in dB on the held-back views, at the end of each fit or where it was abandoned."""
     iterations = settings.first.trial_iterations
     progress.phase("materials", iterations)
-    gives_up = settings.skip.trials != "off"
-    marks = {max(1, int(share * iterations)): behind for share, behind in HOPELESS} if gives_up else {}
-    score, running, given_up = dict.fromkeys(trials, 0.0), list(trials), []
+    may_give_up = settings.skip.trials != "off"
+    checks = {max(1, int(fraction * iterations)): behind for fraction, behind in GIVE_UP} if may_give_up else {}
+    score, running, given_up = dict.fromkeys(fits, 0.0), list(fits), []
     for done in range(1, iterations + 1):
         if progress.cancelled:
-            raise Cancelled("stopped while the kind of material was being decided")
-        for kind in running:
-            trials[kind].step()
+            raise Cancelled("stopped during material class selection")
+        for material_class in running:
+            fits[material_class].step()
         progress.step(done)
-        progress.image(trials[running[0]].image)
-        if done in marks or done == iterations:
-            score |= {kind: trials[kind].test() or 0.0 for kind in running}
-            limit = max(score.values()) - marks.get(done, math.inf)
-            hopeless = [kind for kind in running if score[kind] < limit]
-            given_up += [f"{kind.name} after {done} of {iterations} steps" for kind in hopeless]
-            running = [kind for kind in running if kind not in hopeless]
+        progress.image(fits[running[0]].image)
+        if done in checks or done == iterations:
+            score |= {m: fits[m].test() or 0.0 for m in running}
+            limit = max(score.values()) - checks.get(done, math.inf)
+            hopeless = [m for m in running if score[m] < limit]
+            given_up += [f"{m.name} after {done} of {iterations} steps" for m in hopeless]
+            running = [m for m in running if m not in hopeless]
         if len(running) == 1:
             break
     decide(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
@@ -84,18 +94,30 @@ def _compared(trials: dict[MaterialClass, Trainer], settings: Settings, progress
 
 
 def material_class_named(name: str, dataset: Dataset) -> MaterialClass:
-    """The kind of that name at its pace for this dataset: what starts on sparse points has farther to go than what starts on a hull.
+    """Return the material class of a name with the learning rates for a dataset.
 
-    Raises InputError where there is none.
+    Args:
+        name: of the class.
+        dataset: without masks, where the first stage starts on sparse points, the higher geometry rates of COATED apply: surfels have
+            farther to move than from a visual hull.
+
+    Raises:
+        InputError: there is no class of this name.
     """
-    kind = next((k for k in KINDS if k.name == name), None)
-    if kind is None:
-        raise no_state()
-    return kind if dataset.has_alpha else with_schedule_scale(kind, COATED)
+    material_class = next((m for m in MATERIAL_CLASSES if m.name == name), None)
+    if material_class is None:
+        raise invalid_checkpoint()
+    return material_class if dataset.has_alpha else with_geometry_rates(material_class, COATED)
 
 
-def thinned_out(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
-    """At most `count` of the surfels, larger so that they cover the same surface."""
+def subsample(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
+    """Select surfels at random and enlarge them so that they cover the same area.
+
+    Args:
+        gaussians: the surfels.
+        count: most surfels to keep.
+        seed: of the selection.
+    """
     index = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))[:count]
     few = gaussians.select(index.sort().values)
     few.log_scale += 0.5 * math.log(gaussians.count / few.count)

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light and material told apart: a bilinear problem, once visibility and indirect light are known.
+"""Light-material solver: environment light, albedo, roughness and metallic from multi-view samples.
 
-What view k of point p shows is linear in the light L and, for given roughness and metallic, in the albedo a:
+With visibility and indirect light known, the problem is bilinear. The radiance of view k of point p is linear in the light L and, for
+given roughness and metallic, in the albedo a:
 
     y_k = a_p c_k + d_k,  c = (1 - m)(1 - E_s) E + m S,  d = 0.04 (1 - m) S + S',
 
-with the irradiance E and both parts S, S' of the specular lobe (core/kernels/lobes.py), each a row times L. Albedo is eliminated
-(variable projection, Golub and Pereyra 1973), the light moves by Gauss-Newton steps in its logarithm, roughness and metallic come
-from a search over a grid, smoothed among neighbours of like colour. "Light first": albedo starts as one constant for all and is let
-go bit by bit, towards few colours; started from the radiance itself it would keep all shading for ever.
+where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and S, S' are the parts of the specular lobe that F0 scales
+and that Fresnel adds (core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect light. The albedo is
+eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes Gauss-Newton steps, and
+roughness and metallic come from a grid search that is smoothed among neighbours of similar colour.
+
+"Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
+from the radiance itself would keep all shading.
 """
 
 from __future__ import annotations
@@ -28,57 +32,77 @@ from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 
 STEPS = 24
-CONSTANT = 3  # steps with one albedo for all
-RELEASE = 12  # steps over which the prior of the albedo falls
-MATERIAL_STEPS = (8, 12, 16, 20)  # after which steps roughness and metallic are searched
-PRIOR = (1.0, 0.01)  # weight of the albedo's prior, from ... to
-COLOURS = 0.15  # difference in log albedo below which two points count as of one colour
-SAMPLE = 1000  # points that a point's colour is compared with
-OUTLIER = 0.02  # encoded difference from which a view loses its say (Cauchy)
+CONSTANT = 3  # steps with one albedo for all points
+RELEASE = 12  # steps over which the weight of the albedo's prior falls
+MATERIAL_STEPS = (8, 12, 16, 20)  # numbers of steps done when roughness and metallic are searched
+PRIOR = (1.0, 0.01)  # first and last weight of the albedo's prior
+COLOURS = 0.15  # difference in log albedo below which two points count as being of one colour
+SAMPLE = 1000  # points that each point's colour is compared with
+OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
 SMOOTHNESS = 1e-7  # of the log light, per texel and squared difference
-ROUGHNESS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
-METALLIC = (0.0, 0.5, 1.0)
-HALF_METAL = 0.02  # penalty per view: most things are metal or not
-ALBEDO_RANGE = (0.005, 1.5)  # above 1: the light's scale is not known yet
-NEIGHBOURS = 13
+ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
+METALLIC_VALUES = (0.0, 0.5, 1.0)  # searched
+HALF_METAL = 0.02  # penalty per view for metallic between 0 and 1: most materials are metal or not
+ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
+NEIGHBOURS = 13  # points over which the grid search is smoothed, the point itself included
 
 
 class LightMaterialSolver:
-    """The unknowns and how they are found, from points of which each has at least one view.
+    """Solver with its current estimates; each point needs at least one sample.
 
     Attributes:
-        light: (T, 3) radiance of the texels. albedo: (P, 3). roughness, metallic: (P,).
+        samples: multi-view samples of P points, K in all.
+        transfer: radiance transfer from T texels to the points.
+        light: (T, 3) linear radiance of the texels.
+        albedo: (P, 3).
+        roughness: (P,).
+        metallic: (P,).
+        derivative: (K, 3) approximate derivative of the sRGB encoding at the samples' radiance.
+        robust_weight: (K, 3) weights of the last step in 0..1.
     """
 
     def __init__(
         self,
-        seen: MultiViewSamples,
+        samples: MultiViewSamples,
         transfer: RadianceTransfer,
         roughness: torch.Tensor,
         metallic: torch.Tensor,
         seed: int,
-        metals: Sequence[float] = METALLIC,
+        metallic_values: Sequence[float] = METALLIC_VALUES,
     ) -> None:
-        """roughness, metallic: (P,) start. metals: values of metallic that are searched."""
-        self.seen, self.transfer, self._metals = seen, transfer, seen.colour.new_tensor(metals)
+        """Start with a constant albedo of 0.5 and a constant light.
+
+        Args:
+            samples: multi-view samples of P points.
+            transfer: radiance transfer to the points.
+            roughness: (P,) initial values.
+            metallic: (P,) initial values.
+            seed: of the points that colours are compared with.
+            metallic_values: values of metallic that are searched.
+        """
+        self.samples, self.transfer, self._metallic_values = samples, transfer, samples.colour.new_tensor(metallic_values)
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
-        mean = seen.sums(seen.colour) / seen.lengths[:, None]
+        mean = samples.sums(samples.colour) / samples.lengths[:, None]
         self.light = mean.new_full((2 * transfer.height**2, 3), 2 * float(mean.mean()))
         self.albedo = torch.full_like(mean, 0.5)
-        self.slope = encoding_slope(seen.colour)
-        self.trust = torch.ones_like(seen.colour)
+        self.derivative = approximate_srgb_derivative(samples.colour)
+        self.robust_weight = torch.ones_like(samples.colour)
         self._smoothness = SMOOTHNESS * _laplacian(transfer.height).to(mean)
-        self.n_v = (seen.normal[seen.point] * seen.view).sum(1).clamp_min(1e-3)
-        self._start = torch.nn.functional.pad(seen.lengths.cumsum(0), (1, 0))
-        self._rows = mean.new_empty(len(seen.point), len(self.light))
-        self._neighbours, self._likeness = neighbourhood(seen.position, mean)
+        self.n_v = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
+        self._start = torch.nn.functional.pad(samples.lengths.cumsum(0), (1, 0))
+        self._rows = mean.new_empty(len(samples.point), len(self.light))
+        self._neighbours, self._similarity = neighbourhood(samples.position, mean)
         self._trace_lobes()
 
     def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
-        """All steps; `step` is told how many are done, may raise, and ends them early by True.
+        """Do all steps.
 
-        Raises IrgsppError where an unknown is not finite any more.
+        Args:
+            step: called with the number of steps done; it may raise, and ends the run early by returning True.
+
+        Raises:
+            IrgsppError: an estimate is not finite.
         """
         for done in range(STEPS):
             if done in MATERIAL_STEPS:
@@ -90,134 +114,161 @@ class LightMaterialSolver:
                 break
 
     def error(self) -> float:
-        """Median of the encoded difference between model and photographs."""
+        """Return the median difference between model and images, approximately in encoded values 0..1."""
         factor, rest = self._model()
-        return float(((self.albedo[self.seen.point] * factor + rest - self.seen.colour) * self.slope).abs().median())
+        return float(((self.albedo[self.samples.point] * factor + rest - self.samples.colour) * self.derivative).abs().median())
 
     def _trace_lobes(self) -> None:
-        """S and the rows of d, their parts from the object itself, and the coat's share, for the materials as they are."""
-        dielectric = DIELECTRIC_F0 * (1 - self.metallic[self.seen.point][:, None])
-        self.scaled, added, self.scaled_own, added_own = self.transfer.rows(self.seen, self.roughness)
+        """Compute, for the current materials, S and d as rows of the light (K, T), their indirect parts (K, 3), and 1 - E_s (K, 1)."""
+        dielectric = DIELECTRIC_F0 * (1 - self.metallic[self.samples.point][:, None])
+        self.scaled, added, self.scaled_own, added_own = self.transfer.rows(self.samples, self.roughness)
         self.rest, self.rest_own = added.addcmul_(dielectric, self.scaled), added_own.addcmul_(dielectric, self.scaled_own)
-        self.share = diffuse_fraction(self.n_v, self.roughness[self.seen.point])[:, None]
+        self.diffuse_fraction = diffuse_fraction(self.n_v, self.roughness[self.samples.point])[:, None]
 
     def _model(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """c and d (K, 3)."""
-        point, metal = self.seen.point, self.metallic[self.seen.point][:, None]
+        """Evaluate c and d of y = a c + d, (K, 3) each."""
+        point, metal = self.samples.point, self.metallic[self.samples.point][:, None]
         irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[point]
         specular = self.scaled @ self.light + self.scaled_own
-        return (1 - metal) * self.share * irradiance + metal * specular, self.rest @ self.light + self.rest_own
+        return (1 - metal) * self.diffuse_fraction * irradiance + metal * specular, self.rest @ self.light + self.rest_own
 
     def _step(self, done: int) -> None:
-        """Albedo for this light, then the light for whatever albedo that makes."""
-        seen, y = self.seen, self.seen.colour
+        """Solve the albedo for the current light, then do a Gauss-Newton step of the light with the albedo eliminated."""
+        samples, y = self.samples, self.samples.colour
         factor, rest = self._model()
-        error = (self.albedo[seen.point] * factor + rest - y) * self.slope
-        trust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
-        self.trust = torch.where(seen.saturated & (error > 0), 0.0, trust)  # a clipped highlight is a lower bound
-        weight = self.trust * self.slope**2
+        error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
+        robust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
+        self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
+        weight = self.robust_weight * self.derivative**2
         anchor, pull = self._albedo_prior(done)
-        total = seen.sums(weight * factor * factor) + pull
-        self.albedo = ((seen.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
-        residual = self.albedo[seen.point] * factor + rest - y
-        self.light = torch.stack([self._moved(c, weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)], 1)
+        total = samples.sums(weight * factor * factor) + pull
+        self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
+        residual = self.albedo[samples.point] * factor + rest - y
+        self.light = torch.stack([self._step_light(c, weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)], 1)
 
-    def _moved(self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
-        """(T,) one channel of the light after a Gauss-Newton step; the albedo follows the light (Schur complement)."""
+    def _step_light(
+        self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
+    ) -> torch.Tensor:
+        """Return one channel (T,) of the light after a damped Gauss-Newton step; the albedo follows the light (Schur complement)."""
         light = self.light[:, channel]
-        normal, slope = self._equations(channel, weight, factor, total, residual)
-        normal, slope = light[:, None] * normal * light, light * slope  # by the logarithm of the light
-        damped = normal + self._smoothness + torch.diag(1e-3 * normal.diagonal() + 1e-10)
+        hessian, gradient = self._equations(channel, weight, factor, total, residual)
+        hessian, gradient = light[:, None] * hessian * light, light * gradient  # with respect to the logarithm of the light
+        damped = hessian + self._smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
         log_light = light.log()
-        step = torch.linalg.solve(damped.double(), (slope + self._smoothness @ log_light).double()).float()
+        step = torch.linalg.solve(damped.double(), (gradient + self._smoothness @ log_light).double()).float()
         return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp()
 
     def _equations(
         self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Hessian (T, T) and gradient (T,) of the squared error by one channel of the light, albedo eliminated, per view.
+        """Return the Gauss-Newton Hessian (T, T) and gradient (T,) of half the mean squared error in the light, albedo eliminated.
 
-        weight, factor, residual: (K,) of the views. total: (P,) curvature of the error by each albedo.
+        For one channel: weight, factor c and residual (K,) of the samples; `total` (P,), the error's curvature in each albedo.
         """
-        point, albedo = self.seen.point, self.albedo[self.seen.point, channel]
+        point, albedo = self.samples.point, self.albedo[self.samples.point, channel]
         metal = self.metallic[point]
         root = weight.sqrt()
-        views = (root, weight * factor / total.sqrt()[point], albedo * (1 - metal) * self.share[:, 0], albedo * metal)
+        views = (root, weight * factor / total.sqrt()[point], albedo * (1 - metal) * self.diffuse_fraction[:, 0], albedo * metal)
         matrices = (self.transfer.irradiance, self.scaled, self.rest, self._rows)
-        start, root_too, share, *factors = self.transfer.arrays(self._start, *(v.contiguous() for v in views))
+        start, root_weight, coupling_weight, *factors = self.transfer.arrays(self._start, *(v.contiguous() for v in views))
         *transport, rows = self.transfer.arrays(*matrices)
-        coupling = jacobian(start, root_too, share, (factors[0], factors[1]), (transport[0], transport[1], transport[2]), rows)
-        normal = gram(self._rows) - gram(torch.as_tensor(coupling))
-        return normal / len(weight), self._rows.T @ (root * residual) / len(weight)
+        coupling = jacobian(start, root_weight, coupling_weight, (factors[0], factors[1]), (transport[0], transport[1], transport[2]), rows)
+        hessian = gram(self._rows) - gram(torch.as_tensor(coupling))
+        return hessian / len(weight), self._rows.T @ (root * residual) / len(weight)
 
     def _albedo_prior(self, done: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Where each albedo is drawn to, (P, 3), and how strongly: the mean of those like it (mean shift among few colours)."""
+        """Return target and weight (P, 3) of the albedo's prior: the mean of similar albedos (mean shift towards few colours)."""
         if done < CONSTANT:
             return torch.full_like(self.albedo, 0.5), torch.full_like(self.albedo, 1e3)
         log_albedo = self.albedo.log()
         others = log_albedo[torch.randperm(len(log_albedo), generator=self.generator)[:SAMPLE].to(log_albedo.device)]
-        like = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
-        share = like.sum(1, keepdim=True)
+        similarity = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
+        total = similarity.sum(1, keepdim=True)
         strength = PRIOR[0] * (PRIOR[1] / PRIOR[0]) ** min(1.0, (done - CONSTANT) / RELEASE)
-        pull = strength * share / len(others) / self.albedo.clamp_min(0.02) ** 2 + 1e-6
-        return (like @ others / share).exp(), pull
+        pull = strength * total / len(others) / self.albedo.clamp_min(0.02) ** 2 + 1e-6
+        return (similarity @ others / total).exp(), pull
 
     def _search_materials(self) -> None:
-        """Roughness and metallic that explain all views of a point and its neighbours best, each candidate with its own best albedo."""
-        knots, metals = self._metals.new_tensor(ROUGHNESS), self._metals
-        cost = self._costs(knots, metals)
+        """Set roughness and metallic to the grid values with the least error over a point and its neighbours, each with its best albedo."""
+        knots, metallic_values = self._metallic_values.new_tensor(ROUGHNESS_VALUES), self._metallic_values
+        cost = self._costs(knots, metallic_values)
         for _ in range(2):
-            cost = torch.einsum("pn,pnmr->pmr", self._likeness, cost[self._neighbours])
+            cost = torch.einsum("pn,pnmr->pmr", self._similarity, cost[self._neighbours])
         best, _ = cost.min(2)
-        best = best + (metals % 1 > 0) * HALF_METAL * float(self.seen.lengths.float().mean())
+        best = best + (metallic_values % 1 > 0) * HALF_METAL * float(self.samples.lengths.float().mean())
         metal = best.argmin(1)
-        self.metallic = metals[metal]
+        self.metallic = metallic_values[metal]
         self.roughness = _vertex(knots, cost[torch.arange(len(cost), device=cost.device), metal])
         self._trace_lobes()
 
-    def _costs(self, knots: torch.Tensor, metals: torch.Tensor) -> torch.Tensor:
-        """(P, metals, knots) robust error summed over views."""
-        seen = self.seen
-        scaled, added = self.transfer.sums(seen, knots, self.light)
-        irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[seen.point]
-        weight = self.trust * self.slope**2
-        cost = metals.new_empty(len(seen.position), len(metals), len(knots))
+    def _costs(self, knots: torch.Tensor, metallic_values: torch.Tensor) -> torch.Tensor:
+        """Return the robust error (P, metallic values, roughness knots), summed over the samples of each point."""
+        samples = self.samples
+        scaled, added = self.transfer.sums(samples, knots, self.light)
+        irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[samples.point]
+        weight = self.robust_weight * self.derivative**2
+        cost = metallic_values.new_empty(len(samples.position), len(metallic_values), len(knots))
         for j, knot in enumerate(knots):
-            share = diffuse_fraction(self.n_v, knot.expand_as(self.n_v))[:, None]
-            for i, metal in enumerate(metals):
-                factor, rest = view_terms(metal, share, irradiance, scaled[:, j], added[:, j])
-                fit = seen.sums(weight * factor * (seen.colour - rest)) / seen.sums(weight * factor * factor).clamp_min(1e-9)
-                error = (fit.clamp(0, 1)[seen.point] * factor + rest - seen.colour) * self.slope
-                error = torch.where(seen.saturated & (error > 0), 0.0, error)
-                cost[:, i, j] = seen.sums(torch.log1p((error / OUTLIER) ** 2).sum(1))
+            diffuse = diffuse_fraction(self.n_v, knot.expand_as(self.n_v))[:, None]
+            for i, metal in enumerate(metallic_values):
+                factor, rest = view_terms(metal, diffuse, irradiance, scaled[:, j], added[:, j])
+                fit = samples.sums(weight * factor * (samples.colour - rest)) / samples.sums(weight * factor * factor).clamp_min(1e-9)
+                error = (fit.clamp(0, 1)[samples.point] * factor + rest - samples.colour) * self.derivative
+                error = torch.where(samples.saturated & (error > 0), 0.0, error)
+                cost[:, i, j] = samples.sums(torch.log1p((error / OUTLIER) ** 2).sum(1))
         return cost
 
 
 def view_terms(
-    metallic: torch.Tensor, share: torch.Tensor, irradiance: torch.Tensor, scaled: torch.Tensor, added: torch.Tensor
+    metallic: torch.Tensor, diffuse: torch.Tensor, irradiance: torch.Tensor, scaled: torch.Tensor, added: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """c and d of y = a c + d, (K, 3), from metallic and the coat's share, (K, 1) or scalars, E, S and S', (K, 3)."""
-    return (1 - metallic) * share * irradiance + metallic * scaled, DIELECTRIC_F0 * (1 - metallic) * scaled + added
+    """Evaluate c and d of y = a c + d.
+
+    Args:
+        metallic: m, (K, 1) or scalar.
+        diffuse: 1 - E_s, see `diffuse_fraction`, (K, 1) or scalar.
+        irradiance: E, irradiance / pi, (K, 3).
+        scaled: S, the part of the specular lobe that F0 scales, (K, 3).
+        added: S', the part that Fresnel adds, (K, 3).
+
+    Returns:
+        c and d, (K, 3) each.
+    """
+    return (1 - metallic) * diffuse * irradiance + metallic * scaled, DIELECTRIC_F0 * (1 - metallic) * scaled + added
 
 
-def encoding_slope(colour: torch.Tensor) -> torch.Tensor:
-    """Slope of the sRGB curve at linear colours, about: with it errors count as they are seen."""
+def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
+    """Approximate the derivative of the sRGB encoding by its power law, so that errors count as encoded differences.
+
+    Unlike the exact derivative in `core.relight.adaptive_sampling`, it is constant below 0.003 and does not vanish above 1.
+
+    Args:
+        colour: (...,) linear.
+    """
     return 0.44 / colour.clamp_min(3e-3) ** 0.58
 
 
 def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """The nearest NEIGHBOURS of each point, itself among them, (P, N), and their shares by likeness of colour (P, N), which sum to 1."""
+    """Find the nearest NEIGHBOURS of each point, itself included.
+
+    Args:
+        position: (P, 3).
+        colour: (P, 3) linear.
+
+    Returns:
+        Indices (P, N), and weights by similarity of colour (P, N) that sum to 1.
+    """
     places = position.cpu().numpy()
     _, nearest = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)))
     index = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
-    hue, shade = colour / (colour.sum(1, keepdim=True) + 0.02), encode_srgb(colour)
-    apart = 15 * (hue[:, None] - hue[index]).abs().sum(-1) + 3 * (shade[:, None] - shade[index]).abs().sum(-1)
-    like = torch.exp(-apart)
-    return index, like / like.sum(1, keepdim=True)
+    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + 0.02), encode_srgb(colour)
+    difference = 15 * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1) + 3 * (encoded[:, None] - encoded[index]).abs().sum(-1)
+    similarity = torch.exp(-difference)
+    return index, similarity / similarity.sum(1, keepdim=True)
 
 
 def gram(rows: torch.Tensor) -> torch.Tensor:
-    """(T, T) rows^T rows of (K, T): upper blocks only, mirrored."""
+    """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows, by its upper blocks only."""
     width = rows.shape[1]
     form, block = rows.new_zeros(width, width), max(64, width // 8)
     for begin in range(0, width, block):
@@ -226,7 +277,7 @@ def gram(rows: torch.Tensor) -> torch.Tensor:
 
 
 def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
-    """(P,) the knot of least cost (P, J), moved to the vertex of the parabola through it and its neighbours."""
+    """Return the (P,) minimum of costs (P, J) at knots (J,): the vertex of the parabola through the least cost and its neighbours."""
     row, j = torch.arange(len(cost), device=cost.device), cost.argmin(1).clamp(1, len(knots) - 2)
     below, least, above = cost[row, j - 1], cost[row, j], cost[row, j + 1]
     shift = ((below - above) / (2 * (below - 2 * least + above)).clamp_min(1e-6)).clamp(-1, 1)
@@ -234,7 +285,7 @@ def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
 
 
 def _laplacian(height: int) -> torch.Tensor:
-    """(T, T) sum of squared differences between neighbours of a lat-long map of so many rows, as a quadratic form."""
+    """Return the quadratic form (T, T) of the sum of squared differences between neighbours of a lat-long map of `height` rows."""
     index = torch.arange(2 * height * height).view(height, -1)
     pairs = torch.cat([torch.stack([index, index.roll(-1, 1)], -1).view(-1, 2), torch.stack([index[:-1], index[1:]], -1).view(-1, 2)])
     form = torch.zeros(index.numel(), index.numel())

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the photographs say about single points of the surface: each point seen from many sides, side by side.
+"""Multi-view samples: radiance of surface points in several training views each.
 
-Differences between the views of one point are gloss, and gloss shows the light without knowing the albedo.
+Differences between the views of one point are due to gloss, which shows the light without knowledge of the albedo.
 """
 
 from __future__ import annotations
@@ -17,19 +17,22 @@ from ...kernels.trace import Tree, transmittance
 from ...scene.dataset import View
 from ..common.training_view import SATURATED
 
-FACING = 0.15  # cosine below which a view says more about the silhouette than about the point
-FREE = 0.5  # transmittance towards the camera from which a point is seen
-INSIDE = 0.99  # opacity of the mask around a point: no background in its colour
+FACING = 0.15  # least cosine between normal and view direction; grazing views see the silhouette rather than the point
+VISIBLE = 0.5  # least transmittance towards the camera
+INSIDE = 0.99  # least mask opacity of the pixels around a point, so that no background is mixed into its colour
 
 
 @dataclass(frozen=True, eq=False)
 class MultiViewSamples:
-    """P points and K views of them, those of a point side by side.
+    """P surface points and K samples of their radiance; the samples of a point are adjacent.
 
     Attributes:
-        position, normal: (P, 3) float32, world; normals unit, outward.
-        point: (K,) int64, ascending. view: (K, 3) unit, towards the camera.
-        colour: (K, 3) linear radiance. saturated: (K, 3) bool, where that is only a lower bound.
+        position: (P, 3) float32, world.
+        normal: (P, 3) float32 unit, outward.
+        point: (K,) int64 index of the sample's point, ascending.
+        view: (K, 3) unit, towards the camera.
+        colour: (K, 3) linear radiance.
+        saturated: (K, 3) bool, where the radiance is only a lower bound.
     """
 
     position: torch.Tensor
@@ -41,24 +44,29 @@ class MultiViewSamples:
 
     @property
     def lengths(self) -> torch.Tensor:
-        """(P,) views of each point."""
+        """(P,) number of samples of each point."""
         return torch.bincount(self.point, minlength=len(self.position))
 
     def part(self, begin: int, end: int) -> MultiViewSamples:
-        """Points begin..end and their views."""
+        """Return the points begin..end and their samples.
+
+        Args:
+            begin: first point.
+            end: one past the last point.
+        """
         first, last = (int(k) for k in torch.searchsorted(self.point, torch.tensor([begin, end], device=self.point.device)))
-        views = slice(first, last)
-        point = self.point[views] - begin
+        rows = slice(first, last)
+        point = self.point[rows] - begin
         return MultiViewSamples(
-            self.position[begin:end], self.normal[begin:end], point, self.view[views], self.colour[views], self.saturated[views]
+            self.position[begin:end], self.normal[begin:end], point, self.view[rows], self.colour[rows], self.saturated[rows]
         )
 
     def sums(self, values: torch.Tensor) -> torch.Tensor:
-        """(K, ...) summed over the views of each point: (P, ...), always in the same order."""
+        """Sum values (K, ...) of samples over each point, always in the same order: (P, ...)."""
         return torch.segment_reduce(values, "sum", lengths=self.lengths, axis=0, unsafe=True)
 
 
-def observe(
+def sample_views(
     position: np.ndarray,
     normal: np.ndarray,
     views: Sequence[View],
@@ -69,19 +77,24 @@ def observe(
     least: int = 3,
     device: torch.device | str = "cpu",
 ) -> tuple[MultiViewSamples, torch.Tensor]:
-    """Look points (P, 3) up in the photographs that see them.
+    """Sample the images that see each of P surface points.
 
     Args:
-        position, normal: (P, 3) float32, of the surface. views: the photographs. tree: what may stand in the way.
-        offset: world units along the normal that clear the surface's own surfels.
-        most: views kept of each point, chosen by `random`. least: points seen by fewer are left out.
-        device: where the tree is, and where the result comes to be.
+        position: (P, 3) float32 points of the surface, world.
+        normal: (P, 3) float32 unit normals.
+        views: images.
+        tree: the surfels that may occlude a point.
+        offset: distance along the normal, world units, that clears the surface's own surfels.
+        random: of the choice among the views of a point.
+        most: samples per point, at most.
+        least: points seen by fewer views are left out.
+        device: of the tree and of the result.
 
     Returns:
-        The observations and which of the points they are of.
+        The samples, and the indices of their points among the P given ones.
     """
     device = torch.device(device)
-    found = [_one_view(position, normal, view, tree, offset, device) for view in views]
+    found = [_sample_view(position, normal, view, tree, offset, device) for view in views]
     point, direction, colour, saturated = (np.concatenate(part) for part in zip(*found, strict=True))
     shuffled = random.permutation(len(point))
     order = shuffled[np.argsort(point[shuffled], kind="stable")]
@@ -96,29 +109,29 @@ def observe(
     return MultiViewSamples(*tensors), torch.from_numpy(chosen).to(device)
 
 
-def _one_view(position, normal, view: View, tree: Tree, offset: float, device: torch.device) -> tuple[np.ndarray, ...]:
-    """Index, direction, colour and saturation of the points that one photograph shows."""
+def _sample_view(position, normal, view: View, tree: Tree, offset: float, device: torch.device) -> tuple[np.ndarray, ...]:
+    """Return index (M,), direction (M, 3), linear colour (M, 3) and saturation (M, 3) of the points (P, 3) that one image shows."""
     camera = view.camera
-    seen = position @ camera.world_to_cv[:3, :3].T + camera.world_to_cv[:3, 3]
-    depth = np.maximum(seen[:, 2], 1e-9)
-    place = np.stack([camera.fy * seen[:, 1] / depth + camera.cy, camera.fx * seen[:, 0] / depth + camera.cx], 1) - 0.5  # row, column
+    local = position @ camera.world_to_cv[:3, :3].T + camera.world_to_cv[:3, 3]
+    depth = np.maximum(local[:, 2], 1e-9)
+    place = np.stack([camera.fy * local[:, 1] / depth + camera.cy, camera.fx * local[:, 0] / depth + camera.cx], 1) - 0.5  # row, column
     direction = camera.centre - position
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    inside = (seen[:, 2] > 0) & (place >= 0).all(1) & (place < (camera.height - 1, camera.width - 1)).all(1)
+    inside = (local[:, 2] > 0) & (place >= 0).all(1) & (place < (camera.height - 1, camera.width - 1)).all(1)
     index = np.flatnonzero(inside & ((direction * normal).sum(1) > FACING))
     if view.alpha is not None:
-        index = index[np.min([view.alpha[at] for at, _ in _corners(place[index])], axis=0) > INSIDE]
+        index = index[np.min([view.alpha[at] for at, _ in _bilinear(place[index])], axis=0) > INSIDE]
     rays = position[index] + offset * normal[index], direction[index]
     origin, towards = (torch.from_numpy(a.astype(np.float32)).to(device) for a in rays)
-    index = index[transmittance(tree, origin, towards).cpu().numpy() > FREE]
-    corners = _corners(place[index])
-    colour = sum(decode_srgb(view.colour[at].astype(np.float64)) * share[:, None] for at, share in corners)
+    index = index[transmittance(tree, origin, towards).cpu().numpy() > VISIBLE]
+    corners = _bilinear(place[index])
+    colour = sum(decode_srgb(view.colour[at].astype(np.float64)) * weight[:, None] for at, weight in corners)
     saturated = np.any([view.colour[at] >= SATURATED for at, _ in corners], axis=0)
     return index, direction[index].astype(np.float32), np.asarray(colour, np.float32), saturated
 
 
-def _corners(place: np.ndarray) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
-    """The four pixels around places (N, 2), counted in pixel centres: their rows and columns, and their bilinear shares (N,)."""
+def _bilinear(place: np.ndarray) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
+    """Return rows, columns and bilinear weights (N,) of the four pixels around places (N, 2) given in rows and columns of centres."""
     whole = place.astype(int)
     row, column = whole.T
     down, across = (place - whole).T

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pixels of all training views as surface points, with the Gaussians that make each: frozen geometry, so looked up once."""
+"""Pixel pool: pixels of all training views as surface points, with the surfels along their rays; geometry is frozen, so traced once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.dataset import View
 from ..common.training_view import SATURATED
 
-INSIDE = 0.99  # opacity of mask and Gaussians from which a pixel shows the object alone
+INSIDE = 0.99  # least opacity of mask and Gaussians with which a pixel counts as showing the object alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,10 +22,13 @@ class PixelPool:
     """B pixels.
 
     Attributes:
-        lists: the Gaussians along each pixel's ray and their shares.
-        opacity: (B,) of each pixel, above INSIDE.
-        point: (B, 3) where the ray meets them in the mean. view: (B, 3) unit, towards the camera.
-        colour: (B, 3) encoded, of the photograph. saturated: (B, 3) bool, where that is a lower bound. number: (B,) which view.
+        lists: the Gaussians along each pixel's ray with their weights.
+        opacity: (B,) accumulated opacity of each pixel, above INSIDE.
+        point: (B, 3) mean of the ray's hits by weight, world.
+        view: (B, 3) unit, towards the camera.
+        colour: (B, 3) of the image, sRGB-encoded.
+        saturated: (B, 3) bool, where the colour is a lower bound.
+        number: (B,) index of the pixel's view.
         place: (B,) flat index of the pixel in its view.
     """
 
@@ -40,19 +43,27 @@ class PixelPool:
 
     @property
     def count(self) -> int:
-        """B."""
+        """Number B of pixels."""
         return len(self.point)
 
 
 def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:
-    """At most `count` pixels inside the object, as many of each view as of any other."""
+    """Draw pixels inside the object, equally many from each view.
+
+    Args:
+        views: images.
+        tracer: of the Gaussians.
+        count: most pixels in all.
+        random: of the draw.
+    """
     parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random) for number, view in enumerate(views)]
-    lists = joined([part.lists for part in parts])
+    lists = join_lists([part.lists for part in parts])
     rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:]]
     return PixelPool(lists, *rest)
 
 
 def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:
+    """Draw at most `count` pixels of one view; twice as many are traced, as some rays are not opaque."""
     camera = view.camera
     inside = np.ones((camera.height, camera.width), bool) if view.alpha is None else view.alpha > INSIDE
     index = np.flatnonzero(inside)
@@ -69,7 +80,7 @@ def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, ran
     ray = torch.from_numpy(kept).to(tracer.device)
     colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float().to(tracer.device)
     return PixelPool(
-        chosen(lists, kept),
+        select_rays(lists, kept),
         opacity[ray].float(),
         origin[ray] + depth[ray].float()[:, None] * direction[ray],
         -direction[ray],
@@ -80,8 +91,13 @@ def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, ran
     )
 
 
-def chosen(lists: Lists, rays: np.ndarray) -> Lists:
-    """The lists of some of the rays, ascending."""
+def select_rays(lists: Lists, rays: np.ndarray) -> Lists:
+    """Select the hit lists of some rays.
+
+    Args:
+        lists: of all rays.
+        rays: (R,) indices, ascending.
+    """
     if not isinstance(lists, HitLists):
         return lists.chosen(torch.from_numpy(rays).to(lists.start.device))
     length = np.diff(lists.start)
@@ -92,17 +108,25 @@ def chosen(lists: Lists, rays: np.ndarray) -> Lists:
     return HitLists(start, lists.index[hits], lists.weight[hits], lists.distance[hits], lists.left[kept])
 
 
-def part(lists: HitLists, rays: np.ndarray) -> tuple[HitLists, np.ndarray]:
-    """The lists of few rays, in any order, over the Gaussians that they meet, (M,), which are numbered anew: 0..M-1."""
+def select_rays_and_gaussians(lists: HitLists, rays: np.ndarray) -> tuple[HitLists, np.ndarray]:
+    """Select the hit lists of few rays and renumber the M Gaussians that they hit.
+
+    Args:
+        lists: of all rays.
+        rays: (R,) indices in any order.
+
+    Returns:
+        The lists with Gaussians numbered 0..M-1, and the Gaussians' indices (M,) in `lists`, ascending.
+    """
     length = lists.start[rays + 1] - lists.start[rays]
     start = np.concatenate([[0], np.cumsum(length)])
     hits = np.repeat(lists.start[rays] - start[:-1], length) + np.arange(start[-1])
-    met, index = np.unique(lists.index[hits], return_inverse=True)
-    return HitLists(start, index.astype(np.int32), lists.weight[hits], lists.distance[hits], lists.left[rays]), met
+    hit, index = np.unique(lists.index[hits], return_inverse=True)
+    return HitLists(start, index.astype(np.int32), lists.weight[hits], lists.distance[hits], lists.left[rays]), hit
 
 
-def joined(parts: Sequence[Lists]) -> Lists:
-    """Lists of several sets of rays, one after the other."""
+def join_lists(parts: Sequence[Lists]) -> Lists:
+    """Concatenate the hit lists of several sets of rays."""
     if not isinstance(parts[0], HitLists):
         return parts[0].joined(parts)
     offset = np.cumsum([0] + [len(part.index) for part in parts])

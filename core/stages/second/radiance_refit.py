@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Gaussians' own radiance fitted again after their normals have moved: SH, and where there are any, reflections."""
+"""Radiance refit: SH and, for glossy objects, reflections are fitted again after normals have changed."""
 
 from __future__ import annotations
 
@@ -14,20 +14,31 @@ from ...kernels.rasterize import rasterize
 from ...rendering.deferred import composite, radiance
 from ...scene.dataset import View
 from ...scene.reconstruction import Reconstruction, Reflections
-from ..common.finite_check import due, require_finite
+from ..common.finite_check import check_due, require_finite
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.training_view import TrainingView, make_training_view
 
-DARKEST = 1e-6  # of the light's texels, whose logarithm is optimised
-EDGE = 1e-4  # materials stay this far inside 0..1: their logits are finite
+DARKEST = 1e-6  # least radiance of the light's texels, whose logarithm is optimised
+EDGE = 1e-4  # materials are kept this far inside 0..1, so that their logits are finite
 
 
 def refit_radiance(
     reconstruction: Reconstruction, views: Sequence[View], iterations: int, seed: int, step: Callable[[int], object] = lambda done: None
 ) -> Reconstruction:
-    """A short run of the first stage with geometry as it is; materials and light for relighting are left alone.
+    """Fit the radiance to the images with geometry fixed; materials and light for relighting are not changed.
 
-    `step` is told how many iterations are done; it may raise, and ends the run where it returns True.
+    Args:
+        reconstruction: result of the refinement.
+        views: training images.
+        iterations: steps, one view each.
+        seed: of the order of views.
+        step: called with the number of steps done; it may raise, and ends the fit early by returning True.
+
+    Returns:
+        The reconstruction with new SH and reflections.
+
+    Raises:
+        IrgsppError: a value is not finite.
     """
     mirrored, g = reconstruction.mirrored(), reconstruction.gaussians
     own = g if mirrored is None else replace(g, material=torch.logit(mirrored.material.clamp(EDGE, 1 - EDGE)))
@@ -36,11 +47,12 @@ def refit_radiance(
         others["light"] = mirrored.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
-    targets = [make_training_view(view).to(g.position.device) for view in views]
-    order = torch.cat([torch.randperm(len(targets), generator=generator) for _ in range(math.ceil(iterations / len(targets)))])
+    training_views = [make_training_view(view).to(g.position.device) for view in views]
+    epochs = math.ceil(iterations / len(training_views))
+    order = torch.cat([torch.randperm(len(training_views), generator=generator) for _ in range(epochs)])
     for done, index in enumerate(order[:iterations].tolist()):
-        loss = _loss(optimizer, reconstruction, targets[index], others.get("light"))
-        if due(loss, done + 1):
+        loss = _loss(optimizer, reconstruction, training_views[index], others.get("light"))
+        if check_due(loss, done + 1):
             require_finite({"the radiance's loss": loss}, f"at iteration {done + 1}")
         loss.backward()
         optimizer.step(done / iterations)
@@ -55,11 +67,12 @@ def refit_radiance(
     return replace(reconstruction, gaussians=gaussians, reflections=reflections)
 
 
-def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, target: TrainingView, light: torch.Tensor | None) -> torch.Tensor:
+def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, view: TrainingView, light: torch.Tensor | None) -> torch.Tensor:
+    """Compute the photometric loss of one view; `light` (H, 2H, 3) is the log radiance of the reflected light, None without reflections."""
     g = optimizer.gaussians
     extra = g.position.new_zeros(0, g.count) if light is None else g.materials()
     geometry = (g.position.detach(), g.quaternion.detach(), g.log_scale.detach(), g.opacity.detach())
-    sums, _ = rasterize(*geometry, g.sh, extra, target.camera, reconstruction.bound.radius)
-    straight = radiance(sums, target.world_rays, None if light is None else light.exp())
-    image = composite(straight, sums[-1], target.world_rays, reconstruction.background)
-    return photometric_loss(target.bounded(image), target.image)
+    sums, _ = rasterize(*geometry, g.sh, extra, view.camera, reconstruction.bound.radius)
+    straight = radiance(sums, view.world_rays, None if light is None else light.exp())
+    image = composite(straight, sums[-1], view.world_rays, reconstruction.background)
+    return photometric_loss(view.bounded(image), view.image)

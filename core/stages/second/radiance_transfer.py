@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light transport to single points, traced once and kept: geometry is frozen, so what a point sees never changes.
+"""Precomputed radiance transfer (Sloan et al. 2002) to surface points: traced once, as geometry is frozen.
 
-With it the image is linear in the light, and no estimate: light, albedo and gloss can be told apart without noise.
+With it the image is linear in the light and free of Monte Carlo noise, so that light, albedo and gloss can be separated.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from ...shading.brdf import ggx_alpha
 from ...shading.environment_lookup import solid_angles
 from .multi_view_samples import MultiViewSamples
 
-RAYS = 1 << 18  # at a time, unless memory is short
+RAYS = 1 << 18  # traced at a time, unless memory is short
 
 
 @contextmanager
 def rays_at_a_time(count: int) -> Iterator[None]:
-    """Within the block, about so many rays are at work at a time: the result is the same, memory and speed are less with fewer."""
+    """Trace about `count` rays at a time within the block: fewer need less memory and more time; the result is the same."""
     global RAYS
     before, RAYS = RAYS, count
     try:
@@ -37,7 +37,16 @@ def rays_at_a_time(count: int) -> Iterator[None]:
 
 
 def subdivided_directions(height: int, side: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """side x side strata in every texel of a lat-long map: directions (3, D) and solid angles (D,), float32; D runs over texels first."""
+    """Draw one direction in each of side x side strata of every texel of a lat-long map.
+
+    Args:
+        height: rows of the map, which has 2 height columns.
+        side: strata along a side of a texel.
+        seed: of the positions within the strata.
+
+    Returns:
+        Unit directions (3, D) and solid angles (D,) in steradians, float32, D = side^2 x 2 height^2; texels run fastest.
+    """
     random, width = np.random.default_rng(seed), 2 * height
     edges = np.cos(np.arange(height + 1) * (math.pi / height))[:, None]
     parts = []
@@ -54,14 +63,15 @@ def subdivided_directions(height: int, side: int, seed: int) -> tuple[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class RadianceTransfer:
-    """What P points receive from T texels of a light and from each other.
+    """Radiance transfer from T texels of a light map, and from the object itself, to P points.
 
     Attributes:
-        height: rows of the light; T = 2 height^2.
-        fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D), float32, as `core/kernels/lobes.py` wants them:
-            numpy's arrays on the CPU, tensors on a device.
-        irradiance: (P, T) irradiance / pi per radiance of a texel. indirect: (P, 3) irradiance / pi from the object itself.
-        bounces: False where the object's own light was left out.
+        height: rows of the light map; T = 2 height^2.
+        fixed: directions (3, D), solid angles (D,), visibility (P, D) and indirect radiance (P, 3, D), float32, as `core/kernels/lobes.py`
+            takes them: numpy arrays on the CPU, tensors on a GPU.
+        irradiance: (P, T) irradiance / pi per unit radiance of a texel.
+        indirect: (P, 3) irradiance / pi of the light that the object reflects onto itself.
+        bounces: False where that light was left out.
     """
 
     height: int
@@ -71,18 +81,35 @@ class RadianceTransfer:
     bounces: bool
 
     def arrays(self, *tensors: torch.Tensor) -> tuple[Any, ...]:
-        """Tensors as what `fixed` is: numpy's arrays of the same memory, or tensors as they are."""
+        """Convert tensors (...,) to the type of `fixed`: numpy arrays that share memory, or the tensors themselves."""
         return tensors if isinstance(self.fixed[0], torch.Tensor) else tuple(t.numpy() for t in tensors)
 
-    def rows(self, seen: MultiViewSamples, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Specular rows of all views for the points' roughness (P,): see `lobe_rows`."""
-        point, view, normal, alpha = self.arrays(seen.point, seen.view, seen.normal, ggx_alpha(roughness))
+    def rows(self, samples: MultiViewSamples, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Compute the specular lobe of each sample as weights of the texels, see `lobe_rows`.
+
+        Args:
+            samples: K samples of the P points.
+            roughness: (P,) of the points.
+
+        Returns:
+            The part that F0 scales and the part that Fresnel adds, (K, T) each, and both parts of the indirect light, (K, 3) each.
+        """
+        point, view, normal, alpha = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness))
         return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, 2 * self.height**2)))
 
-    def sums(self, seen: MultiViewSamples, roughness: torch.Tensor, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Specular integrals (K, J, 3) of all views for J roughness values under a light (T, 3): see `lobe_sums`."""
-        point, view, normal, alphas, shining = self.arrays(seen.point, seen.view, seen.normal, ggx_alpha(roughness), light)
-        scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, shining)
+    def sums(self, samples: MultiViewSamples, roughness: torch.Tensor, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Integrate the specular lobe of each sample for several roughness values, see `lobe_sums`.
+
+        Args:
+            samples: K samples of the P points.
+            roughness: (J,) values, the same for all points.
+            light: (T, 3) linear radiance.
+
+        Returns:
+            The part that F0 scales and the part that Fresnel adds, (K, J, 3) each, with indirect light.
+        """
+        point, view, normal, alphas, radiance = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness), light)
+        scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, radiance)
         return torch.as_tensor(scaled), torch.as_tensor(added)
 
 
@@ -96,33 +123,41 @@ def trace_radiance_transfer(
     indirect: bool,
     step: Callable[[int], object] = lambda done: None,
 ) -> RadianceTransfer:
-    """Trace the hemispheres of P points; `indirect` False leaves out what the object reflects onto itself (it still casts shadows).
+    """Trace the hemispheres of P points.
 
-    `step` is told how many points are done and may raise.
+    Args:
+        position: (P, 3) world.
+        normal: (P, 3) unit.
+        tracer: of the Gaussians.
+        height: rows of the light map.
+        side: rays through each texel along a side.
+        seed: of the ray directions.
+        indirect: with the light that the object reflects onto itself; it casts shadows in any case.
+        step: called with the number of points done; may raise.
     """
     direction, angle = (torch.from_numpy(a).to(position.device) for a in subdivided_directions(height, side, seed))
     cosine = (normal @ direction).clamp_min(0)
-    visible, other = _look_around(tracer.above(position, normal), direction, cosine > 0, tracer, step)
+    visible, incoming = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, step)
     if not indirect:
-        other.zero_()
+        incoming.zero_()
     weight = cosine * angle / math.pi
     rows = (weight * visible).view(len(position), side * side, 2 * height * height).sum(1)
-    own = torch.einsum("pd,pcd->pc", weight, other)
-    fixed = (direction, angle, visible, other)
+    own = torch.einsum("pd,pcd->pc", weight, incoming)
+    fixed = (direction, angle, visible, incoming)
     return RadianceTransfer(height, fixed if by_warp(position) else tuple(t.numpy() for t in fixed), rows, own, indirect)
 
 
-def _look_around(
-    origin: torch.Tensor, direction: torch.Tensor, wanted: torch.Tensor, tracer: SecondaryTracer, step: Callable[[int], object]
+def _trace_directions(
+    origin: torch.Tensor, direction: torch.Tensor, selected: torch.Tensor, tracer: SecondaryTracer, step: Callable[[int], object]
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """What P origins see in those of the directions (3, D) that are `wanted` (P, D): free (P, D) and radiance (P, 3, D), else 0."""
-    points, count = wanted.shape
-    visible, other = origin.new_zeros(points, count), origin.new_zeros(points, 3, count)
+    """Trace rays from origins (P, 3) in `selected` (P, D) directions (3, D): transmittance (P, D), radiance (P, 3, D); else 0."""
+    points, count = selected.shape
+    visible, incoming = origin.new_zeros(points, count), origin.new_zeros(points, 3, count)
     toward, batch = direction.T.contiguous(), max(1, 2 * RAYS // count)
     for begin in range(0, points, batch):
-        p, d = torch.nonzero(wanted[begin : begin + batch], as_tuple=True)
+        p, d = torch.nonzero(selected[begin : begin + batch], as_tuple=True)
         free, radiance = tracer.look(origin[begin + p], toward[d])
         visible[begin + p, d] = free
-        other[begin + p, :, d] = radiance
+        incoming[begin + p, :, d] = radiance
         step(min(begin + batch, points))
-    return visible, other
+    return visible, incoming

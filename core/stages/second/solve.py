@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The second stage: materials and light by the rendering equation, with visibility and indirect light traced through the Gaussians."""
+"""Second stage: environment light and materials by the rendering equation, with visibility and indirect light traced through Gaussians.
+
+The steps: normal alignment, multi-view samples, radiance transfer, light-material solver, assignment of materials to Gaussians,
+refinement, radiance refit.
+"""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,7 +15,6 @@ import torch
 from scipy.spatial import KDTree
 
 from ...errors import Cancelled, IrgsppError
-from ...machine.backend import wait_for
 from ...progress.protocol import Progress
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.camera import Camera
@@ -23,19 +25,19 @@ from ...settings.schema import Settings
 from ..common.finite_check import require_finite
 from ..common.preview import albedo_image
 from ..common.skip_rules import decide
-from ..common.time_budget import SECOND_LONGEST, second_schedule_scale, seconds_a_step, times
-from .gaussian_materials import assign_materials, either_metal_or_not
-from .light_material_solver import METALLIC, STEPS, LightMaterialSolver
-from .multi_view_samples import MultiViewSamples, observe
-from .normal_alignment import turned
+from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
+from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
+from .light_material_solver import METALLIC_VALUES, STEPS, LightMaterialSolver
+from .multi_view_samples import MultiViewSamples, sample_views
+from .normal_alignment import align_normals
 from .pixel_pool import PixelPool, pool_pixels
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
-from .refinement import MOSTLY_METAL, Refinement, is_metal
+from .refinement import METAL_ON_AVERAGE, Refinement, is_metal_on_average
 
-LEAST_POINTS = 50  # fewer say nothing about a light
-KEPT_MEGABYTES = 2000  # of pixels' surfels at hand
-SIDE = 2  # rays through each texel of the light, along a side
+LEAST_POINTS = 50  # with which the light is solved
+CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
+SIDE = 2  # rays through each texel of the light along a side
 
 
 def solve_second_stage(
@@ -44,88 +46,116 @@ def solve_second_stage(
     dataset: Dataset,
     settings: Settings,
     progress: Progress,
-    ends: float | None = None,
+    deadline: float | None = None,
 ) -> tuple[Reconstruction, float]:
-    """Tell light and material apart: materials and light are new, surfels turn a little, and their radiance is fitted again to that.
+    """Solve for materials and environment light, align the surfels' normals, and fit the radiance again to them.
 
-    Positions, sizes and opacities stay what they are. `ends`: when to be done, in seconds of the monotonic clock. Also returns how
-    many times as long as the settings have them schedules were.
+    Positions, scales and opacities do not change.
+
+    Args:
+        reconstruction: result of the first stage.
+        surface: fused from its depth.
+        dataset: training views.
+        settings: of the job.
+        progress: receives the progress and may cancel.
+        deadline: seconds on the monotonic clock at which this stage is to end, to which its schedules are scaled; None: schedules as in
+            the settings.
+
+    Returns:
+        The reconstruction, and the schedule scale as a multiple of the settings' schedules.
 
     Raises:
-        Cancelled: the user stopped the work. IrgsppError: too little of the surface is seen, or something is not finite.
+        Cancelled: the user stopped the work.
+        IrgsppError: too few points of the surface are seen, or a value is not finite.
     """
-    share = settings.second.mesh_normals
-    # A metal's own normals were found by what they reflect, which tells them better than smooth depth does.
-    if share > 0 and not is_metal(reconstruction.gaussians):
-        reconstruction = replace(reconstruction, gaussians=turned(reconstruction.gaussians, surface, share))
+    fraction = settings.second.mesh_normals
+    # Reflections in the first stage determine a metal's normals better than smooth depth does.
+    if fraction > 0 and not is_metal_on_average(reconstruction.gaussians):
+        reconstruction = replace(reconstruction, gaussians=align_normals(reconstruction.gaussians, surface, fraction))
     solver, tracer = solve_light_materials(reconstruction, surface, dataset, settings, progress)
     progress.phase("paint", 100)
-    watch = (settings.seed, lambda share: _step(progress, int(100 * share)))
+    watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
     light = solver.light.T.reshape(1, 3, solver.transfer.height, -1)
     height = max(settings.second.light_height, solver.transfer.height)
     enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
-    told_apart = reconstruction.relabelled(torch.logit(materials), enlarged)
-    result, pace = refined(told_apart, reconstruction, dataset, tracer, solver, settings, progress, ends)
-    iterations = times(pace, settings.second.radiance_iterations)
+    solved = reconstruction.relabelled(torch.logit(materials), enlarged)
+    result, schedule_scale = refine(solved, reconstruction, dataset, tracer, solver, settings, progress, deadline)
+    iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
     if iterations:
         progress.phase("radiance", iterations)
-        watched = (settings.seed, lambda done: _step(progress, done) or progress.finish_early)
-        result = refit_radiance(result, dataset.train, iterations, *watched)
-    return result, pace
+        watch = (settings.seed, lambda done: _report_step(progress, done) or progress.finish_early)
+        result = refit_radiance(result, dataset.train, iterations, *watch)
+    return result, schedule_scale
 
 
-def refined(
-    told_apart: Reconstruction,
+def refine(
+    solved: Reconstruction,
     first: Reconstruction,
     dataset: Dataset,
     tracer: SecondaryTracer,
     solver: LightMaterialSolver,
     settings: Settings,
     progress: Progress,
-    ends: float | None,
+    deadline: float | None,
 ) -> tuple[Reconstruction, float]:
-    """The better start, judged by views held back, after gradient descent; without it where that did not serve them. And its pace."""
+    """Refine the better of the possible starts, judged by held-back views.
+
+    The starts are the solver's result and, for metallic_values, the materials and the light of the first stage's reflections.
+
+    Args:
+        solved: materials and light of the solver.
+        first: result of the first stage with aligned normals.
+        dataset: training views.
+        tracer: of the Gaussians.
+        solver: its mean metallic decides whether the object counts as metal.
+        settings: of the job.
+        progress: receives steps and previews.
+        deadline: seconds on the monotonic clock, None for none.
+
+    Returns:
+        The refined reconstruction, or its start where refinement does not improve the held-back views; and the schedule scale.
+    """
     if settings.second.iterations == 0:
-        return told_apart, 1.0
+        return solved, 1.0
     progress.phase("refine", settings.second.iterations)
     pool = pool_pixels(dataset.train, tracer, settings.second.pool, np.random.default_rng(settings.seed))
     if not pool.count:
         progress.message("not refined: no pixel shows the object alone")
-        return told_apart, 1.0
-    starts = [told_apart]
-    if first.glossy and float(solver.metallic.mean()) > MOSTLY_METAL:
-        starts.append(first.relabelled(either_metal_or_not(first.gaussians), first.environment))
-    trials = prepared(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
-    before = [trial.test() for trial in trials]
+        return solved, 1.0
+    starts = [solved]
+    if first.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
+        starts.append(first.relabelled(binarise_metallic_by_median(first.gaussians), first.environment))
+    refinements = prepare_refinements(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
+    before = [refinement.test() for refinement in refinements]
     best = int(np.argmax(before))
+    refinement = refinements[best]
 
-    def stepped(done: int) -> bool:
-        _step(progress, done)
-        progress.image(lambda: albedo_image(trials[best].result(), dataset.train[0].camera))
+    def report(done: int) -> bool:
+        """Report a step and offer a preview; return True to finish early."""
+        _report_step(progress, done)
+        progress.image(lambda: albedo_image(refinement.result(), dataset.train[0].camera))
         return progress.finish_early
 
-    pace = 1.0 if ends is None else _set_pace(trials[best], ends, progress)
-    trials[best].run(stepped)
-    after = trials[best].test()
-    progress.message(f"shaded views held back: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
-    return trials[best].result() if after > before[best] else starts[best], pace
+    schedule_scale = 1.0 if deadline is None else _scale_to_deadline(refinement, deadline, progress)
+    refinement.run(report)
+    after = refinement.test()
+    progress.message(f"PSNR of shaded held-back views: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
+    return refinement.result() if after > before[best] else starts[best], schedule_scale
 
 
-def _set_pace(refinement: Refinement, ends: float, progress: Progress) -> float:
-    """Do the first steps, and make the schedule as long as what is left of the time allows; how many times the preset's that is."""
-    step = seconds_a_step(lambda: (refinement.step(), wait_for(refinement.light.device)))
-    left, iterations = ends - time.monotonic(), refinement.settings.iterations
-    pace = second_schedule_scale(refinement.settings, left, refinement.start.glossy, step)
-    refinement.paced(times(pace, iterations))
+def _scale_to_deadline(refinement: Refinement, deadline: float, progress: Progress) -> float:
+    """Do the first steps, and scale the schedule so that the stage ends by the deadline; returns the schedule scale."""
+    settings, glossy = refinement.settings, refinement.start.glossy
+    scale_for = lambda left, step: second_stage_schedule_scale(settings, left, glossy, step)  # noqa: E731
+    schedule_scale, report = scale_schedule(refinement, "second stage", deadline, scale_for, SECOND_STAGE_LARGEST_SCALE)
     progress.phase("refine", refinement.settings.iterations)
-    longest = ", the most that helps" if pace == SECOND_LONGEST else ""
-    progress.message(f"{left:.0f} s left at {1000 * step:.0f} ms a step: the second stage is {pace:.2f} times the preset's{longest}")
-    return pace
+    progress.message(report)
+    return schedule_scale
 
 
-def prepared(
+def prepare_refinements(
     starts: Sequence[Reconstruction],
     pool: PixelPool,
     tracer: SecondaryTracer,
@@ -133,60 +163,86 @@ def prepared(
     settings: Settings,
     progress: Progress,
 ) -> list[Refinement]:
-    """The refinement of each start, without the work that this scene does not need."""
+    """Prepare a refinement for each start, and decide the skip rule "cache_hits".
+
+    Args:
+        starts: reconstructions with the same geometry.
+        pool: pixels of the training views.
+        tracer: of the Gaussians.
+        cameras: of the training views, which are rasterised anew in each step where the rule is off.
+        settings: of the job.
+        progress: receives the decision.
+    """
     megabytes = len(pool.lists.index) * 12 / 1e6
     evidence = f"the surfels of {pool.count:,} pixels take {megabytes:.0f} MB"
-    constants = decide(settings.skip, "cache_hits", megabytes < KEPT_MEGABYTES, evidence, progress)
-    tracer.repack = not constants
-    cameras = () if constants else cameras
+    cache_hits = decide(settings.skip, "cache_hits", megabytes < CACHED_MEGABYTES, evidence, progress)
+    tracer.repack = not cache_hits
+    cameras = () if cache_hits else cameras
     return [Refinement(start, pool, tracer, settings.second, settings.seed, cameras=cameras) for start in starts]
 
 
 def solve_light_materials(
     reconstruction: Reconstruction, surface: Surface, dataset: Dataset, settings: Settings, progress: Progress
 ) -> tuple[LightMaterialSolver, SecondaryTracer]:
-    """Light, and materials at single points of the surface."""
-    transport, random = settings.second, np.random.default_rng(settings.seed)
+    """Solve for the light and the materials of points of the surface.
+
+    Args:
+        reconstruction: result of the first stage with aligned normals.
+        surface: on which the points are sampled.
+        dataset: training views.
+        settings: of the job.
+        progress: receives the progress and may cancel.
+
+    Returns:
+        The solver with its results, and the tracer of the Gaussians.
+
+    Raises:
+        Cancelled: the user stopped the work.
+        IrgsppError: too few points are seen, or a value is not finite.
+    """
+    second, random = settings.second, np.random.default_rng(settings.seed)
     tracer = SecondaryTracer(reconstruction)
-    position, normal = surface.samples(transport.points, random)
-    seen, _ = observe(position, normal, dataset.train, tracer.tree, tracer.offset, random, transport.views, device=tracer.device)
-    if len(seen.position) < LEAST_POINTS:
+    position, normal = surface.samples(second.points, random)
+    samples, _ = sample_views(position, normal, dataset.train, tracer.tree, tracer.offset, random, second.views, device=tracer.device)
+    if len(samples.position) < LEAST_POINTS:
         raise IrgsppError(
-            f"only {len(seen.position)} points of the surface are seen by three photographs: materials can't be told from light"
+            f"only {len(samples.position)} points of the surface are seen in three photographs, too few to separate materials from light; "
+            "check that cameras and masks match, or add photographs that overlap more"
         )
-    progress.phase("trace", len(seen.position))
-    how = (transport.rows, SIDE, settings.seed, transport.indirect)
-    transfer = trace_radiance_transfer(seen.position, seen.normal, tracer, *how, lambda done: _step(progress, done))
-    require_finite({"what shines on the surface": transfer.indirect, "a photograph": seen.colour}, "before the second stage")
-    # Without masks the surroundings, which are no distant light, would pass for reflections on metal.
-    metals = METALLIC if dataset.has_alpha or reconstruction.glossy else METALLIC[:1]
-    solver = _separation(reconstruction, seen, transfer, metals, settings.seed, progress)
-    if not reconstruction.glossy and float(solver.metallic.mean()) > MOSTLY_METAL:
-        progress.message("found to be metal, though the first stage saw no reflections: done again with none of it metal")
-        solver = _separation(reconstruction, seen, transfer, METALLIC[:1], settings.seed, progress)
+    progress.phase("trace", len(samples.position))
+    options = (second.rows, SIDE, settings.seed, second.indirect)
+    transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, lambda done: _report_step(progress, done))
+    require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
+    # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal.
+    metallic_values = METALLIC_VALUES if dataset.has_alpha or reconstruction.glossy else METALLIC_VALUES[:1]
+    solver = _solve_from_first_stage(reconstruction, samples, transfer, metallic_values, settings.seed, progress)
+    if not reconstruction.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
+        progress.message("solved as metal, although the first stage found no reflections: solved again with none of it metal")
+        solver = _solve_from_first_stage(reconstruction, samples, transfer, METALLIC_VALUES[:1], settings.seed, progress)
     return solver, tracer
 
 
-def _separation(
+def _solve_from_first_stage(
     reconstruction: Reconstruction,
-    seen: MultiViewSamples,
+    samples: MultiViewSamples,
     transfer: RadianceTransfer,
-    metals: Sequence[float],
+    metallic_values: Sequence[float],
     seed: int,
     progress: Progress,
 ) -> LightMaterialSolver:
-    """Started from the first stage and run to its end; `metals` are the values of metallic that are tried."""
+    """Run a solver that starts with the roughness and metallic of the nearest Gaussians and searches `metallic_values`."""
     g = reconstruction.gaussians
-    _, nearest = KDTree(g.position.T.cpu().numpy()).query(seen.position.cpu().numpy())
+    _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
-    solver = LightMaterialSolver(seen, transfer, roughness, (metallic > 0.5).float(), seed, metals)
+    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), seed, metallic_values)
     progress.phase("second stage", STEPS)
-    solver.run(lambda done: _step(progress, done) or progress.finish_early)
-    progress.message(f"light and materials explain the photographs to {solver.error():.4f} (median difference, encoded)")
+    solver.run(lambda done: _report_step(progress, done) or progress.finish_early)
+    progress.message(f"light and materials fit the photographs with a median error of {solver.error():.4f} (encoded, 0..1)")
     return solver
 
 
-def _step(progress: Progress, done: int) -> None:
+def _report_step(progress: Progress, done: int) -> None:
+    """Report the number of steps done; raise Cancelled where the user stopped the work."""
     progress.step(done)
     if progress.cancelled:
         raise Cancelled("stopped in the second stage")

@@ -97,10 +97,10 @@ def test_detail_drops_noise_and_keeps_creases():
     fused[200:210] = [-1, 0, 0.0]
     fused /= np.linalg.norm(fused, axis=-1, keepdims=True)
     seen = np.ones(4000, bool)
-    kept = bake.detailed(normal, fused, seen, 1.0)
+    kept = bake.add_normal_detail(normal, fused, seen, 1.0)
     np.testing.assert_allclose(np.linalg.norm(kept, axis=-1), 1)
     assert np.linalg.norm(kept - normal, axis=-1)[210:].mean() < 0.3 * np.linalg.norm(fused - normal, axis=-1)[210:].mean()
     assert np.abs(kept - fused)[:200].max() < 0.12
     assert (kept[:, 2] >= np.sqrt(1 - bake.STEEPEST**2) - 1e-9).all()
-    np.testing.assert_allclose(bake.detailed(normal, fused, seen, 0.0), normal)
-    np.testing.assert_allclose(bake.detailed(normal, fused, ~seen, 1.0)[210:, 2], fused[210:, 2])  # nothing seen, no noise known
+    np.testing.assert_allclose(bake.add_normal_detail(normal, fused, seen, 0.0), normal)
+    np.testing.assert_allclose(bake.add_normal_detail(normal, fused, ~seen, 1.0)[210:, 2], fused[210:, 2])  # nothing seen, no noise known

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Attributes fused from views against the colours the solid really has."""
+"""Normals and materials fused from views against the known colours of the solid."""
 
 import numpy as np
 import pytest
-from irgspp.core.surface.material_fusion import fuse_attributes
+from irgspp.core.surface.material_fusion import fuse_materials
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def points_on(solid, count=3000):
 def test_seen_points_get_the_true_material_and_normal(torus, true_colour):
     solid, views = torus
     points, normals = points_on(solid)
-    fused = fuse_attributes(points, normals, views, solid.samples(50), 0.01)
+    fused = fuse_materials(points, normals, views, solid.samples(50), 0.01)
     seen = fused.weight > 0
     colour = true_colour(points)
     assert seen.mean() > 0.95
@@ -37,15 +37,15 @@ def test_hidden_surfaces_take_nothing_from_what_hides_them(solids, camera_ring):
     solid = solids["sphere"]
     views = [solid.view(camera) for camera in camera_ring(12)]
     points, normals = points_on(solid, 500)
-    assert (fuse_attributes(0.8 * points, normals, views, solid.samples(), 0.01).weight == 0).all()
-    assert (fuse_attributes(points, -normals, views, solid.samples(), 0.01).weight == 0).all()
+    assert (fuse_materials(0.8 * points, normals, views, solid.samples(), 0.01).weight == 0).all()
+    assert (fuse_materials(points, -normals, views, solid.samples(), 0.01).weight == 0).all()
 
 
 def test_unseen_points_take_their_nearest_gaussians(solids, camera_ring, true_colour):
     solid = solids["sphere"]
     above = [solid.view(camera) for camera in camera_ring(6, lowest=0.5)]
     points, normals = points_on(solid)
-    fused = fuse_attributes(points, normals, above, solid.samples(20_000), 0.01)
+    fused = fuse_materials(points, normals, above, solid.samples(20_000), 0.01)
     below = points[:, 2] < -0.9
     assert (fused.weight[below] == 0).all()
     assert np.abs(fused.albedo - true_colour(points))[below].mean() < 0.05
@@ -57,7 +57,7 @@ def test_transparent_pixels_have_no_say(solids, camera_ring):
     view = solid.view(camera_ring(1, lowest=0.9)[0])
     view.alpha[:] *= 0.4
     points, normals = points_on(solid, 500)
-    assert (fuse_attributes(points, normals, [view], solid.samples(), 0.01).weight == 0).all()
+    assert (fuse_materials(points, normals, [view], solid.samples(), 0.01).weight == 0).all()
 
 
 def test_a_colour_edge_in_depth_does_not_bleed(solids, camera_ring):
@@ -69,5 +69,5 @@ def test_a_colour_edge_in_depth_does_not_bleed(solids, camera_ring):
         view.alpha[behind], view.depth[behind] = 1, 8.0
         view.albedo[~behind], view.albedo[behind] = 0.25, 1.0
     points, normals = points_on(solid)
-    fused = fuse_attributes(points, normals, views, solid.samples(), 0.01)
+    fused = fuse_materials(points, normals, views, solid.samples(), 0.01)
     np.testing.assert_allclose(fused.albedo[fused.weight > 0], 0.25, atol=1e-5)

@@ -12,8 +12,7 @@ from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
 from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.trainer import Trainer
-from irgspp.core.stages.second import radiance_refit as radiance_fit
-from irgspp.core.stages.second import solve as transport
+from irgspp.core.stages.second import radiance_refit, solve
 from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
 from irgspp.core.stages.second.refinement import Refinement
 
@@ -51,7 +50,7 @@ def breaking(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("fault", "name", "told", "materials"),
+    ("fault", "name", "message", "materials"),
     [
         (bad_gradient, "position", f"position is not finite after iteration {FAULT}", "low-gloss"),
         (bad_gradient, "sh", f"sh_dc is not finite after iteration {FAULT}", "low-gloss"),
@@ -59,15 +58,15 @@ def breaking(monkeypatch):
         (bad_value, "material", f"albedo is not finite after iteration {FAULT - 1}", "glossy"),  # the image already shows it
     ],
 )
-def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, name, told, materials):
+def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, name, message, materials):
     breaking(fault, name)
     run = tmp_path / "run"
     arguments = ["reconstruct", *COMMAND, "-o", str(run), "--materials", materials, "--set", "first.trial_iterations=1"]
     assert main(arguments) == 1
     lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
-    assert len(lines) == 1 and told in lines[0]
+    assert len(lines) == 1 and message in lines[0]
     state = read_run(run)
-    assert state["status"] == "failed" and told in state["error"]
+    assert state["status"] == "failed" and message in state["error"]
     saved = torch.load(run / "checkpoint" / "first_stage.pt", weights_only=True)
     assert saved["done"] == FAULT - 1
     assert all(torch.isfinite(v).all() for v in saved["optimizer"]["values"].values())
@@ -98,25 +97,25 @@ def bad_roughness(monkeypatch):
 
 
 def bad_tracing(monkeypatch):
-    trace = transport.trace_radiance_transfer
+    trace = solve.trace_radiance_transfer
 
     def broken(*args):
         transfer = trace(*args)
         transfer.indirect[7] = math.nan
         return transfer
 
-    monkeypatch.setattr(transport, "trace_transfer", broken)
+    monkeypatch.setattr(solve, "trace_radiance_transfer", broken)
 
 
-def bad_painting(monkeypatch):
-    assign_materials = transport.assign_materials
+def bad_assignment(monkeypatch):
+    assign_materials = solve.assign_materials
 
     def broken(*args):
         materials = assign_materials(*args)
         materials[2, 9] = math.nan
         return materials
 
-    monkeypatch.setattr(transport, "paint", broken)
+    monkeypatch.setattr(solve, "assign_materials", broken)
 
 
 def bad_refinement(monkeypatch):
@@ -134,7 +133,7 @@ def bad_refinement(monkeypatch):
 
 def bad_radiance(monkeypatch):
     """The images' loss becomes infinite."""
-    monkeypatch.setattr(radiance_fit, "photometric_loss", lambda image, photograph: image.sum() * math.inf)
+    monkeypatch.setattr(radiance_refit, "photometric_loss", lambda image, photograph: image.sum() * math.inf)
 
 
 @pytest.fixture(scope="module")
@@ -150,24 +149,24 @@ def half_done(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
-        (bad_tracing, "what shines on the surface is not finite before the second stage (3 of"),
+        (bad_tracing, "the indirect light is not finite before the second stage (3 of"),
         (bad_light, "light is not finite after step 3 of the second stage (1 of 96 values)"),
         (bad_roughness, "roughness is not finite after step 9 of the second stage (1 of"),
-        (bad_painting, "a material is not finite at the end of the second stage (1 of"),
+        (bad_assignment, "a material is not finite at the end of the second stage (1 of"),
         (bad_refinement, "albedo is not finite after iteration 1 (1 of"),
         (bad_radiance, "the radiance's loss is not finite at iteration 1"),
     ],
 )
-def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path, capsys, fault, told):
+def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path, capsys, fault, message):
     run = shutil.copytree(half_done, tmp_path / "run")
     with monkeypatch.context() as patch:
         fault(patch)
         assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 1
     lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
-    assert len(lines) == 1 and told in lines[0]
+    assert len(lines) == 1 and message in lines[0]
     state = read_run(run)
-    assert state["status"] == "failed" and told in state["error"]
+    assert state["status"] == "failed" and message in state["error"]
     assert (run / "checkpoint" / "first" / "gaussians.ply").exists() and not (run / "gaussians.ply").exists()
     assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 0

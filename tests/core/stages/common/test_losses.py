@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.common.losses import camera_rays, depth_normals, normal_consistency
+from irgspp.core.stages.common.losses import camera_rays, depth_normals, light_variation, normal_consistency
 
 
 @pytest.fixture(scope="module")
@@ -86,3 +86,10 @@ def test_gradient_is_that_of_finite_differences(camera, rotation):
             assert leaf.grad[channel, row, column].item() == pytest.approx(numeric.item(), abs=1e-8, rel=1e-4)
     assert leaf.grad[:3].abs().max() == 0
     assert leaf.grad[-1].abs().max() > 0  # opacity alone must not make the surface look deeper
+
+
+def test_variation_wraps_around_the_seam():
+    light = torch.zeros(4, 8, 3)
+    light[:, 0] = 1
+    assert light_variation(light) == pytest.approx(2 / 8)  # up and down again, once across the seam
+    assert light_variation(torch.ones(4, 8, 3)) == 0

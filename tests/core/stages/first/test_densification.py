@@ -27,8 +27,8 @@ def generator():
     return torch.Generator().manual_seed(0)
 
 
-def observed(control, gradient):
-    control.observe(ScreenStatistics(torch.ones(len(gradient)), gradient))
+def accumulated(control, gradient):
+    control.accumulate(ScreenStatistics(torch.ones(len(gradient)), gradient))
 
 
 def test_exactly_the_transparent_the_huge_and_the_unseen_go(gaussians, generator):
@@ -37,7 +37,7 @@ def test_exactly_the_transparent_the_huge_and_the_unseen_go(gaussians, generator
     gradient = torch.ones(COUNT)
     gradient[15:40] = 0
     control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
-    observed(control, gradient)
+    accumulated(control, gradient)
     assert control.refine(optimizer, generator, grow=False) == (0, 40)
     assert torch.equal(optimizer.gaussians.position, gaussians.position[:, 40:])
     assert torch.equal(optimizer.gaussians.sh, gaussians.sh[..., 40:])
@@ -45,7 +45,7 @@ def test_exactly_the_transparent_the_huge_and_the_unseen_go(gaussians, generator
 
 def test_nothing_left_is_told(gaussians, generator):
     control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
-    observed(control, torch.zeros(COUNT))
+    accumulated(control, torch.zeros(COUNT))
     with pytest.raises(IrgsppError, match="no Gaussian is left"):
         control.refine(optimizer, generator, grow=False)
     assert optimizer.gaussians.count == COUNT
@@ -54,7 +54,7 @@ def test_nothing_left_is_told(gaussians, generator):
 def test_once_seen_is_seen(gaussians, generator):
     control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
     for half in (0, 1):
-        observed(control, (torch.arange(COUNT) % 2 == half).float())
+        accumulated(control, (torch.arange(COUNT) % 2 == half).float())
     assert control.refine(optimizer, generator, grow=False) == (0, 0)
 
 
@@ -62,7 +62,7 @@ def test_once_seen_is_seen(gaussians, generator):
 def test_the_hardest_pulled_are_cloned_within_the_budget(gaussians, generator, room):
     gradient = torch.linspace(0.1, 1, COUNT)
     control, optimizer = DensityControl(COUNT + room, 1.0), GaussianOptimizer(gaussians, RATES)
-    observed(control, gradient)
+    accumulated(control, gradient)
     added, pruned = control.refine(optimizer, generator, grow=True)
     assert (added, pruned) == (min(room, math.ceil(control.grow * COUNT)), 0)
     position = optimizer.gaussians.position
@@ -73,7 +73,7 @@ def test_the_hardest_pulled_are_cloned_within_the_budget(gaussians, generator, r
 def test_split_surfels_stay_in_their_place_and_plane(gaussians, generator):
     gaussians.log_scale = torch.tensor([[0.03], [0.05]]).log().repeat(1, COUNT)
     control, optimizer = DensityControl(10 * COUNT, 1.0, grow=1.0), GaussianOptimizer(gaussians, RATES)
-    observed(control, torch.ones(COUNT))
+    accumulated(control, torch.ones(COUNT))
     assert control.refine(optimizer, generator, grow=True) == (COUNT, 0)
     g = optimizer.gaussians
     assert g.count == 2 * COUNT
@@ -87,9 +87,9 @@ def test_split_surfels_stay_in_their_place_and_plane(gaussians, generator):
 
 def test_statistics_start_anew_with_another_set(gaussians, generator):
     control, optimizer = DensityControl(COUNT + 5, 1.0), GaussianOptimizer(gaussians, RATES)
-    observed(control, torch.ones(COUNT))
+    accumulated(control, torch.ones(COUNT))
     control.refine(optimizer, generator, grow=True)
-    observed(control, torch.ones(COUNT + 5))
+    accumulated(control, torch.ones(COUNT + 5))
     assert control.seen.tolist() == [1.0] * (COUNT + 5)
 
 

@@ -16,10 +16,10 @@ from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, preset
 from irgspp.core.stages.first.initialization import initial_gaussians
-from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, MOVES, candidates
-from irgspp.core.stages.first.material_class_selection import select_material_class, thinned_out
+from irgspp.core.stages.first.material_class import COATED, GEOMETRY_RATES, LOW_GLOSS, METAL, allowed_material_classes
+from irgspp.core.stages.first.material_class_selection import select_material_class, subsample
 from irgspp.core.stages.first.train import train
-from irgspp.core.stages.first.trainer import MEANT_FOR, Trainer, border_radiance
+from irgspp.core.stages.first.trainer import RATES_CHOSEN_AT, Trainer, border_radiance
 
 SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16")
 BOUND = Bound((0.0, 0.0, 0.0), 1.5)
@@ -73,23 +73,23 @@ def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, mater
     memory = Memory()
     with pytest.raises(Cancelled):
         train(dataset, chosen, StopAfter(5), memory)
-    assert memory["first"]["done"] == 5
+    assert memory["first_stage"]["done"] == 5
     resumed, _ = train(dataset, chosen, checkpoint=memory)
     for name, value in whole.gaussians.tensors().items():
         assert torch.equal(value, resumed.gaussians.tensors()[name]), name
     assert torch.equal(whole.environment, resumed.environment)
 
 
-@pytest.mark.parametrize("kind", [COATED, METAL])
-def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, kind):
+@pytest.mark.parametrize("material_class", [COATED, METAL])
+def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, material_class):
     dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings().first
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    first, second = (Trainer(dataset, chosen, start, kind, 0, 9) for _ in range(2))
+    first, second = (Trainer(dataset, chosen, start, material_class, 0, 9) for _ in range(2))
     for _ in range(12):
         first.step()
     for _ in range(4):
         second.step()
-    third = Trainer(dataset, chosen, start, kind, 0, 9)
+    third = Trainer(dataset, chosen, start, material_class, 0, 9)
     third.restore(second.state())
     for _ in range(8):
         third.step()
@@ -123,15 +123,15 @@ def test_what_is_given_is_not_tried(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
     assert select_material_class(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
-    assert {k.glossy for k in candidates("glossy")} == {True}
+    assert {m.glossy for m in allowed_material_classes("glossy")} == {True}
     unmasked = sphere_dataset(camera_ring(9, 32), masked=False)
-    kind = select_material_class(unmasked, settings(), start, Silent())
-    assert (kind.name, kind.position) == (LOW_GLOSS.name, COATED.position)
+    selected = select_material_class(unmasked, settings(), start, Silent())
+    assert (selected.name, selected.position) == (LOW_GLOSS.name, COATED.position)
 
 
-def test_thinned_out_surfels_cover_the_same_area(splat_sphere):
+def test_subsample_surfels_cover_the_same_area(splat_sphere):
     many = splat_sphere(1000)
-    few = thinned_out(many, 250, 0)
+    few = subsample(many, 250, 0)
     assert few.count == 250
     assert few.log_scale.exp().square().sum().item() == pytest.approx(many.log_scale.exp().square().sum().item(), rel=1e-4)
 
@@ -139,7 +139,7 @@ def test_thinned_out_surfels_cover_the_same_area(splat_sphere):
 def test_background_starts_like_the_borders(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32), masked=False)
     trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 0)
-    found = border_radiance(trainer.targets)
+    found = border_radiance(trainer.training_views)
     assert found.tolist() == pytest.approx([((c + 0.055) / 1.055) ** 2.4 for c in (0.8, 0.5, 0.2)], rel=1e-4)
     assert trainer.test() is None
 
@@ -148,42 +148,42 @@ def test_a_loss_that_is_not_finite_stops_the_fit(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
     trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 9)
     trainer.step()
-    for target in trainer.targets:
-        target.image.fill_(math.nan)
+    for view in trainer.training_views:
+        view.image.fill_(math.nan)
     with pytest.raises(IrgsppError, match="loss is not finite at iteration 2"):
         trainer.step()
 
 
-def test_photographs_that_are_not_finite_are_told_by_what_they_would_start(sphere_dataset, camera_ring):
+def test_images_that_are_not_finite_are_named_by_what_they_initialise(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
     view = replace(dataset.train[0], colour=np.full_like(dataset.train[0].colour, math.nan))
     with pytest.raises(IrgsppError, match="sh_dc is not finite after iteration 0"):
         train(replace(dataset, train=[view] * 9), settings("materials=low-gloss"))
 
 
-def test_a_cut_image_teaches_the_same(sphere_dataset, camera_ring):
+def test_a_cropped_image_has_the_same_gradient(sphere_dataset, camera_ring):
     dataset = sphere_dataset([Camera(96, 96, 60.0, 60.0, 48.0, 48.0, c.to_world) for c in camera_ring(3, 32)])
     start, gradients, losses = initial_gaussians(dataset, 4000, np.random.default_rng(0)), [], []
-    for cut in (False, True):
-        trainer = Trainer(dataset, settings("first.iterations=60").first, start, LOW_GLOSS, 0, 0, cut=cut)
+    for crop in (False, True):
+        trainer = Trainer(dataset, settings("first.iterations=60").first, start, LOW_GLOSS, 0, 0, crop=crop)
         trainer.optimizer.step = lambda progress: None
         losses.append(trainer.step())
         gradients.append(trainer.optimizer.leaves["opacity"].grad)
-    assert trainer.targets[0].share < 0.8
+    assert trainer.training_views[0].pixel_fraction < 0.8
     assert losses[1] == pytest.approx(losses[0], rel=1e-3)
     assert (gradients[1] - gradients[0]).norm() < 1e-2 * gradients[0].norm()
 
 
-def test_a_hopeless_kind_is_given_up_and_others_go_on(sphere_dataset, camera_ring, monkeypatch):
+def test_a_hopeless_material_class_is_given_up_and_others_go_on(sphere_dataset, camera_ring, monkeypatch):
     dataset = sphere_dataset(camera_ring(12, 32))
     start, steps = initial_gaussians(dataset, 400, np.random.default_rng(0)), dict.fromkeys(("low-gloss", "glossy", "metal"), 0)
 
     def counted(self):
-        steps[self.kind.name] += 1
+        steps[self.material_class.name] += 1
         return 0.0
 
     monkeypatch.setattr(Trainer, "step", counted)
-    monkeypatch.setattr(Trainer, "test", lambda self: {"low-gloss": 30.0, "glossy": 29.0, "metal": 20.0}[self.kind.name])
+    monkeypatch.setattr(Trainer, "test", lambda self: {"low-gloss": 30.0, "glossy": 29.0, "metal": 20.0}[self.material_class.name])
     chosen = settings("first.trial_iterations=10", "first.trial_gaussians=100")
     assert select_material_class(dataset, chosen, start, Silent()) is LOW_GLOSS
     assert steps == {"low-gloss": 10, "glossy": 10, "metal": 3}
@@ -195,11 +195,11 @@ def test_a_hopeless_kind_is_given_up_and_others_go_on(sphere_dataset, camera_rin
 def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camera_ring, monkeypatch):
     dataset, memory = sphere_dataset(camera_ring(9, 32)), Memory()
     chosen = settings("materials=low-gloss", "first.iterations=20")
-    monkeypatch.setattr("irgspp.core.stages.first.train.first_pace", lambda *_: 2.0)
+    monkeypatch.setattr("irgspp.core.stages.first.train.first_stage_schedule_scale", lambda *_: 2.0)
     with pytest.raises(Cancelled):
-        train(dataset, chosen, StopAfter(30), memory, ends=time.monotonic() + 60)
-    assert train(dataset, chosen, checkpoint=memory, ends=time.monotonic() + 60)[1] == 2.0
-    assert memory["first"]["iterations"] == 40
+        train(dataset, chosen, StopAfter(30), memory, deadline=time.monotonic() + 60)
+    assert train(dataset, chosen, checkpoint=memory, deadline=time.monotonic() + 60)[1] == 2.0
+    assert memory["first_stage"]["iterations"] == 40
 
 
 @pytest.mark.parametrize("own_steps", [400, 2000])
@@ -207,12 +207,13 @@ def test_surfels_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_data
     dataset = sphere_dataset(camera_ring(3, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
     trainer = Trainer(dataset, settings(f"first.iterations={own_steps}").first, start, LOW_GLOSS, 0, 0)
-    own, meant = dict(trainer.optimizer.rates), max(own_steps, MEANT_FOR)
+    own, meant = dict(trainer.optimizer.rates), max(own_steps, RATES_CHOSEN_AT)
     for iterations, slower in ((4 * meant, 0.5), (9 * meant, 1 / 3), (meant // 2, 1.0), (meant, 1.0)):
-        trainer.paced(iterations)
+        trainer.reschedule(iterations)
         rates = trainer.optimizer.rates
-        assert {name: rates[name].start / own[name].start for name in MOVES} == pytest.approx(dict.fromkeys(MOVES, slower))
-        assert {name: rate for name, rate in rates.items() if name not in MOVES} == {n: r for n, r in own.items() if n not in MOVES}
+        moving = {name: rates[name].start / own[name].start for name in GEOMETRY_RATES}
+        assert moving == pytest.approx(dict.fromkeys(GEOMETRY_RATES, slower))
+        assert {n: r for n, r in rates.items() if n not in GEOMETRY_RATES} == {n: r for n, r in own.items() if n not in GEOMETRY_RATES}
 
 
 def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
@@ -260,7 +261,7 @@ def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
         trainer.restore(state)
 
 
-def test_state_of_a_kind_that_there_is_not_is_refused(sphere_dataset, camera_ring):
+def test_state_of_an_unknown_material_class_is_refused(sphere_dataset, camera_ring):
     memory = Memory(first_stage={"kind": "wood"})
     with pytest.raises(InputError, match="holds no state"):
         train(sphere_dataset(camera_ring(9, 32)), settings(), checkpoint=memory)

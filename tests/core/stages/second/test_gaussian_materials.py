@@ -23,7 +23,7 @@ from irgspp.core.stages.second import gaussian_materials as painting
 from irgspp.core.stages.second.gaussian_materials import (
     EDGE,
     assign_materials,
-    either_metal_or_not,
+    binarise_metallic_by_median,
     fitted_albedo,
     own_radiance,
     surface_normals,
@@ -90,7 +90,7 @@ def found(splat_sphere):
     about = SimpleNamespace(height=HEIGHT, bounces=True)
     light = torch.full((2 * HEIGHT**2, 3), SKY)
     seen = SimpleNamespace(position=position)
-    return SimpleNamespace(seen=seen, transfer=about, light=light, roughness=torch.full((400,), ROUGHNESS), metallic=metallic)
+    return SimpleNamespace(samples=seen, transfer=about, light=light, roughness=torch.full((400,), ROUGHNESS), metallic=metallic)
 
 
 def painted(scene, surface, views, found, seed=0):
@@ -207,7 +207,7 @@ def test_surfels_become_metal_or_not_as_those_around_them_are(splat_sphere):
     metallic[::10] = 1 - metallic[::10]  # single ones that are wrong
     material = sphere.material.clone()
     material[METALLIC] = torch.logit(metallic)
-    decided = either_metal_or_not(replace(sphere, material=material))
+    decided = binarise_metallic_by_median(replace(sphere, material=material))
     torch.testing.assert_close(decided[:METALLIC], material[:METALLIC])
     away = sphere.position[2].abs() > 0.1
     expected = torch.where(top, 1 - EDGE, EDGE)[away]

@@ -12,7 +12,7 @@ from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import View
 from irgspp.core.stages.common.training_view import SATURATED
 from irgspp.core.stages.first.initialization import surfels
-from irgspp.core.stages.second.multi_view_samples import FACING, MultiViewSamples, observe
+from irgspp.core.stages.second.multi_view_samples import FACING, MultiViewSamples, sample_views
 
 OFFSET, COUNT = 0.03, 400
 OCCLUDER, SIZE = np.array([0.0, -1.4, 1.2]), 0.6  # a ball in front of the sphere
@@ -67,7 +67,7 @@ def points():
 
 
 def look(points, views, tree, most=100, least=3, seed=0):
-    return observe(*points, views, tree, OFFSET, np.random.default_rng(seed), most, least)
+    return sample_views(*points, views, tree, OFFSET, np.random.default_rng(seed), most, least)
 
 
 def pairs(seen, chosen, cameras):
@@ -85,7 +85,7 @@ def facing(points, camera, lowest=FACING):
     return (toward * points[1]).sum(1) > lowest * np.linalg.norm(toward, axis=1)
 
 
-def test_every_camera_that_faces_a_point_observes_it(points, cameras, sphere):
+def test_every_camera_that_faces_a_point_samples_it(points, cameras, sphere):
     seen, chosen = look(points, [photograph(c) for c in cameras], sphere)
     expected = {(int(p), c) for c, camera in enumerate(cameras) for p in np.flatnonzero(facing(points, camera))}
     count = np.bincount([p for p, _ in expected], minlength=COUNT)

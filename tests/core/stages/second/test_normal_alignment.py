@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Disks turned towards the surface."""
+"""Surfels turned towards the surface."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import torch
 from irgspp.core.kernels.reference.harmonics import rotation_matrix
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.scene.surface import Surface
-from irgspp.core.stages.second.normal_alignment import product, shortest_turn, turned
+from irgspp.core.stages.second.normal_alignment import align_normals, product, shortest_turn
 
 
 def unit(*shape: int) -> torch.Tensor:
@@ -29,12 +29,12 @@ def test_the_shortest_turn_takes_one_vector_to_the_other():
     assert torch.allclose(torch.einsum("ijn,jn->in", turn, axis), axis, atol=1e-9)  # about what is square to both
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_surfels_go_that_share_of_the_way_on_whichever_side_they_are(share):
+@pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
+def test_surfels_go_that_fraction_of_the_way_on_whichever_side_they_are(fraction):
     grid = np.stack([*np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)), np.zeros((9, 9))], -1).reshape(-1, 3)
     surface = Surface(grid, np.tile([0.0, 0.0, 1.0], (81, 1)), np.array([[0, 1, 2]]), 0.1)
     tilt = torch.tensor([0.0, 10.0, 170.0, 60.0]).deg2rad()  # from +Z about X: beside, behind, and an edge
     quaternion = torch.stack([(tilt / 2).cos(), (tilt / 2).sin(), torch.zeros(4), torch.zeros(4)])
     surfels = Gaussians(torch.zeros(3, 4), quaternion, torch.zeros(2, 4), torch.zeros(4), torch.zeros(16, 3, 4), torch.zeros(5, 4))
-    angle = turned(surfels, surface, share).normals()[2].acos().rad2deg()
-    assert torch.allclose(angle, torch.tensor([0.0, 10 * (1 - share), 180 - 10 * (1 - share), 60.0]), atol=0.1)
+    angle = align_normals(surfels, surface, fraction).normals()[2].acos().rad2deg()
+    assert torch.allclose(angle, torch.tensor([0.0, 10 * (1 - fraction), 180 - 10 * (1 - fraction), 60.0]), atol=0.1)

@@ -3,7 +3,7 @@
 
 import numpy as np
 from irgspp.core.kernels.trace import HitLists
-from irgspp.core.stages.second.pixel_pool import chosen, joined, part
+from irgspp.core.stages.second.pixel_pool import join_lists, select_rays, select_rays_and_gaussians
 
 
 def random_lists(rays: int, seed: int) -> HitLists:
@@ -21,20 +21,20 @@ def ray(lists: HitLists, number: int) -> tuple:
 
 def test_chosen_rays_keep_their_hits():
     lists, picked = random_lists(30, 0), np.array([0, 3, 4, 17, 29])
-    few = chosen(lists, picked)
+    few = select_rays(lists, picked)
     assert few.rays == len(picked)
     assert [ray(few, i) for i in range(few.rays)] == [ray(lists, int(p)) for p in picked]
 
 
 def test_joined_lists_follow_one_another():
     parts = [random_lists(7, 1), random_lists(0, 2), random_lists(12, 3)]
-    together = joined(parts)
+    together = join_lists(parts)
     assert [ray(together, i) for i in range(together.rays)] == [ray(part, i) for part in parts for i in range(part.rays)]
 
 
 def test_part_numbers_what_is_met_anew():
     lists, picked = random_lists(30, 4), np.array([17, 3, 3, 29])
-    few, met = part(lists, picked)
+    few, met = select_rays_and_gaussians(lists, picked)
     assert few.rays == len(picked) and (np.diff(met) > 0).all()
     for i, p in enumerate(picked):
         index, *rest = ray(few, i)

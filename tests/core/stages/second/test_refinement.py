@@ -13,7 +13,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import SecondStageSettings
 from irgspp.core.stages.second.pixel_pool import pool_pixels
 from irgspp.core.stages.second.radiance_refit import refit_radiance
-from irgspp.core.stages.second.refinement import Refinement, split, variation
+from irgspp.core.stages.second.refinement import Refinement, split_samples
 
 SETTINGS = SecondStageSettings(iterations=40, pixels=64, samples=16, pool=4000, normal_rate=1e-4)
 
@@ -73,15 +73,8 @@ def test_the_step_ends_the_run(start, photographs):
 
 
 def test_samples_are_split_without_loss():
-    assert split(128, (0.5, 0.25, 0.25)) == (64, 32, 32)
-    assert min(split(3, (0.125, 0.5, 0.375))) == 1
-
-
-def test_variation_wraps_around_the_seam():
-    light = torch.zeros(4, 8, 3)
-    light[:, 0] = 1
-    assert variation(light) == pytest.approx(2 / 8)  # up and down again, once across the seam
-    assert variation(torch.ones(4, 8, 3)) == 0
+    assert split_samples(128, (0.5, 0.25, 0.25)) == (64, 32, 32)
+    assert min(split_samples(3, (0.125, 0.5, 0.375))) == 1
 
 
 def test_radiance_is_fitted_and_nothing_else_moves(start, photographs):
@@ -104,9 +97,9 @@ def test_drawn_views_and_known_surfels_agree(start, photographs):
     known = Refinement(first, pool, tracer, SETTINGS, 0)
     drawn = Refinement(first, pool, tracer, SETTINGS, 0, cameras=[view.camera for view in photographs])
     pixels = torch.arange(0, pool.count, 50)
-    ours, theirs = (trial.surface.sums(first.gaussians, pixels) for trial in (known, drawn))
+    ours, theirs = (trial.gbuffer.sums(first.gaussians, pixels) for trial in (known, drawn))
     assert (ours[:, 3:] - theirs[:, 3:]).abs().max() < 1e-3
     assert torch.nn.functional.cosine_similarity(ours[:, :3], theirs[:, :3]).min() > 0.99
     assert drawn.test() == pytest.approx(known.test(), abs=0.2)
-    chosen = drawn.surface.chosen(drawn.trained, 20, torch.Generator().manual_seed(0))
+    chosen = drawn.gbuffer.choose_pixels(drawn.trained, 20, torch.Generator().manual_seed(0))
     assert len(pool.number[chosen].unique()) == 1

@@ -16,7 +16,7 @@ from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from irgspp.core.stages.second import solve as transport
-from irgspp.core.stages.second.light_material_solver import METALLIC
+from irgspp.core.stages.second.light_material_solver import METALLIC_VALUES
 from scipy.spatial import ConvexHull
 
 SETTINGS = with_overrides(Settings(), ["second.points=150", "second.rows=4"])
@@ -59,17 +59,17 @@ def tried(monkeypatch):
         calls.append(tuple(metals))
         return Found(metals)
 
-    monkeypatch.setattr(transport, "_separation", solver)
+    monkeypatch.setattr(transport, "_solve_from_first_stage", solver)
     return calls
 
 
 @pytest.mark.parametrize(
     ("masked", "glossy", "expected"),
     [
-        (True, True, [METALLIC]),
-        (True, False, [METALLIC, METALLIC[:1]]),  # the first stage would have seen so much metal reflect
-        (False, False, [METALLIC[:1]]),
-        (False, True, [METALLIC]),  # only where the user says so
+        (True, True, [METALLIC_VALUES]),
+        (True, False, [METALLIC_VALUES, METALLIC_VALUES[:1]]),  # the first stage would have seen so much metal reflect
+        (False, False, [METALLIC_VALUES[:1]]),
+        (False, True, [METALLIC_VALUES]),  # only where the user says so
     ],
 )
 def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, glossy, expected):

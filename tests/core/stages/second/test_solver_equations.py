@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The equations that the separation solves, and its parts, against plain algebra."""
+"""The equations of the light-material solver, and its parts, against plain algebra."""
 
 import numpy as np
 import pytest
@@ -25,16 +25,16 @@ def halfway():
 
 def model(solver, light, channel):
     """c and d (K,) of one channel, float64, differentiable in the light."""
-    transfer, point = solver.transfer, solver.seen.point
-    rows = [a.double() for a in transfer.rows(solver.seen, solver.roughness)]
+    transfer, point = solver.transfer, solver.samples.point
+    rows = [a.double() for a in transfer.rows(solver.samples, solver.roughness)]
     irradiance = (transfer.irradiance.double() @ light + transfer.indirect[:, channel].double())[point]
     lobe = [row @ light + own[:, channel] for row, own in zip(rows[:2], rows[2:], strict=True)]
-    return view_terms(solver.metallic[point].double(), solver.share[:, 0].double(), irradiance, *lobe)
+    return view_terms(solver.metallic[point].double(), solver.diffuse_fraction[:, 0].double(), irradiance, *lobe)
 
 
 def eliminated(solver, log_light, weight, anchor, pull, channel):
     """Residuals of views and of albedo's prior, weighted, with the best albedo for a light, float64; that albedo, and c."""
-    point, y = solver.seen.point, solver.seen.colour[:, channel].double()
+    point, y = solver.samples.point, solver.samples.colour[:, channel].double()
     factor, rest = model(solver, log_light.exp(), channel)
     weight, anchor, pull = (t[:, channel].double() for t in (weight, anchor, pull))
     sums = lambda values: torch.zeros_like(pull).index_add(0, point, values)  # noqa: E731
@@ -47,8 +47,8 @@ def equations(solver, weight, anchor, pull, channel):
     log_light = solver.light[:, channel].double().log().requires_grad_()
     residuals, albedo, factor = eliminated(solver, log_light, weight, anchor, pull, channel)
     solver.albedo[:, channel] = albedo.detach().float()
-    total = solver.seen.sums(weight[:, channel] * factor.detach().float() ** 2) + pull[:, channel]
-    views = len(solver.seen.point)
+    total = solver.samples.sums(weight[:, channel] * factor.detach().float() ** 2) + pull[:, channel]
+    views = len(solver.samples.point)
     error = (residuals[:views] / weight[:, channel].double().sqrt()).detach().float()
     normal, slope = solver._equations(channel, weight[:, channel], factor.detach().float(), total, error)
     light = solver.light[:, channel]
@@ -58,7 +58,7 @@ def equations(solver, weight, anchor, pull, channel):
 @pytest.mark.parametrize("channel", [0, 2])
 def test_slope_is_the_derivative_of_the_error_with_albedo_eliminated(halfway, channel):
     _, slope, log_light, residuals = equations(*halfway, channel)
-    (expected,) = torch.autograd.grad(residuals.square().sum() / 2 / len(halfway[0].seen.point), log_light)
+    (expected,) = torch.autograd.grad(residuals.square().sum() / 2 / len(halfway[0].samples.point), log_light)
     assert expected.abs().max() > 1e-5
     np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=1e-4 * float(expected.abs().max()))
 
@@ -72,12 +72,12 @@ def test_curvature_is_that_of_gauss_and_newton_with_albedo_eliminated(halfway):
         """Of light (its logarithm) and albedo as independent unknowns; the albedo's anchor makes no difference."""
         albedo = unknowns[TEXELS:]
         factor, rest = model(solver, unknowns[:TEXELS].exp(), 1)
-        views = weight[:, 1].double().sqrt() * (albedo[solver.seen.point] * factor + rest)
+        views = weight[:, 1].double().sqrt() * (albedo[solver.samples.point] * factor + rest)
         return torch.cat([views, pull[:, 1].double().sqrt() * albedo])
 
     albedo = solver.albedo[:, 1].double()
     jacobian = torch.autograd.functional.jacobian(residuals, torch.cat([log_light.detach(), albedo]), vectorize=True)
-    full = jacobian.T @ jacobian / len(solver.seen.point)
+    full = jacobian.T @ jacobian / len(solver.samples.point)
     by_light, mixed, by_albedo = full[:TEXELS, :TEXELS], full[:TEXELS, TEXELS:], full[TEXELS:, TEXELS:]
     expected = by_light - mixed @ torch.linalg.solve(by_albedo, mixed.T)
     np.testing.assert_allclose(normal, expected, atol=1e-5 * float(expected.abs().max()))
