@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Check, install, open and remove the engine."""
+"""Operators that check, install, open and remove the engine."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -19,12 +19,18 @@ from .blocking import SKIP, WAIT, Queued, refuse, run_to_end
 
 
 class IRGSPP_OT_check_engine(bpy.types.Operator):
-    """Start the engine and ask its version and what it can compute on"""
+    """Start the engine and show its version and the devices it can compute on."""
 
     bl_idname = "irgspp.check_engine"
     bl_label = "Check Engine"
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Check the engine in the background, so that the window stays responsive.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         if bpy.app.background:
             return self.execute(context)
         try:
@@ -35,6 +41,7 @@ class IRGSPP_OT_check_engine(bpy.types.Operator):
         return {"FINISHED"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Check the engine and report the result."""
         found = engine.check()
         if found.state != "ok":
             return refuse(self, found.text)
@@ -43,21 +50,22 @@ class IRGSPP_OT_check_engine(bpy.types.Operator):
 
 
 class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
-    """Install the engine's libraries into a folder of this extension; about 1 GB for the CPU, several for CUDA"""
+    """Install the engine's libraries into a folder of this extension: about 1 GB for the CPU, several GB for CUDA."""
 
     bl_idname = "irgspp.install_engine"
     bl_label = "Install Engine"
 
-    device: EnumProperty(name="For", description="What the engine shall compute on", items=DEVICES, options=SKIP)
+    device: EnumProperty(name="For", description="Hardware that the engine will compute on", items=DEVICES, options=SKIP)
     wheels: StringProperty(
         name="Wheels",
-        description="Folder of Python wheels to install from without the network; empty: download them",
+        description="Folder of Python wheels to install from without the network. Empty: download them",
         subtype="DIR_PATH",
         options=SKIP,
     )
     wait: BoolProperty(**WAIT)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the installation as a job."""
         chosen = preferences()
         given = self.properties.is_property_set
         device = self.device if given("device") or chosen is None else chosen.install_device
@@ -65,7 +73,7 @@ class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
         wheels = Path(bpy.path.abspath(folder)) if folder else None
         try:
             if any(job.kind == "install" and not job.finished for job in jobs.all_jobs()):
-                return refuse(self, "The engine is being installed already")
+                return refuse(self, "The engine is already being installed")
             index = chosen.package_index if chosen is not None else ""
             arguments = managed_engine.install_arguments(device, wheels, index, bpy.app.online_access)
             place = managed_engine.folder()
@@ -78,15 +86,16 @@ class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
 
 
 class IRGSPP_OT_remove_engine(bpy.types.Operator):
-    """Delete the engine that this extension has installed"""
+    """Delete the engine that this extension has installed."""
 
     bl_idname = "irgspp.remove_engine"
     bl_label = "Remove"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where this extension has installed an engine and no job needs it."""
         if not managed_engine.folder().exists():
-            cls.poll_message_set("No engine is installed by this extension")
+            cls.poll_message_set("This extension has not installed an engine")
             return False
         if jobs.unfinished():
             cls.poll_message_set("Jobs are running or waiting")
@@ -94,9 +103,16 @@ class IRGSPP_OT_remove_engine(bpy.types.Operator):
         return True
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for confirmation first.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         return context.window_manager.invoke_confirm(self, event)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Delete the engine's folder."""
         try:
             managed_engine.remove()
         except IrgsppError as error:
@@ -105,15 +121,17 @@ class IRGSPP_OT_remove_engine(bpy.types.Operator):
 
 
 class IRGSPP_OT_open_engine_folder(bpy.types.Operator):
-    """Show the folder of the installed engine"""
+    """Open the folder of the installed engine."""
 
     bl_idname = "irgspp.open_engine_folder"
     bl_label = "Open Folder"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("No engine is installed by this extension")
+        """Return True where this extension has installed an engine."""
+        cls.poll_message_set("This extension has not installed an engine")
         return managed_engine.folder().exists()
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Open the folder in the file browser of the system."""
         return bpy.ops.wm.path_open(filepath=str(managed_engine.folder()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Look at a dataset; bring its cameras and points into the scene; the same for what is dropped into a 3D View."""
+"""Operators that inspect a dataset and import its cameras, photographs and points, also by drag and drop."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -25,21 +25,22 @@ OPTIONS = ("directory", "up_axis", "scale", "recentre", "photographs", "points")
 
 
 class IRGSPP_OT_inspect_dataset(Queued, bpy.types.Operator):
-    """See what the engine understands of the photographs and their cameras, and what is wrong with them"""
+    """Show what the engine reads of the photographs and their cameras, and any problems with them."""
 
     bl_idname = "irgspp.inspect_dataset"
-    bl_label = "Look at Dataset"
+    bl_label = "Inspect Dataset"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
     directory: StringProperty(name="Dataset", description="Folder of photographs with known cameras", subtype="DIR_PATH")
     wait: BoolProperty(**WAIT)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the inspection as a job."""
         try:
             dataset = checked(self.directory)
             data = {**result_import.place_of(context.scene), "dataset": str(dataset)}
             words = ["inspect", str(dataset), "--json"]
-            job = jobs.start("inspect", f"Look at {dataset.name}", None, words, None if self.wait else "show_inspection", data)
+            job = jobs.start("inspect", f"Inspect {dataset.name}", None, words, None if self.wait else "show_inspection", data)
             ended = run_to_end(self, job) if self.wait else {"FINISHED"}
             if self.wait and ended == {"FINISHED"}:
                 show_inspection(job)
@@ -49,25 +50,25 @@ class IRGSPP_OT_inspect_dataset(Queued, bpy.types.Operator):
 
 
 def show_inspection(job: Job) -> None:
-    """Keep what the engine said in the scene that asked, as the panel shows it."""
-    with result_import.started_from(job, "look at the dataset again there") as scene:
-        said = job.output().strip().splitlines()
-        if not said:
-            raise IrgsppError("the engine said nothing of the dataset")
-        _tell(scene, Path(job.data["dataset"]), json.loads(said[-1]))
+    """Store the inspection in the scene that the job was started from, for the panel."""
+    with result_import.started_from(job, "inspect the dataset again there") as scene:
+        lines = job.output().strip().splitlines()
+        if not lines:
+            raise IrgsppError("the engine printed nothing about the dataset")
+        _store(scene, Path(job.data["dataset"]), json.loads(lines[-1]))
 
 
-def _tell(scene: bpy.types.Scene, dataset: Path, facts: dict) -> None:
+def _store(scene: bpy.types.Scene, dataset: Path, facts: dict) -> None:
     settings = scene.irgspp
     chosen = settings.dataset_path()
     if chosen is None:
         settings.dataset = str(dataset)
-    if chosen is None or chosen.resolve() == dataset:  # else a person has chosen another one meanwhile
+    if chosen is None or chosen.resolve() == dataset:  # else the user has chosen another one meanwhile
         settings.inspected = json.dumps(facts)
 
 
 class IRGSPP_OT_import_dataset(bpy.types.Operator):
-    """Import the cameras, photographs and points of a dataset, in place of its last import"""
+    """Import the cameras, photographs and points of a dataset; they replace its last import."""
 
     bl_idname = "irgspp.import_dataset"
     bl_label = "Import IRGS++ Dataset"
@@ -75,15 +76,21 @@ class IRGSPP_OT_import_dataset(bpy.types.Operator):
 
     directory: StringProperty(name="Dataset", subtype="DIR_PATH", options={"SKIP_SAVE", "SKIP_PRESET"})
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-    up_axis: EnumProperty(name="Up", description="Which way the dataset's up is turned to Blender's Z", items=UP_AXES)
-    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's units", default=1.0, min=1e-6, max=1e6)
-    recentre: BoolProperty(name="Recentre", description="Move the object's middle to Blender's origin", default=False)
-    photographs: BoolProperty(name="Photographs", description="Each camera shows its photograph behind the scene", default=True)
-    points: BoolProperty(name="Point Cloud", description="Import the points that the dataset knows of", default=True)
+    up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES)
+    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's own units", default=1.0, min=1e-6, max=1e6)
+    recentre: BoolProperty(name="Recentre", description="Move the object's centre to Blender's origin", default=False)
+    photographs: BoolProperty(name="Photographs", description="Each camera shows its photograph when you look through it", default=True)
+    points: BoolProperty(name="Point Cloud", description="Import the dataset's point cloud, if it has one", default=True)
     wait: BoolProperty(**WAIT)
     was_read: BoolProperty(description="The engine has just read the dataset for this import", options={"SKIP_SAVE", "HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder where none is given.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         self.wait = bpy.app.background
         if self.directory:
             return self.execute(context)
@@ -91,13 +98,14 @@ class IRGSPP_OT_import_dataset(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Import the dataset, after a job that reads it where it has changed."""
         try:
             dataset = checked(self.directory)
             folder = export_folder(dataset)
             if not self.was_read and not is_fresh(dataset, folder):
                 data = {**result_import.place_of(context.scene), "options": {name: getattr(self, name) for name in OPTIONS}}
-                wish = None if self.wait else "import_dataset"
-                job = jobs.start("inspect", f"Import {dataset.name}", None, export_arguments(dataset, folder), wish, data)
+                on_done = None if self.wait else "import_dataset"
+                job = jobs.start("inspect", f"Import {dataset.name}", None, export_arguments(dataset, folder), on_done, data)
                 ended = run_to_end(self, job) if self.wait else None
                 if ended != {"FINISHED"}:
                     return ended or {"FINISHED"}
@@ -109,18 +117,18 @@ class IRGSPP_OT_import_dataset(bpy.types.Operator):
     def _build(self, context: bpy.types.Context, dataset: Path, folder: Path) -> None:
         placement = Placement(self.up_axis, self.scale, self.recentre)
         imported = build_dataset(dataset, folder, placement, self.photographs, self.points, context.scene)
-        _tell(context.scene, dataset, imported.facts)
+        _store(context.scene, dataset, imported.facts)
         select(context, imported.root)
 
 
 def import_when_read(job: Job) -> None:
-    """The end of a job that read a dataset for import."""
+    """Import the dataset that a job has read."""
     with result_import.started_from(job, "import the dataset again there"):
         bpy.ops.irgspp.import_dataset("EXEC_DEFAULT", True, was_read=True, **job.data["options"])
 
 
 class IRGSPP_OT_import_dropped(bpy.types.Operator):
-    """Import what was dropped: a dataset (transforms.json, a COLMAP model's cameras.bin) or a finished run (run.json)"""
+    """Import a dropped file: a dataset (transforms.json, a COLMAP model's cameras.bin) or a finished run (run.json)."""
 
     bl_idname = "irgspp.import_dropped"
     bl_label = "Import into IRGS++"
@@ -129,23 +137,30 @@ class IRGSPP_OT_import_dropped(bpy.types.Operator):
     filepath: StringProperty(name="File", subtype="FILE_PATH", options={"SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Import the file as a menu does.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         return self._import("INVOKE_DEFAULT")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Import the file and return when it is done."""
         return self._import("EXEC_DEFAULT")
 
-    def _import(self, how: str) -> set[str]:
+    def _import(self, context_name: str) -> set[str]:
         file = Path(bpy.path.abspath(self.filepath))
         try:
             if file.name == "run.json":
-                return bpy.ops.irgspp.import_run(how, directory=str(file.parent))
-            return bpy.ops.irgspp.import_dataset(how, directory=str(dataset_of(file)))
+                return bpy.ops.irgspp.import_run(context_name, directory=str(file.parent))
+            return bpy.ops.irgspp.import_dataset(context_name, directory=str(dataset_of(file)))
         except (InputError, RuntimeError) as error:  # the latter is what the other operator reported
             return refuse(self, error)
 
 
 def dataset_of(file: Path) -> Path:
-    """The dataset that a file stands for: its whole folder, where that means no other. Raises InputError for a file that is not known."""
+    """Return the dataset that a dropped file belongs to: its folder unless that is ambiguous. Raises InputError for an unknown file."""
     folder = file.parent
     if file.suffix.lower() == ".json" and file.name.startswith("transforms"):
         if (folder / "transforms_train.json").is_file():
@@ -155,11 +170,11 @@ def dataset_of(file: Path) -> Path:
     if file.name in MODEL_FILES:
         root = folder.parent.parent
         return root if folder.parent.name == "sparse" and not (root / "transforms_train.json").exists() else folder
-    raise InputError(file, "is no dataset and no run", "drop a transforms.json, a COLMAP model's cameras.bin, or a run.json")
+    raise InputError(file, "is neither a dataset nor a run", "drop a transforms.json, a COLMAP model's cameras.bin, or a run.json")
 
 
 class IRGSPP_FH_dropped(bpy.types.FileHandler):
-    """Datasets and runs can be dropped into a 3D View or the Outliner"""
+    """Datasets and runs can be dropped into a 3D View or the Outliner."""
 
     bl_idname = "IRGSPP_FH_dropped"
     bl_label = "IRGS++ dataset or run"
@@ -168,25 +183,31 @@ class IRGSPP_FH_dropped(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Return True in 3D Views and the Outliner."""
         return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
 
 
 def draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    """The entry in File > Import."""
-    self.layout.operator(IRGSPP_OT_import_dataset.bl_idname, text="IRGS++ Dataset (folder of posed photographs)")
+    """Add the entry to the menu File > Import.
+
+    Args:
+        self: menu.
+        context: of the menu.
+    """
+    self.layout.operator(IRGSPP_OT_import_dataset.bl_idname, text="IRGS++ Dataset (folder of photographs with known cameras)")
 
 
 CLASSES = (IRGSPP_OT_inspect_dataset, IRGSPP_OT_import_dataset, IRGSPP_OT_import_dropped, IRGSPP_FH_dropped)
 
 
 def register() -> None:
-    """The menu entry, and what jobs do at their end."""
+    """Register the menu entry, and the functions that finished jobs call."""
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     jobs.ON_DONE.update(show_inspection=show_inspection, import_dataset=import_when_read)
 
 
 def unregister() -> None:
-    """Take them back."""
+    """Unregister them."""
     for name in ("show_inspection", "import_dataset"):
         jobs.ON_DONE.pop(name, None)
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)

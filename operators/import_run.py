@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""File > Import > IRGS++ Run."""
+"""Operator that imports a finished run (File > Import > IRGS++ Run)."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -16,7 +16,7 @@ from .blocking import refuse
 
 
 class IRGSPP_OT_import_run(bpy.types.Operator):
-    """Import the object, material, light and cameras of a finished reconstruction, in place of its last import"""
+    """Import the object, material, light and cameras of a finished reconstruction; they replace its last import."""
 
     bl_idname = "irgspp.import_run"
     bl_label = "Import IRGS++ Run"
@@ -24,24 +24,33 @@ class IRGSPP_OT_import_run(bpy.types.Operator):
 
     directory: StringProperty(name="Run Folder", subtype="DIR_PATH", options={"SKIP_SAVE", "SKIP_PRESET"})
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-    material: EnumProperty(name="Material Reads", description="Where the material has its values from", items=SOURCES)
-    pack: BoolProperty(name="Pack Textures", description="Put textures and light into the .blend", default=True)
+    material: EnumProperty(name="Material Reads", description="Source of the values in the object's material", items=SOURCES)
+    pack: BoolProperty(
+        name="Pack Textures", description="Keep textures and light inside the .blend instead of linking to the run folder", default=True
+    )
     as_photographed: BoolProperty(
         name="Show as Photographed",
-        description="Light the scene by the recovered light and look through the first camera, without tone mapping",
+        description="Light the scene with the recovered light and look through the first camera, without tone mapping",
         default=False,
     )
-    up_axis: EnumProperty(name="Up", description="Which way the dataset's up is turned to Blender's Z", items=UP_AXES)
-    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's units", default=1.0, min=1e-6, max=1e6)
-    recentre: BoolProperty(name="Recentre", description="Move the object's middle to Blender's origin", default=False)
+    up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES)
+    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's own units", default=1.0, min=1e-6, max=1e6)
+    recentre: BoolProperty(name="Recentre", description="Move the object's centre to Blender's origin", default=False)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder where none is given.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         if self.directory:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Import the run."""
         try:
             self._import(context)
             return {"FINISHED"}
@@ -60,16 +69,26 @@ class IRGSPP_OT_import_run(bpy.types.Operator):
 
 
 def select(context: bpy.types.Context, thing: bpy.types.Object) -> None:
-    """Make the object the only selected one, where the view layer shows it."""
-    context.view_layer.update()  # from Blender 5.0 it learns only then of what was just linked
-    shown = context.view_layer.objects
-    for other in [other for other in shown if other.select_get(view_layer=context.view_layer)]:
+    """Select an object alone and make it active, where it is in the view layer.
+
+    Args:
+        context: with the view layer.
+        thing: object.
+    """
+    context.view_layer.update()  # from Blender 5.0 on, it knows newly linked objects only after this
+    visible = context.view_layer.objects
+    for other in [other for other in visible if other.select_get(view_layer=context.view_layer)]:
         other.select_set(False, view_layer=context.view_layer)
-    if thing.name in shown:
+    if thing.name in visible:
         thing.select_set(True, view_layer=context.view_layer)
-        shown.active = thing
+        visible.active = thing
 
 
 def draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    """The entry in File > Import."""
+    """Add the entry to the menu File > Import.
+
+    Args:
+        self: menu.
+        context: of the menu.
+    """
     self.layout.operator(IRGSPP_OT_import_run.bl_idname, text="IRGS++ Run (folder)")

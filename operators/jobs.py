@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Wishes about jobs: cancel, finish early, resume, forget, log."""
+"""Operators on one job: cancel, finish early, resume, forget, open its log."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -15,14 +15,14 @@ from ..irgspp_addon.jobs.timer import SHOWING
 from ..irgspp_addon.windows import redraw
 from .blocking import SKIP, refuse
 
-NAMED = {"name": "Job", "description": "Id of the job, as the list of jobs has it", "options": SKIP}
+NAMED = {"name": "Job", "description": "Id of the job in the list of jobs", "options": SKIP}
 
 
 def _do(operator: bpy.types.Operator, work: Callable[[Job], object]) -> set[str]:
     try:
         job = jobs.find(operator.job)
         if job is None:
-            raise InputError(f"job {operator.job!r}", "there is none of that id")
+            raise InputError(f"job {operator.job!r}", "does not exist", "choose it in the list of jobs again")
         work(job)
     except IrgsppError as error:
         return refuse(operator, error)
@@ -31,7 +31,7 @@ def _do(operator: bpy.types.Operator, work: Callable[[Job], object]) -> set[str]
 
 
 class IRGSPP_OT_job_cancel(bpy.types.Operator):
-    """Stop the job; what it has done is saved, so that it can be resumed. Pressed again, it is ended at once"""
+    """Stop the job and save its progress, so that it can be resumed. Press again to end it at once."""
 
     bl_idname = "irgspp.job_cancel"
     bl_label = "Cancel"
@@ -39,11 +39,12 @@ class IRGSPP_OT_job_cancel(bpy.types.Operator):
     job: StringProperty(**NAMED)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Cancel the job."""
         return _do(self, jobs.cancel)
 
 
 class IRGSPP_OT_job_finish(bpy.types.Operator):
-    """Stop optimising and go on with what is there, to the mesh and its materials"""
+    """Stop optimising and continue with the present result, to the mesh and its materials."""
 
     bl_idname = "irgspp.job_finish"
     bl_label = "Finish Early"
@@ -51,11 +52,12 @@ class IRGSPP_OT_job_finish(bpy.types.Operator):
     job: StringProperty(**NAMED)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Finish the present phase early."""
         return _do(self, jobs.finish_early)
 
 
 class IRGSPP_OT_job_resume(bpy.types.Operator):
-    """Go on with a reconstruction that was stopped or has failed, from where it was"""
+    """Continue a reconstruction that was stopped or has failed, from its last checkpoint."""
 
     bl_idname = "irgspp.job_resume"
     bl_label = "Resume"
@@ -63,11 +65,12 @@ class IRGSPP_OT_job_resume(bpy.types.Operator):
     job: StringProperty(**NAMED)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Resume the reconstruction."""
         return _do(self, jobs.resume)
 
 
 class IRGSPP_OT_job_forget(bpy.types.Operator):
-    """Take a finished job off the list; its results stay where they are"""
+    """Remove a finished job from the list; its results stay in their folder."""
 
     bl_idname = "irgspp.job_forget"
     bl_label = "Forget"
@@ -75,11 +78,12 @@ class IRGSPP_OT_job_forget(bpy.types.Operator):
     job: StringProperty(**NAMED)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove the job from the list."""
         return _do(self, jobs.forget)
 
 
 class IRGSPP_OT_job_log(bpy.types.Operator):
-    """Open the log with everything that the job said"""
+    """Open the log with everything that the job printed."""
 
     bl_idname = "irgspp.job_log"
     bl_label = "Open Log"
@@ -87,12 +91,13 @@ class IRGSPP_OT_job_log(bpy.types.Operator):
     job: StringProperty(**NAMED)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Open the log."""
         return _do(self, _open_log)
 
 
 def _open_log(job: Job) -> None:
     if not job.log.is_file():
-        raise InputError(job.title, "has no log")
+        raise InputError(job.title, "has no log", "it may not have started yet")
     if bpy.app.background:
         print("\n".join(job.log_tail()))
     else:

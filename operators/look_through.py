@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The view of a photograph's camera, with the image's own size, so that scene and photograph meet."""
+"""Operator that looks through the camera of a photograph at the photograph's resolution, so that scene and photograph align."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -12,15 +12,16 @@ from .blocking import refuse
 
 
 class IRGSPP_OT_look_through(bpy.types.Operator):
-    """Make the camera the scene's, give renders the size of its photograph, and look through it: scene and photograph meet"""
+    """Make this the scene camera, set the render resolution to its photograph's, and look through it: scene and photograph align."""
 
     bl_idname = "irgspp.look_through"
     bl_label = "Look Through Camera"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
 
-    camera: StringProperty(name="Camera", description="Name of an imported camera; empty: the active object", options={"SKIP_SAVE"})
+    camera: StringProperty(name="Camera", description="Name of an imported camera. Empty: the active object", options={"SKIP_SAVE"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Look through the camera."""
         try:
             look_through(context.scene, self._camera(context))
         except IrgsppError as error:
@@ -33,10 +34,10 @@ class IRGSPP_OT_look_through(bpy.types.Operator):
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object:
         placed = context.scene.objects.get(self.camera) if self.camera else context.object
         if placed is None or not is_imported(placed):
-            raise InputError(self.camera or "look_through", "is no camera of an imported dataset or run", "select one, or give camera=")
+            raise InputError(self.camera or "look_through", "is not a camera of an imported dataset or run", "select one, or give camera=")
         return placed
 
 
 def is_imported(thing: bpy.types.Object | None) -> bool:
-    """True for cameras that know the size of their photograph."""
+    """Return True for a camera that an import has made: it stores the size of its photograph."""
     return thing is not None and thing.type == "CAMERA" and "width" in thing.data

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs to a run folder: as a job from the panel, to its end from scripts."""
+"""Operators that reconstruct a dataset, or the demo dataset, into a run folder."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -18,7 +18,7 @@ from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
 
 
 class IRGSPP_OT_reconstruct(bpy.types.Operator):
-    """Make a relightable object out of the photographs, in the background. What is not given is taken from the scene's IRGS++ panel"""
+    """Reconstruct a relightable object from the photographs, in the background. Missing options are taken from the IRGS++ panel."""
 
     bl_idname = "irgspp.reconstruct"
     bl_label = "Reconstruct"
@@ -27,21 +27,29 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
     dataset: StringProperty(name="Photographs", description="Folder of photographs with known cameras", subtype="DIR_PATH", options=SKIP)
     run: StringProperty(
         name="Run Folder",
-        description="Folder to write; empty: beside the photographs, named like them with _irgspp",
+        description="Folder for the results. Empty: next to the photographs' folder, with its name and _irgspp",
         subtype="DIR_PATH",
         options=SKIP,
     )
-    preset: EnumProperty(name="Preset", description="How much work is done", items=PRESETS, default="balanced", options=SKIP)
-    materials: EnumProperty(name="Material", description="What the object is made of", items=MATERIALS, options=SKIP)
-    device: EnumProperty(name="Device", description="What computes", items=DEVICES, options=SKIP)
-    seed: IntProperty(name="Seed", description="Of every random choice", min=0, options=SKIP)
-    settings: StringProperty(name="Settings", description="Single settings, as key=value with spaces between", options=SKIP)
-    resume: BoolProperty(name="Resume", description="Go on with the run in the folder, with its own settings", options=SKIP)
+    preset: EnumProperty(
+        name="Preset", description="Quality and duration of the reconstruction", items=PRESETS, default="balanced", options=SKIP
+    )
+    materials: EnumProperty(name="Material", description="Material class of the object", items=MATERIALS, options=SKIP)
+    device: EnumProperty(name="Device", description="Hardware that computes the reconstruction", items=DEVICES, options=SKIP)
+    seed: IntProperty(name="Seed", description="Seed of all random numbers", min=0, options=SKIP)
+    settings: StringProperty(name="Settings", description="Single settings, as key=value separated by spaces", options=SKIP)
+    resume: BoolProperty(name="Resume", description="Continue the run in the folder, with its own settings", options=SKIP)
     overwrite: BoolProperty(name="Overwrite", description="Replace the run in the folder", options=SKIP)
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Run as a button does: queue a job; ask before a run is replaced.
+
+        Args:
+            context: of the button or menu.
+            event: that the dialog is opened with.
+        """
         self.wait = bpy.app.background
         if self.overwrite and not self.wait:
             words = {"title": "Reconstruct again?", "message": "The run in the folder is replaced", "confirm_text": "Replace"}
@@ -49,6 +57,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the reconstruction as a job."""
         self._take_from_scene(context.scene)
         try:
             job = self._start(context.scene)
@@ -63,7 +72,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
             return refuse(self, error)
 
     def _take_from_scene(self, scene: bpy.types.Scene) -> None:
-        """What the caller didn't say is as the panel says."""
+        """Take the options that the caller did not give from the panel."""
         panel, given = scene.irgspp, self.properties.is_property_set
         for name in ("preset", "materials", "device", "seed", "import_result"):
             if not given(name):
@@ -82,10 +91,10 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
             raise InputError(dataset, "no such folder", "it may have been moved; choose it again")
         run = Path(bpy.path.abspath(self.run)).absolute() if self.run else dataset.with_name(f"{dataset.name}_irgspp")
         place = result_import.place_of(scene, scene.irgspp.source, scene.irgspp.pack)
-        wish = "import_result" if self.import_result and not self.wait else None
-        return jobs.start("reconstruct", f"Reconstruct {dataset.name}", run, self._words(dataset, run), wish, place)
+        on_done = "import_result" if self.import_result and not self.wait else None
+        return jobs.start("reconstruct", f"Reconstruct {dataset.name}", run, self._arguments(dataset, run), on_done, place)
 
-    def _words(self, dataset: Path, run: Path) -> list[str]:
+    def _arguments(self, dataset: Path, run: Path) -> list[str]:
         words = ["reconstruct", str(dataset), "-o", str(run)]
         if self.resume and (run / "run.json").is_file():
             return [*words, "--resume"]  # with the settings that it was started with
@@ -96,24 +105,25 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
 
 
 class IRGSPP_OT_demo(Queued, bpy.types.Operator):
-    """Reconstruct the small dataset that comes with the extension, to see that everything works"""
+    """Reconstruct the small dataset that comes with the extension, to check that everything works."""
 
     bl_idname = "irgspp.demo"
     bl_label = "Run Demonstration"
 
-    folder: StringProperty(name="Run Folder", description="Folder to write", subtype="DIR_PATH", options=SKIP)
-    settings: StringProperty(name="Settings", description="Single settings, as key=value with spaces between", options=SKIP)
+    folder: StringProperty(name="Run Folder", description="Folder for the results", subtype="DIR_PATH", options=SKIP)
+    settings: StringProperty(name="Settings", description="Single settings, as key=value separated by spaces", options=SKIP)
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the reconstruction as a job."""
         panel = context.scene.irgspp
         try:
             run = Path(bpy.path.abspath(self.folder)).absolute() if self.folder else demo_folder()
             words = ["demo", "-o", str(run), *set_words(self.settings)]
-            wish = "import_result" if self.import_result and not self.wait else None
+            on_done = "import_result" if self.import_result and not self.wait else None
             place = result_import.place_of(context.scene, panel.source, panel.pack)
-            job = jobs.start("demo", "Demonstration", run, words, wish, place)
+            job = jobs.start("demo", "Demonstration", run, words, on_done, place)
             if not self.wait:
                 return {"FINISHED"}
             ended = run_to_end(self, job)
@@ -125,18 +135,23 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
 
 
 def set_words(settings: str) -> list[str]:
-    """The command line's words for `key=value key=value`. Raises InputError where quotation marks don't match."""
+    """Return command-line arguments for `key=value key=value`; raise InputError where quotation marks don't match."""
     try:
         return [word for setting in shlex.split(settings) for word in ("--set", setting)]
     except ValueError as error:
-        raise InputError(f"settings {settings!r}", f"can't be read ({error})", "write key=value, with spaces between") from error
+        raise InputError(f"settings {settings!r}", f"can't be read ({error})", "write key=value, separated by spaces") from error
 
 
 def demo_folder() -> Path:
-    """Where the demonstration goes by itself."""
+    """Return the default run folder of the demo."""
     return jobs.jobs_folder().parent / "demo"
 
 
 def import_now(scene: bpy.types.Scene, run: Path) -> set[str]:
-    """The result into the scene, as the panel says."""
+    """Import a finished run with the options of the panel, and return the status of that operator.
+
+    Args:
+        scene: with the panel's settings.
+        run: run folder.
+    """
     return bpy.ops.irgspp.import_run(directory=str(run), material=scene.irgspp.source, pack=scene.irgspp.pack)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object in another light: an image that follows the scene, the World as a light map, views as files."""
+"""Operators that relight a run: preview that follows the scene, World as environment map, views as image files."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -20,25 +20,38 @@ from ..irgspp_addon.windows import areas
 from ..irgspp_addon.world.world_light import save_light, world_light
 from .blocking import RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
-MAP_ROWS = 256
+MAP_ROWS = 256  # of an environment map
 
 
 class IRGSPP_OT_relight_preview(bpy.types.Operator):
-    """Show the object under this scene's World as the image "IRGS++ Relight", up to date while you work. Scripts get a finished image"""
+    """Relight the object with this scene's World in the image "IRGS++ Relight", updated while you work; scripts get a finished image."""
 
     bl_idname = "irgspp.relight_preview"
     bl_label = "Relight Preview"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
     run: StringProperty(**RUN)
-    samples: IntProperty(name="Samples", description="Rays of light per pixel", min=1, max=65536, default=32, options=SKIP)
-    denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples", default=True, options=SKIP)
-    backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
-    eye: EnumProperty(name="Seen From", description="Where the image is taken from", items=EYES, options=SKIP)
-    use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
-    resolution: IntProperty(name="Resolution", description="Longest side in pixels", min=16, max=16384, default=256, options=SKIP)
+    samples: IntProperty(name="Samples", description="Light samples per pixel", min=1, max=65536, default=32, options=SKIP)
+    denoise: BoolProperty(name="Denoise", description="Remove the noise of few samples", default=True, options=SKIP)
+    backend: EnumProperty(name="Trace", description="Geometry on which shadows and reflections are traced", items=BACKENDS, options=SKIP)
+    eye: EnumProperty(name="Seen From", description="Camera of the image", items=EYES, options=SKIP)
+    use_world: BoolProperty(
+        name="Light from World",
+        description="Light the object by this scene's World; otherwise by the recovered light",
+        default=True,
+        options=SKIP,
+    )
+    resolution: IntProperty(
+        name="Resolution", description="Longest side of the image, in pixels", min=16, max=16384, default=256, options=SKIP
+    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start the preview and show its image, without waiting for it.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         if bpy.app.background:
             return self.execute(context)
         try:
@@ -49,6 +62,7 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
         return {"FINISHED"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Render the image and return when it is finished."""
         try:
             follower = self._start(context)
             try:
@@ -62,20 +76,20 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
     def _start(self, context: bpy.types.Context):
         scene = context.scene
         run = _run(context, self.run)
-        session_of(run)  # tells at once where the engine is missing
-        given, said = self.properties.is_property_set, preview.settings_of(scene)
-        # A value that the panel has too follows the panel from now on.
-        how: dict[str, Any] = {name: getattr(self, name) for name in said if given(name) and getattr(self, name) != said[name]}
+        session_of(run)  # raises at once where the engine is missing
+        given, panel = self.properties.is_property_set, preview.settings_of(scene)
+        # A value equal to the panel's follows the panel from now on.
+        fixed: dict[str, Any] = {name: getattr(self, name) for name in panel if given(name) and getattr(self, name) != panel[name]}
         eye = self.eye if given("eye") else scene.irgspp.relight_eye
         area = _area(context) if eye == "view" else None
         if eye == "view" and area is None:
             raise InputError("preview", "there is no 3D View to look from", "look from the camera: eye='camera'")
         resolution = self.resolution if given("resolution") else scene.irgspp.preview_resolution
-        return preview.start_preview(scene, run, how, resolution, area)
+        return preview.start_preview(scene, run, fixed, resolution, area)
 
 
 class IRGSPP_OT_relight_stop(bpy.types.Operator):
-    """Stop keeping the image up to date; what it shows stays"""
+    """Stop updating the image; it stays as it is."""
 
     bl_idname = "irgspp.relight_stop"
     bl_label = "Stop Preview"
@@ -83,53 +97,63 @@ class IRGSPP_OT_relight_stop(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where a preview is running."""
         if not preview.preview_running():
             cls.poll_message_set("No preview is running")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Stop the preview."""
         preview.stop_preview()
         return {"FINISHED"}
 
 
 class IRGSPP_OT_world_to_map(bpy.types.Operator):
-    """Save the World's light, whatever its nodes, as a lat-long light map that `irgspp render --environment` reads (.exr or .npy)"""
+    """Save the World, whatever its nodes, as a lat-long environment map (.exr or .npy) that `irgspp render --environment` reads."""
 
     bl_idname = "irgspp.world_to_map"
     bl_label = "World to Light Map"
     bl_options = {"REGISTER"}  # noqa: RUF012
 
     filepath: StringProperty(name="File", subtype="FILE_PATH", options=SKIP)
-    height: IntProperty(name="Height", description="Rows of the map, which is twice as wide", default=MAP_ROWS, min=2, max=8192)
+    height: IntProperty(name="Height", description="Rows of the map; it has twice as many columns", default=MAP_ROWS, min=2, max=8192)
     filter_glob: StringProperty(default="*.exr;*.npy", options={"HIDDEN"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where the scene has a World."""
         if context.scene.world is None:
             cls.poll_message_set("The scene has no World")
             return False
         return True
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         self.filepath = self.filepath or "//light.exr"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the environment map."""
         try:
             if not self.filepath:
                 raise InputError("world_to_map", "no file is named", "give filepath=")
             path = Path(bpy.path.abspath(self.filepath)).absolute()
             save_light(world_light(context.scene.world, context.scene.frame_current), path, self.height)
-            self.report({"INFO"}, f"The World's light is saved as {path.name}")
+            self.report({"INFO"}, f"The World is saved as {path.name}")
         except IrgsppError as error:
             return refuse(self, error)
         return {"FINISHED"}
 
 
 class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
-    """Render views of a run as image files, under this scene's World or the recovered light"""
+    """Render views of a run as image files, lit by this scene's World or the recovered light."""
 
     bl_idname = "irgspp.render_views"
     bl_label = "Render Views"
@@ -138,33 +162,41 @@ class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
     run: StringProperty(**RUN)
     views: StringProperty(
         name="Views",
-        description="DATASET or DATASET:train|test|all, or a number: so many on a circle. Empty: the run's dataset",
+        description="DATASET or DATASET:train|test|all, or a number of views on a circle. Empty: the run's dataset",
         options=SKIP,
     )
-    output: StringProperty(name="Output", description="Folder; empty: `relit` in the run", subtype="DIR_PATH", options=SKIP)
-    samples: StringProperty(name="Samples", description="hq, efficient or a number", default="hq", options=SKIP)
-    denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples", default=True, options=SKIP)
-    backend: EnumProperty(name="Trace", description="What shadows and reflections are traced on", items=BACKENDS, options=SKIP)
-    use_world: BoolProperty(name="Light from World", description="Otherwise the recovered light", default=True, options=SKIP)
+    output: StringProperty(
+        name="Output", description="Folder for the images. Empty: `relit` in the run folder", subtype="DIR_PATH", options=SKIP
+    )
+    samples: StringProperty(name="Samples", description="Light samples per pixel: hq, efficient or a number", default="hq", options=SKIP)
+    denoise: BoolProperty(name="Denoise", description="Remove the noise of few samples", default=True, options=SKIP)
+    backend: EnumProperty(name="Trace", description="Geometry on which shadows and reflections are traced", items=BACKENDS, options=SKIP)
+    use_world: BoolProperty(
+        name="Light from World",
+        description="Light the object by this scene's World; otherwise by the recovered light",
+        default=True,
+        options=SKIP,
+    )
     wait: BoolProperty(**WAIT)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the rendering as a job."""
         try:
             run = _run(context, self.run)
             output = Path(bpy.path.abspath(self.output)).absolute() if self.output else run / "relit"
-            job = jobs.start("render", f"Render {run.name}", output, self._words(context, run, output), data={"run": str(run)})
+            job = jobs.start("render", f"Render {run.name}", output, self._arguments(context, run, output), data={"run": str(run)})
             return run_to_end(self, job) if self.wait else {"FINISHED"}
         except IrgsppError as error:
             return refuse(self, error)
 
-    def _words(self, context: bpy.types.Context, run: Path, output: Path) -> list[str]:
+    def _arguments(self, context: bpy.types.Context, run: Path, output: Path) -> list[str]:
         words = ["render", str(run), "-o", str(output), "--samples", self.samples, "--backend", self.backend]
         if self.views.isdecimal():
             words += ["--orbit", self.views]
         else:
             views = bpy.path.abspath(self.views) if self.views else read_run(run).get("dataset", "")
             if not views:
-                raise InputError(run, "does not say which photographs it is made from", "give views=")
+                raise InputError(run, "does not name its photographs", "give views=")
             words += ["--views", views]
         words += [] if self.denoise else ["--no-denoise"]
         if self.use_world:
@@ -172,13 +204,13 @@ class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
         return words
 
     def _map(self, context: bpy.types.Context, run: Path, output: Path) -> Path:
-        """The World as the run's frame sees it, kept beside the images."""
+        """Write the World, rotated to the run's frame, next to the images, and return the file."""
         frame = frame_of(run_object(context.scene, run))
         light = world_light(context.scene.world, context.scene.frame_current).turned(frame.rotation)
         try:
             output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(output, f"can't be made ({error.strerror})") from error
+            raise InputError(output, f"can't be made ({error.strerror})", "name another folder") from error
         save_light(light, output / "world.exr", MAP_ROWS)
         return output / "world.exr"
 
@@ -187,7 +219,7 @@ CLASSES = (IRGSPP_OT_relight_preview, IRGSPP_OT_relight_stop, IRGSPP_OT_world_to
 
 
 def _run(context: bpy.types.Context, named: str) -> Path:
-    """The run that is meant. Raises InputError where it is none."""
+    """Return the named run, or the one chosen in the scene; raise InputError where it is not finished."""
     run = Path(bpy.path.abspath(named)).absolute() if named else chosen_run(context.scene)
     if not (run / "gaussians.ply").is_file():
         raise InputError(run, "is not a finished run folder (no gaussians.ply in it)", "it may have been moved; choose it again")
@@ -195,7 +227,7 @@ def _run(context: bpy.types.Context, named: str) -> Path:
 
 
 def _area(context: bpy.types.Context) -> bpy.types.Area | None:
-    """The 3D View that the operator was called from, or the largest there is."""
+    """Return the 3D View that the operator was called from, or the largest one; None without any."""
     if context.area is not None and context.area.type == "VIEW_3D":
         return context.area
     return max(areas("VIEW_3D"), key=lambda area: area.width * area.height, default=None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is done with a finished run: its textures baked again, its parts as files."""
+"""Operators on a finished run: bake its textures again, export its parts as files."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -21,29 +21,32 @@ from .blocking import IMPORT, RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
 
 class IRGSPP_OT_bake(Queued, bpy.types.Operator):
-    """Make the textures of a finished run anew: of another size, for another number of triangles, or on a mesh that you edited"""
+    """Bake the textures of a finished run again: at another size, with fewer triangles, or onto a mesh that you edited."""
 
     bl_idname = "irgspp.bake"
     bl_label = "Bake Again"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
     run: StringProperty(**RUN)
-    size: IntProperty(name="Texture Size", description="Texels along a side; 0: as before", default=0, min=0, max=16384)
-    triangles: IntProperty(name="Triangles", description="A new mesh of at most so many; 0: keep the mesh", default=0, min=0)
+    size: IntProperty(
+        name="Texture Size", description="Width and height of the textures in texels; 0: as before", default=0, min=0, max=16384
+    )
+    triangles: IntProperty(name="Triangles", description="Maximum number of triangles of a new mesh; 0: keep the mesh", default=0, min=0)
     mesh: StringProperty(
         name="Edited Mesh",
-        description="Name of a mesh object, edited or made anew, that takes the place of the run's mesh; its UVs are kept",
+        description="Name of a mesh object, edited or newly modelled, that replaces the run's mesh; its UVs are kept",
         options=SKIP,
     )
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the baking as a job."""
         try:
             run = chosen_run(context, self.run)
-            words, data = self._words(context, run), self._data(context, run)
-            wish = "import_bake" if self.import_result and not self.wait else None
-            job = jobs.start("bake", f"Bake {run.name}", run, words, wish, data)
+            arguments, data = self._arguments(context, run), self._data(context, run)
+            on_done = "import_bake" if self.import_result and not self.wait else None
+            job = jobs.start("bake", f"Bake {run.name}", run, arguments, on_done, data)
             ended = run_to_end(self, job) if self.wait else {"FINISHED"}
             if self.wait and self.import_result and ended == {"FINISHED"}:
                 import_bake(job)
@@ -51,7 +54,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
         except (IrgsppError, RuntimeError) as error:
             return refuse(self, error)
 
-    def _words(self, context: bpy.types.Context, run: Path) -> list[str]:
+    def _arguments(self, context: bpy.types.Context, run: Path) -> list[str]:
         words = ["bake", str(run)]
         words += ["--size", str(self.size)] if self.size else []
         words += ["--triangles", str(self.triangles)] if self.triangles else []
@@ -69,8 +72,8 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
 
 
 def import_bake(job: Job) -> None:
-    """Bring the run's object up to date; an edited mesh has come into it with its modifiers and its place."""
-    with result_import.started_from(job, f"get the result by File > Import > IRGS++ Run from {job.folder}") as scene:
+    """Update the run's object; an edited mesh already includes its modifiers and transform, so these are cleared."""
+    with result_import.started_from(job, f"import the result by File > Import > IRGS++ Run from {job.folder}") as scene:
         own, edited = Owner(job.folder).find(bpy.data.objects, "mesh"), scene.objects.get(job.data["mesh"])
         if own is not None and own == edited:
             own.modifiers.clear()
@@ -81,7 +84,7 @@ def import_bake(job: Job) -> None:
 
 
 class IRGSPP_OT_export(bpy.types.Operator):
-    """Write a finished run's asset (.glb), Blender scene (.blend), Gaussians (.ply) or light (.exr) as one file"""
+    """Write a finished run's asset (.glb), Blender scene (.blend), Gaussians (.ply) or light (.exr) as one file."""
 
     bl_idname = "irgspp.export"
     bl_label = "Export IRGS++ Result"
@@ -94,6 +97,12 @@ class IRGSPP_OT_export(bpy.types.Operator):
     wait: BoolProperty(**WAIT)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
         self.wait = bpy.app.background
         try:
             run = chosen_run(context, self.run)
@@ -104,6 +113,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the export as a job."""
         try:
             run = chosen_run(context, self.run)
             if not self.filepath:
@@ -117,7 +127,15 @@ class IRGSPP_OT_export(bpy.types.Operator):
 
 
 def chosen_run(context: bpy.types.Context, path: str) -> Path:
-    """The run folder that is meant: the named one, else the active object's, else the panel's. Raises InputError where there is none."""
+    """Return a run folder: the given one, else the active object's, else the panel's.
+
+    Args:
+        context: with the active object.
+        path: run folder, or empty.
+
+    Raises:
+        InputError: no run is chosen, or the folder is not a run.
+    """
     run = Path(bpy.path.abspath(path)) if path else run_of(context.object) or context.scene.irgspp.run_path()
     if run is None:
         raise InputError("run", "none is chosen", "select the imported object, or give run=")
@@ -130,10 +148,10 @@ CLASSES = (IRGSPP_OT_bake, IRGSPP_OT_export)
 
 
 def register() -> None:
-    """What a job does at its end."""
+    """Register the function that a finished job calls."""
     jobs.ON_DONE["import_bake"] = import_bake
 
 
 def unregister() -> None:
-    """Take it back."""
+    """Unregister it."""
     jobs.ON_DONE.pop("import_bake", None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tab "IRGS++" of the 3D View's sidebar, from photographs to a relit object."""
+"""Panels of the tab "IRGS++" in the 3D View's sidebar, from photographs to a relit object."""
 
 from . import dataset, engine, jobs, reconstruct, relight, result
 

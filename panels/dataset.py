@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the photographs are, what was found in them, and how they come into the scene."""
+"""Panel of the dataset: its folder, its inspection, and its import into the scene."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from ..operators.look_through import is_imported
 from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
 
-SHOWN = ("format", "views", "pictures", "masks", "points")  # of all that an inspection says, what a person wants to know first
+SHOWN = ("format", "views", "pictures", "masks", "points")  # rows of an inspection that the panel shows
 
 
 class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
-    """Photographs with known cameras"""
+    """Panel of the photographs and their cameras."""
 
     bl_label = "Dataset"
     bl_order = 1
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the folder, the buttons, the inspection, and the guide where no folder is chosen."""
         layout, settings = self.layout, context.scene.irgspp
         layout.prop(settings, "dataset", text="")
         if not settings.dataset:
@@ -35,7 +36,7 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
         folder = str(settings.dataset_path())
         row = layout.row(align=True)
         row.enabled = engine.status().usable
-        button(row, "irgspp.inspect_dataset", "Look at It", "VIEWZOOM", directory=folder)
+        button(row, "irgspp.inspect_dataset", "Inspect", "VIEWZOOM", directory=folder)
         button(
             row,
             "irgspp.import_dataset",
@@ -48,14 +49,14 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
             photographs=settings.with_photographs,
             points=settings.with_points,
         )
-        draw_look(layout, context, last_look(settings.dataset_path()))
-        draw_found(layout, context, settings.inspected)
+        draw_inspection(layout, context, last_inspection(settings.dataset_path()))
+        draw_summary(layout, context, settings.inspected)
         if is_imported(context.object):
             button(layout, "irgspp.look_through", f"Look Through {context.object.name}", "VIEW_CAMERA", camera=context.object.name)
 
 
 class IRGSPP_PT_import_options(SidebarPanel, bpy.types.Panel):
-    """How cameras and points come into the scene"""
+    """Panel of the options for the import of cameras and points."""
 
     bl_label = "Import Options"
     bl_parent_id = "IRGSPP_PT_dataset"
@@ -63,29 +64,42 @@ class IRGSPP_PT_import_options(SidebarPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where a dataset is chosen."""
         return bool(context.scene.irgspp.dataset)
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the options."""
         column = settings_column(self.layout)
         for name in ("up_axis", "scale", "recentre", "with_photographs", "with_points"):
             column.prop(context.scene.irgspp, name)
 
 
 def draw_guide(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The first steps, for a person who is here for the first time."""
+    """Draw the first steps, for a new user.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
     box = layout.box()
     say(box, context, "From photographs of one object to an object that can be relit:")
     say(box, context, "Choose a folder of photographs with known cameras: transforms.json or COLMAP.", "FILE_FOLDER")
-    say(box, context, "Press Reconstruct and go on working meanwhile.", "PLAY")
+    say(box, context, "Press Reconstruct; you can go on working in Blender.", "PLAY")
     say(box, context, "Relight the object with any World.", "WORLD")
     column = layout.column()
     column.scale_y = 1.3
-    column.enabled = engine.status().usable  # else the panel above says what to do
+    column.enabled = engine.status().usable  # else the panel above explains what to do
     button(column, "irgspp.demo", "Try the Demo", "MONKEY")
 
 
-def draw_look(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
-    """While the engine reads the dataset, and where it could not."""
+def draw_inspection(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
+    """Draw the progress of an inspection, or its error.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        job: inspection of the dataset; None without one.
+    """
     if job is None:
         return
     if not job.finished:
@@ -96,14 +110,20 @@ def draw_look(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job |
         say(column, context, job.error, icon="ERROR")
 
 
-def last_look(dataset: Path | None) -> Job | None:
-    """The last job that read this dataset for the panel or for import."""
-    wanted = str(resolved(dataset))
-    return next((job for job in jobs.all_jobs() if job.kind == "inspect" and job.data.get("dataset") == wanted), None)
+def last_inspection(dataset: Path | None) -> Job | None:
+    """Return the last job that read this dataset for the panel or for an import."""
+    folder = str(resolved(dataset))
+    return next((job for job in jobs.all_jobs() if job.kind == "inspect" and job.data.get("dataset") == folder), None)
 
 
-def draw_found(layout: bpy.types.UILayout, context: bpy.types.Context, inspected: str) -> None:
-    """What was understood of the dataset, and its problems in words."""
+def draw_summary(layout: bpy.types.UILayout, context: bpy.types.Context, inspected: str) -> None:
+    """Draw the summary of a dataset and its warnings.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        inspected: summary as JSON; empty without one.
+    """
     facts = parsed(inspected)
     if not facts:
         return
@@ -120,7 +140,7 @@ def draw_found(layout: bpy.types.UILayout, context: bpy.types.Context, inspected
 
 @lru_cache(maxsize=4)
 def parsed(inspected: str) -> dict[str, Any]:
-    """The facts of an inspection; empty where there was none."""
+    """Return the summary of an inspection from JSON; empty without one."""
     return json.loads(inspected) if inspected else {}
 
 

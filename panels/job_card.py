@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One job as a person sees it: what it does, how far it is, what can be done with it."""
+"""Card of one job: its phase, progress and metrics, and the buttons that stop or resume it."""
 
 from __future__ import annotations
 
@@ -15,22 +15,28 @@ from .phases import phase_in_words
 from .run_state import run_state
 from .sidebar import button, say, seconds_in_words
 
-BEGAN = time.time()  # this session of Blender
+BEGAN = time.time()  # start of this Blender session
 ICONS = {"queued": "TIME", "running": "PLAY", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "X", "lost": "QUESTION"}
 WORDS = {
-    "queued": "Waits for its turn",
+    "queued": "Waiting in the queue",
     "running": "Running",
     "done": "Done",
     "failed": "Failed",
     "cancelled": "Cancelled",
-    "lost": "Ended while nobody looked",
+    "lost": "Ended unobserved",
 }
 RECONSTRUCTIONS = ("reconstruct", "demo")  # kinds of jobs that make a run
-LOG_LINES = 4  # of the log's end where a job failed
 
 
 def draw_last(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str, run: Path | None) -> None:
-    """The job of a kind that works on a run, or the last one of this session, below the button that starts it."""
+    """Draw the running job of a kind on a run, or its last one in this session, below the button that starts it.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        kind: of the job, such as "bake".
+        run: run folder.
+    """
     jobs_of_run = (job for job in jobs.all_jobs() if job.kind == kind and job.data.get("run") == str(run))
     job = next((job for job in jobs_of_run if not job.finished or job.made > BEGAN), None)
     if job is not None:
@@ -40,7 +46,13 @@ def draw_last(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str,
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
-    """Progress and what stops the job while it runs; how it ended and what to do next afterwards."""
+    """Draw the progress of a job and its stop buttons while it runs, its outcome and what can follow afterwards.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        job: in the queue or ended.
+    """
     column = layout.column()
     if job.finished:
         _draw_end(column, context, job)
@@ -55,7 +67,7 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: 
         return
     say(layout, context, phase_in_words(job.kind, job.phase))
     layout.progress(factor=job.fraction, text=progress_text(job))
-    if text := figures_text(job):
+    if text := metrics_text(job):
         layout.label(text=text)
     if job.preview is not None:
         image(layout, job.preview)
@@ -77,27 +89,27 @@ def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) 
         column = layout.column()
         column.alert = job.state != "cancelled"
         say(column, context, job.error)
-    if text := figures_text(job):
+    if text := metrics_text(job):
         layout.label(text=text)
     row = layout.row(align=True)
-    if can_go_on(job):
-        button(row, "irgspp.job_resume", "Go On", "FILE_REFRESH", job=job.id)
+    if can_resume(job):
+        button(row, "irgspp.job_resume", "Resume", "FILE_REFRESH", job=job.id)
     button(row, "irgspp.job_log", "Open Log", "TEXT", job=job.id)
 
 
-def can_go_on(job: Job) -> bool:
-    """True where a stopped job has left a run to go on with; one that was refused for its settings has not."""
+def can_resume(job: Job) -> bool:
+    """Return True where a stopped job left a run that can be resumed; one whose settings were refused left none."""
     return job.resumable and run_state(job.folder).status not in ("", "done")
 
 
 def progress_text(job: Job) -> str:
-    """What stands on the bar: "46 %, 1:20 min left"; the time is that of the present step."""
+    """Return the text on the progress bar: "46 %, 1:20 min left"; the time is that of the present step."""
     left = f", {seconds_in_words(job.eta)} left" if job.eta is not None else ""
     return f"{100 * job.fraction:.0f} %{left}" if job.of else "Working"
 
 
-def figures_text(job: Job) -> str:
-    """Loss and PSNR, where there are any."""
+def metrics_text(job: Job) -> str:
+    """Return loss and PSNR in one line; empty where neither is known."""
     parts = [f"Loss {job.figures['loss']:.4f}"] if "loss" in job.figures else []
     parts += [f"PSNR {job.figures['psnr']:.1f} dB"] if "psnr" in job.figures else []
     return "   ".join(parts)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All jobs, the newest first, and the details of the one that is chosen."""
+"""Panel of all jobs, newest first, with the card of the selected one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .sidebar import SidebarPanel, button, say
 
 
 class IRGSPP_UL_jobs(bpy.types.UIList):
-    """Title, and how far it is or when it ended."""
+    """List of jobs: title, and progress or time of the end."""
 
     def draw_item(
         self,
@@ -27,8 +27,19 @@ class IRGSPP_UL_jobs(bpy.types.UIList):
         active_data: Any,
         active_property: str,
     ) -> None:
+        """Draw one row.
+
+        Args:
+            context: of the panel.
+            layout: to draw into.
+            data: owner of the list.
+            item: row, named by the id of its job.
+            icon: unused.
+            active_data: owner of the active row's number.
+            active_property: name of that number.
+        """
         job = jobs.find(item.name)
-        if job is None:  # forgotten by another window; the list follows in a moment
+        if job is None:  # removed from another window; the list is updated in a moment
             return
         row = layout.row(align=True)
         row.label(text=job.title, icon=ICONS[job.state])
@@ -37,27 +48,36 @@ class IRGSPP_UL_jobs(bpy.types.UIList):
         when.label(text=job_when(job))
 
     def filter_items(self, context: bpy.types.Context, data: Any, property: str) -> tuple[list[int], list[int]]:
-        wanted = self.filter_name.lower()
+        """Return flags of the rows whose job title contains the search text, and no order.
+
+        Args:
+            context: of the panel.
+            data: owner of the list.
+            property: name of the list.
+        """
+        search = self.filter_name.lower()
         titles = [job.title.lower() if (job := jobs.find(item.name)) else "" for item in getattr(data, property)]
-        return [self.bitflag_filter_item if wanted in title else 0 for title in titles], []
+        return [self.bitflag_filter_item if search in title else 0 for title in titles], []
 
 
 class IRGSPP_PT_jobs(SidebarPanel, bpy.types.Panel):
-    """What runs, waits and has been done"""
+    """Panel of running, waiting and finished jobs."""
 
     bl_label = "Jobs"
     bl_order = 5
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Draw the number of unfinished jobs in the header."""
         busy = sum(not job.finished for job in jobs.all_jobs())
         if busy:
-            self.layout.label(text=f"{busy} under way")
+            self.layout.label(text=f"{busy} unfinished")
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the list and the card of the selected job."""
         layout, manager = self.layout, context.window_manager
         if not len(manager.irgspp_jobs):
-            say(layout, context, "Nothing was started yet.")
+            say(layout, context, "No jobs yet.")
             return
         layout.template_list("IRGSPP_UL_jobs", "", manager, "irgspp_jobs", manager, "irgspp_job_index", rows=3)
         job = chosen_job(manager)
@@ -71,13 +91,13 @@ class IRGSPP_PT_jobs(SidebarPanel, bpy.types.Panel):
 
 
 def chosen_job(manager: bpy.types.WindowManager) -> Job | None:
-    """The job of the list's active row."""
+    """Return the job of the selected row; None where there is none."""
     index = manager.irgspp_job_index
     return jobs.find(manager.irgspp_jobs[index].name) if 0 <= index < len(manager.irgspp_jobs) else None
 
 
 def job_when(job: Job) -> str:
-    """46 % while it runs; 14:05 today, 20 Nov before."""
+    """Return "46 %" while a job runs, "14:05" where it ended today, "20 Nov" where it ended before."""
     if job.state == "running":
         return f"{100 * job.fraction:.0f} %" if job.of else ""
     if not job.ended:

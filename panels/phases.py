@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's phases in an artist's words."""
+"""Texts for the phases of a reconstruction."""
 
 from __future__ import annotations
 
-STEPS = (  # of a reconstruction, in order: what it does, and the phases of the engine that belong to it
+STEPS = (  # of a reconstruction, in order: text, and the phases of the engine that belong to it
     ("Reading photographs", ("read images",)),
-    ("Finding out the kind of material", ("materials",)),
+    ("Choosing the material class", ("materials",)),
     ("Fitting shape and radiance", ("first stage",)),
-    ("Fusing the surface", ("fuse",)),
-    ("Telling light from materials", ("trace", "second stage", "paint", "refine", "radiance")),
-    ("Making mesh and textures", ("unwrap", "bake")),
+    ("Extracting the surface", ("fuse",)),
+    ("Solving for light and materials", ("trace", "second stage", "paint", "refine", "radiance")),
+    ("Unwrapping the mesh and baking textures", ("unwrap", "bake")),
     ("Writing the Blender file", ("scene",)),
-    ("Drawing the overview", ("contact sheet",)),
+    ("Drawing the contact sheet", ("contact sheet",)),
 )
 NUMBERS = {phase: number for number, (_, phases) in enumerate(STEPS, 1) for phase in phases}
 
 
 def phase_in_words(kind: str, phase: str) -> str:
-    """What a job does now: "Step 3 of 8: Fitting shape and radiance"; phases of other kinds of jobs by their own names."""
+    """Return a phase as "Step 3 of 8: Fitting shape and radiance"; phases of other kinds of jobs keep their names.
+
+    Args:
+        kind: of the job.
+        phase: as the engine names it; empty before the first.
+    """
     number = NUMBERS.get(phase)
     if kind in ("reconstruct", "demo") and number:
         return f"Step {number} of {len(STEPS)}: {STEPS[number - 1][0]}"

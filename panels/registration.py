@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Registration of all classes, menus and handlers with Blender.
 
-This is the topmost module of the extension: it knows all rooms, and no room imports it.
+This is the topmost module of the extension: it imports all rooms, and no room imports it.
 """
 
 from __future__ import annotations
@@ -53,12 +53,14 @@ CLASSES = (
     *PANELS,
 )
 
-_commands: list[Any] = []  # handles that Blender wants back
+_commands: list[Any] = []  # handles, needed to unregister them
 
 
 def register() -> None:
-    """Classes, menu entries and `blender --command irgspp`."""
+    """Register classes, menu entries, handlers and the command `blender --command irgspp`."""
     for cls in CLASSES:
+        if issubclass(cls, bpy.types.Operator) and cls.__doc__:
+            cls.bl_description = cls.__doc__.removesuffix(".")  # the tooltip, to which Blender adds a full stop
         bpy.utils.register_class(cls)
     properties.register()
     materials.register()
@@ -75,7 +77,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Leave nothing behind."""
+    """Unregister everything, in reverse order."""
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     render_engine.unregister()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object under the scene's World: an image that follows what is changed, renders, and files."""
+"""Panel of relighting under the scene's World: preview, renders, and files."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from .sidebar import SidebarPanel, button, say, settings_column
 
 
 class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
-    """The object in another light"""
+    """Panel that relights the object."""
 
     bl_label = "Relight"
     bl_order = 4
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the World, the options, the preview and the render engine."""
         layout, settings = self.layout, context.scene.irgspp
         if not can_relight(context):
             say(layout, context, "Needs a finished reconstruction.", icon="INFO")
@@ -33,14 +34,14 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
         for name in ("use_world", "relight_eye", "preview_resolution", "relight_samples", "relight_denoise", "relight_backend"):
             column.prop(settings, name)
         thing = object_of_run(context.scene, shown_run(context))
-        if thing is not None and ALBEDO_SCALE in thing:  # imports of older versions are without
+        if thing is not None and ALBEDO_SCALE in thing:  # imports of older versions lack it
             column.prop(thing, f'["{ALBEDO_SCALE}"]', text="Albedo Scale")
         draw_preview(layout, context)
         draw_engine(layout, context)
 
 
 class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
-    """Pictures and light maps as files"""
+    """Panel that writes relit images and environment maps as files."""
 
     bl_label = "Files"
     bl_parent_id = "IRGSPP_PT_relight"
@@ -48,9 +49,11 @@ class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where there is a finished run."""
         return can_relight(context)
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the buttons and the job."""
         column, settings = self.layout.column(align=True), context.scene.irgspp
         button(
             column,
@@ -68,12 +71,17 @@ class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
 
 
 def can_relight(context: bpy.types.Context) -> bool:
-    """True where there is a finished run."""
+    """Return True where there is a finished run."""
     return run_state(shown_run(context)).status == "done"
 
 
 def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Start, or how far it is and stop; what went wrong."""
+    """Draw the button that starts the preview, or its progress and the button that stops it, and any error.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
     follower = follower_of(preview.CHANNEL)
     if follower is None or follower.ended:
         column = layout.column()
@@ -90,7 +98,12 @@ def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 
 def draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Renders and the Rendered view by the same light transport."""
+    """Draw the button that makes IRGS++ the render engine of the scene.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
     if context.scene.render.engine == ENGINE:
         say(layout, context, "F12 and Rendered shading use IRGS++.", icon="CHECKMARK")
     else:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What came out: the object, what its material reads, other texture sizes, other files."""
+"""Panels of the result: the object, its material, baking again, and export."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from .sidebar import SidebarPanel, button, say, settings_column
 
 
 class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
-    """The object that was made"""
+    """Panel of the reconstructed object."""
 
     bl_label = "Result"
     bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the object and its quality, or how to get one."""
         layout, run = self.layout, shown_run(context)
         state = run_state(run)
         if run is None or state.status == "":
@@ -37,7 +38,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
 
 
 class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
-    """Textures of another size, on this mesh or on an edited one"""
+    """Panel that bakes textures again, at another size or onto an edited mesh."""
 
     bl_label = "Bake Again"
     bl_parent_id = "IRGSPP_PT_result"
@@ -45,9 +46,11 @@ class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where there is a finished run."""
         return run_state(shown_run(context)).status == "done"
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw the options, the button and the job."""
         settings, edited = context.scene.irgspp, context.scene.irgspp.edited_mesh
         column = settings_column(self.layout)
         column.prop(settings, "texture_size")
@@ -69,7 +72,7 @@ class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
 
 
 class IRGSPP_PT_export(SidebarPanel, bpy.types.Panel):
-    """The result as one file"""
+    """Panel that exports the result as one file."""
 
     bl_label = "Export"
     bl_parent_id = "IRGSPP_PT_result"
@@ -77,9 +80,11 @@ class IRGSPP_PT_export(SidebarPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where there is a finished run."""
         return run_state(shown_run(context)).status == "done"
 
     def draw(self, context: bpy.types.Context) -> None:
+        """Draw a button for each kind of file, and the job."""
         run = shown_run(context)
         column = self.layout.column(align=True)
         for text, icon, suffix in FILES:
@@ -90,7 +95,7 @@ class IRGSPP_PT_export(SidebarPanel, bpy.types.Panel):
 UNFINISHED = {
     "running": "Not finished yet.",
     "failed": "The reconstruction failed; see above.",
-    "cancelled": "The reconstruction was cancelled; it can go on.",
+    "cancelled": "The reconstruction was cancelled; it can be resumed.",
     "broken": "The run folder can't be read.",
 }
 FILES = (
@@ -102,7 +107,14 @@ FILES = (
 
 
 def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Path, thing: bpy.types.Object | None) -> None:
-    """The object in the scene, or the button that brings it there."""
+    """Draw the object in the scene, or the button that imports it.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        run: run folder.
+        thing: mesh object of the run; None where it is not in the scene.
+    """
     settings = context.scene.irgspp
     if thing is not None:
         row = layout.row(align=True)
@@ -125,25 +137,31 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
 
 
 def texture_text(thing: bpy.types.Object) -> str:
-    """ "textures 1024" of the object's material."""
+    """Return the size of the material's textures, such as "textures 1024"."""
     tree = thing.active_material.node_tree if thing.active_material else None
     images = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
     return f"textures {images[0].size[0]}" if images else "no textures"
 
 
 def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: RunState) -> None:
-    """How well the photographs are met, and what is not there."""
+    """Draw the PSNR of the views, and the parts that were skipped.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        state: of the run.
+    """
     known = state.training.get("test_radiance_psnr"), state.training.get("psnr")
     if known[0] is not None:
-        layout.label(text=f"Views held back: {known[0]:.1f} dB PSNR")
+        layout.label(text=f"Test views: {known[0]:.1f} dB PSNR")
     elif known[1] is not None:
-        layout.label(text=f"Photographs: {known[1]:.1f} dB PSNR")
+        layout.label(text=f"Training views: {known[1]:.1f} dB PSNR")
     for line in state.skipped:
         say(layout, context, line, icon="INFO")
 
 
 def shown_run(context: bpy.types.Context) -> Path | None:
-    """The run of the active object, or else the one that the scene's settings name, or else the only one in the scene."""
+    """Return the run of the active object, else that of the scene's settings, else the only one in the scene; None without any."""
     run = run_of(context.object) or resolved(context.scene.irgspp.run_path())
     if run is not None:
         return run
@@ -152,7 +170,12 @@ def shown_run(context: bpy.types.Context) -> Path | None:
 
 
 def object_of_run(scene: bpy.types.Scene, run: Path | None) -> bpy.types.Object | None:
-    """The mesh object of a run in the scene; None where there is no run, or no object of it."""
+    """Return the mesh object of a run; None where it is not in the scene.
+
+    Args:
+        scene: to search.
+        run: run folder; None without one.
+    """
     key = f"{run}#mesh"
     return next((thing for thing in scene.objects if thing.type == "MESH" and thing.get(KEY) == key), None)
 

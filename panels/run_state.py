@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a run folder stands, looked up at most twice a second however often a panel draws."""
+"""State of a run folder, read at most twice a second however often panels are drawn."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-LOOK_EVERY = 0.5  # seconds
+CHECK_SECONDS = 0.5  # between two reads
 
 _known: dict[Path, tuple[float, RunState]] = {}
 
 
 @dataclass(frozen=True)
 class RunState:
-    """What run.json says."""
+    """Part of run.json that panels show."""
 
-    status: str = ""  # "running", "done", "failed", "cancelled"; "broken": it can't be read; "": there is none
-    training: dict[str, Any] = field(default_factory=dict)  # figures of the training
-    skipped: tuple[str, ...] = ()  # what is not there, and why
+    status: str = ""  # "running", "done", "failed", "cancelled"; "broken": unreadable; "": no run
+    training: dict[str, Any] = field(default_factory=dict)  # metrics of the training
+    skipped: tuple[str, ...] = ()  # skipped parts, with the reason
 
 
 def run_state(path: Path | None) -> RunState:
-    """The state of a run folder, at most half a second old."""
+    """Return the state of a run folder, at most half a second old."""
     if path is None:
         return RunState()
     now = time.monotonic()
-    looked, state = _known.get(path, (-LOOK_EVERY, RunState()))
-    if now - looked >= LOOK_EVERY:
+    looked, state = _known.get(path, (-CHECK_SECONDS, RunState()))
+    if now - looked >= CHECK_SECONDS:
         state = _read(path / "run.json")
         _known[path] = (now, state)
     return state
@@ -38,7 +38,7 @@ def run_state(path: Path | None) -> RunState:
 
 @lru_cache(maxsize=256)
 def resolved(path: Path | None) -> Path | None:
-    """A path as datablocks name their folder; kept, since panels ask often and it is looked up link by link."""
+    """Return a path without links, as datablocks name their run folder; cached, since resolving is slow and panels are drawn often."""
     return path.resolve() if path is not None else None
 
 
@@ -49,5 +49,5 @@ def _read(path: Path) -> RunState:
         return RunState(str(run["status"]), dict(run["training"]), skipped)
     except FileNotFoundError:
         return RunState()
-    except (OSError, ValueError, KeyError, TypeError):  # shown as such: another program's file, or a disk that does not answer
+    except (OSError, ValueError, KeyError, TypeError):  # another program's file, or a disk that does not respond
         return RunState("broken")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the panels share: their place in Blender's window, wrapped text, buttons with their words."""
+"""Parts that panels share: base class, wrapped text, buttons."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 
 import bpy
 
-LETTER = 6.3  # pixels of an average letter at a scale of 1: lines are rather broken too early than cut off
+LETTER = 6.3  # average width of a letter at scale 1, pixels; on the large side, so that lines are never cut off
 
 
 class SidebarPanel:
-    """A panel in the tab "IRGS++" of the 3D View's sidebar."""
+    """Base of panels in the tab "IRGS++" of the 3D View's sidebar."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -20,7 +20,15 @@ class SidebarPanel:
 
 
 def say(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", width: float = 1.0) -> None:
-    """Words over as many lines as a part `width` of the sidebar needs; `icon` stands before the first."""
+    """Draw a text over as many lines as it needs.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        text: to wrap.
+        icon: in front of the first line.
+        width: of the text, as a fraction of the sidebar's.
+    """
     column = layout.column(align=True)
     column.scale_y = 0.8
     for row, line in enumerate(textwrap.wrap(text, max(8, int(width * letters(context, with_icon=icon != "NONE"))))):
@@ -28,7 +36,12 @@ def say(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon:
 
 
 def letters(context: bpy.types.Context, with_icon: bool = False) -> int:
-    """How many letters a line of the sidebar holds; 40 where there is no sidebar."""
+    """Return the number of letters that fit in a line of the sidebar; 40 where there is no sidebar.
+
+    Args:
+        context: of the panel.
+        with_icon: the line begins with an icon.
+    """
     region = context.region
     if region is None:
         return 40
@@ -37,21 +50,29 @@ def letters(context: bpy.types.Context, with_icon: bool = False) -> int:
 
 
 def button(layout: bpy.types.UILayout, operator: str, text: str | None = None, icon: str = "NONE", **properties: Any) -> None:
-    """A button with its operator's properties; without `text` it has the operator's own label ("": the icon alone)."""
-    words = {} if text is None else {"text": text}
-    pressed = layout.operator(operator, icon=icon, **words)
+    """Draw a button.
+
+    Args:
+        layout: to draw into.
+        operator: its bl_idname.
+        text: label; None: the operator's own; empty: the icon alone.
+        icon: in front of the label.
+        **properties: values of the operator's properties.
+    """
+    label = {} if text is None else {"text": text}
+    pressed = layout.operator(operator, icon=icon, **label)
     for name, value in properties.items():
         setattr(pressed, name, value)
 
 
 def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    """A column of properties, labels left and values right, that are no keyframes."""
+    """Return a column for properties: labels left, values right, no keyframe buttons."""
     layout.use_property_split, layout.use_property_decorate = True, False
     return layout.column()
 
 
 def seconds_in_words(seconds: float) -> str:
-    """8 s, 3:05 min, 2:07 h."""
+    """Return seconds as "8 s", "3:05 min" or "2:07 h"."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"

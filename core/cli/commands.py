@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What each command does: it gets its options and whom to tell of progress, prints results, and returns an exit status."""
+"""Commands of the command line: each takes its options and a progress receiver, prints its result and returns an exit status."""
 
 from __future__ import annotations
 
@@ -13,11 +13,16 @@ from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import Settings, preset
 
-# Heavy imports (torch, numba) stand inside the commands: `irgspp --help` answers at once.
+# torch and numba are imported inside the commands, so that `irgspp --help` answers at once.
 
 
 def demo(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Reconstruct the embedded dataset; an earlier demonstration in the folder is replaced."""
+    """Reconstruct the demo dataset; an earlier demo in the folder is replaced.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     from ..pipeline import DEMO_DATA, DEMO_OVERRIDES, reconstruct
 
     replace = not args.resume and (args.run / "run.json").exists() and read_run(args.run).get("dataset") == str(DEMO_DATA)
@@ -29,7 +34,12 @@ def demo(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Print what was understood of a dataset."""
+    """Print a summary of a dataset as irgspp reads it.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     from ..datasets.load import load_dataset
     from ..datasets.summary import describe, summary
 
@@ -45,9 +55,14 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Photographs to a run folder."""
+    """Reconstruct a dataset into a run folder.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     settings = settings_of(args)
-    from ..pipeline import reconstruct  # takes seconds: what is wrong in the settings is translate_errors before
+    from ..pipeline import reconstruct  # takes seconds: errors in the settings are reported before
 
     run = reconstruct(args.dataset, args.run, settings, resume=args.resume, overwrite=args.overwrite, progress=terminal)
     terminal.end_line()
@@ -56,7 +71,7 @@ def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def settings_of(args: argparse.Namespace) -> Settings:
-    """The settings that the options say; those of the run itself for a bare `--resume`."""
+    """Return the settings that the options give; those of the run itself for `--resume` without options."""
     chosen = {name: getattr(args, name) for name in ("materials", "device", "seed", "time") if getattr(args, name) is not None}
     if args.resume and not chosen and not args.set and args.preset is None and (args.run / "run.json").exists():
         return from_dict(read_run(args.run)["settings"], args.run / "run.json")
@@ -64,7 +79,12 @@ def settings_of(args: argparse.Namespace) -> Settings:
 
 
 def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Compare a run with a dataset's test views: a table here, a page and JSON in the report folder."""
+    """Compare a run with a dataset's test views: print a table, write report.html and report.json.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     from ..evaluation.report import evaluate, table
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
@@ -76,7 +96,12 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def batch(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Many jobs from a list; a line for each on stdout."""
+    """Run the jobs of a list and print a line for each.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     from ..batch.batch import notes_of, run_batch
     from ..batch.jobs import read_jobs
 
@@ -90,7 +115,12 @@ def batch(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def export(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Copy or write what a run made, by the file's suffix."""
+    """Write a result of a run as one file, by the file's suffix.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     from ..assets.export import export
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
@@ -100,7 +130,12 @@ def export(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
-    """Mesh and textures of a finished run once more."""
+    """Bake mesh and textures of a finished run again.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     from ..assets.rebake import bake
 
     bake(args.run, terminal, size=args.size, triangles=args.triangles, edited=args.mesh)
@@ -110,9 +145,14 @@ def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
 
 
 def devices(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Print what can be used to compute on."""
-    from ..machine.devices import describe
-    from ..machine.devices import devices as found
+    """Print the devices that can compute.
 
-    print(json.dumps(found(), indent=2) if args.json else describe(found()))
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
+    from ..machine.devices import describe
+    from ..machine.devices import devices as find_devices
+
+    print(json.dumps(find_devices(), indent=2) if args.json else describe(find_devices()))
     return 0

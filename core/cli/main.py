@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: `irgspp demo|inspect|reconstruct|render|evaluate|batch|export|bake|devices`."""
+"""Entry point of the command line: `irgspp demo|inspect|reconstruct|render|serve|evaluate|batch|export|bake|devices`."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from ..progress.recorder import JobLog, JobRecorder
 from ..progress.terminal import Terminal
 from .parser import parser
 
-JOB_FOLDER = "IRGSPP_JOB"  # variable of the environment
+JOB_FOLDER = "IRGSPP_JOB"  # environment variable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; the exit status: 0 done, 1 failed, 2 bad usage or bad input, 130 cancelled."""
+    """Run one command and return its exit status: 0 done, 1 failed, 2 bad usage or bad input, 130 cancelled."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         args = parser().parse_args(words)
     except SystemExit as end:
         return int(end.code or 0)
     with Terminal().signals() as terminal:
-        return _run(args, words, watched(terminal))
+        return _run(args, words, recorded(terminal))
 
 
-def watched(terminal: Terminal) -> Terminal | JobRecorder:
-    """Progress as the program that started this process wants it: in the folder $IRGSPP_JOB as well, where it names one."""
+def recorded(terminal: Terminal) -> Terminal | JobRecorder:
+    """Return a receiver of progress that also records it in the folder $IRGSPP_JOB, where the starting program has set that."""
     folder = os.environ.pop(JOB_FOLDER, "")
     return JobRecorder(JobLog(Path(folder)), terminal) if folder else terminal
 
@@ -43,27 +43,27 @@ def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobRec
     try:
         return args.command(args, terminal)
     except Cancelled as error:
-        _complain(terminal, f"cancelled: {error}")
+        _print_error(terminal, f"cancelled: {error}")
         if args.resumable:
-            _complain(terminal, f"go on with: {resume_line(words)}")
+            _print_error(terminal, f"resume with: {resume_line(words)}")
         return error.exit_status
     except IrgsppError as error:
-        _complain(terminal, str(error))
+        _print_error(terminal, str(error))
         return error.exit_status
-    except Exception as error:  # a fault of ours or of the machine: one line here, the rest where it can be read later
+    except Exception as error:  # a bug, or a lack of resources: one line here, the traceback in the log
         short, log = as_out_of_resources(error, getattr(args, "run", Path()), args.resumable), _keep_traceback(args)
         line = str(short) if short else f"failed: {type(error).__name__}: {' '.join(str(error).split())}"
-        _complain(terminal, line + (f" (more in {log})" if log else ""))
+        _print_error(terminal, line + (f" (more in {log})" if log else ""))
         return 1
 
 
-def _complain(terminal: Terminal | JobRecorder, line: str) -> None:
+def _print_error(terminal: Terminal | JobRecorder, line: str) -> None:
     terminal.end_line()
     print(f"irgspp: {line}", file=sys.stderr, flush=True)
 
 
 def _keep_traceback(args: argparse.Namespace) -> Path | None:
-    """Append the traceback to the run's log.txt, or to a new temporary file where the command has no run folder; None on a full disk."""
+    """Append the traceback to the run's log.txt, or to a new temporary file where there is none; return that file, None on a full disk."""
     run = getattr(args, "run", None)
     try:
         if run is not None and (run / "log.txt").exists():
@@ -80,7 +80,7 @@ def _keep_traceback(args: argparse.Namespace) -> Path | None:
 
 
 def resume_line(words: Sequence[str]) -> str:
-    """The command line that goes on with a stopped `reconstruct` or `demo`."""
+    """Return the command line that resumes a stopped `reconstruct` or `demo`."""
     kept = [word for word in words if word not in ("--resume", "--overwrite")]
     join = subprocess.list2cmdline if sys.platform == "win32" else shlex.join
     return join(["irgspp", *kept, "--resume"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command `irgspp render`: views of a run as images under any light, and their layers."""
+"""Command `irgspp render`: relit images and layers of a run from any views, under any environment maps."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..progress.terminal import Terminal
+from ..rendering.layers import LAYERS
 from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import DataSettings
@@ -20,14 +21,18 @@ if TYPE_CHECKING:
     from ..scene.camera import Camera
     from ..scene.reconstruction import Reconstruction
 
-# Heavy imports (torch, numba) stand inside the functions: `irgspp --help` answers at once.
+# torch and numba are imported inside the functions, so that `irgspp --help` answers at once.
 
 MOST_FRAMES = 1_000_000
-LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
 
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Views of a run as image files."""
+    """Render views of a run as image files.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
     from ..machine.devices import best
     from ..relight.backends import best_backend, open_relighter
     from ..relight.relighter import RelightSettings
@@ -37,7 +42,7 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     lights = [load_light(*one, progress=terminal) for one in _lights(args)]
     reconstruction = Reconstruction.load(args.run).to(best())
-    how = RelightSettings(
+    relight = RelightSettings(
         samples=args.samples,
         sampling=args.sampling,
         denoise="off" if args.no_denoise else args.denoiser,
@@ -47,7 +52,7 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
         skip=with_overrides(settings, _skip_only(args.set)).skip,
         error=args.error,
     )
-    relighter = open_relighter(args.run, reconstruction, args.backend or best_backend(args.run), how)
+    relighter = open_relighter(args.run, reconstruction, args.backend or best_backend(args.run), relight)
     cameras = _cameras(args, settings.data, reconstruction)
     render_views(relighter, cameras, args.out, terminal, layers=args.layers, lights=lights)
     terminal.end_line()
@@ -58,21 +63,23 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _skip_only(overrides: Sequence[str]) -> Sequence[str]:
-    """Raises InputError for settings that an image of a finished run doesn't depend on."""
+    """Return the overrides; raise InputError for a setting that rendering a finished run does not use."""
     for text in overrides:
         if not text.startswith("skip."):
-            raise InputError(f"--set {text}", "concerns the reconstruction, not its images", "use skip.reuse_visibility or skip.cache_rays")
+            raise InputError(
+                f"--set {text}", "is a setting of the reconstruction, not of rendering", "use skip.reuse_visibility or skip.cache_rays"
+            )
     return overrides
 
 
 def _lights(args: argparse.Namespace) -> list[tuple[Path, str | None, float, float]]:
-    """File, name, rotation and strength of each light; the last two are given once for all or once for each."""
+    """Return file, name, rotation (degrees) and strength of each light; the last two are given once for all or once for each."""
     count = len(args.environment)
     columns = [args.environment]
     for option, default in (("name", None), ("rotation", 0.0), ("strength", 1.0)):
         given = getattr(args, option)
         if given and not count:
-            raise InputError(f"--{option}", "belongs to --environment")
+            raise InputError(f"--{option}", "describes a light, but none is given", "add --environment FILE")
         if len(given) not in (0, count) and (option == "name" or len(given) > 1):
             raise InputError(f"--{option}", f"is given {len(given)} times for {count} lights", "give one for each --environment")
         columns.append(given if len(given) == count else [*given, default][:1] * count)
@@ -80,13 +87,13 @@ def _lights(args: argparse.Namespace) -> list[tuple[Path, str | None, float, flo
 
 
 def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: Reconstruction) -> list[tuple[str, Camera]]:
-    """The views of a dataset, or an orbit with the lens of the first of them (of the run's own photographs where no dataset is named)."""
+    """Return the named views of a dataset, or an orbit with the intrinsics of their first (of the run's own where none is named)."""
     from ..relight.orbit import orbit
     from ..relight.render_views import cameras_of
     from ..scene.camera_files import load_run_cameras
 
     if args.orbit is None and args.views is None:
-        raise InputError("render", "needs to know which views", "add --views DATASET[:split] or --orbit N")
+        raise InputError("render", "no views are given", "add --views DATASET[:split] or --orbit N")
     if args.views is not None:
         cameras = cameras_of(args.views, settings, reconstruction.to_world)
     else:
@@ -101,54 +108,68 @@ def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: R
 
 
 def add_options(one: argparse.ArgumentParser) -> None:
-    """What the command understands beside the run folder."""
-    views = "whose cameras; split train, test or all; without one the test views, or all where there are none of their own"
+    """Add the options of `render`, except the run folder, to its parser."""
+    views = "cameras of this dataset; split: train, test or all (default: the test views, or all where it has none)"
     one.add_argument("--views", metavar="DATASET[:split]", help=views)
     one.add_argument("--orbit", type=int, metavar="N", help="N views on a circle around the object instead")
-    some = "only these of the views, counted from 0: 0-9,20; several machines can share a turntable so"
+    some = "only these views, counted from 0, such as 0-9,20: several machines can share a turntable"
     one.add_argument("--frames", type=_frames, metavar="A-B,C", help=some)
     one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the images")
-    one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"default: {','.join(LAYERS)}")
+    one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"layers to write (default: {','.join(LAYERS)})")
     _light_options(one)
     _relight_options(one)
 
 
 def _light_options(one: argparse.ArgumentParser) -> None:
-    files = "lat-long .exr, .hdr, .png or .jpg to light the object by; repeatable (default: the recovered light)"
+    files = "lat-long environment map (.exr, .hdr, .png or .jpg) to relight the object with; repeatable (default: the recovered light)"
     one.add_argument("--environment", metavar="FILE", type=Path, action="append", default=[], help=files)
     one.add_argument("--name", action="append", default=[], help="the light's name in file names (default: that of its file)")
-    turn = "turn the light about +Z, counter-clockwise from above; once for all lights or once for each"
+    turn = "rotation of the light about +Z, degrees, counter-clockwise seen from above; once for all lights or once for each"
     one.add_argument("--rotation", type=float, action="append", default=[], metavar="DEG", help=turn)
-    one.add_argument("--strength", type=float, action="append", default=[], metavar="X", help="multiply the light, likewise")
+    one.add_argument(
+        "--strength",
+        type=float,
+        action="append",
+        default=[],
+        metavar="X",
+        help="factor of the light's radiance; once for all lights or once for each",
+    )
 
 
 def _relight_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
-    error = "every part of the image gets the samples it takes to err by so much: root mean square of the sRGB object, 0.01 is 1 %%"
-    error += "; an estimate, and a rough one with the denoiser"
+    error = "adaptive sampling to this error in each part of the image: root mean square of the object in sRGB, 0.01 is 1 %%"
+    error += "; an estimate, rough with the denoiser"
     one.add_argument("--error", type=_error, metavar="E", help=error)
-    rules = "skip.reuse_visibility=off traces every ray, skip.cache_rays=off keeps nothing from light to light; on, off or auto"
+    rules = "skip.reuse_visibility=off traces every shadow ray, skip.cache_rays=off traces again for each light; on, off or auto"
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=rules)
-    backend = "what shadows and reflections are traced on (default: mesh where the run has one)"
+    backend = "geometry for shadows and reflections (default: mesh where the run has one)"
     one.add_argument("--backend", choices=("mesh", "gaussian"), help=backend)
-    one.add_argument("--sampling", choices=("mis", "stratified"), default="mis", help="default: mis, which needs far fewer samples")
-    one.add_argument("--denoiser", choices=("demodulated", "paper"), default="demodulated", help="filter light (default) or the image")
-    one.add_argument("--no-denoise", action="store_true", help="leave the noise in")
-    one.add_argument("--no-indirect", action="store_true", help="shadows, but no light from one part of the object to another")
-    diffuse = "lambert does not take from the diffuse light what a dielectric reflects, unlike Blender's Principled (default: conserving)"
+    one.add_argument(
+        "--sampling", choices=("mis", "stratified"), default="mis", help="light sampling (default: mis, which needs far fewer samples)"
+    )
+    one.add_argument(
+        "--denoiser",
+        choices=("demodulated", "paper"),
+        default="demodulated",
+        help="filter the light without the albedo (default), or the image as in the paper",
+    )
+    one.add_argument("--no-denoise", action="store_true", help="write the image without denoising")
+    one.add_argument("--no-indirect", action="store_true", help="shadows, but no interreflections of the object")
+    diffuse = "conserving (default) reduces diffuse by a dielectric's reflection, as Blender's Principled does; lambert does not"
     one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
-    scale = "multiply the albedo: an unknown light leaves its brightness open, `irgspp evaluate` tells the best factors"
+    scale = "factors of the albedo, whose brightness is ambiguous under unknown light; `irgspp evaluate` prints the best ones"
     one.add_argument("--albedo-scale", type=_factor, nargs=3, default=(1.0, 1.0, 1.0), metavar=("R", "G", "B"), help=scale)
 
 
 def _frames(text: str) -> list[int]:
-    """Numbers from 0, each once and in order."""
+    """Parse a list of frames such as 0-9,20 into sorted numbers without duplicates."""
     found: set[int] = set()
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)(?:\s*(?:-|\.\.)\s*(\d+))?\s*", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not first <= last < MOST_FRAMES:
-            raise argparse.ArgumentTypeError(f"{text} is no list of frames, such as 0-9,20")
+            raise argparse.ArgumentTypeError(f"{text} is not a list of frames such as 0-9,20")
         found |= set(range(first, last + 1))
     return sorted(found)
 
@@ -156,19 +177,19 @@ def _frames(text: str) -> list[int]:
 def _factor(text: str) -> float:
     value = float(text)
     if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is no factor")
+        raise argparse.ArgumentTypeError(f"{text} must be at least 0 and finite")
     return value
 
 
 def _error(text: str) -> float:
     value = float(text)
     if not 1e-4 <= value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is no error from 0.0001 to 1")
+        raise argparse.ArgumentTypeError(f"{text} must be from 0.0001 up to, but not including, 1")
     return value
 
 
 def _layers(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(","))
     if unknown := [name for name in names if name not in LAYERS]:
-        raise argparse.ArgumentTypeError(f"unknown layer {', '.join(unknown)} (there are {', '.join(LAYERS)})")
+        raise argparse.ArgumentTypeError(f"unknown layer {', '.join(unknown)} (known: {', '.join(LAYERS)})")
     return names

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender as a module, before any test imports it; a relightable run, and a scene that shows it."""
+"""Blender as a module, imported before any test; a relightable run, and a scene with it."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def relightable(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def warm():
-    """The extension's parts that relighting needs, registered; workers stay warm from test to test of a module."""
+    """The registered extension; render servers stay loaded from test to test of a module."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("IRGSPP_PYTHON", blender_side.ENGINE)
         bpy.ops.wm.read_homefile(use_empty=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A dataset in Blender: its cameras see what the readers' do, wherever the empty above them stands; once, however often it is imported."""
+"""Import of a dataset: cameras project as the readers' do wherever their parent empty is placed; imports replace each other."""
 
 import json
 import shutil
@@ -213,7 +213,7 @@ def test_run_lies_over_its_dataset(registered, datasets, run_folder, tmp_path):
     ("directory", "words"),
     [("", "none is chosen"), ("/no/such/place", "no such file or folder; it may have been moved"), ("{empty}", "no dataset here")],
 )
-def test_what_is_no_dataset_is_told_in_words(registered, tmp_path, directory, words):
+def test_folder_that_is_no_dataset_is_an_error_in_words(registered, tmp_path, directory, words):
     for operator in (bpy.ops.irgspp.import_dataset, bpy.ops.irgspp.inspect_dataset):
         with pytest.raises(RuntimeError, match=words) as caught:
             operator(directory=directory.format(empty=tmp_path))
@@ -243,7 +243,7 @@ def test_dropped_files_are_what_they_stand_for(registered, datasets, run_folder,
     (tmp_path / "run" / "run.json").write_text("{}")
     bpy.ops.irgspp.import_dropped(filepath=str(tmp_path / "run" / "run.json"))
     assert bpy.context.object.name == "run"
-    with pytest.raises(RuntimeError, match="is no dataset and no run"):
+    with pytest.raises(RuntimeError, match="is neither a dataset nor a run"):
         bpy.ops.irgspp.import_dropped(filepath=str(tmp_path / "photographs.json"))
 
 
@@ -262,7 +262,7 @@ def test_dropped_file_stands_for_its_whole_dataset(tmp_path):
 
 
 def test_job_of_another_file_brings_nothing_into_this_one(registered, datasets):
-    """Queued from a window; meanwhile another file was opened."""
+    """The import is queued from a window, and another file is opened before it ends."""
     dataset, _ = datasets["stretched"]
     shutil.rmtree(export_folder(dataset.resolve()))
     assert bpy.ops.irgspp.import_dataset(directory=str(dataset), wait=False) == {"FINISHED"}

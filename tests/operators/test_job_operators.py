@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The operators of engine and jobs by keywords: to the end in scripts, with errors as exceptions; as jobs on request."""
+"""Operators of the engine and of jobs: scripts get results and exceptions; jobs are queued on request."""
 
 import json
 

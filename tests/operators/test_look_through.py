@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Looking through an imported camera gives the scene its image's size."""
+"""Looking through an imported camera sets the render resolution to its image's."""
 
 import bpy
 import irgspp
@@ -36,6 +36,6 @@ def test_other_objects_are_refused(extension):
     thing = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     bpy.context.scene.collection.objects.link(thing)
     for name in ("mine", "nobody", ""):
-        with pytest.raises(RuntimeError, match="is no camera of an imported"):
+        with pytest.raises(RuntimeError, match="is not a camera of an imported"):
             bpy.ops.irgspp.look_through(camera=name)
     assert bpy.context.scene.camera is None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The preview follows what it shows, says what is wrong, and outlives its worker."""
+"""Preview: it follows the scene, reports errors, and outlives its worker."""
 
 import time
 from math import pi

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relighting from Blender with the real worker: preview, F12 and `irgspp render` agree, wherever object, camera and light are turned."""
+"""Relighting from Blender with the real worker: preview, F12 and `irgspp render` agree for any rotation of object, camera and light."""
 
 import subprocess
 from math import pi
@@ -32,7 +32,7 @@ def rendered(scene, tmp_path, name="f12") -> np.ndarray:
 
 
 def by_command(run, tmp_path, light, *options) -> np.ndarray:
-    """What `irgspp render` makes of the view."""
+    """Render the view with `irgspp render`."""
     words = ["render", str(run), "--orbit", "1", "-o", str(tmp_path / "views"), "--environment", str(light), "--name", "x", *options]
     done = subprocess.run(engine_command(*words), capture_output=True, text=True, env=engine_environment(), check=False)
     assert done.returncode == 0, done.stderr
@@ -51,7 +51,7 @@ def move(run) -> None:
 
 
 def test_a_preview_is_what_the_command_renders(scene, relightable, tmp_path):
-    """A rotated World and a moved object are, for the command, a turned light."""
+    """A rotated World or a moved object equals a rotated light of the command."""
     light, mesh = tmp_path / "lamp.exr", ("--backend", "mesh")
     before = previewed(relightable)
     assert difference(before, by_command(relightable, tmp_path, light, *mesh, "--samples", "64")) < 0.01

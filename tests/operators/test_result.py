@@ -67,7 +67,7 @@ def test_fewer_triangles_as_a_job(run):
 
 
 def test_edited_object_becomes_the_result(run):
-    """Modifiers and the object's own transform come into the mesh once, the empty's not at all."""
+    """Modifiers and the object's own transform are applied to the mesh once, those of its parent empty never."""
     thing = bpy.data.objects["tiny"]
     thing.parent.matrix_world = Matrix.Translation((5, 0, 0)) @ Matrix.Rotation(1.0, 4, "X") @ Matrix.Scale(3, 4)
     thing.location.z = 0.02
@@ -120,7 +120,7 @@ def test_export(run, tmp_path, suffix):
     assert target.stat().st_size > 1000
 
 
-def test_bad_wishes_are_told_in_words(run, tmp_path):
+def test_bad_requests_are_errors_in_words(run, tmp_path):
     bpy.data.objects.new("nothing", None)
     bpy.ops.object.empty_add()
     for call, words in [

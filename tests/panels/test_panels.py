@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every panel in every state draws what exists, and says why something can't be pressed."""
+"""Panels in every state: they draw what exists, and say why a button is disabled."""
 
 import json
 import time
@@ -13,7 +13,7 @@ from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.irgspp_addon.properties import show_jobs
-from irgspp.panels import dataset, images, reconstruct, relight, result, run_state
+from irgspp.panels import dataset, images, reconstruct, registration, relight, result, run_state
 from irgspp.panels import engine as engine_panel
 from irgspp.panels import jobs as jobs_panel
 from recording_layout import draw
@@ -34,7 +34,7 @@ def settings():
 
 
 def add_job(tmp_path: Path, **values) -> Job:
-    """A job that is shown, as if it had been started."""
+    """A job in the list, as if it had been started."""
     job = Job(**{"id": "j1", "kind": "reconstruct", "title": "Reconstruct spot", "folder": tmp_path, "notes": tmp_path} | values)
     jobs._jobs[job.id] = job
     show_jobs([one.id for one in jobs.all_jobs()])
@@ -56,7 +56,7 @@ def all_panels():
     ]
 
 
-def test_panels_stand_in_the_order_of_work(settings):
+def test_panels_are_in_the_order_of_work(settings):
     tops = [cls for cls in all_panels() if not hasattr(cls, "bl_parent_id")]
     assert [cls.bl_label for cls in sorted(tops, key=lambda cls: cls.bl_order)] == [
         "Engine", "Dataset", "Reconstruct", "Result", "Relight", "Jobs",
@@ -64,6 +64,15 @@ def test_panels_stand_in_the_order_of_work(settings):
     assert {(cls.bl_space_type, cls.bl_region_type, cls.bl_category) for cls in all_panels()} == {("VIEW_3D", "UI", "IRGS++")}
     registered = {cls.__name__ for cls in bpy.types.Panel.__subclasses__()}
     assert {cls.__name__ for cls in all_panels()} <= registered
+
+
+def test_tooltips_are_the_docstrings_without_the_full_stop_that_blender_adds(settings):
+    operators = [cls for cls in registration.CLASSES if issubclass(cls, bpy.types.Operator)]
+    assert len(operators) > 15
+    for cls in operators:
+        group, _, name = cls.bl_idname.partition(".")
+        tooltip = getattr(getattr(bpy.ops, group), name).get_rna_type().description
+        assert tooltip and cls.__doc__ == f"{tooltip}." and not tooltip.endswith("."), cls
 
 
 def test_everything_draws_in_an_empty_scene(settings):
@@ -81,7 +90,7 @@ def test_a_first_visit_is_guided(settings):
     assert "finished" in draw(relight.IRGSPP_PT_relight).words
 
 
-def test_without_an_engine_the_way_to_one_stands_above_all(settings, monkeypatch):
+def test_without_an_engine_its_panel_is_first(settings, monkeypatch):
     monkeypatch.setattr(engine, "status", lambda: engine.Status("missing", "No engine: choose one"))
     assert engine_panel.IRGSPP_PT_engine.poll(bpy.context)
     drawn = draw(engine_panel.IRGSPP_PT_engine)
@@ -107,7 +116,7 @@ def test_what_was_found_and_its_problems(settings, tmp_path):
     assert settings.inspected == "" and "40 training" not in draw(dataset.IRGSPP_PT_dataset).words
 
 
-def test_a_dataset_that_can_not_be_read_says_so(settings, tmp_path):
+def test_a_dataset_that_can_not_be_read_shows_the_error(settings, tmp_path):
     settings.dataset = str(tmp_path)
     add_job(tmp_path, kind="inspect", state="failed", error="transforms.json: no such file", data={"dataset": str(tmp_path.resolve())})
     assert "transforms.json: no such file" in draw(dataset.IRGSPP_PT_dataset).words
@@ -135,7 +144,7 @@ def test_a_running_reconstruction(settings, tmp_path):
 
 
 @pytest.mark.parametrize("state", ["failed", "cancelled", "lost"])
-def test_a_stopped_reconstruction_can_go_on(settings, tmp_path, state):
+def test_a_stopped_reconstruction_can_be_resumed(settings, tmp_path, state):
     settings.run = str(tmp_path)
     settings.dataset = str(tmp_path)
     finished_run(tmp_path, status="failed")
@@ -156,9 +165,9 @@ def test_a_stopped_reconstruction_can_go_on(settings, tmp_path, state):
 def test_a_job_of_another_run_is_not_shown(settings, tmp_path):
     settings.run = str(tmp_path / "mine")
     add_job(tmp_path / "other", state="done")
-    assert reconstruct.present_job(settings.run_path()) is None
+    assert reconstruct.current_job(settings.run_path()) is None
     add_job(tmp_path / "other", id="j2", state="running")
-    assert reconstruct.present_job(settings.run_path()).id == "j2"  # but what is under way is
+    assert reconstruct.current_job(settings.run_path()).id == "j2"  # but what is under way is
 
 
 def test_the_result_is_offered_then_shown(settings, run_folder):
@@ -191,7 +200,7 @@ def test_a_run_that_is_not_finished(settings, tmp_path, status):
 
 
 def test_list_of_jobs(settings, tmp_path):
-    assert "Nothing was started" in draw(jobs_panel.IRGSPP_PT_jobs).words
+    assert "No jobs yet" in draw(jobs_panel.IRGSPP_PT_jobs).words
     add_job(tmp_path, state="done", made=1.0)
     add_job(tmp_path, id="j2", title="Bake", kind="bake", state="running", made=2.0)
     drawn = draw(jobs_panel.IRGSPP_PT_jobs)
@@ -257,7 +266,7 @@ def test_run_folder_is_beside_the_photographs(settings, tmp_path):
     assert settings.run_path() == tmp_path / "elsewhere"
 
 
-def test_relighting_says_how_far_it_is_and_what_is_wrong(settings, run_folder, monkeypatch):
+def test_relighting_shows_progress_and_errors(settings, run_folder, monkeypatch):
     finished_run(run_folder)
     settings.run = str(run_folder)
     drawn = draw(relight.IRGSPP_PT_relight)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Times, phases and figures in words; lines that fit the sidebar."""
+"""Texts of times, phases and metrics; lines that fit the sidebar."""
 
 import time
 from pathlib import Path
@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.panels import run_state
-from irgspp.panels.job_card import figures_text, progress_text
+from irgspp.panels.job_card import metrics_text, progress_text
 from irgspp.panels.jobs import job_when
 from irgspp.panels.phases import NUMBERS, STEPS, phase_in_words
 from irgspp.panels.sidebar import letters, say, seconds_in_words
@@ -29,7 +29,7 @@ def test_seconds(seconds, text):
 
 
 def test_every_phase_that_a_reconstruction_names_has_words():
-    said = {
+    names = {
         line.split('.phase("')[1].split('"')[0]
         for folder in ("stages", "surface", "datasets")
         for path in (CORE / folder).rglob("*.py")
@@ -37,18 +37,18 @@ def test_every_phase_that_a_reconstruction_names_has_words():
         for line in path.read_text().splitlines()
         if '.phase("' in line
     } | {"scene", "contact sheet"}
-    assert said == set(NUMBERS)
+    assert names == set(NUMBERS)
     assert phase_in_words("reconstruct", "refine") == f"Step 5 of {len(STEPS)}: {STEPS[4][0]}"
     assert phase_in_words("install", "download torch") == "Download torch"
     assert phase_in_words("reconstruct", "") == "Starting"
 
 
-def test_progress_and_figures():
+def test_progress_and_metrics():
     assert progress_text(job(step=23, of=50, eta=80.0)) == "46 %, 1:20 min left"
     assert progress_text(job(step=1, of=4)) == "25 %"
     assert progress_text(job()) == "Working"
-    assert figures_text(job(figures={"loss": 0.01234, "psnr": 31.26})) == "Loss 0.0123   PSNR 31.3 dB"
-    assert figures_text(job(figures={"gaussians": 3.0})) == ""
+    assert metrics_text(job(figures={"loss": 0.01234, "psnr": 31.26})) == "Loss 0.0123   PSNR 31.3 dB"
+    assert metrics_text(job(figures={"gaussians": 3.0})) == ""
 
 
 def test_when_a_job_was():
@@ -60,7 +60,7 @@ def test_when_a_job_was():
 
 
 @pytest.mark.parametrize("width", [120, 280, 600])
-def test_words_are_broken_to_the_width_and_none_is_lost(width):
+def test_text_is_wrapped_to_the_width_and_no_word_is_lost(width):
     context = SimpleNamespace(region=SimpleNamespace(width=width), preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)))
     text = "What was understood of the dataset, and its problems in words that are long enough for several lines."
     layout = RecordingLayout()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bad input at the door: exit status 2, one line that names the file and the reason, nothing left behind."""
+"""Bad input: exit status 2, one line that names the file and the reason, no files left behind."""
 
 import json
 import shutil

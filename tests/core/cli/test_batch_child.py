@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The process of a command: it waits for its lock, and ends with the one that started it."""
+"""Child process of a batch: it waits for its lock, and ends with its parent."""
 
 import subprocess
 import sys
@@ -14,7 +14,7 @@ def start(lock, *words: str) -> subprocess.Popen:
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_it_waits_for_whoever_still_works_on_the_job(tmp_path):
+def test_it_waits_for_a_process_that_still_works_on_the_job(tmp_path):
     held = FileLock(tmp_path / "lock")
     child = start(tmp_path / "lock", "inspect", str(tmp_path / "missing"))
     with pytest.raises(subprocess.TimeoutExpired):
@@ -23,9 +23,9 @@ def test_it_waits_for_whoever_still_works_on_the_job(tmp_path):
     assert child.wait(120) == 2 and "missing" in child.communicate()[1]
 
 
-def test_it_gives_up_waiting_when_nobody_wants_it_any_more(tmp_path):
+def test_it_stops_waiting_when_its_parent_ends(tmp_path):
     held = FileLock(tmp_path / "lock")
     child = start(tmp_path / "lock", "inspect", str(tmp_path / "missing"))
-    _, said = child.communicate(timeout=60)  # closes its stdin
+    _, error = child.communicate(timeout=60)  # closes its stdin
     held.release()
-    assert (child.returncode, said) == (130, "")
+    assert (child.returncode, error) == (130, "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: exit statuses, one line per error, the line that resumes, no heavy imports before they are needed."""
+"""Command line: exit statuses, one line per error, the line that resumes, no heavy imports before they are needed."""
 
 import json
 import shlex
@@ -20,7 +20,7 @@ from irgspp.core.settings.schema import Settings, preset
 
 @pytest.fixture
 def job(monkeypatch):
-    """Replaces the main job: `job.error` is raised, arguments are kept."""
+    """Replace the reconstruction: `job.error` is raised, arguments are recorded."""
 
     class Job:
         error = None
@@ -67,7 +67,7 @@ def test_module_runs(tmp_path):
     assert "missing" in process.stderr
 
 
-def test_inspect_says_what_is_there(capsys):
+def test_inspect_prints_a_summary(capsys):
     assert main(["inspect", str(pipeline.DEMO_DATA)]) == 0
     out = capsys.readouterr().out
     for words in ("transforms", "40 training, 6 test", "64x64", "39.6 degrees", "40 of 40 training views"):
@@ -94,10 +94,10 @@ def test_errors_end_with_their_status_and_one_line(job, tmp_path, capsys, error,
     assert captured.out == ""
 
 
-def test_cancel_says_how_to_go_on(job, tmp_path, capsys):
+def test_cancel_prints_the_line_that_resumes(job, tmp_path, capsys):
     job.error = Cancelled("asked")
     main(["reconstruct", "my photos", "-o", str(tmp_path / "run"), "--preset", "draft", "--overwrite"])
-    line = capsys.readouterr().err.splitlines()[-1].partition("go on with: ")[2]
+    line = capsys.readouterr().err.splitlines()[-1].partition("resume with: ")[2]
     words = shlex.split(line)
     assert words == ["irgspp", "reconstruct", "my photos", "-o", str(tmp_path / "run"), "--preset", "draft", "--resume"]
     assert parser().parse_args(words[1:]).resume
@@ -167,6 +167,6 @@ def test_export_of_an_unfinished_run(tmp_path, capsys):
     assert ".fbx" in capsys.readouterr().err
 
 
-def test_package_says_where_the_demo_data_are():
+def test_package_has_the_demo_data():
     assert (pipeline.DEMO_DATA / "transforms_train.json").is_file()
     assert isinstance(pipeline.DEMO_DATA, Path)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The options of `irgspp render`: which lights, which cameras, how many samples; bad ones end with status 2 and a line."""
+"""Options of `irgspp render`: lights, cameras, samples; bad ones end with status 2 and one line."""
 
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def some_gaussians():
     return gaussians
 
 
-def test_lights_and_what_is_said_of_them():
+def test_lights_and_their_options():
     assert _lights(parsed()) == []
     two = ("--environment", "a.exr", "--environment", "b.hdr")
     assert _lights(parsed(*two)) == [(Path("a.exr"), None, 0.0, 1.0), (Path("b.hdr"), None, 0.0, 1.0)]
@@ -76,9 +76,9 @@ def test_some_frames_alone(run):
 
 
 @pytest.mark.parametrize("text", ["", "a", "-3", "5-3", "1,,2", "0-99999999999"])
-def test_frames_that_are_none(text, capsys):
+def test_bad_lists_of_frames(text, capsys):
     assert main(["render", "run", "-o", "out", "--orbit", "3", f"--frames={text}"]) == 2
-    assert "is no list of frames" in capsys.readouterr().err
+    assert "is not a list of frames" in capsys.readouterr().err
 
 
 def test_cameras_of_a_dataset_or_around_it(run):

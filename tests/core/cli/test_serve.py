@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The warm worker: answers through files, the newest wish wins, bad ones are told, and it ends when it should."""
+"""Request server: answers through files, only to the newest request, reports bad ones, and ends when it should."""
 
 import json
 import os
@@ -31,7 +31,7 @@ def run(tmp_path_factory):
 
 
 class Worker:
-    """`irgspp serve`, spoken to by hand."""
+    """Client of `irgspp serve`."""
 
     def __init__(self, run: Path, session: Path) -> None:
         self.session, self.number = session, 0
@@ -125,7 +125,7 @@ def test_first_images_come_before_the_last(worker):
     assert worker.answer(worker.ask(samples=512, progressive=False))["passes"] == 1
 
 
-def test_the_newest_wish_wins_and_cancel_stops(worker):
+def test_only_the_newest_request_is_answered_and_cancel_stops(worker):
     big = Camera(1024, 768, 1120.0, 1120.0, 512.0, 384.0, EYE.to_world)
     slow = worker.ask(camera=big, samples=4096, backend="gaussian")
     worker.answer(slow, done=False)
@@ -150,18 +150,18 @@ def test_channels_share_the_worker(worker):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"samples": "many"}, "no number of samples"),
-        ({"samples": None}, "neither a number nor a word"),
+        ({"samples": "many"}, "not a valid number of samples"),
+        ({"samples": None}, "must be a number"),
         ({"backend": "cloud"}, "backend cloud"),
         ({"albedo_scale": [1, -1, 1]}, "albedo scale"),
         ({"light": {"map": "none.npy", "turn": WHOLE, "strength": 1}}, "can't be read"),
-        ({"light": {"map": "none.npy", "turn": [2] * 9, "strength": 1}}, "no rotation"),
+        ({"light": {"map": "none.npy", "turn": [2] * 9, "strength": 1}}, "not a rotation"),
         ({"light": "none.npy"}, "can't be understood"),
         ({"camera": {}}, "can't be understood"),
         ({"camera": {"width": 0, "height": 9, "fx": 1, "fy": 1, "cx": 0, "cy": 0, "to_world": np.eye(4).tolist()}}, "image of 0 x 9"),
     ],
 )
-def test_bad_wishes_are_told(worker, values, words):
+def test_bad_requests_are_reported(worker, values, words):
     camera = values.pop("camera", None)
     number = worker.ask(**values)
     if camera is not None:
@@ -171,7 +171,7 @@ def test_bad_wishes_are_told(worker, values, words):
     assert worker.answer(worker.ask(samples=4))["error"] is None
 
 
-def test_nonsense_is_told(worker):
+def test_files_that_are_no_request_are_reported(worker):
     worker.put("c", "{")
     assert "no JSON" in worker.answer(-1, "c")["error"]
     worker.put("c", "[1]")
@@ -188,7 +188,7 @@ def test_few_images_are_kept(worker):
 
 
 @pytest.mark.parametrize("how", ["stop", "stdin", "folder"])
-def test_it_ends_when_told(run, tmp_path, how):
+def test_it_ends_when_asked(run, tmp_path, how):
     worker = Worker(run, tmp_path / "session")
     assert worker.process.stdin is not None
     worker.answer(worker.ask(samples=4))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Progress lines, and what Ctrl-C does."""
+"""Terminal: progress lines and Ctrl-C."""
 
 import io
 import os
