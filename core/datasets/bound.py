@@ -137,6 +137,9 @@ def bound_of_points(cameras: Sequence[Camera], points: np.ndarray) -> Bound | No
 def bound_of_masks(cameras: Sequence[Camera], masks: Sequence[np.ndarray], start: Bound) -> Bound | None:
     """Return the sphere about the region inside (nearly) every mask, found by carving a grid that is refined HULL_ROUNDS times.
 
+    The carving is coarse and tolerates masks that contradict each other, as only a sphere is wanted. The hull that the first stage starts
+    on is carved inside this sphere by `core.stages.first.initialization.visual_hull`, at full mask resolution and without tolerance.
+
     Args:
         cameras: one per mask.
         masks: (H, W) float32 each, 1 on the object.
