@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the documents say to type is understood by the command line, and every file that they name is there."""
+"""Documents: the command line accepts their commands, and every file that they name exists."""
 
 import re
 import shlex
@@ -24,7 +24,7 @@ def commands(page: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_are_understood(page):
+def test_commands_are_accepted(page):
     for words in commands(page):
         try:
             parser().parse_args(shlex.split(words))
@@ -38,7 +38,7 @@ def test_commands_are_found_at_all():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_and_scripts_lead_somewhere(page):
+def test_links_and_scripts_exist(page):
     text = page.read_text("utf-8")
     links = [target for target in re.findall(r"\]\(([^)#]+)", text) if "://" not in target]
     assert not [target for target in links if not (page.parent / target).is_file()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What would hold on one system alone is found in the sources: calls of POSIX, encodings that depend on the locale, Pythons of Blender."""
+"""Portability of the sources: calls of POSIX, encodings that depend on the locale, and the Python versions of Blender."""
 
 import ast
 import shutil
@@ -26,7 +26,7 @@ POSIX_CALLS |= {
     "SIGALRM",
     "setitimer",
 }
-GUARDS = ("sys.platform", "os.name", "hasattr(")  # one of them in the function, or around it, chooses the twin
+GUARDS = ("sys.platform", "os.name", "hasattr(")  # one of them in the function, or around it, chooses the alternative
 BLENDERS_PYTHONS = ((3, 11), (3, 12), (3, 13))
 
 
@@ -35,7 +35,7 @@ def parents(tree):
 
 
 def guarded(node, above, text):
-    """True where a function or condition around the node asks what system this is."""
+    """True where a function or condition around the node tests the operating system."""
     while (node := above.get(node)) is not None:
         if isinstance(node, ast.FunctionDef | ast.If | ast.IfExp) and any(g in (ast.get_source_segment(text, node) or "") for g in GUARDS):
             return True
@@ -53,7 +53,7 @@ def posix_uses(file):
             yield node, guarded(node, above, text)
 
 
-def test_calls_of_posix_have_a_twin():
+def test_calls_of_posix_have_an_alternative():
     found = [(f.relative_to(ROOT).as_posix(), node.lineno, fine) for f in SOURCES for node, fine in posix_uses(f)]
     assert len(found) > 3  # the search finds them
     assert not [(file, line) for file, line, fine in found if not fine]
@@ -66,20 +66,20 @@ def test_a_bare_call_of_posix_is_found(tmp_path):
 
 
 def test_text_is_read_and_written_in_a_stated_encoding():
-    """Else Windows and some locales would take another for each other's files."""
+    """Else Windows and some locales would use another encoding for the same file."""
     words = ["check", "--preview", "--isolated", "--select", "PLW1514", "--output-format", "concise", *PARTS]
     done = subprocess.run([sys.executable, "-m", "ruff", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
 
-def test_every_name_of_a_file_is_its_own_where_cases_are_one():
+def test_file_names_are_unique_without_regard_to_case():
     others = (p for pattern in ("docs/**/*", "tests/**/*.py", "scripts/**/*.py") for p in ROOT.glob(pattern))
     names = {p.relative_to(ROOT).as_posix() for p in (*SOURCES, *others)}
     assert len({name.casefold() for name in names}) == len(names)
 
 
 @pytest.mark.parametrize("version", BLENDERS_PYTHONS, ids=lambda v: f"{v[0]}.{v[1]}")
-def test_sources_are_of_the_pythons_that_blender_has(version):
+def test_sources_parse_in_every_python_of_blender(version):
     for file in SOURCES:
         ast.parse(file.read_text("utf-8"), str(file), feature_version=version)
 
@@ -93,7 +93,7 @@ def test_nothing_removed_from_the_standard_library_is_used():
     assert not {name.split(".")[0] for name in found} & gone
 
 
-SEES = """
+IMPORTS = """
 import importlib, runpy, sys
 from pathlib import Path
 from unittest.mock import MagicMock
@@ -107,22 +107,22 @@ print("all")
 
 
 @pytest.mark.parametrize("version", ["3.12", "3.13"])
-def test_what_blender_imports_of_the_engine_imports_in_its_later_pythons(version):
-    """Without numpy, which Blender brings: a stand-in has its names."""
+def test_modules_that_blender_imports_load_in_its_later_pythons(version):
+    """numpy, which Blender brings, is replaced by a mock."""
     others = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}*/bin/python"))
     found = [p for p in (shutil.which(f"python{version}"), *map(str, others)) if p]
     python = next((p for p in found if subprocess.run([p, "-c", ""], capture_output=True, check=False).returncode == 0), None)
     if python is None:
         pytest.skip(f"no Python {version} here")
-    wanted = {
+    modules = {
         "irgspp.core." + (node.module or "").removeprefix("core.")
         for part in PARTS[1:]
         for file in (ROOT / part).rglob("*.py")
         for node in ast.walk(ast.parse(file.read_text("utf-8")))
         if isinstance(node, ast.ImportFrom) and node.level >= 2 and (node.module or "").startswith("core.")
     }
-    wanted -= {"irgspp.core.machine.thread_pool"}  # of the engine's interpreter, imported where that is Blender's own
-    assert len(wanted) > 5
-    command = [python, "-B", "-W", "error", "-c", SEES, str(ROOT), *sorted(wanted)]
+    modules -= {"irgspp.core.machine.thread_pool"}  # of the engine's interpreter, imported where that is Blender's own
+    assert len(modules) > 5
+    command = [python, "-B", "-W", "error", "-c", IMPORTS, str(ROOT), *sorted(modules)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.strip() == "all", done.stderr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What SECURITY.md promises, read off the sources: no code out of data, no shell, private temporary files, no more than is declared."""
+"""Promises of SECURITY.md, checked in the sources: no code from data, no shell, private temporary files, declared permissions only."""
 
 import ast
 import os
@@ -22,7 +22,7 @@ PARTS = ("core", "irgspp_addon", "operators", "panels")
 SOURCES = [ROOT / "__init__.py", ROOT / "__main__.py", *(f for part in PARTS for f in sorted((ROOT / part).rglob("*.py")))]
 TREES = {file.relative_to(ROOT).as_posix(): ast.parse(file.read_text("utf-8")) for file in SOURCES}
 
-# Where code that is not imported by name is run: our own files, beside the one that runs them.
+# Files that run code that is not imported by name: our own files, next to the one that runs them.
 RUNS_OUR_FILES = {"irgspp_addon/engine/worker.py", "irgspp_addon/launch.py", "irgspp_addon/world/bake_child.py"}
 CODE = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "runpy.run_path", "runpy.run_module", "subprocess.getoutput"}
 UNPICKLERS = {
@@ -32,19 +32,19 @@ NETWORK = {"socket", "ssl", "http", "urllib", "urllib3", "requests", "ftplib", "
 
 
 def dotted(node):
-    """`a.b.c` of a name or attribute, else ""."""
+    """Return `a.b.c` of a name or attribute, else ""."""
     if isinstance(node, ast.Attribute):
         return f"{dotted(node.value)}.{node.attr}"
     return node.id if isinstance(node, ast.Name) else ""
 
 
 def calls(*names):
-    """(file, call) of every call by one of these names."""
+    """Return (file, call) of every call by one of these names."""
     return [(f, n) for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.Call) and dotted(n.func) in names]
 
 
 def imported():
-    """(file, top module) of every import, wherever it stands."""
+    """Yield (file, top module) of every import, also inside functions."""
     for file, tree in TREES.items():
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
@@ -83,15 +83,15 @@ def test_only_arrays_come_out_of_pickles():
 
 
 def test_temporary_files_are_private():
-    """mkstemp, mkdtemp and what is built on them make files that nobody else can open; mktemp and fixed names do not."""
+    """mkstemp and mkdtemp make files that no other user can open; mktemp and fixed names do not."""
     assert not calls("tempfile.mktemp", "os.tempnam")
     texts = [(f, n.value) for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     assert not [(f, text) for f, text in texts if text.startswith(("/tmp", "/var/tmp", "C:\\"))]
-    assert {f for f, _ in calls("tempfile.gettempdir")} <= {"core/machine/cache_folder.py"}  # which makes sure whose the folder is
+    assert {f for f, _ in calls("tempfile.gettempdir")} <= {"core/machine/cache_folder.py"}  # which checks the owner of the folder
 
 
 def test_declared_permissions_are_those_that_are_used():
-    """Files and network, the latter by pip alone and only where the user installs an engine; nothing of Blender's others."""
+    """Files and network, the latter by pip alone and only where the user installs an engine; no other permission of Blender."""
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text("utf-8"))
     assert set(manifest["permissions"]) == {"files", "network"}
     found = {(file, module) for file, module in imported() if module in NETWORK}
@@ -107,7 +107,7 @@ def test_declared_permissions_are_those_that_are_used():
     ["../../x.png", "C:\\evil.png", "a/./..", "CON", "a:b.png", "x" * 400, "", "\ud800", "..", "A.png", "a.png", "é.png", "e\u0301.png"]
 )
 def test_names_of_views_stay_in_their_folder(listed):
-    """They become names of files in run folders and of folders of images."""
+    """Names of views become names of files in run folders and of folders of images."""
     names = view_names(listed)
     assert len({name.casefold() for name in names}) == len(names) == len(listed)
     for name in names:
@@ -124,7 +124,7 @@ def test_notes_of_jobs_are_their_users_alone(registry, counter):
 
 
 def test_engine_is_installed_from_known_files():
-    """tests/irgspp_addon/test_install_engine.py has the rest; here: pip is never let at an index and at installing at once."""
+    """tests/irgspp_addon/test_install_engine.py has the rest; here: pip never reads an index while it installs."""
     tree = TREES["irgspp_addon/engine/install.py"]
     words = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     assert {"download", "--no-index", "--no-deps", "--only-binary"} <= set(words)

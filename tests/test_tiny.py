@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The whole public interface in seconds: the embedded dataset through a job of tiny settings, and jobs that are stopped and go on."""
+"""The whole public interface in seconds: the demo dataset through a job of tiny settings, and jobs that are stopped and resumed."""
 
 import json
 import os
@@ -21,7 +21,7 @@ from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 
 TINY = (
-    "materials=low-gloss",  # the decision takes longer than the rest; the demonstration below makes it
+    "materials=low-gloss",  # the trial fits take longer than the rest; the demo below runs them
     "first.iterations=160",
     "first.gaussians=3000",
     "second.points=500",
@@ -47,12 +47,12 @@ def settings():
 
 @pytest.fixture(scope="module")
 def run(settings, tmp_path_factory):
-    """A job that nobody disturbed."""
+    """An uninterrupted job."""
     return reconstruct(DEMO_DATA, tmp_path_factory.mktemp("undisturbed") / "run", settings)
 
 
 class StopAt(Silent):
-    """Asks to stop once the named phase has done so many steps."""
+    """Progress that cancels the job once the named phase has finished so many steps."""
 
     def __init__(self, phase, steps):
         self.stop, self.now = (phase, steps), ""
@@ -60,7 +60,7 @@ class StopAt(Silent):
     def phase(self, name, steps):
         self.now = name
 
-    def step(self, done, **figures):
+    def step(self, done, **metrics):
         if self.now == self.stop[0] and done >= self.stop[1]:
             self.cancelled = True
 
@@ -107,17 +107,17 @@ def test_views_from_the_command_line(run, tmp_path, capsys):
 
 
 def test_evaluation_from_the_command_line(run, tmp_path, capsys):
-    """Seconds of learning from 64 x 64 pixels, yet a right result: in every figure well above what no learning gives."""
+    """Seconds of training on 64 x 64 pixels give a sound result: every metric is well above that of an untrained scene."""
     report = tmp_path / "report"
     assert main(["evaluate", str(run), str(DEMO_DATA), "-o", str(report)]) == 0
-    shown = capsys.readouterr().out
-    figures = json.loads((report / "report.json").read_text())["figures"]
-    assert all(name in shown for name in figures)
+    output = capsys.readouterr().out
+    metrics = json.loads((report / "report.json").read_text())["figures"]
+    assert all(name in output for name in metrics)
     for name, least in LEAST.items():
-        assert figures[name] > least, name
+        assert metrics[name] > least, name
     for name, most in MOST.items():
-        assert figures[name] < most, name
-    assert read_run(run)["training"]["test_radiance_psnr"] == pytest.approx(figures["radiance_psnr"], abs=0.01)
+        assert metrics[name] < most, name
+    assert read_run(run)["training"]["test_radiance_psnr"] == pytest.approx(metrics["radiance_psnr"], abs=0.01)
     light = read_exr_rgb(run / "environment.exr")
     assert np.isfinite(light).all() and light.min() >= 0
 
@@ -137,7 +137,7 @@ def test_inspection_from_the_command_line(capsys):
 
 
 def test_demo_from_the_command_line(tmp_path, capsys):
-    """The kind of materials is decided here."""
+    """It decides the material class by trial fits."""
     words = [*TINY, "materials=auto", "first.iterations=8", "first.trial_iterations=4", "first.trial_gaussians=500"]
     assert main(["demo", "-o", str(tmp_path / "demo"), *(part for word in words for part in ("--set", word))]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "demo" / "contact_sheet.png")
@@ -146,7 +146,7 @@ def test_demo_from_the_command_line(tmp_path, capsys):
     assert re.search(r"materials: .*\d dB", (tmp_path / "demo" / "log.txt").read_text())
 
 
-def test_cancelled_job_goes_on_to_the_same_result(run, settings, tmp_path):
+def test_cancelled_job_resumes_to_the_same_result(run, settings, tmp_path):
     stopped = tmp_path / "run"
     places = (("first stage", STOP), ("fuse", 5), ("trace", 1), ("second stage", 11), ("paint", 1), ("refine", 7), ("radiance", 9))
     places += (("bake", 3), ("contact sheet", 2))
@@ -160,20 +160,20 @@ def test_cancelled_job_goes_on_to_the_same_result(run, settings, tmp_path):
     assert_same(stopped, run)
 
 
-def test_second_stage_that_is_finished_early_goes_on_to_the_end(run, settings, tmp_path):
-    class Content(Silent):
-        """Content with the second stage after five steps."""
+def test_job_whose_second_stage_is_finished_early_completes(run, settings, tmp_path):
+    class FinishEarly(Silent):
+        """Progress that finishes the second stage early, after five steps."""
 
         def phase(self, name, steps):
             self.finish_early = False
             self.now, self.last = name, 0
 
-        def step(self, done, **figures):
+        def step(self, done, **metrics):
             if self.now == "second stage":
                 self.last, self.finish_early = done, done >= 5
                 assert done <= 5
 
-    reconstruct(DEMO_DATA, tmp_path / "run", settings, progress=Content())
+    reconstruct(DEMO_DATA, tmp_path / "run", settings, progress=FinishEarly())
     state = read_run(tmp_path / "run")
     assert state["status"] == "done" and all(phase["finished"] for phase in state["phases"].values())
     assert (tmp_path / "run" / "environment.exr").read_bytes() != (run / "environment.exr").read_bytes()
@@ -181,22 +181,22 @@ def test_second_stage_that_is_finished_early_goes_on_to_the_end(run, settings, t
 
 KILLED = f"""
 import os, signal, sys
-from irgspp.core.cli import main
-from irgspp.core.journal import Journal
-from irgspp.core.stages import trainer
+from irgspp.core.cli.main import main
+from irgspp.core.progress.recorder import ProgressRecorder
+from irgspp.core.stages.first import trainer
 
-def step(self, done, **figures):  # of the first stage: a checkpoint after step {KEEP}, the end in step {STOP}
+def step(self, done, **metrics):  # of the first stage: a checkpoint after step {KEEP}, the end in step {STOP}
     trainer.CHECKPOINT_SECONDS = -1.0 if done == {KEEP} else 1e9
     if done == {STOP}:
         os.kill(os.getpid(), signal.SIGKILL)
 
-Journal.step = step
+ProgressRecorder.step = step
 sys.exit(main(sys.argv[1:]))
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no kill -9")
-def test_killed_job_goes_on_to_the_same_result(run, tmp_path):
+def test_killed_job_resumes_to_the_same_result(run, tmp_path):
     killed = tmp_path / "run"
     command = ["reconstruct", str(DEMO_DATA), "-o", str(killed), "--preset", "draft"]
     command += [word for text in TINY for word in ("--set", text)]
