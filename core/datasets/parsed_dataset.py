@@ -49,7 +49,7 @@ class Lens:
 
     @property
     def distorted(self) -> bool:
-        """True unless this is a plain pinhole."""
+        """Flag of lens distortion: False for a plain pinhole."""
         return self.fisheye or any(self.distortion)
 
     def resized(self, width: int, height: int) -> Lens:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The machine that a job runs on: devices, CUDA, threads, memory, disk space, cache folders and child processes."""
+"""Machine that a job runs on: devices, CUDA, threads, memory, disk space, cache folders and child processes."""

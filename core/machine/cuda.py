@@ -84,7 +84,7 @@ def obstacle(found: CudaInfo) -> tuple[str, str] | None:
 
 
 class DeviceLost(IrgsppError):
-    """The GPU failed or was disconnected."""
+    """Failure or disconnection of the GPU."""
 
 
 OUT_OF_MEMORY = ("CUDA out of memory", "Failed to allocate", "out of memory on device")

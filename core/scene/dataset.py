@@ -79,7 +79,7 @@ class Dataset:
 
     @property
     def has_alpha(self) -> bool:
-        """True if every training view has an alpha channel that separates object and background."""
+        """Flag of masked photographs: True if every training view has an alpha channel that separates object and background."""
         return bool(self.train) and all(v.alpha is not None for v in self.train)
 
     def pixels(self, distorted: bool = False) -> int:

@@ -69,7 +69,7 @@ BREAKS = {
     "empty folder": (lambda p: (shutil.rmtree(p), p.mkdir()), "photos: no dataset"),
     "not JSON": (lambda p: (p / "transforms_train.json").write_text("{"), "transforms_train.json: not valid JSON"),
     "no frames": (lambda p: edit(p, lambda c: c.update(frames=[])), "transforms_train.json: lists no frames"),
-    "two views": (lambda p: edit(p, lambda c: c.update(frames=c["frames"][:2])), "transforms_train.json: has 2 views"),
+    "two views": (lambda p: edit(p, lambda c: c.update(frames=c["frames"][:2])), "transforms_train.json: has 2 training views"),
     "missing key": (lambda p: edit(p, lambda c: c.pop("camera_angle_x")), "camera_angle_x"),
     "missing matrix": (lambda p: edit(p, lambda c: c["frames"][1].pop("transform_matrix")), "transform_matrix"),
     "NaN": (lambda p: edit(p, lambda c: matrix(c, 0, 3, float("nan"))), "not finite"),

@@ -12,7 +12,7 @@ from irgspp.core.machine import cpu_memory
 from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, FreeMemory, estimate_memory, free_memory, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.second import radiance_transfer as transfer
+from irgspp.core.stages.second import radiance_transfer
 
 MIB = 1 << 20
 
@@ -58,10 +58,10 @@ def test_limits_of_the_process_are_known(monkeypatch):
     assert free_memory() == FreeMemory(0, "the limit of this process, ulimit -v")
 
 
-def test_fewer_rays_at_a_time_see_the_same(monkeypatch):
-    """A tracer of plain functions: what counts is how its calls are cut."""
+def test_fewer_rays_at_once_give_the_same_result():
+    """A stand-in tracer counts its calls, since only the batches differ."""
 
-    class Looks:
+    class CountingTracer:
         calls = 0
 
         def look(self, origin, direction):
@@ -70,9 +70,9 @@ def test_fewer_rays_at_a_time_see_the_same(monkeypatch):
 
     random = np.random.default_rng(0)
     origin, direction = (torch.from_numpy(random.normal(size=s).astype(np.float32)) for s in ((20, 3), (3, 50)))
-    wanted, seen, tracer = origin @ direction > 0, [], Looks()
+    selected, results, tracer = origin @ direction > 0, [], CountingTracer()
     for rays in (MOST_RAYS, 100):
-        with transfer.rays_at_a_time(rays):
-            seen.append(transfer._look_around(origin, direction, wanted, tracer, lambda done: None))
-    assert transfer.RAYS == MOST_RAYS and tracer.calls == 1 + 5
-    assert all(torch.equal(a, b) for a, b in zip(*seen, strict=True))
+        with radiance_transfer.rays_at_a_time(rays):
+            results.append(radiance_transfer._trace_directions(origin, direction, selected, tracer, lambda done: None))
+    assert radiance_transfer.RAYS == MOST_RAYS and tracer.calls == 1 + 5
+    assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
