@@ -37,7 +37,7 @@ def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--preset", choices=list(PRESETS), default="balanced", help="default: balanced")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the reconstructions (repeatable)")
     parser.add_argument("--protocol", choices=list(PROTOCOLS), help="default: that of each dataset's published table")
-    parser.add_argument("--views", type=int, metavar="N", help="so many test views of each scene, evenly spread (default: all)")
+    parser.add_argument("--views", type=int, metavar="N", help="number of test views of each scene, evenly spread (default: all)")
     parser.add_argument("--samples", type=int, metavar="N", help="light samples per pixel (default: the protocol's)")
     parser.add_argument("--lpips", type=Path, metavar="FILE", help="the metric LPIPS as TorchScript")
     parser.add_argument("-j", dest="at_once", type=int, default=1, metavar="N", help="scenes at a time on this machine (default: 1)")

@@ -30,7 +30,7 @@ ABOUT = (
 )
 ONCE = False
 TABLES = {
-    "Pictures": {
+    "Images": {
         "nvs_psnr": "NVS dB ↑",
         "nvs_ssim": "SSIM ↑",
         "nvs_lpips": "LPIPS ↓",

@@ -79,13 +79,13 @@ class Descent:
                 states.append({"budget": budgets.pop(0), "seconds": spent, "iterations": done, "loss": loss})
         return states
 
-    def step(self, share: float) -> float:
+    def step(self, spent: float) -> float:
         """Do one iteration and return its loss.
 
         Args:
-            share: fraction of the time that is spent, which lowers the learning rates.
+            spent: fraction of the time that is spent, which lowers the learning rates.
         """
-        rates = {name: rate * LAST**share for name, rate in self.request["rates"].items()}
+        rates = {name: rate * LAST**spent for name, rate in self.request["rates"].items()}
         self.adam.set_learning_rate(rates)
         chosen = self.random.integers(len(self.colour), size=self.request["pixels"], dtype=np.uint32)
         self.sensor.choose(chosen)

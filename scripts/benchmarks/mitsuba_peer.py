@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Client of Mitsuba 3, which runs in a process of its own because its compiler and ours share no process well."""
+"""Client of Mitsuba 3, which runs in a process of its own because its compiler and numba's do not work well in one process."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def blocks(results: Results) -> Iterator[Block]:
             [[_label(r), *(r.figures[n] for n in names)] for r in relit],
         )
     if not rules():
-        yield Note("There are no such rules in this version.")
+        yield Note("This version has no such rules.")
 
 
 def _label(record: Record) -> str:

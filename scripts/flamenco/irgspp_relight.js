@@ -1,35 +1,35 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // A job type of Flamenco: the frames of a turntable or of a dataset's views, relit, in chunks over the workers of a farm.
-// Put it into the folder `scripts` beside flamenco-manager; docs/farm.md says what the workers need.
+// Put it into the folder `scripts` next to flamenco-manager; docs/farm.md lists what the workers need.
 
 const JOB_TYPE = {
     label: "IRGS++ Relight",
-    description: "Pictures of a finished IRGS++ run under any light, several frames to a task",
+    description: "Images of a finished IRGS++ run under any light, several frames per task",
     settings: [
         { key: "run", type: "string", subtype: "dir_path", required: true, visible: "submission",
-          description: "Run folder, on storage that all workers see" },
+          description: "Run folder, on storage that all workers can access" },
         { key: "output", type: "string", subtype: "dir_path", required: true, visible: "submission",
-          description: "Folder for the pictures: a folder for each frame" },
+          description: "Folder for the images: a folder for each frame" },
         { key: "orbit", type: "int32", default: 120, propargs: { min: 0, max: 100000 }, visible: "submission",
           description: "Frames of a full turn around the object; 0: the cameras of a dataset" },
         { key: "views", type: "string", default: "", visible: "submission",
-          description: "Dataset whose cameras are used, DATASET or DATASET:test; beside a turn: whose lens" },
+          description: "Dataset whose cameras are used, DATASET or DATASET:test; with a turn only their lens is used" },
         { key: "frames", type: "string", required: true, default: "0-119", visible: "submission",
           description: "Counted from 0. Examples: '47', '0-29', '3, 5-10, 47-119'" },
         { key: "chunk_size", type: "int32", default: 10, propargs: { min: 1, max: 1000 }, visible: "submission",
-          description: "Frames to a task: reading the run takes seconds, so not too few" },
+          description: "Frames per task: reading the run takes seconds, so not too few" },
         { key: "environment", type: "string", subtype: "file_path", default: "", visible: "submission",
           description: "Lat-long .exr or .hdr to light the object by; empty: the recovered light" },
         { key: "rotation", type: "float", default: 0.0, visible: "submission",
           description: "Degrees that the light is turned about the vertical" },
         { key: "strength", type: "float", default: 1.0, propargs: { min: 0 }, visible: "submission",
-          description: "What the light is multiplied by" },
+          description: "Factor of the brightness of the light" },
         { key: "samples", type: "string", default: "efficient", visible: "submission",
           description: "Light samples of a pixel: hq, efficient or a number" },
         { key: "layers", type: "string", default: "rgba", visible: "submission",
           description: "Of rgba, albedo, normal, depth, material, radiance" },
         { key: "command", type: "string", default: "blender", choices: ["blender", "irgspp"], visible: "submission",
-          description: "blender: Blender with the extension; irgspp: the engine alone, where the variable {irgspp} says" },
+          description: "blender: Blender with the extension; irgspp: the engine alone, at the path in the variable {irgspp}" },
     ],
 };
 

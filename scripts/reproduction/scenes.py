@@ -56,7 +56,7 @@ def find_scenes(root: Path, names: Sequence[str] | None = None) -> list[Scene]:
     if names is None:
         return found
     if missing := [name for name in names if name not in {scene.name for scene in found}]:
-        raise InputError("--scenes", f"there is no {', '.join(missing)}", f"use {', '.join(scene.name for scene in found)}")
+        raise InputError("--scenes", f"unknown scene {', '.join(missing)}", f"use {', '.join(scene.name for scene in found)}")
     return [scene for scene in found if scene.name in names]
 
 

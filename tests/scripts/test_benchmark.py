@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The benchmark: no measurement is lost or made twice, and the report holds them."""
+"""The benchmark: no measurement is lost or repeated, and the report contains all of them."""
 
 import importlib
 import json
@@ -14,7 +14,7 @@ from scripts_folder import script as script
 
 
 def section(*tasks, name="things"):
-    """A section of these tasks, and a table of its figures."""
+    """Return a section of these tasks with a table of its metrics."""
 
     def blocks(results):
         module = importlib.import_module("benchmarks.section")
@@ -30,7 +30,7 @@ def section(*tasks, name="things"):
 
 @pytest.fixture
 def work(script, tmp_path, capsys):
-    """Do a section's tasks with the results of the folder: the store, and how many failed."""
+    """Return a function that does a section's tasks with the results in the folder, and returns the store and the number of failures."""
 
     def do(one, source="abc"):
         session = script("benchmarks.session")
@@ -45,7 +45,7 @@ def work(script, tmp_path, capsys):
 
 @pytest.fixture
 def task(script):
-    """A task that notes when it is done: (name, what it finds or raises, notes) to a task."""
+    """Return a function that makes a task, which records that it is done, from a name and the value it finds or raises."""
 
     def make(name, value, done):
         def measure():
@@ -156,7 +156,7 @@ def test_scenes_are_found_in_folders(script, tmp_path):
 
 
 def test_every_section_lists_tasks_that_the_command_line_understands(script, tmp_path):
-    """Names are unique, nothing is measured by listing, and plans of reconstructions are valid options."""
+    """Names are unique, listing measures nothing, and plans of reconstructions are valid options."""
     benchmark, bench = script("benchmark"), script("benchmarks.bench")
     scene = script("benchmarks.scenes").demo_scenes()[0]
     steps = script("benchmarks.session").steps_of(bench.Bench(tmp_path, [scene]), benchmark.sections_of(",".join(benchmark.SECTIONS)))
@@ -183,7 +183,7 @@ def test_a_plan_is_not_taken_for_another(script, tmp_path):
 
 
 def test_a_reconstruction_that_fails_is_tried_once(script, tmp_path, monkeypatch):
-    """In a process of its own it has no say; the error is the job's own line."""
+    """It fails in a process of its own; the error has the job's last line."""
     bench = script("benchmarks.bench").Bench(tmp_path, script("benchmarks.scenes").demo_scenes())
     plan, tried = script("benchmarks.runs").RunPlan("bad", options=("nonsense=1",)), []
     make = script("benchmarks.runs").make

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What sections of the benchmark make of their records."""
+"""Tables, charts and notes that the benchmark's sections make from records."""
 
 import pytest
 from scripts_folder import script as script
@@ -7,7 +7,7 @@ from scripts_folder import script as script
 
 @pytest.fixture
 def shown(script, tmp_path):
-    """Blocks of a section for (configuration, figures) of one scene: kind of block to those blocks."""
+    """Return a function that gives a section's blocks by their type, for the metrics of some configurations."""
 
     def show(name, records):
         module, store = script(f"benchmarks.{name}"), script("benchmarks.store")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the benchmark measures of relighting: directions that must hold."""
+"""Relighting in the benchmark: known directions of its errors."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +23,7 @@ MATERIAL = (0.7, 0.5, 0.3, 0.5, 0.0)
 
 
 def write_balls(folder: Path, material: tuple[float, ...]) -> Path:
-    """A run's Gaussians, light and mesh: two balls of one material."""
+    """Write a run's Gaussians, light and mesh: two balls of one material."""
     meshes, splats = [], None
     for centre, radius in BALLS:
         one, count = sphere(48, 96), int(9000 * radius)
@@ -45,7 +45,7 @@ def write_balls(folder: Path, material: tuple[float, ...]) -> Path:
 
 
 def lit_view(script, light: np.ndarray):
-    """What a camera sees of the balls under a light; the true image is left out."""
+    """Return a camera's view of the balls under a light, without a true image."""
     camera = Camera(48, 48, 60.0, 60.0, 24.0, 24.0, look_at((1.5, -4.0, 2.0), (0.4, -0.1, 0.3)))
     inside = np.ones((48, 48), bool)
     return script("benchmarks.studio").LitView(SimpleNamespace(camera=camera), "light", prepare(light), np.zeros((48, 48, 3)), inside)
@@ -53,7 +53,7 @@ def lit_view(script, light: np.ndarray):
 
 @pytest.fixture(scope="module")
 def studio(script, tmp_path_factory):
-    """The balls in the sun."""
+    """Return the balls in sunlight."""
     run = write_balls(tmp_path_factory.mktemp("balls"), MATERIAL)
     light = LIGHTS["sunset"](32, 64)
     return script("benchmarks.studio").Studio(run, [lit_view(script, light)], {"mesh": 2048, "gaussian": 1024})
@@ -61,7 +61,7 @@ def studio(script, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def error(script, studio):
-    """Root mean square error of a variant of section relighting at so many samples."""
+    """Return a function that measures the root mean square error of a variant with a number of samples."""
     variants = script("benchmarks.relighting").VARIANTS
     return lambda variant, samples: studio.errors(variants[variant], samples)["rms_error"]
 
@@ -90,7 +90,7 @@ def test_both_backends_show_the_same(studio):
 
 
 def test_indirect_light_comes_closer_to_the_truth(script, tmp_path):
-    """In an even light what absorbs nothing is as bright as the light, wherever it is: no shadow between the balls stays."""
+    """In uniform light, white balls are as bright as the light everywhere: no shadow between them remains."""
     studio = script("benchmarks.studio")
     run = write_balls(tmp_path, (1.0, 1.0, 1.0, 0.9, 0.0))
     one = studio.Studio(run, [lit_view(script, np.full((16, 32, 3), 0.5, np.float32))], {"mesh": 64, "gaussian": 64})

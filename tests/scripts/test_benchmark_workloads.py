@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernels that are timed against each other do the same."""
+"""The kernels that are timed against each other compute the same."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The run over several Blenders: what each did is told apart, and libraries of the engine in Blender's environment are refused."""
+"""Tests in several versions of Blender: kinds of failure are distinguished, and engine libraries in Blender's environment are refused."""
 
 import importlib.util
 import sys
@@ -22,7 +22,7 @@ def script(monkeypatch):
 
 @pytest.fixture
 def tested(script, tmp_path, monkeypatch):
-    """Runs the text of a test file as the tests of a version, in this Python."""
+    """Return a function that runs the text of a test file as the tests of a version, in this Python."""
     monkeypatch.setattr(script, "ENGINE_ONLY", ())
 
     def run(text: str, limit: float = 100.0):

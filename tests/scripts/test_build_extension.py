@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The zip is small and holds what it should and nothing else; the repository's list leads to it."""
+"""The zip is small and contains exactly what it should; the repository's listing leads to it."""
 
 import ast
 import hashlib
@@ -32,7 +32,7 @@ def archive(script, tmp_path_factory):
 
 @pytest.fixture
 def copied(script, tmp_path, monkeypatch):
-    """The script with a root of its own: the least that Blender's tool takes for an extension."""
+    """Give the script a root of its own with the least that Blender's tool accepts as an extension."""
     root = tmp_path / "source"
     for name in script.CONTENT:
         path = root / name

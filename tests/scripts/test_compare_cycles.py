@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tracing Gaussians and path tracing meshes by Cycles are two ways to the same image."""
+"""Traced Gaussians and meshes that Cycles path-traces give the same image."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_same_models_agree(script, cycles, light, case, samples, cycles_samples)
 
 
 def test_coated_diffuse_differs_by_what_the_coat_reflects(script, cycles, light):
-    """Principled takes from its diffuse lobe what its specular one reflects: about 5 % here; with the same taken from ours they agree."""
+    """Principled takes from its diffuse lobe what its specular one reflects, about 5 % here; with the same taken from ours they agree."""
     for difference in differences(script, cycles, light, "dielectric", 256, 512):
         assert 0.03 < difference.signed < 0.07, difference.row()
     for difference in differences(script, cycles, light, "dielectric, 1-E_s", 256, 512):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The script that writes a scene in the layout of other datasets, as a command."""
+"""The command that writes a scene in the layout of other datasets."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Flamenco's job script: its tasks are commands that `irgspp` understands, and together they make every frame once."""
+"""Flamenco's job script: its tasks are valid `irgspp` commands that together render every frame once."""
 
 import json
 import re
@@ -48,14 +48,14 @@ node = pytest.mark.skipif(shutil.which("node") is None, reason="there is no Java
 
 
 def compiled(**changes):
-    """The tasks of a job, or what the script threw."""
+    """Return the tasks of a job, or the error that the script threw."""
     program = SCRIPT.read_text("utf-8") + MANAGER.replace("SETTINGS", json.dumps(SETTINGS | changes))
     done = subprocess.run(["node", "-"], input=program, capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
 
 
 def test_settings_are_those_that_the_script_reads():
-    """Every setting is declared and used; no engine is needed to see it."""
+    """Every setting is declared and used; this needs no JavaScript engine."""
     text = SCRIPT.read_text("utf-8")
     declared = set(re.findall(r'\{ key: "(\w+)"', text))
     assert declared == set(re.findall(r"settings\.(\w+)", text)) == set(SETTINGS)

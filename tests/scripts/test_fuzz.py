@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What reads wrong files tells a crash, a hang, a sleep, greed and wrong errors from a file that is refused."""
+"""The fuzzer distinguishes crashes, hangs, sleeps, excessive memory and wrong errors from files that are refused."""
 
 import importlib
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which wheels of an index get a digest; the index is a page of the test's own."""
+"""Choice of the wheels that get a digest; the index is a page made by the test."""
 
 import io
 
@@ -28,7 +28,7 @@ DO_NOT = (
 
 @pytest.fixture
 def index(monkeypatch):
-    """Pages by the address they are asked for at."""
+    """Return the pages of the index by their address."""
     pages = {}
 
     def opened(request, timeout):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Peers are given the same thing to do: Mitsuba's images against sums over all texels, and what is read off curves."""
+"""Peers get the same work: Mitsuba's images against sums over all texels, and values interpolated from curves."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,13 +18,13 @@ from sphere_run import axis_light, materials, sphere
 
 @pytest.fixture(scope="module")
 def load():
-    """Imports a module of the benchmark."""
+    """Import a module of the benchmark."""
     with scripts_on_path() as script:
         yield lambda name: script(f"benchmarks.{name}")
 
 
 def sphere_from(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Where a camera sees the unit sphere well inside its outline (H, W), and the points there (P, 3)."""
+    """Return the pixels in which a camera sees the unit sphere well inside its outline (H, W), and the points there (P, 3)."""
     ray = camera.rays().astype(np.float64)
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     along = -(ray @ camera.centre)
@@ -34,7 +34,7 @@ def sphere_from(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 
 def reflected(points: np.ndarray, eye: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """(P, 3) what the sphere sends to the eye, by every texel of the light."""
+    """Return the radiance that the sphere reflects to the eye, summed over every texel of the light, (P, 3)."""
     direction = texel_directions(*light.shape[:2]).reshape(1, -1, 3)
     density = 1 / (solid_angles(*light.shape[:2]).repeat_interleave(light.shape[1]) * direction.shape[1])
     normal = torch.from_numpy(points).float()

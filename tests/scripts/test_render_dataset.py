@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Datasets rendered from a scene of one's own agree with what is in the scene."""
+"""Datasets rendered from a scene agree with the scene's materials, light and geometry."""
 
 import json
 import os

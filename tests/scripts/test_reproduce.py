@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whole benchmarks: scenes are found, worked off once, and stand beside the published rows. Commands are a stand-in's part."""
+"""Reproduction of published tables: scenes are found, each is done once, and results stand next to published rows; commands are stubs."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from irgspp.core.scene.camera import look_at
 from PIL import Image
 from scripts_folder import script as script
 
-STAND_IN = """
+STUB = """
 import json, os, pathlib, sys
 _, lock, command, *words = sys.argv[1:]
 here = pathlib.Path(__file__).parent
@@ -38,7 +38,7 @@ else:
 
 
 def write_scene(folder: Path, kind: str = "plain") -> None:
-    """Three photographs with cameras, as plain transforms or in TensoIR's layout."""
+    """Write three photographs with cameras, as plain transforms or in TensoIR's layout."""
     folder.mkdir(parents=True)
     image = Image.fromarray(np.full((16, 16, 4), 200, np.uint8))
     poses = [look_at(np.array(place)).tolist() for place in ((4.0, 0, 0), (0, 4.0, 0), (0, 0.1, 4.0))]
@@ -59,7 +59,7 @@ def write_scene(folder: Path, kind: str = "plain") -> None:
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch, script):
-    """Runs the script on a root with two scenes of TensoIR's, one other and one that is damaged; returns its status."""
+    """Return a function that runs the script on two scenes of TensoIR, another one and a damaged one, and returns its status."""
     root = tmp_path / "datasets"
     write_scene(root / "tensoir" / "hotdog", "tensoir")
     write_scene(root / "tensoir" / "lego", "tensoir")
@@ -68,9 +68,9 @@ def bench(tmp_path, monkeypatch, script):
     (root / "empty").mkdir()
     (root / "torn").mkdir()
     (root / "torn" / "transforms.json").write_text("{")
-    (tmp_path / "stand_in.py").write_text(STAND_IN)
+    (tmp_path / "stub.py").write_text(STUB)
     Image.fromarray(np.zeros((40, 90, 3), np.uint8)).save(tmp_path / "sheet.png")
-    monkeypatch.setattr(work, "LAUNCHER", tmp_path / "stand_in.py")
+    monkeypatch.setattr(work, "LAUNCHER", tmp_path / "stub.py")
     return lambda *words: script("reproduce").main([str(root), "-o", str(tmp_path / "out"), "--preset", "draft", *words])
 
 
@@ -122,7 +122,7 @@ def test_scenes_are_found_by_their_content(bench, script, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"), [(["--scenes", "chair"], "there is no chair; use mine, tensoir_hotdog"), (["--set", "seeds=1"], "--set: .*seed")]
+    ("words", "said"), [(["--scenes", "chair"], "unknown scene chair; use mine, tensoir_hotdog"), (["--set", "seeds=1"], "--set: .*seed")]
 )
 def test_bad_wishes_start_nothing(bench, tmp_path, capsys, words, said):
     assert bench(*words) == 2
@@ -136,7 +136,7 @@ def test_a_root_without_scenes(script, tmp_path, capsys):
 
 
 def test_published_tables_are_whole(script):
-    """Each has a protocol that exists and headings for all its figures; each row says where it is from."""
+    """Each table has a known protocol and headings for all its metrics; each row names its source."""
     tables = script("reproduction.tables")
     for known in tables.PUBLISHED.values():
         assert known["protocol"] in script("reproduce").PROTOCOLS and known["title"]

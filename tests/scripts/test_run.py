@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The set-up script: installs once, again when the lock changes, anew after an interruption; passes exit statuses on."""
+"""The set-up script installs once, again when the lock changes, and anew after an interruption, and passes exit statuses on."""
 
 import ast
 import importlib.util
@@ -17,7 +17,7 @@ SCRIPT = ROOT / "scripts" / "run.py"
 
 @pytest.fixture
 def script(tmp_path, monkeypatch):
-    """The script with a root of its own and recorded instead of started commands; making the environment makes its Python."""
+    """Return the script with a root of its own and with recorded instead of started commands; making the environment makes its Python."""
     spec = importlib.util.spec_from_file_location("run_script", SCRIPT)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The quick cases of the numerical stress test hold, and one that does not hold shows."""
+"""The quick cases of the numerical stress test hold, and a case that does not hold is reported."""
 
 import json
 
@@ -26,7 +26,7 @@ def test_there_are_cases_of_every_group():
 
 @pytest.fixture
 def only_these(monkeypatch):
-    """Puts cases in the place of the real ones."""
+    """Return a function that replaces all cases."""
 
     def install(**cases):
         made = [case_module.Case("made up", name, "two is at most one", run) for name, run in cases.items()]
