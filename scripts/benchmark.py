@@ -57,12 +57,14 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
 
 
 def _count(text: str) -> int:
+    """Parse a number of repeats."""
     if int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 1")
     return int(text)
 
 
 def _minutes(text: str) -> tuple[float, ...]:
+    """Parse time budgets."""
     minutes = tuple(float(part) for part in text.split(","))
     if not all(0 < m < 10_000 for m in minutes):
         raise argparse.ArgumentTypeError(f"{text}: minutes must be above 0 and below 10,000")

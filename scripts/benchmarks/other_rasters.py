@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rasteriser's forward pass by other technologies, for comparison only: C++, warp on its CPU device, torch."""
+"""Forward pass of the rasteriser by other technologies, for comparison only: C++, warp on its CPU device, torch."""
 
 from __future__ import annotations
 

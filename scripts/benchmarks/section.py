@@ -43,7 +43,7 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One measurement to make.
+    """Measurement to make.
 
     Attributes:
         configuration: distinguishes the task within its section and scene; the three are the key of the record.

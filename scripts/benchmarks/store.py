@@ -21,7 +21,7 @@ EVERYWHERE = "-"  # in place of a scene's name, for measurements that do not dep
 
 @dataclass(frozen=True)
 class Record:
-    """One measurement.
+    """Measurement that was made.
 
     Attributes:
         section: name of the section.

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One view.
+    """View of a scene.
 
     Attributes:
         pose: (4, 4) camera to world, axes as Blender's.
