@@ -173,7 +173,7 @@ def test_bad_requests_are_reported(worker, values, words):
 
 def test_files_that_are_no_request_are_reported(worker):
     worker.put("c", "{")
-    assert "no JSON" in worker.answer(-1, "c")["error"]
+    assert "is not valid JSON" in worker.answer(-1, "c")["error"]
     worker.put("c", "[1]")
     assert worker.answer(worker.ask(channel="c", samples=4), "c")["error"] is None
 
