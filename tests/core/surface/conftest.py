@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Analytic objects seen by cameras all around: the truth is known everywhere."""
+"""Analytic solids and their G-buffers: ground truth everywhere."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,13 +13,13 @@ from irgspp.core.scene.gbuffer import GBuffer, SurfaceSamples
 
 
 def colour_of(points: np.ndarray) -> np.ndarray:
-    """A smooth colour for every place in the world, (..., 3) in 0..1."""
+    """Return a smooth colour (..., 3) in 0..1 for world points (..., 3)."""
     return 0.5 + 0.4 * np.sin(points * np.array([2.0, 3.0, 2.5]) + np.array([0.0, 1.0, 2.0]))
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A solid by its signed distance; rays are followed by sphere tracing."""
+    """Solid given by its signed distance function, rendered by sphere tracing."""
 
     distance: Callable[[np.ndarray], np.ndarray]
 
@@ -30,7 +30,7 @@ class Solid:
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """The nearest points of the surface."""
+        """Return the nearest points of the surface."""
         for _ in range(3):
             points = points - self.distance(points)[..., None] * self.gradient(points)
         return points
@@ -85,7 +85,7 @@ def solids() -> dict[str, Solid]:
 
 @pytest.fixture(scope="session")
 def camera_ring(camera_ring) -> Callable[..., list[Camera]]:
-    """As elsewhere, with finer images and from nearer to the poles."""
+    """The shared fixture with finer images and cameras nearer to the poles."""
     return partial(camera_ring, size=96, lowest=-0.95, highest=0.95)
 
 
@@ -96,17 +96,17 @@ def true_colour() -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass
 class Recorder:
-    """Remembers what it was told."""
+    """Progress that records phases and steps."""
 
     cancelled: bool = False
     finish_early: bool = False
-    told: list[tuple] = field(default_factory=list)
+    events: list[tuple] = field(default_factory=list)
 
     def phase(self, name, steps):
-        self.told.append((name, steps))
+        self.events.append((name, steps))
 
-    def step(self, done, **figures):
-        self.told.append((done,))
+    def step(self, done, **metrics):
+        self.events.append((done,))
 
     def message(self, text):
         pass

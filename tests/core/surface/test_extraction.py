@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From views to the bare surface, on solids known analytically."""
+"""Surface extraction on analytic solids."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_the_unseen_underside_is_closed_near_the_gaussians(solids, camera_ring, 
 
 
 def test_no_ghosts_where_no_view_looks(solids, camera_ring, bound):
-    """Views from one side only: the shadow behind the object is not made solid."""
+    """With views from one side only, the unseen space behind the object is not filled."""
     solid = solids["sphere"]
     front = [camera for camera in camera_ring(60) if camera.centre[0] > 2.5]
     samples = solid.samples()
@@ -88,8 +88,8 @@ def test_no_views_are_one_clear_line(solids, bound):
         extract_geometry([], solids["sphere"].samples(), bound, SETTINGS, Silent())
 
 
-def test_progress_tells_every_view(solids, camera_ring, bound, recorder):
-    solid, told = solids["sphere"], recorder()
+def test_progress_reports_every_view(solids, camera_ring, bound, recorder):
+    solid, recorded = solids["sphere"], recorder()
     views = [solid.view(camera, seed=i) for i, camera in enumerate(camera_ring(12, size=48))]
-    extract_geometry(views, solid.samples(), bound, replace(SETTINGS, voxels=24), told)
-    assert told.told == [("fuse", 12), *((i,) for i in range(1, 13))]
+    extract_geometry(views, solid.samples(), bound, replace(SETTINGS, voxels=24), recorded)
+    assert recorded.events == [("fuse", 12), *((i,) for i in range(1, 13))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The distance field against plain loops and against solids known analytically."""
+"""TSDF fusion against plain loops and analytic solids."""
 
 import itertools
 
@@ -13,13 +13,13 @@ from irgspp.core.surface.voxel_grid import BLOCK, Grid, make_grid
 
 
 def centres(grid: Grid) -> np.ndarray:
-    """(B, BLOCK^3, 3) world positions of the active voxels."""
+    """Return the world positions (B, BLOCK^3, 3) of the active voxels."""
     local = np.array(list(np.ndindex(BLOCK, BLOCK, BLOCK)))
     return grid.origin + grid.voxel * (grid.active[:, None] * BLOCK + local)
 
 
 def integrate_plainly(view, point, voxel, truncation):
-    """(weighted distance, weight, seen through) of one voxel in one view, float64, straight from the definition."""
+    """Return (weighted distance, weight, seen through) of one voxel in one view, float64, by the definition."""
     camera, (pixel,), (far,) = view.camera, *view.camera.project(point[None])
     u, v = pixel
     if far <= 0 or not (0 <= u < camera.width and 0 <= v < camera.height):
@@ -110,18 +110,18 @@ def test_dense_puts_blocks_in_their_place():
     assert (volume == -1).sum() == 4 * BLOCK**3
 
 
-def test_grid_keeps_thin_tips_and_drops_strays(solids, camera_ring, bound):
+def test_grid_keeps_thin_tips_and_drops_outliers(solids, camera_ring, bound):
     solid = solids["sphere"]
     samples = solid.samples(5000)
     samples.position[0] = (0, 0, 1.12)  # a tip
-    samples.position[1] = (1.4, 0, 0.2)  # a stray inside the bound
+    samples.position[1] = (1.4, 0, 0.2)  # an outlier inside the bound
     grid = make_grid([solid.view(camera) for camera in camera_ring(4)], samples, bound, 64)
     top = grid.origin + grid.voxel * (np.array(grid.shape) - 1)
     assert top[2] > 1.12
     assert top[0] < 1.4
 
 
-def test_no_depth_inside_the_bound_is_told(solids, camera_ring):
+def test_no_depth_inside_the_bound_is_an_error(solids, camera_ring):
     solid = solids["sphere"]
     views = [solid.view(camera) for camera in camera_ring(3)]
     with pytest.raises(IrgsppError, match="no view has a depth inside the object's bound"):

@@ -52,7 +52,7 @@ def test_unseen_points_take_their_nearest_gaussians(solids, camera_ring, true_co
     assert ((fused.normal * normals).sum(-1)[below] > 0.95).all()
 
 
-def test_transparent_pixels_have_no_say(solids, camera_ring):
+def test_transparent_pixels_have_no_weight(solids, camera_ring):
     solid = solids["sphere"]
     view = solid.view(camera_ring(1, lowest=0.9)[0])
     view.alpha[:] *= 0.4
@@ -61,7 +61,7 @@ def test_transparent_pixels_have_no_say(solids, camera_ring):
 
 
 def test_a_colour_edge_in_depth_does_not_bleed(solids, camera_ring):
-    """Pixels of the background next to the silhouette are far away: rims keep their own colour."""
+    """Background pixels next to the silhouette are far away, so that rims keep their own colour."""
     solid = solids["sphere"]
     views = [solid.view(camera) for camera in camera_ring(12)]
     for view in views:

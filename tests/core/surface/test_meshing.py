@@ -24,7 +24,7 @@ def joined(*meshes: Triangles) -> Triangles:
 
 
 def degrees(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angles between unit vectors."""
+    """Return the angles between unit vectors (..., 3)."""
     return np.degrees(np.arccos(np.clip((a * b).sum(-1), -1, 1)))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh that is too small or too large by a known part of a pixel."""
+"""Silhouette offset of meshes that are too small or too large by a known fraction of a pixel."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ SIZE, DISTANCE = 96, 4.0
 
 
 def mask_of(camera, samples=4):
-    """(H, W) share of each pixel that the unit sphere covers."""
+    """Return the fraction (H, W) of each pixel that the unit sphere covers."""
     rays = camera.resized(samples * SIZE, samples * SIZE).rays().astype(np.float64)
     along = -(rays @ camera.centre) / np.linalg.norm(rays, axis=-1)
     hit = DISTANCE**2 - along**2 < 1
@@ -21,7 +21,7 @@ def mask_of(camera, samples=4):
 
 @pytest.fixture(scope="module")
 def cameras(camera_ring):
-    """All see the same circle, each elsewhere on its pixels: the outline's steps average out."""
+    """Cameras that see the same circle at different subpixel positions, so that aliasing averages out."""
     shifts = np.random.default_rng(0).uniform(-3, 3, (12, 2)) + SIZE / 2
     return [replace(c, cx=x, cy=y) for c, (x, y) in zip(camera_ring(12, size=SIZE, distance=DISTANCE), shifts, strict=True)]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a surface to a textured mesh, on solids known analytically."""
+"""Texturing of surfaces of analytic solids."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def test_vertex_materials_are_those_of_the_solid(made, true_colour):
 
 
 def test_textures_show_the_solid_where_the_uvs_say(made, true_colour):
-    """Looked up at the triangles' centres as a renderer would: v = 0 at the bottom row."""
+    """Look the textures up at the triangles' centres as a renderer does: v = 0 at the bottom row."""
     _, _, mesh = made
     size = SETTINGS.texture
     centre, uv = mesh.vertices[mesh.faces].mean(1), mesh.uvs[mesh.faces].mean(1)
@@ -84,14 +84,14 @@ def test_normal_texture_of_a_smooth_solid_is_nearly_flat(made):
     np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=0.02)
 
 
-def test_progress_tells_both_phases_and_every_step(few, recorder):
-    told = recorder()
-    textured_mesh(*few, replace(SETTINGS, texture=64), told)
-    assert told.told == [("unwrap", 1), (1,), ("bake", 24), *((i,) for i in range(1, 25))]
+def test_progress_reports_both_phases_and_every_step(few, recorder):
+    recorded = recorder()
+    textured_mesh(*few, replace(SETTINGS, texture=64), recorded)
+    assert recorded.events == [("unwrap", 1), (1,), ("bake", 24), *((i,) for i in range(1, 25))]
 
 
 def test_cancelling_stops(few, recorder):
-    told = recorder(cancelled=True)
+    recorded = recorder(cancelled=True)
     with pytest.raises(Cancelled):
-        textured_mesh(*few, replace(SETTINGS, texture=64), told)
-    assert told.told == [("unwrap", 1), (1,)]
+        textured_mesh(*few, replace(SETTINGS, texture=64), recorded)
+    assert recorded.events == [("unwrap", 1), (1,)]

@@ -18,12 +18,12 @@ from irgspp.core.stages.second.refinement import Refinement
 
 SETTINGS = ["first.iterations=8", "first.gaussians=600", "first.light_height=16", "surface.voxels=32", "surface.texture=64"]
 SETTINGS += ["second.points=300", "second.rows=4", "second.iterations=4", "second.pool=2000", "second.radiance_iterations=4"]
-FAULT = 5  # the iteration that breaks
+FAULT = 5  # the iteration in which a value becomes non-finite
 COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
 
 
 def bad_gradient(trainer: Trainer, name: str) -> None:
-    """One gradient of this iteration becomes infinite."""
+    """Make one gradient of this iteration infinite."""
     trainer.optimizer.leaves[name].register_hook(lambda g: g.reshape(-1).index_fill(0, torch.tensor([11]), math.inf).view_as(g))
 
 
@@ -34,7 +34,7 @@ def bad_value(trainer: Trainer, name: str) -> None:
 
 @pytest.fixture
 def breaking(monkeypatch):
-    """Breaks a parameter right before iteration FAULT; every iteration leaves a checkpoint."""
+    """Break a parameter right before iteration FAULT; every iteration writes a checkpoint."""
     step = Trainer.step
     monkeypatch.setattr(trainer_module, "CHECKPOINT_SECONDS", -1.0)
 
@@ -74,7 +74,7 @@ def test_the_last_good_checkpoint_is_kept(breaking, tmp_path, capsys, fault, nam
 
 
 def bad_light(monkeypatch):
-    """The light becomes NaN in step 3 of the second stage."""
+    """Make the light NaN in step 3 of the second stage."""
     step = LightMaterialSolver._step
 
     def broken(self, done):
@@ -86,7 +86,7 @@ def bad_light(monkeypatch):
 
 
 def bad_roughness(monkeypatch):
-    """Roughness comes out of the first search as infinity."""
+    """Make the first search return an infinite roughness."""
     search = LightMaterialSolver._search_materials
 
     def broken(self):
@@ -119,7 +119,7 @@ def bad_assignment(monkeypatch):
 
 
 def bad_refinement(monkeypatch):
-    """One albedo becomes NaN before the second iteration."""
+    """Make one albedo NaN before the second iteration."""
     loss = Refinement._loss
 
     def broken(self):
@@ -132,7 +132,7 @@ def bad_refinement(monkeypatch):
 
 
 def bad_radiance(monkeypatch):
-    """The images' loss becomes infinite."""
+    """Make the loss of the images infinite."""
     monkeypatch.setattr(radiance_refit, "photometric_loss", lambda image, photograph: image.sum() * math.inf)
 
 

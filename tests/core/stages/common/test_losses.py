@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Normals of analytic depth, and the loss that compares them with the splats' own."""
+"""Normals of analytic depth, the normal consistency loss, and the smoothness of a light map."""
 
 import numpy as np
 import pytest
@@ -18,14 +18,14 @@ def rotation(camera):
 
 
 def plane(camera):
-    """Rays, depth, and camera-space normal of a tilted plane."""
+    """Return rays, depth and camera-space normal of a tilted plane."""
     rays = camera_rays(camera).double()
     normal = torch.nn.functional.normalize(torch.tensor([0.3, -0.2, -1.0]).double(), dim=0)
     return rays, -4.0 / torch.einsum("c,chw->hw", normal, rays), normal
 
 
 def sums(camera, rotation, alpha=0.8):
-    """What the rasteriser would return of that plane."""
+    """Return the sums that the rasteriser would compute of that plane, and the rays."""
     rays, depth, normal = plane(camera)
     image = torch.rand(8, *depth.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     image[3:6] = alpha * (rotation.T @ normal)[:, None, None]
@@ -58,7 +58,7 @@ def test_normals_of_a_sphere(camera):
 def test_plane_of_splats_costs_nothing(camera, rotation):
     image, rays = sums(camera, rotation)
     assert abs(normal_consistency(image, rays, rotation)) < 1e-9
-    image[3:6] *= -1  # all the wrong way: 1 - cos = 2
+    image[3:6] *= -1  # all reversed: 1 - cos = 2
     inner = (camera.width - 2) * (camera.height - 2) / (camera.width * camera.height)
     assert normal_consistency(image, rays, rotation).item() == pytest.approx(2 * 0.8 * inner, rel=1e-6)
 

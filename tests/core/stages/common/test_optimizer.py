@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Adam over a changing set against a plain Adam over separate tensors."""
+"""Adam over a changing set of Gaussians against a plain Adam over separate tensors."""
 
 import io
 import math
@@ -14,7 +14,7 @@ STEPS = 5
 
 
 def gradients(optimizer, step):
-    """A reproducible gradient for every leaf and other tensor."""
+    """Set a reproducible gradient for every leaf and other tensor."""
     generator = torch.Generator().manual_seed(step)
     for tensor in (*optimizer.leaves.values(), *optimizer.others.values()):
         tensor.grad = torch.randn(tensor.shape, generator=generator)

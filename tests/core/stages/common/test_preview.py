@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of what a stage has so far: small, right, and without any effect on the work."""
+"""Preview images: small, correct, and without effect on the optimisation."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", 
 
 
 class Looker(Silent):
-    """Draws every image that is offered."""
+    """Progress that draws every image that is offered."""
 
     def __init__(self):
         self.images = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rules that leave work out: evidence decides, settings overrule it, and the run has it on record."""
+"""Skip rules: evidence decides, settings overrule it, and the run records the decision."""
 
 import json
 from dataclasses import replace
@@ -26,8 +26,8 @@ class Witness(Silent):
 def test_evidence_decides_unless_the_settings_do(choice, found, on):
     witness = Witness()
     assert decide(replace(SkipSettings(), background=choice), "background", found, "40 % black", witness) is on
-    ((rule, told, evidence),) = witness.heard
-    assert (rule, told) == ("background", on)
+    ((rule, decided, evidence),) = witness.heard
+    assert (rule, decided) == ("background", on)
     assert ("as set" in evidence) == (choice != "auto") and "40 % black" in evidence
 
 

@@ -41,7 +41,7 @@ def test_reduced_image_averages_and_its_camera_fits(view):
 
 def test_clipped_pixels_are_lower_bounds(view):
     view.colour[3, 4], view.alpha[3, 4] = (1.0, 0.5, 0.999), 0.9
-    view.colour[5, 6], view.alpha[5, 6] = (1.0, 1.0, 1.0), 0.1  # hardly there: says nothing
+    view.colour[5, 6], view.alpha[5, 6] = (1.0, 1.0, 1.0), 0.1  # nearly transparent: does not count
     prepared = make_training_view(view)
     assert prepared.saturated[:, 3, 4].tolist() == [True, False, True] and not prepared.saturated[:, 5, 6].any()
     bounded = prepared.bounded(torch.full_like(prepared.image, 1.7))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""On a GPU, a step of an optimisation leaves no tensor on the CPU and lets the host wait for no value."""
+"""On a GPU, a step of an optimisation uses no tensor on the CPU and never makes the host wait for a value."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ PRETENDED = Path(__file__).resolve().parents[3] / "support" / "pretended_gpu.py"
 
 
 def test_steps_of_both_stages_never_wait():
-    """In a process of its own, as torch keeps the pretended GPU for good."""
+    """The steps run in a process of their own, as torch cannot unregister the pretended GPU."""
     pytest.importorskip("warp")
     done = subprocess.run([sys.executable, str(PRETENDED)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]

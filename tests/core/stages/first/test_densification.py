@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Density control: who goes, who is doubled, and never more than the budget."""
+"""Density control: which Gaussians are pruned, cloned and split, within the budget."""
 
 import math
 
@@ -43,7 +43,7 @@ def test_exactly_the_transparent_the_huge_and_the_unseen_go(gaussians, generator
     assert torch.equal(optimizer.gaussians.sh, gaussians.sh[..., 40:])
 
 
-def test_nothing_left_is_told(gaussians, generator):
+def test_no_gaussian_left_is_an_error(gaussians, generator):
     control, optimizer = DensityControl(1000, 1.0), GaussianOptimizer(gaussians, RATES)
     accumulated(control, torch.zeros(COUNT))
     with pytest.raises(IrgsppError, match="no Gaussian is left"):
@@ -58,13 +58,13 @@ def test_once_seen_is_seen(gaussians, generator):
     assert control.refine(optimizer, generator, grow=False) == (0, 0)
 
 
-@pytest.mark.parametrize("room", [0, 7, 1000])
-def test_the_hardest_pulled_are_cloned_within_the_budget(gaussians, generator, room):
+@pytest.mark.parametrize("spare", [0, 7, 1000])
+def test_the_hardest_pulled_are_cloned_within_the_budget(gaussians, generator, spare):
     gradient = torch.linspace(0.1, 1, COUNT)
-    control, optimizer = DensityControl(COUNT + room, 1.0), GaussianOptimizer(gaussians, RATES)
+    control, optimizer = DensityControl(COUNT + spare, 1.0), GaussianOptimizer(gaussians, RATES)
     accumulated(control, gradient)
     added, pruned = control.refine(optimizer, generator, grow=True)
-    assert (added, pruned) == (min(room, math.ceil(control.grow * COUNT)), 0)
+    assert (added, pruned) == (min(spare, math.ceil(control.grow * COUNT)), 0)
     position = optimizer.gaussians.position
     assert torch.equal(position[:, :COUNT], gaussians.position)
     assert torch.equal(position[:, COUNT:], gaussians.position[:, COUNT - added :])
@@ -80,7 +80,7 @@ def test_split_surfels_stay_in_their_place_and_plane(gaussians, generator):
     offset = g.position.detach() - gaussians.position.repeat(1, 2)
     height = (offset * gaussians.normals().repeat(1, 2)).sum(0)
     assert height.abs().max() < 1e-5
-    assert 0.5 < offset.norm(dim=0).square().mean() / (0.03**2 + 0.05**2) < 1.5  # drawn from the disk itself
+    assert 0.5 < offset.norm(dim=0).square().mean() / (0.03**2 + 0.05**2) < 1.5  # drawn from the surfel's own distribution
     assert offset.mean(1).norm() < 0.01
     assert torch.allclose(g.log_scale, gaussians.log_scale.repeat(1, 2) - math.log(SPLIT_SHRINK))
 

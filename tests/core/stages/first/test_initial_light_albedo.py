@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light and albedo of a sphere with two paints under a smooth light."""
+"""Initial light and albedo of a sphere with two paints under a smooth light."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def smooth_light():
 
 @pytest.fixture(scope="module")
 def bright(splat_sphere):
-    """Which surfels are bright: patches all around, that no smooth light explains."""
+    """Mask of the bright surfels: patches that no smooth light explains."""
     x, y, z = splat_sphere(COUNT).position.numpy()
     return np.sin(3 * np.arctan2(y, x)) * np.sin(3.5 * z) > 0
 

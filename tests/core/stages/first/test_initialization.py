@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The start of the first stage: a sphere's visual hull is known exactly, an intersection of cones."""
+"""Initial Gaussians: the exact visual hull of a sphere is an intersection of cones."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def dataset(camera_ring, sphere_dataset):
 
 
 def cone_distance(points, cameras):
-    """Signed distance to the nearest silhouette cone, negative inside the exact hull."""
+    """Return the signed distance to the nearest silhouette cone, negative inside the exact hull."""
     distances = []
     for camera in cameras:
         offset, axis = points - camera.centre, -camera.centre / np.linalg.norm(camera.centre)
@@ -80,10 +80,10 @@ def test_without_masks_points_come_first_and_all_face_a_camera(camera_ring, sphe
     assert np.array_equal(points[:50], known)
     distance = np.linalg.norm(points[50:], axis=1)
     assert 120 < len(points) <= 200  # density control grows the other half
-    room = 0.5 * min(np.linalg.norm(c.centre) for c in cameras)
-    assert min(np.linalg.norm(points[50:] - c.centre, axis=1).min() for c in cameras) > room  # none close before a lens
+    clearance = 0.5 * min(np.linalg.norm(c.centre) for c in cameras)
+    assert min(np.linalg.norm(points[50:] - c.centre, axis=1).min() for c in cameras) > clearance  # none close to a camera
     assert distance.max() <= SURROUNDINGS * dataset.bound.radius
-    assert 0.4 < (distance <= dataset.bound.radius).mean() < 0.9  # the object and what stands around it
+    assert 0.4 < (distance <= dataset.bound.radius).mean() < 0.9  # the object and its surroundings
     centres = np.stack([c.centre for c in cameras])
     nearest = centres[np.linalg.norm(points[:, None] - centres, axis=2).argmin(1)]
     facing = ((nearest - points) * normals).sum(1) / np.linalg.norm(nearest - points, axis=1)

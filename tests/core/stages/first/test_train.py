@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The first stage as a whole, small: what it decides, that it improves, that it goes on where it stopped."""
+"""First stage at a small size: material class selection, improvement on held-back views, resuming from checkpoints."""
 
 import math
 import time
@@ -30,7 +30,7 @@ def settings(*overrides: str) -> Settings:
 
 
 def mirror_photographs(cameras, masks) -> Dataset:
-    """A chrome sphere under a light of hard stripes: no smooth function of the viewing direction explains it, its reflection does."""
+    """Render a chrome sphere under hard stripes of light, which reflections explain and no smooth function of the view direction does."""
     views = []
     for camera, mask in zip(cameras, masks, strict=True):
         rays = camera.rays().astype(np.float64)
@@ -47,7 +47,7 @@ def mirror_photographs(cameras, masks) -> Dataset:
 
 
 class StopAfter(Silent):
-    """Cancels after so many steps."""
+    """Progress that cancels after a number of steps."""
 
     def __init__(self, steps: int) -> None:
         self.steps = steps
@@ -57,7 +57,7 @@ class StopAfter(Silent):
 
 
 class Memory(dict):
-    """A checkpoint that is kept in memory."""
+    """Checkpoint in memory."""
 
     def save(self, name, state):
         self[name] = state
@@ -109,7 +109,7 @@ def test_fit_gets_better_on_views_it_does_not_learn_from(sphere_dataset, camera_
     assert int(trainer.held_back.sum()) == 3
 
 
-def test_a_mirror_is_told_from_paint(sphere_dataset, camera_ring):
+def test_a_mirror_is_distinguished_from_paint(sphere_dataset, camera_ring):
     cameras = camera_ring(24, 48)
     painted = sphere_dataset(cameras)
     mirror = mirror_photographs(cameras, [view.alpha for view in painted.train])
@@ -250,7 +250,7 @@ def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
     ],
 )
 def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
-    """Compiled code trusts shapes, and a checkpoint may come from anywhere."""
+    """Compiled code trusts shapes, and a checkpoint may be any file."""
     dataset = sphere_dataset(camera_ring(9, 32))
     trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), COATED, 0, 9)
     trainer.step()

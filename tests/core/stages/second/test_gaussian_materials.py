@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials of all Gaussians of a sphere under a white sky, where what it looks like is known in closed form."""
+"""Assignment of materials to the Gaussians of a sphere under a white sky, whose radiance is known in closed form."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.shading.brdf import base_reflectance
 from irgspp.core.shading.specular_albedo import diffuse_fraction, specular_albedo
-from irgspp.core.stages.second import gaussian_materials as painting
+from irgspp.core.stages.second import gaussian_materials as module
 from irgspp.core.stages.second.gaussian_materials import (
     EDGE,
     assign_materials,
@@ -37,13 +37,13 @@ SKY, ROUGHNESS = 0.7, 0.6
 
 
 def materials(position):
-    """Albedo (..., 3) and metallic (...): a red and a blue half, the top of metal."""
+    """Return albedo (..., 3) and metallic (...): a red and a blue half, and a metal top."""
     albedo = np.where(position[..., :1] > 0, [0.6, 0.2, 0.1], [0.1, 0.3, 0.5])
     return torch.from_numpy(albedo), torch.from_numpy((position[..., 2] > 0.5).astype(float))
 
 
 def shown(position, toward):
-    """(K, 3) radiance of points of the sphere."""
+    """Return the radiance (K, 3) of points of the sphere."""
     albedo, metallic = materials(position)
     n_v = torch.from_numpy((position * toward).sum(-1).clip(1e-3, 1))
     rough = torch.full_like(n_v, ROUGHNESS)
@@ -73,7 +73,7 @@ def surface():
 
 
 def reconstruction(splat_sphere, glossy):
-    """The sphere, and some surfels inside it that no photograph shows. Its SH are what it shows towards the normal."""
+    """Return the sphere, whose SH hold its radiance along the normal, with some hidden surfels inside it."""
     sphere = splat_sphere(COUNT, opacity=0.99)
     position = sphere.position.T.double().numpy()
     sphere.sh[0] = (torch.from_numpy(shown(position, position)).float().T - 0.5) / SH_DC
@@ -84,7 +84,7 @@ def reconstruction(splat_sphere, glossy):
 
 @pytest.fixture(scope="module")
 def found(splat_sphere):
-    """What a separation would have found at points of the sphere."""
+    """Results that the light-material solver would have at points of the sphere."""
     position = splat_sphere(400).position.T.contiguous()
     metallic = materials(position.double().numpy())[1].float()
     about = SimpleNamespace(height=HEIGHT, bounces=True)
@@ -93,42 +93,42 @@ def found(splat_sphere):
     return SimpleNamespace(samples=seen, transfer=about, light=light, roughness=torch.full((400,), ROUGHNESS), metallic=metallic)
 
 
-def painted(scene, surface, views, found, seed=0):
-    told = []
-    result = assign_materials(scene, surface, views, SecondaryTracer(scene), found, seed, told.append)
-    assert told == sorted(told) and told[-1] == 1.0
+def assigned(scene, surface, views, found, seed=0):
+    reported = []
+    result = assign_materials(scene, surface, views, SecondaryTracer(scene), found, seed, reported.append)
+    assert reported == sorted(reported) and reported[-1] == 1.0
     return result
 
 
 @pytest.mark.parametrize("glossy", [False, True])
 def test_materials_are_found_and_hidden_surfels_are_like_their_neighbours(splat_sphere, surface, views, found, glossy, monkeypatch):
-    monkeypatch.setattr(painting, "BATCH", 700)
+    monkeypatch.setattr(module, "BATCH", 700)
     scene = reconstruction(splat_sphere, glossy)
-    result = painted(scene, surface, views, found)
+    result = assigned(scene, surface, views, found)
     assert result.shape == (5, COUNT + INSIDE) and result.dtype == torch.float32 and result.is_contiguous()
     assert result.min() >= EDGE and result.max() <= 1 - EDGE and torch.logit(result).isfinite().all()
     position = scene.gaussians.position.T.double().numpy()
     albedo, metallic = materials(position)
-    inner = (np.abs(position[:COUNT, 0]) > 0.15) & (np.abs(position[:COUNT, 2] - 0.5) > 0.1)  # colours and metal don't end there
+    inner = (np.abs(position[:COUNT, 0]) > 0.15) & (np.abs(position[:COUNT, 2] - 0.5) > 0.1)  # away from the borders of colours and metal
     error = (result[:3, :COUNT].T - albedo[:COUNT])[inner].abs()
-    limit = 0.01 if glossy else 0.02  # SH that are alike in all directions are not quite what the sphere shows
+    limit = 0.01 if glossy else 0.02  # SH that are equal in all directions only approximate the sphere
     assert error.median() < limit and error.quantile(0.95) < 3 * limit
     np.testing.assert_allclose(result[3], ROUGHNESS, rtol=1e-5)
     np.testing.assert_allclose(result[4, :COUNT][inner], metallic[:COUNT][inner].clamp(EDGE, 1 - EDGE), rtol=1e-5)
-    above = torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE]  # the seen surfels straight over the hidden ones
+    above = torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE]  # the visible surfels right above the hidden ones
     same = (result[:, above] == result[:, COUNT:]).all(0)
     assert same.float().mean() > 0.9  # the others are nearer to another one
 
 
 def test_same_seed_same_bits(splat_sphere, surface, views, found):
     scene = reconstruction(splat_sphere, True)
-    one, same, other = (painted(scene, surface, views, found, seed) for seed in (0, 0, 1))
+    one, same, other = (assigned(scene, surface, views, found, seed) for seed in (0, 0, 1))
     assert torch.equal(one, same) and not torch.equal(one, other)
 
 
-def test_glossy_objects_are_painted_by_their_photographs_others_by_their_own_radiance(splat_sphere, surface, views, found):
+def test_glossy_objects_are_fitted_to_photographs_others_to_their_own_radiance(splat_sphere, surface, views, found):
     black = [replace(v, colour=np.zeros_like(v.colour)) for v in views]
-    results = [painted(reconstruction(splat_sphere, glossy), surface, black, found) for glossy in (False, True)]
+    results = [assigned(reconstruction(splat_sphere, glossy), surface, black, found) for glossy in (False, True)]
     assert results[0][:3].median() > 0.05 and results[1][:3].median() == pytest.approx(EDGE)
 
 
@@ -159,7 +159,7 @@ def test_own_radiance_is_what_a_ray_at_the_surfel_sees(some_gaussians):
 
 @pytest.fixture(scope="module")
 def lit(splat_sphere):
-    """Points of the sphere under a light of many colours, seen from five sides, and what they show."""
+    """Points of the sphere under a light of many colours with samples from five sides, and their ground truth."""
     scene = reconstruction(splat_sphere, False)
     random = torch.Generator().manual_seed(2)
     position = torch.nn.functional.normalize(torch.randn(50, 3, generator=random), dim=1)
@@ -183,7 +183,7 @@ def test_albedo_is_fitted_exactly_where_the_model_holds(lit):
     np.testing.assert_allclose(fitted_albedo(*problem), albedo, rtol=1e-3, atol=1e-4)
 
 
-def test_a_view_that_shows_something_else_has_no_say(lit):
+def test_an_unrelated_sample_has_no_weight(lit):
     seen, *problem, albedo = lit
     wrong = torch.arange(250)[:, None] % 5 == 2
     for strange in (0.0, 5.0):
@@ -204,7 +204,7 @@ def test_surfels_become_metal_or_not_as_those_around_them_are(splat_sphere):
     top = sphere.position[2] > 0
     some = torch.rand(COUNT, generator=torch.Generator().manual_seed(0))
     metallic = torch.where(top, 0.55 + 0.4 * some, 0.4 * some)
-    metallic[::10] = 1 - metallic[::10]  # single ones that are wrong
+    metallic[::10] = 1 - metallic[::10]  # isolated errors
     material = sphere.material.clone()
     material[METALLIC] = torch.logit(metallic)
     decided = binarise_metallic_by_median(replace(sphere, material=material))

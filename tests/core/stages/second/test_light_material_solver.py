@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light and material told apart where both are known: a sphere on a floor, photographs by the model's own equations.
+"""Light-material solver on a known scene: a sphere on a floor, with images by the model's own equations.
 
 Visibility is known in closed form here, so nothing is traced.
 """
@@ -18,7 +18,7 @@ from sphere_on_floor import HEIGHT, TEXELS, make, start
 
 @pytest.fixture(scope="module")
 def scene():
-    """Transfer, observations and the truth."""
+    """Radiance transfer, multi-view samples and ground truth."""
     return make()
 
 
@@ -35,13 +35,13 @@ def found(scene):
 
 
 def rescaled(solver, truth):
-    """Light and albedo with the one factor that photographs can't tell taken out."""
+    """Remove the ambiguous factor between light and albedo; return light, albedo and the factor."""
     scale = (truth[1] / solver.albedo).median(0).values
     return solver.light / scale, solver.albedo * scale, scale
 
 
 def psnr(light, truth):
-    """dB of light below the brightest that is there."""
+    """Return the PSNR of a light in dB relative to its brightest texel."""
     return float(-10 * ((light - truth).square().mean() / truth.max() ** 2).log10())
 
 
@@ -49,7 +49,7 @@ def test_albedo_is_found_up_to_one_factor(scene, found):
     _, albedo, scale = rescaled(found, scene[2])
     error = (albedo / scene[2][1] - 1).abs()
     assert error.median() < 0.01 and error.quantile(0.95) < 0.05 and error.max() < 0.15
-    assert (scale - 1).abs().max() < 0.2  # even that one, as metals and dielectrics share the light
+    assert (scale - 1).abs().max() < 0.2  # even the factor is found, as metals and dielectrics share the light
 
 
 def test_light_is_found(scene, found):
@@ -78,7 +78,7 @@ def test_photographs_are_explained(scene, found):
 
 
 def test_without_knowing_what_is_in_the_way_albedo_is_wrong(scene, found):
-    """The same with all of the hemisphere free: what the test above finds, it finds by the shadows."""
+    """With full visibility the albedo is wrong: the shadows are what determines it."""
     transfer, seen, truth = scene
     direction, angle, _, other = transfer.fixed
     everything = (seen.normal.numpy() @ direction > 0).astype(np.float32)
@@ -96,18 +96,18 @@ def test_same_seed_same_bits(scene, found):
 
 
 def test_clipped_highlights_are_lower_bounds(scene):
-    """Told that values are clipped, they don't make the lamps dim."""
+    """Values marked as clipped do not dim the lamps."""
     transfer, seen, truth = scene
     clipped = replace(seen, colour=seen.colour.clamp_max(0.6), saturated=seen.colour > 0.6)
     assert 0.05 < clipped.saturated.float().mean() < 0.3
-    told, untold = (rescaled(solved(s, transfer), truth)[0] for s in (clipped, replace(clipped, saturated=seen.saturated)))
-    assert psnr(told, truth[0]) > psnr(untold, truth[0]) + 3
+    marked, unmarked = (rescaled(solved(s, transfer), truth)[0] for s in (clipped, replace(clipped, saturated=seen.saturated)))
+    assert psnr(marked, truth[0]) > psnr(unmarked, truth[0]) + 3
     brightest = truth[0] > 0.5 * truth[0].max()
-    assert told[brightest].mean() > 0.8 * truth[0][brightest].mean() and untold[brightest].mean() < 0.8 * truth[0][brightest].mean()
+    assert marked[brightest].mean() > 0.8 * truth[0][brightest].mean() and unmarked[brightest].mean() < 0.8 * truth[0][brightest].mean()
 
 
-def test_views_that_do_not_fit_lose_their_say(scene, found):
-    """One view in thirty shows something else."""
+def test_samples_that_do_not_fit_lose_their_weight(scene, found):
+    """One sample in thirty has an unrelated colour."""
     transfer, seen, truth = scene
     wrong = torch.rand(len(seen.point), 1, generator=torch.Generator().manual_seed(0)) < 1 / 30
     other = torch.rand(seen.colour.shape, generator=torch.Generator().manual_seed(1))
@@ -116,12 +116,12 @@ def test_views_that_do_not_fit_lose_their_say(scene, found):
     assert error.median() < 0.02 and error.quantile(0.9) < 0.1
 
 
-def test_steps_are_told_and_can_end_the_work(scene):
+def test_steps_are_reported_and_can_end_the_run(scene):
     transfer, seen, _ = scene
-    told = []
+    reported = []
     solver = start(seen, transfer)
-    solver.run(lambda done: told.append(done) or done == 2)
-    assert told == [1, 2]
+    solver.run(lambda done: reported.append(done) or done == 2)
+    assert reported == [1, 2]
 
     def stop(done):
         raise KeyboardInterrupt

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points looked up in photographs of a sphere, which are made by formula: what is seen, from where, in what colour."""
+"""Multi-view samples of a sphere in analytic images: visibility, directions and colours."""
 
 from pathlib import Path
 
@@ -19,14 +19,14 @@ OCCLUDER, SIZE = np.array([0.0, -1.4, 1.2]), 0.6  # a ball in front of the spher
 
 
 def shown(position, camera):
-    """(..., 3) linear colour of a point on the sphere as a camera sees it."""
+    """Return the linear colour (..., 3) of points on the sphere as a camera sees them."""
     toward = camera.centre - position
     toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
     return 0.3 + 0.15 * position + 0.1 * toward
 
 
 def photograph(camera, image=shown):
-    """The sphere on black, its mask unknown."""
+    """Render the sphere on black, without a mask."""
     ray = camera.rays().astype(float)
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     along = ray @ camera.centre
@@ -71,7 +71,7 @@ def look(points, views, tree, most=100, least=3, seed=0):
 
 
 def pairs(seen, chosen, cameras):
-    """(point, camera) of each observation; the camera is the one in its direction."""
+    """Return the set of (point, camera) of all samples; the camera is found by the direction."""
     position = seen.position[seen.point].numpy()[:, None]
     toward = np.stack([c.centre for c in cameras]) - position
     toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
@@ -91,7 +91,7 @@ def test_every_camera_that_faces_a_point_samples_it(points, cameras, sphere):
     count = np.bincount([p for p, _ in expected], minlength=COUNT)
     expected = {(p, c) for p, c in expected if count[p] >= 3}
     actual = pairs(seen, chosen, cameras)
-    assert actual <= expected and len(actual) > 0.98 * len(expected)  # rays that graze the surfels may be stopped
+    assert actual <= expected and len(actual) > 0.98 * len(expected)  # surfels may block grazing rays
     assert len(actual) == len(seen.point)
 
 
@@ -104,7 +104,7 @@ def test_colours_are_the_photographs_in_linear_light(points, cameras, sphere):
     assert not seen.saturated.any()
 
 
-def test_observations_lie_side_by_side(points, cameras, sphere):
+def test_samples_of_a_point_are_adjacent(points, cameras, sphere):
     seen, chosen = look(points, [photograph(c) for c in cameras], sphere)
     assert (seen.point.diff() >= 0).all()
     assert torch.equal(seen.lengths, torch.bincount(seen.point)) and (seen.lengths > 0).all()
@@ -134,7 +134,7 @@ def test_most_keeps_some_at_random_and_least_leaves_points_out(points, cameras, 
 
 
 def test_what_stands_in_the_way_hides(points, cameras):
-    """By exact intersection of the way to the camera with a ball; a rim where surfels are half transparent counts neither way."""
+    """Against the exact intersection of rays with a ball; a rim where surfels are half transparent is ignored."""
     both = tree(ball(np.zeros(3), 1.0, 5000), ball(OCCLUDER, SIZE, 2000))
     seen, chosen = look(points, [photograph(c) for c in cameras], both, least=1)
     actual = pairs(seen, chosen, cameras)
@@ -152,16 +152,16 @@ def test_what_stands_in_the_way_hides(points, cameras):
     assert hidden > 50
 
 
-def test_clipped_channels_are_told(points, cameras, sphere):
+def test_clipped_channels_are_marked(points, cameras, sphere):
     def clipped(position, camera):
         return np.stack([position[..., 0], np.full(position.shape[:-1], 0.5), 0.2 + position[..., 2]], -1).clip(0, 0.75) / 0.75
 
     seen, _ = look(points, [photograph(c, clipped) for c in cameras], sphere)
     position = seen.position[seen.point]
-    steep = ((position * seen.view).sum(1) > 0.5).numpy()  # pixels are small there
+    steep = ((position * seen.view).sum(1) > 0.5).numpy()  # pixels cover little of the surface there
     x, z = position[steep, 0].numpy(), position[steep, 2].numpy() + 0.2
     limit = float(decode_srgb(np.array(SATURATED))) * 0.75
-    for value, channel in ((x, 0), (z, 2)):  # any of the four pixels around a point tells, so the border is as wide as a pixel
+    for value, channel in ((x, 0), (z, 2)):  # any of the four pixels around a point counts, so the border is one pixel wide
         flag = seen.saturated[steep, channel].numpy()
         assert flag[value > limit + 0.05].all() and not flag[value < limit - 0.05].any()
         assert 0.02 < flag.mean() < 0.5

@@ -26,7 +26,7 @@ def test_the_shortest_turn_takes_one_vector_to_the_other():
     turn = rotation_matrix(shortest_turn(source, goal))
     assert torch.allclose(torch.einsum("ijn,jn->in", turn, source), goal, atol=1e-9)
     axis = torch.linalg.cross(source, goal, dim=0)
-    assert torch.allclose(torch.einsum("ijn,jn->in", turn, axis), axis, atol=1e-9)  # about what is square to both
+    assert torch.allclose(torch.einsum("ijn,jn->in", turn, axis), axis, atol=1e-9)  # about the axis perpendicular to both
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])

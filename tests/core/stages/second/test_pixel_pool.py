@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hit lists cut down and put together."""
+"""Selection and concatenation of hit lists."""
 
 import numpy as np
 from irgspp.core.kernels.trace import HitLists

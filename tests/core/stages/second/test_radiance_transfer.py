@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Transport to points: what is known in closed form, and Monte Carlo estimates of the same light."""
+"""Radiance transfer against closed forms and Monte Carlo estimates of the same light."""
 
 import math
 
@@ -22,13 +22,13 @@ RADIANCE = np.array([0.6, 0.3, 0.1])  # of the sphere
 
 @pytest.fixture(scope="module")
 def tracer(splat_sphere):
-    """A unit sphere that shines."""
+    """Tracer of a unit sphere that emits light."""
     sphere = splat_sphere(6000, np.tile(RADIANCE, (6000, 1)), 0.999)
     return SecondaryTracer(Reconstruction(sphere, torch.ones(8, 16, 3), Bound((0, 0, 0), 1.0), np.eye(4)))
 
 
 def points(*rows):
-    """Positions and unit normals."""
+    """Return positions and unit normals."""
     position, normal = torch.tensor(rows, dtype=torch.float32).split(3, 1)
     return position.contiguous(), torch.nn.functional.normalize(normal, dim=1)
 
@@ -92,15 +92,15 @@ def test_points_traced_a_few_at_a_time_are_the_same(tracer, monkeypatch):
 
 
 def test_views_of_points_agree_with_monte_carlo(tracer):
-    """Shadow, the sphere's own light and lobes of three widths, all at once: both are estimates of one integral."""
+    """Shadow, the sphere's own light and lobes of three widths together: both estimate the same integral."""
     position, normal = points((0, 0, -1.6, 0.6, 0, 1), (1.5, 0, 0, -1, 0.5, 0.5), (0, 1.4, 0.4, 0.3, -1, 0.2))
     roughness, metallic = torch.tensor([0.3, 0.5, 0.8]), torch.tensor([0.0, 0.5, 1.0])
     albedo = torch.tensor([[0.8, 0.4, 0.2]]).expand(3, 3)
     view = torch.nn.functional.normalize(normal + 0.7 * torch.tensor([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), dim=1)
     light = torch.rand(2 * HEIGHT**2, 3, generator=torch.Generator().manual_seed(0)) + 0.1
     transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 16, 0, True)
-    nothing = torch.zeros(3, 3)
-    seen = MultiViewSamples(position, normal, torch.arange(3), view, nothing, nothing.bool())
+    black = torch.zeros(3, 3)
+    seen = MultiViewSamples(position, normal, torch.arange(3), view, black, black.bool())
     scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
     f0 = 0.04 * (1 - metallic[:, None]) + metallic[:, None] * albedo
     specular = f0 * (scaled @ light + rest_scaled) + added @ light + rest_added
@@ -111,7 +111,7 @@ def test_views_of_points_agree_with_monte_carlo(tracer):
 
 
 def monte_carlo(tracer, position, view, normal, albedo, roughness, metallic, light):
-    """Diffuse and specular (3, 3) by 64 x 1024 samples each under a light of constant texels."""
+    """Estimate diffuse and specular radiance (3, 3) by 64 x 1024 samples each under a light of constant texels."""
     many = [t.repeat_interleave(64, 0).contiguous() for t in (position, view, normal, albedo, roughness, metallic)]
     map_of_light = light.view(HEIGHT, -1, 3)
     samples = draw(many[1], many[2], many[4], (512, 384, 128), LightDistribution(map_of_light), torch.Generator().manual_seed(1))
@@ -127,8 +127,8 @@ def monte_carlo(tracer, position, view, normal, albedo, roughness, metallic, lig
 def test_sums_for_many_roughness_values_agree_with_rows(tracer):
     position, normal = points((0, 0, -1.6, 0.6, 0, 1), (1.5, 0, 0, -1, 0.5, 0.5))
     transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 2, 0, True)
-    nothing = torch.zeros(2, 3)
-    seen = MultiViewSamples(position, normal, torch.arange(2), normal, nothing, nothing.bool())
+    black = torch.zeros(2, 3)
+    seen = MultiViewSamples(position, normal, torch.arange(2), normal, black, black.bool())
     light, knots = torch.rand(2 * HEIGHT**2, 3), torch.tensor([0.1, 0.4, 0.9])
     sums = transfer.sums(seen, knots, light)
     for j, knot in enumerate(knots):

@@ -20,7 +20,7 @@ SETTINGS = SecondStageSettings(iterations=40, pixels=64, samples=16, pool=4000, 
 
 @pytest.fixture(scope="module")
 def start(splat_sphere):
-    """The sphere under a white sky, albedo half-way, roughness 0.5, `metallic` as asked."""
+    """Function that makes the sphere under a white sky with albedo 0.5, roughness 0.5 and a given metallic."""
 
     def make(metallic=0.02):
         material = torch.tensor([0.5, 0.5, 0.5, 0.5, metallic])[:, None].expand(5, 3000)
@@ -52,7 +52,7 @@ def test_what_was_held_back_is_shown_better_and_the_same_each_time(start, photog
     assert torch.equal(results[0].gaussians.material, results[1].gaussians.material)
     assert torch.equal(results[0].environment, results[1].environment)
     red, _, blue = results[0].gaussians.materials()[:3].mean(1)
-    assert red > blue  # as the photographs are
+    assert red > blue  # as in the photographs
 
 
 def test_only_what_is_no_metal_turns_and_may_become_one(start, photographs):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The second stage as a whole: what may be metal, and what it says where it can't work."""
+"""Second stage: where metal is searched, and errors where it cannot be solved."""
 
 from dataclasses import dataclass, field, replace
 
@@ -25,17 +25,17 @@ SPHERE = Bound((0.0, 0.0, 0.0), 1.5)
 
 @dataclass
 class Listener(Silent):
-    """Remembers what it was told."""
+    """Progress that records messages."""
 
-    said: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
 
     def message(self, text):
-        self.said.append(text)
+        self.messages.append(text)
 
 
 @pytest.fixture(scope="module")
 def sphere(splat_sphere):
-    """A reconstruction of the unit sphere (glossy or not), and its surface."""
+    """Function that makes a reconstruction of the unit sphere (glossy or not), and the surface."""
     splats = splat_sphere(3000, opacity=0.999)
     points = splats.position.T.double().numpy()
     faces = ConvexHull(points).simplices
@@ -48,7 +48,7 @@ def sphere(splat_sphere):
 
 @pytest.fixture
 def tried(monkeypatch):
-    """The values of metallic of each attempt; each finds that all is metal where it may be."""
+    """Values of metallic that each solver searches; each solver finds metal everywhere if it may."""
     calls = []
 
     class Found:
@@ -67,9 +67,9 @@ def tried(monkeypatch):
     ("masked", "glossy", "expected"),
     [
         (True, True, [METALLIC_VALUES]),
-        (True, False, [METALLIC_VALUES, METALLIC_VALUES[:1]]),  # the first stage would have seen so much metal reflect
+        (True, False, [METALLIC_VALUES, METALLIC_VALUES[:1]]),  # the first stage would have found reflections on so much metal
         (False, False, [METALLIC_VALUES[:1]]),
-        (False, True, [METALLIC_VALUES]),  # only where the user says so
+        (False, True, [METALLIC_VALUES]),  # only if the user sets the materials
     ],
 )
 def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, glossy, expected):
@@ -77,7 +77,7 @@ def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, g
     listener = Listener()
     transport.solve_light_materials(make(glossy), surface, sphere_dataset(camera_ring(12, size=48), masked), SETTINGS, listener)
     assert tried == expected
-    assert sum("none of it metal" in text for text in listener.said) == len(expected) - 1
+    assert sum("none of it metal" in text for text in listener.messages) == len(expected) - 1
 
 
 def test_too_few_views_are_one_clear_line(sphere, sphere_dataset, camera_ring):
@@ -88,7 +88,7 @@ def test_too_few_views_are_one_clear_line(sphere, sphere_dataset, camera_ring):
 
 
 def test_a_backdrop_is_part_of_the_light_but_hides_what_is_behind(sphere):
-    """Disks outside the bound: rays from the surface pass them, a camera behind them sees nothing of the surface."""
+    """Surfels outside the bound: rays from the surface pass them, but they hide the surface from a camera behind them."""
     make, _ = sphere
     wall = make().gaussians.select(slice(None))
     wall.position = 3 * wall.position  # a shell around the sphere

@@ -11,7 +11,7 @@ from sphere_on_floor import TEXELS, make, start
 
 @pytest.fixture(scope="module")
 def halfway():
-    """A small problem after some steps, and what one could solve for: weight, anchor, pull."""
+    """A solver of a small problem after some steps, with weights, and target and weight of the albedo's prior."""
     transfer, seen, _ = make(40, 15)
     solver = start(seen, transfer)
     solver.run(lambda step: step == 9)
@@ -24,7 +24,7 @@ def halfway():
 
 
 def model(solver, light, channel):
-    """c and d (K,) of one channel, float64, differentiable in the light."""
+    """Evaluate c and d (K,) of one channel in float64, differentiable in the light."""
     transfer, point = solver.transfer, solver.samples.point
     rows = [a.double() for a in transfer.rows(solver.samples, solver.roughness)]
     irradiance = (transfer.irradiance.double() @ light + transfer.indirect[:, channel].double())[point]
@@ -33,7 +33,7 @@ def model(solver, light, channel):
 
 
 def eliminated(solver, log_light, weight, anchor, pull, channel):
-    """Residuals of views and of albedo's prior, weighted, with the best albedo for a light, float64; that albedo, and c."""
+    """Return the weighted residuals of samples and prior with the best albedo for a light, float64; that albedo, and c."""
     point, y = solver.samples.point, solver.samples.colour[:, channel].double()
     factor, rest = model(solver, log_light.exp(), channel)
     weight, anchor, pull = (t[:, channel].double() for t in (weight, anchor, pull))
@@ -43,33 +43,33 @@ def eliminated(solver, log_light, weight, anchor, pull, channel):
 
 
 def equations(solver, weight, anchor, pull, channel):
-    """What the module solves, by the logarithm of the light, and what it should: half the squared residuals per view."""
+    """Return the module's Hessian and gradient in the log light, the log light, and the residuals that they should be of."""
     log_light = solver.light[:, channel].double().log().requires_grad_()
     residuals, albedo, factor = eliminated(solver, log_light, weight, anchor, pull, channel)
     solver.albedo[:, channel] = albedo.detach().float()
     total = solver.samples.sums(weight[:, channel] * factor.detach().float() ** 2) + pull[:, channel]
     views = len(solver.samples.point)
     error = (residuals[:views] / weight[:, channel].double().sqrt()).detach().float()
-    normal, slope = solver._equations(channel, weight[:, channel], factor.detach().float(), total, error)
+    hessian, gradient = solver._equations(channel, weight[:, channel], factor.detach().float(), total, error)
     light = solver.light[:, channel]
-    return light[:, None] * normal * light, light * slope, log_light, residuals
+    return light[:, None] * hessian * light, light * gradient, log_light, residuals
 
 
 @pytest.mark.parametrize("channel", [0, 2])
-def test_slope_is_the_derivative_of_the_error_with_albedo_eliminated(halfway, channel):
-    _, slope, log_light, residuals = equations(*halfway, channel)
+def test_gradient_is_the_derivative_of_the_error_with_albedo_eliminated(halfway, channel):
+    _, gradient, log_light, residuals = equations(*halfway, channel)
     (expected,) = torch.autograd.grad(residuals.square().sum() / 2 / len(halfway[0].samples.point), log_light)
     assert expected.abs().max() > 1e-5
-    np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=1e-4 * float(expected.abs().max()))
+    np.testing.assert_allclose(gradient, expected, rtol=1e-3, atol=1e-4 * float(expected.abs().max()))
 
 
-def test_curvature_is_that_of_gauss_and_newton_with_albedo_eliminated(halfway):
-    """By the Jacobian of light and albedo together and its Schur complement, dense."""
+def test_hessian_is_that_of_gauss_and_newton_with_albedo_eliminated(halfway):
+    """Against the dense Jacobian of light and albedo together and its Schur complement."""
     solver, weight, anchor, pull = halfway
-    normal, _, log_light, _ = equations(solver, weight, anchor, pull, 1)
+    hessian, _, log_light, _ = equations(solver, weight, anchor, pull, 1)
 
     def residuals(unknowns):
-        """Of light (its logarithm) and albedo as independent unknowns; the albedo's anchor makes no difference."""
+        """Return the residuals with log light and albedo as independent unknowns; the prior's target does not matter."""
         albedo = unknowns[TEXELS:]
         factor, rest = model(solver, unknowns[:TEXELS].exp(), 1)
         views = weight[:, 1].double().sqrt() * (albedo[solver.samples.point] * factor + rest)
@@ -80,8 +80,8 @@ def test_curvature_is_that_of_gauss_and_newton_with_albedo_eliminated(halfway):
     full = jacobian.T @ jacobian / len(solver.samples.point)
     by_light, mixed, by_albedo = full[:TEXELS, :TEXELS], full[:TEXELS, TEXELS:], full[TEXELS:, TEXELS:]
     expected = by_light - mixed @ torch.linalg.solve(by_albedo, mixed.T)
-    np.testing.assert_allclose(normal, expected, atol=1e-5 * float(expected.abs().max()))
-    assert torch.linalg.eigvalsh(normal.double()).min() > -1e-6 * float(expected.abs().max())
+    np.testing.assert_allclose(hessian, expected, atol=1e-5 * float(expected.abs().max()))
+    assert torch.linalg.eigvalsh(hessian.double()).min() > -1e-6 * float(expected.abs().max())
 
 
 def test_gram_is_the_product():
