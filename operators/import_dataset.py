@@ -7,17 +7,16 @@ import json
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+from bpy.props import BoolProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.dataset_import import build_dataset, checked, export_arguments, export_folder, is_fresh
-from ..irgspp_addon.importer.placement import Placement
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import UP_AXES
 from .blocking import WAIT, Queued, refuse, run_to_end
 from .import_run import select
+from .placed_import import PlacedImport
 
 SPLIT_FILES = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
 MODEL_FILES = ("cameras.bin", "images.bin", "points3D.bin")
@@ -67,18 +66,12 @@ def _store(scene: bpy.types.Scene, dataset: Path, facts: dict) -> None:
         settings.inspected = json.dumps(facts)
 
 
-class IRGSPP_OT_import_dataset(bpy.types.Operator):
+class IRGSPP_OT_import_dataset(PlacedImport, bpy.types.Operator):
     """Import the cameras, photographs and points of a dataset; they replace its last import."""
 
     bl_idname = "irgspp.import_dataset"
     bl_label = "Import IRGS++ Dataset"
-    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012 (Blender wants a plain set)
-
     directory: StringProperty(name="Dataset", subtype="DIR_PATH", options={"SKIP_SAVE", "SKIP_PRESET"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-    up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES)
-    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's own units", default=1.0, min=1e-6, max=1e6)
-    recentre: BoolProperty(name="Recentre", description="Move the object's centre to Blender's origin", default=False)
     photographs: BoolProperty(name="Photographs", description="Each camera shows its photograph when you look through it", default=True)
     points: BoolProperty(name="Point Cloud", description="Import the dataset's point cloud, if it has one", default=True)
     wait: BoolProperty(**WAIT)
@@ -92,10 +85,7 @@ class IRGSPP_OT_import_dataset(bpy.types.Operator):
             event: ignored.
         """
         self.wait = bpy.app.background
-        if self.directory:
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return super().invoke(context, event)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import the dataset, after a job that reads it where it has changed."""
@@ -115,8 +105,7 @@ class IRGSPP_OT_import_dataset(bpy.types.Operator):
             return refuse(self, error)
 
     def _build(self, context: bpy.types.Context, dataset: Path, folder: Path) -> None:
-        placement = Placement(self.up_axis, self.scale, self.recentre)
-        imported = build_dataset(dataset, folder, placement, self.photographs, self.points, context.scene)
+        imported = build_dataset(dataset, folder, self.placement(), self.photographs, self.points, context.scene)
         _store(context.scene, dataset, imported.facts)
         select(context, imported.root)
 

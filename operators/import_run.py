@@ -6,24 +6,21 @@
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
-from ..irgspp_addon.importer.placement import Placement
 from ..irgspp_addon.importer.scene_builder import import_run, show_as_photographed
-from ..irgspp_addon.properties import SOURCES, UP_AXES
+from ..irgspp_addon.properties import SOURCES
 from .blocking import refuse
+from .placed_import import PlacedImport
 
 
-class IRGSPP_OT_import_run(bpy.types.Operator):
+class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
     """Import the object, material, light and cameras of a finished reconstruction; they replace its last import."""
 
     bl_idname = "irgspp.import_run"
     bl_label = "Import IRGS++ Run"
-    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012 (Blender wants a plain set)
-
     directory: StringProperty(name="Run Folder", subtype="DIR_PATH", options={"SKIP_SAVE", "SKIP_PRESET"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
     material: EnumProperty(name="Material Reads", description="Source of the values in the object's material", items=SOURCES)
     pack: BoolProperty(
         name="Pack Textures", description="Keep textures and light inside the .blend instead of linking to the run folder", default=True
@@ -33,21 +30,6 @@ class IRGSPP_OT_import_run(bpy.types.Operator):
         description="Light the scene with the recovered light and look through the first camera, without tone mapping",
         default=False,
     )
-    up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES)
-    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's own units", default=1.0, min=1e-6, max=1e6)
-    recentre: BoolProperty(name="Recentre", description="Move the object's centre to Blender's origin", default=False)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder where none is given.
-
-        Args:
-            context: of the button or menu.
-            event: ignored.
-        """
-        if self.directory:
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import the run."""
@@ -61,7 +43,7 @@ class IRGSPP_OT_import_run(bpy.types.Operator):
         if not self.directory:
             raise InputError("run", "none is chosen", "choose the folder of a finished run")
         chosen = any(self.properties.is_property_set(name) for name in ("up_axis", "scale", "recentre"))
-        placement = Placement(self.up_axis, self.scale, self.recentre) if chosen else None
+        placement = self.placement() if chosen else None
         imported = import_run(Path(bpy.path.abspath(self.directory)), self.material, self.pack, placement, context.scene)
         select(context, imported.mesh)
         if self.as_photographed:

@@ -37,10 +37,9 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
         draw_quality(layout, context, state)
 
 
-class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
-    """Panel that bakes textures again, at another size or onto an edited mesh."""
+class FinishedRunPanel(SidebarPanel):
+    """Base of the panels below the result, which need a finished run."""
 
-    bl_label = "Bake Again"
     bl_parent_id = "IRGSPP_PT_result"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
 
@@ -48,6 +47,12 @@ class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where there is a finished run."""
         return run_state(shown_run(context)).status == "done"
+
+
+class IRGSPP_PT_bake(FinishedRunPanel, bpy.types.Panel):
+    """Panel that bakes textures again, at another size or onto an edited mesh."""
+
+    bl_label = "Bake Again"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options, the button and the job."""
@@ -71,17 +76,10 @@ class IRGSPP_PT_bake(SidebarPanel, bpy.types.Panel):
         draw_last(self.layout, context, "bake", shown_run(context))
 
 
-class IRGSPP_PT_export(SidebarPanel, bpy.types.Panel):
+class IRGSPP_PT_export(FinishedRunPanel, bpy.types.Panel):
     """Panel that exports the result as one file."""
 
     bl_label = "Export"
-    bl_parent_id = "IRGSPP_PT_result"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return True where there is a finished run."""
-        return run_state(shown_run(context)).status == "done"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw a button for each kind of file, and the job."""

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Base of the operators that import a folder: the folder, and its placement in Blender's world."""
+
+# pyright: reportInvalidTypeForm=false
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty
+
+from ..irgspp_addon.importer.placement import Placement
+from ..irgspp_addon.properties import UP_AXES
+
+
+class PlacedImport:
+    """Base of importers with a keyword `directory`: asks for the folder where none is given, and places what it imports."""
+
+    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012 (Blender wants a plain set)
+
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+    up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES)
+    scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's own units", default=1.0, min=1e-6, max=1e6)
+    recentre: BoolProperty(name="Recentre", description="Move the object's centre to Blender's origin", default=False)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder where none is given.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
+        if self.directory:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def placement(self) -> Placement:
+        """Return the placement that the options say."""
+        return Placement(self.up_axis, self.scale, self.recentre)
