@@ -136,7 +136,7 @@ def test_result_that_is_none_is_told(tmp_path, counter):
 
 @pytest.mark.parametrize("name", ["cancel", "finish", "resume", "forget", "log"])
 def test_unknown_job_is_an_exception(name):
-    with pytest.raises(RuntimeError, match="none of that id"):
+    with pytest.raises(RuntimeError, match="does not exist; choose it in the list"):
         getattr(bpy.ops.irgspp, f"job_{name}")(job="nonsense")
 
 
