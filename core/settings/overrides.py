@@ -69,7 +69,8 @@ def from_dict(data: dict[str, Any], where: object = "settings") -> Settings:
     try:
         return check(_build(Settings, current_names(data)))
     except TypeError as error:
-        raise InputError(where, f"has settings of another version of irgspp ({error})", "open it with that version, or reconstruct again") from error
+        fix = "open it with that version, or reconstruct again"
+        raise InputError(where, f"has settings of another version of irgspp ({error})", fix) from error
 
 
 def differences(a: Settings, b: Settings) -> list[str]:
