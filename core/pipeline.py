@@ -14,7 +14,7 @@ from .datasets.load import load_dataset
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
-from .machine.devices import choose, computing_on
+from .machine.devices import choose_device, computing_on
 from .machine.disk_space import check_disk_space
 from .machine.peak_memory import peak_memory, reset_peak_memory
 from .progress.protocol import Progress, Silent
@@ -57,7 +57,7 @@ def reconstruct(
     """
     watcher = progress or Silent()
     overrides.check(settings)
-    chosen = choose(settings.device)
+    chosen = choose_device(settings.device)
     check_claim(run, resume, overwrite)
     began = time.monotonic()
     reset_peak_memory()
@@ -124,7 +124,7 @@ class Job:
         solved.save(self.folder.path)
 
     def surface(self) -> None:
-        """Decimate and unwrap the surface, and bake the Gaussians' materials onto it."""
+        """Unwrap the surface and bake the Gaussians' materials onto it."""
         solved = self.results.reconstruction
         samples, views = solved.surface_samples(), GBufferCache(solved, [view.camera for view in self.data.train])
         mesh = textured_mesh(self.results.surface, views, samples, self.settings.surface, self.progress)

@@ -3,6 +3,9 @@
 
 # pyright: reportInvalidTypeForm=false
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
@@ -14,6 +17,10 @@ class PlacedImport:
     """Base of importers with a keyword `directory`: asks for the folder where none is given, and places what it imports."""
 
     bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012 (Blender wants a plain set)
+
+    if TYPE_CHECKING:
+        directory: str
+        execute: Callable[[bpy.types.Context], set[str]]
 
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
     up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES)

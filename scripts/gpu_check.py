@@ -22,8 +22,8 @@ from gpu import measurements
 from gpu.measurements import QUICK, Measurement, Size
 from gpu.scene import Work, make_work
 from irgspp.core.errors import IrgsppError
-from irgspp.core.machine.cuda import probe
-from irgspp.core.machine.devices import WARP_ON_CPU, choose, computing_on
+from irgspp.core.machine.cuda import probe_cuda
+from irgspp.core.machine.devices import WARP_ON_CPU, choose_device, computing_on
 from irgspp.core.pipeline import DEMO_DATA
 
 TINY = ("data.resolution=64", "first.gaussians=2000", "first.iterations=60", "first.trial_iterations=10",
@@ -38,7 +38,7 @@ def main() -> int:
     """Measure the chosen parts and print the table; return 1 where a part failed, 2 where there is no such device."""
     args = _arguments()
     try:
-        chosen = choose(WARP_ON_CPU if args.device == "cpu" else "cuda")
+        chosen = choose_device(WARP_ON_CPU if args.device == "cpu" else "cuda")
     except IrgsppError as error:
         print(f"gpu_check: {error}", file=sys.stderr)
         return 2
@@ -111,7 +111,7 @@ def _versions() -> str:
     """Return the versions of driver, torch and warp."""
     import warp
 
-    found = probe()
+    found = probe_cuda()
     driver = "none" if found.driver is None else "CUDA {}.{}".format(*found.driver)
     return f"{driver}; {torch.__version__} (CUDA {found.torch_cuda}); {warp.config.version}"
 

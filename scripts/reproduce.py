@@ -15,7 +15,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from irgspp.core.batch.batch import notes_of, run_batch
+from irgspp.core.batch.batch import batch_folder, run_batch
 from irgspp.core.batch.job_state import State
 from irgspp.core.batch.jobs import Job
 from irgspp.core.cli.parser import check_words
@@ -121,7 +121,7 @@ def reproduce(args: argparse.Namespace, terminal: Terminal) -> int:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(out, f"can't be made ({error.strerror})") from error
-    states = run_batch(jobs, notes_of(out / "scenes"), lambda: terminal.cancelled, max(1, args.at_once), args.dask)
+    states = run_batch(jobs, batch_folder(out / "scenes"), lambda: terminal.cancelled, max(1, args.at_once), args.dask)
     results = [result_of(scene, states, out) for scene in scenes]
     print(write(out, results, f"ours, {args.preset}"))
     print(out / "tables.html")

@@ -18,9 +18,12 @@ def public(body: list[ast.stmt]) -> Iterator[ast.FunctionDef]:
     for node in body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             yield from public(node.body)
-        elif isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
-            if not any(KERNEL.search(ast.unparse(one)) for one in node.decorator_list):
-                yield node
+        elif isinstance(node, ast.FunctionDef) and not (node.name.startswith("_") or is_kernel(node)):
+            yield node
+
+
+def is_kernel(node: ast.FunctionDef) -> bool:
+    return any(KERNEL.search(ast.unparse(one)) for one in node.decorator_list)
 
 
 def functions() -> Iterator[tuple[str, ast.FunctionDef]]:

@@ -28,7 +28,7 @@ from ..settings import overrides
 from ..settings.schema import SurfaceSettings
 from ..surface.extraction import extract_geometry
 from ..surface.meshing import Triangles, vertex_normals
-from ..surface.texturing import baked_textures, painted_mesh, stoppable, textured_mesh
+from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
 from .export import write_blend
 
@@ -105,7 +105,7 @@ def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: P
     normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
     if given.uvs is None:
         return textured_mesh(Surface(given.vertices, normals, given.faces, voxel), views, samples, settings, progress)
-    return painted_mesh(given.vertices, normals, given.uvs, given.faces, views, samples, voxel, settings, progress)
+    return mesh_with_materials(given.vertices, normals, given.uvs, given.faces, views, samples, voxel, settings, progress)
 
 
 def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:

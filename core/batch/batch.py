@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import Cancelled, InputError
 from ..io.file_lock import FileLock
 from .job_runner import CANCEL
-from .job_state import JobFolder, Progress, State, is_complete
+from .job_state import JobFolder, JobProgress, State, is_complete
 from .jobs import Job
 from .table import BatchTable
 from .workers import JobHandle, open_pool
@@ -20,7 +20,7 @@ POLL_SECONDS = 0.2
 LOCK = ".lock"
 
 
-def notes_of(path: Path) -> Path:
+def batch_folder(path: Path) -> Path:
     """Return the folder of a batch (states and logs of its jobs): LIST.batch next to LIST.toml."""
     return path.resolve().with_suffix(".batch")
 
@@ -36,7 +36,7 @@ def run_batch(
 
     Args:
         jobs: to run.
-        folder: of the batch, see `notes_of`.
+        folder: of the batch, see `batch_folder`.
         cancelled: asked again and again whether to stop.
         at_once: number of jobs that run at the same time on this machine.
         dask: address of a Dask scheduler; None: this machine.
@@ -107,8 +107,8 @@ def _watch(handles: dict[str, JobHandle], states: dict[str, State], folder: Path
     table.show(_rows(states, folder), last=True)
 
 
-def _rows(states: dict[str, State], folder: Path) -> list[tuple[str, State, Progress]]:
+def _rows(states: dict[str, State], folder: Path) -> list[tuple[str, State, JobProgress]]:
     """Return the rows of the table: name, state, and the progress of jobs that run."""
     return [
-        (name, state, JobFolder(folder / name).progress() if state.state == "running" else Progress()) for name, state in states.items()
+        (name, state, JobFolder(folder / name).progress() if state.state == "running" else JobProgress()) for name, state in states.items()
     ]

@@ -33,7 +33,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Progress:
+class JobProgress:
     """Progress of a running command, from its last event.
 
     Attributes:
@@ -74,7 +74,7 @@ class JobFolder:
         """Save the state atomically."""
         write_atomic(self.path / "state.json", json.dumps(asdict(state), indent=1).encode())
 
-    def progress(self) -> Progress:
+    def progress(self) -> JobProgress:
         """Read the progress of the command that runs."""
         try:
             with (self.path / "events.jsonl").open("rb") as file:
@@ -82,12 +82,12 @@ class JobFolder:
                 file.seek(max(0, file.tell() - TAIL_BYTES))
                 lines = file.read().decode("utf-8", "replace").splitlines()
         except OSError:
-            return Progress()
+            return JobProgress()
         for line in reversed(lines):
             event = _parsed(line)
             if "of" in event:
-                return Progress(str(event.get("phase", "")), int(event.get("step") or 0), int(event["of"] or 0), event.get("eta"))
-        return Progress()
+                return JobProgress(str(event.get("phase", "")), int(event.get("step") or 0), int(event["of"] or 0), event.get("eta"))
+        return JobProgress()
 
     def last_message(self, since: int) -> str:
         """Return the last message of irgspp in log.txt after `since` bytes, or else the last line of any kind."""

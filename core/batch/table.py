@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from ..progress.terminal import clock
-from .job_state import Progress, State
+from .job_state import JobProgress, State
 
 LIVE_SECONDS, PLAIN_SECONDS = 0.5, 60.0  # between two updates; between two lines about a job that is still in the same phase
 # Of the rows, by state, where the terminal has fewer lines than there are jobs.
@@ -31,7 +31,7 @@ class BatchTable:
         self._lines, self._updated = 0, 0.0
         self._printed: dict[str, tuple[str, float]] = {}
 
-    def show(self, rows: Sequence[tuple[str, State, Progress]], last: bool = False) -> None:
+    def show(self, rows: Sequence[tuple[str, State, JobProgress]], last: bool = False) -> None:
         """Update the output; returns at once where the last update was less than LIVE_SECONDS ago.
 
         Args:
@@ -47,7 +47,7 @@ class BatchTable:
         else:
             self._print_changes(rows, now)
 
-    def _draw(self, rows: Sequence[tuple[str, State, Progress]], last: bool) -> None:
+    def _draw(self, rows: Sequence[tuple[str, State, JobProgress]], last: bool) -> None:
         """Redraw the table over its last version; as many rows as fit, unless it is the last time."""
         columns, height = shutil.get_terminal_size()
         limit = len(rows) if last else max(1, height - 2)
@@ -58,7 +58,7 @@ class BatchTable:
         print(f"{up}{text}\x1b[J", end="", file=self._stream, flush=True)
         self._lines = len(lines)
 
-    def _print_changes(self, rows: Sequence[tuple[str, State, Progress]], now: float) -> None:
+    def _print_changes(self, rows: Sequence[tuple[str, State, JobProgress]], now: float) -> None:
         """Print a line for each job whose state or phase has changed, or that has been silent for PLAIN_SECONDS."""
         for name, state, progress in rows:
             before, when = self._printed.get(name, ("waiting", 0.0))
@@ -68,7 +68,7 @@ class BatchTable:
                 print(row_line(name, state, progress), file=self._stream, flush=True)
 
 
-def row_line(name: str, state: State, progress: Progress) -> str:
+def row_line(name: str, state: State, progress: JobProgress) -> str:
     """Format one job as a line of text.
 
     Args:
@@ -80,14 +80,14 @@ def row_line(name: str, state: State, progress: Progress) -> str:
     return f"{name:<20} {state.state:<9} {details}".rstrip()
 
 
-def progress_text(progress: Progress) -> str:
+def progress_text(progress: JobProgress) -> str:
     """Format phase, fraction done and time left of a running job."""
     fraction = f" {min(progress.step / progress.of, 1):4.0%}" if progress.of > 0 else ""
     left = f"  {clock(progress.eta)} left" if progress.eta else ""
     return f"{progress.phase or 'starting'}{fraction}{left}"
 
 
-def summary(rows: Sequence[tuple[str, State, Progress]]) -> str:
+def summary(rows: Sequence[tuple[str, State, JobProgress]]) -> str:
     """Format the number of jobs in each state."""
     counts = Counter(state.state for _, state, _ in rows)
     order = ("done", "running", "waiting", "failed", "cancelled")

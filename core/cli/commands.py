@@ -102,14 +102,14 @@ def batch(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..batch.batch import notes_of, run_batch
+    from ..batch.batch import batch_folder, run_batch
     from ..batch.jobs import read_jobs
 
     jobs = read_jobs(args.jobs, args.check)
-    states = run_batch(jobs, notes_of(args.jobs), lambda: terminal.cancelled, args.at_once, args.dask)
+    states = run_batch(jobs, batch_folder(args.jobs), lambda: terminal.cancelled, args.at_once, args.dask)
     for job in jobs:
         state = states[job.name]
-        more = f": {state.error} (more in {notes_of(args.jobs) / job.name / 'log.txt'})" if state.state == "failed" else ""
+        more = f": {state.error} (more in {batch_folder(args.jobs) / job.name / 'log.txt'})" if state.state == "failed" else ""
         print(f"{job.name}: {state.state}{more}")
     return int(any(state.state == "failed" for state in states.values()))
 

@@ -26,16 +26,16 @@ Recognise = Callable[[Path], object]
 Read = Callable[[Path, DataSettings], ParsedDataset]
 
 # Formats with files that no other format has come first; those recognised by a single file of cameras come last.
-BEFORE: tuple[tuple[Recognise, Read], ...] = (
+SPECIFIC_FORMATS: tuple[tuple[Recognise, Read], ...] = (
     (tensoir.find_views, tensoir.read_tensoir),
     (glossy_synthetic.find_camera_files, glossy_synthetic.read_glossy_synthetic),
     (glossy_real.find_object_points, glossy_real.read_glossy_real),
 )
-AFTER: tuple[tuple[Recognise, Read], ...] = (
+GENERIC_FORMATS: tuple[tuple[Recognise, Read], ...] = (
     (metashape.find_cameras, metashape.read_metashape),
     (realitycapture.find_cameras, realitycapture.read_realitycapture),
 )
-FINISH: dict[str, Callable[[ParsedDataset], ParsedDataset]] = {
+COLLECTION_FORMATS: dict[str, Callable[[ParsedDataset], ParsedDataset]] = {
     "stanford-orb": stanford_orb.add_novel_views,
     "glossy-synthetic": glossy_synthetic.to_z_up,
 }
@@ -60,7 +60,7 @@ def parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
         raise InputError(path, "no such file or folder")
     if path.is_file():
         return _read_file(path, settings)
-    for recognise, read in BEFORE:
+    for recognise, read in SPECIFIC_FORMATS:
         if recognise(path):
             return read(path, settings)
     file, model = find_transforms(path), colmap.find_model(path)
@@ -68,7 +68,7 @@ def parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
         return _read_transforms(file, settings)
     if model is not None:
         return colmap.read_colmap(model, settings)
-    for recognise, read in AFTER:
+    for recognise, read in GENERIC_FORMATS:
         if recognise(path):
             return read(path, settings)
     raise NoDataset(path, "no dataset here", LOOKED_FOR)
@@ -86,7 +86,7 @@ def find_transforms(folder: Path) -> Path | None:
 def _read_transforms(file: Path, settings: DataSettings) -> ParsedDataset:
     """Read a transforms file, and apply the conventions of the collection that it belongs to."""
     parsed = transforms.read_transforms(file, settings)
-    return FINISH.get(parsed.format, lambda same: same)(parsed)
+    return COLLECTION_FORMATS.get(parsed.format, lambda same: same)(parsed)
 
 
 def _read_file(file: Path, settings: DataSettings) -> ParsedDataset:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.exr import MAX_PIXELS
-from ..io.image import read_image, unit
+from ..io.image import read_image, to_unit_range
 from ..io.safe_paths import inside
 from ..io.srgb import decode_srgb
 from ..scene.dataset import View
@@ -185,7 +185,7 @@ def _png(path: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
     if not path.is_file():
         return None, None
     image = read_image(inside(path, path.parent))
-    return unit(image.colour), None if image.alpha is None else unit(image.alpha)
+    return to_unit_range(image.colour), None if image.alpha is None else to_unit_range(image.alpha)
 
 
 def _png_normal(path: Path) -> np.ndarray | None:

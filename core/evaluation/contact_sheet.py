@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..errors import Cancelled
 from ..io.atomic import atomic_file
 from ..progress.protocol import Progress
-from ..relight.prepared_light import PreparedLight, prepare
+from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter
 from ..rendering.gbuffer import render_gbuffer
 from ..scene.dataset import Dataset, View
@@ -43,7 +43,7 @@ def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: 
         Cancelled: when the user stops the work.
     """
     lights = relighter.reconstruction.environment_map(), studio_light(*LIGHT_SIZE), sunset_light(*LIGHT_SIZE)
-    prepared, tiles = [prepare(light) for light in lights], []
+    prepared, tiles = [prepare_light(light) for light in lights], []
     views = spread_views(dataset.test or dataset.train, rows)
     progress.phase("contact sheet", len(views))
     for view in views:

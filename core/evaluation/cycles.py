@@ -15,7 +15,7 @@ from ..errors import IrgsppError
 from ..io.exr import read_exr, rgb_channels, write_exr
 from ..machine.blender_process import run_in_blender
 from ..progress.protocol import Progress
-from ..relight.prepared_light import prepare
+from ..relight.prepared_light import prepare_light
 from ..relight.relighter import Relighter
 from ..scene.camera import Camera
 from .metrics import on_black, psnr
@@ -89,7 +89,7 @@ def compare(
     """
     progress.phase("cycles", len(cameras) * len(lights))
     rendered = cycles_images(run, cameras, lights, [CyclesPass(SAMPLES, True)], progress)
-    prepared, comparisons = {name: prepare(light) for name, light in lights.items()}, []
+    prepared, comparisons = {name: prepare_light(light) for name, light in lights.items()}, []
     for view, camera in cameras.items():
         surface = relighter.surface(camera)
         for light in lights:

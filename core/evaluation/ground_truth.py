@@ -110,7 +110,7 @@ def _rendered_scene(folder: Path, to_world: np.ndarray) -> SceneTruth:
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise InputError(file, f"is not the description of a rendered dataset ({error})", "render the dataset again") from error
     files = {name: inside(folder / "envs" / f"{name}.exr", folder) for name in [train, *relights] if name}
-    lights = {name: turned(read_exr_rgb(path), to_world) for name, path in files.items() if path.is_file()}
+    lights = {name: rotate_to_frame(read_exr_rgb(path), to_world) for name, path in files.items() if path.is_file()}
     plain = len(materials) == 1 and not meta.get("has_material_maps") and all(k in materials[0] for k in ("roughness", "metallic"))
     constants = (float(materials[0]["roughness"]), float(materials[0]["metallic"])) if plain else None
     return SceneTruth(train, lights, constants, _moved_points(rendered_points(folder), to_world))
@@ -175,10 +175,10 @@ def _light(file: MapFile, to_world: np.ndarray) -> np.ndarray:
     light, _ = read_environment(file.path)
     whole = np.eye(4)
     whole[:3, :3] = to_world[:3, :3] @ file.turn
-    return turned(light, whole)
+    return rotate_to_frame(light, whole)
 
 
-def turned(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
+def rotate_to_frame(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
     """Rotate a lat-long map into another frame.
 
     Args:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..scene.gbuffer import NOTHING, GBuffer
+from ..scene.gbuffer import EMPTY_ALPHA, GBuffer
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,5 +26,5 @@ class Prediction:
 
     def layer(self, name: str) -> np.ndarray:
         """Return a layer of the G-buffer, (H, W) or (H, W, 3), 0 where no Gaussian is."""
-        values, covered = getattr(self.buffers, name), self.buffers.alpha > NOTHING
+        values, covered = getattr(self.buffers, name), self.buffers.alpha > EMPTY_ALPHA
         return np.nan_to_num(np.where(covered if values.ndim == 2 else covered[..., None], values, 0))

@@ -132,7 +132,7 @@ def protocol_named(name: str) -> Protocol:
     return PROTOCOLS[name]
 
 
-def described(protocol: Protocol) -> list[str]:
+def describe_protocol(protocol: Protocol) -> list[str]:
     """Describe every choice in lines of text: metrics are comparable only where these agree."""
     return [
         f"Protocol {protocol.name}: {protocol.follows}.",

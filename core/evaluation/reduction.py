@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
-from ..io.image import read_image, reduce_image, unit
+from ..io.image import read_image, reduce_image, to_unit_range
 
 Shape = tuple[int, int]
 
@@ -62,8 +62,8 @@ def fitted_image(path: Path, shape: Shape, alpha: np.ndarray) -> np.ndarray:
     stored = read_image(path)
     check_reduction(path, "it", (stored.size[1], stored.size[0]), shape)
     image = reduce_image(stored, shape[1], shape[0])
-    own = alpha if image.alpha is None else unit(image.alpha)
-    return np.maximum(unit(image.colour), 0) * own[..., None]
+    own = alpha if image.alpha is None else to_unit_range(image.alpha)
+    return np.maximum(to_unit_range(image.colour), 0) * own[..., None]
 
 
 def check_reduction(where: Path, what: str, full: Shape, shape: Shape) -> None:

@@ -17,7 +17,7 @@ from ..errors import Cancelled, InputError
 from ..machine.devices import best
 from ..progress.protocol import Progress, Silent
 from ..relight.backends import best_backend, open_relighter
-from ..relight.prepared_light import PreparedLight, prepare
+from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter, RelightSettings
 from ..rendering.gbuffer import render_gbuffer
 from ..scene.mesh_ply import load_mesh_ply
@@ -30,7 +30,7 @@ from .ground_truth import SceneTruth, Truth
 from .html_report import SHOWN, page
 from .lpips import NO_LPIPS, Lpips, find_lpips
 from .prediction import Prediction
-from .protocols import PLAIN, Protocol, described, protocol_named
+from .protocols import PLAIN, Protocol, describe_protocol, protocol_named
 from .view_metrics import Fits, averages, fitted_metrics, relit_metrics, view_metrics
 
 CHAMFER_UNIT = 2000  # factor of Stanford-ORB's tables
@@ -103,7 +103,7 @@ def evaluate(
         "choices": {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(choices).items()},
     }
     conditions = _conditions(evaluation, report["albedo_scale"], backend)
-    report["protocol"] = [*described(choices), *conditions, *([CYCLES_PROTOCOL] if cycles else [])]
+    report["protocol"] = [*describe_protocol(choices), *conditions, *([CYCLES_PROTOCOL] if cycles else [])]
     _write(output or run / "evaluation", report, page(report, evaluation.shown, choices, asset))
     return report
 
@@ -178,7 +178,7 @@ class Evaluation:
 
     @cached_property
     def _own_light(self) -> PreparedLight:
-        return prepare(self.relighter.reconstruction.environment_map())
+        return prepare_light(self.relighter.reconstruction.environment_map())
 
     def _relit(self, relighter: Relighter, case: Case) -> dict[str, np.ndarray]:
         """Render a view under every known light, (H, W, 4) each; none beyond the protocol's number of views."""
@@ -193,9 +193,9 @@ class Evaluation:
     def _light(self, truth: Truth, name: str) -> PreparedLight:
         """Return a light of the view alone, or of the scene; the scene's are prepared once for all views."""
         if name in truth.lights:
-            return prepare(truth.lights[name])
+            return prepare_light(truth.lights[name])
         if name not in self._prepared:
-            self._prepared[name] = prepare(self.cases.scene.lights[name])
+            self._prepared[name] = prepare_light(self.cases.scene.lights[name])
         return self._prepared[name]
 
 

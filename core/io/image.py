@@ -97,8 +97,8 @@ def read_mask(path: Path) -> np.ndarray:
         InputError: if the file can't be decoded.
     """
     image = read_image(path)
-    alpha = None if image.alpha is None else unit(image.alpha)
-    return alpha if alpha is not None and alpha.min() < 1 else np.clip(unit(image.colour.max(-1)), 0, 1)
+    alpha = None if image.alpha is None else to_unit_range(image.alpha)
+    return alpha if alpha is not None and alpha.min() < 1 else np.clip(to_unit_range(image.colour.max(-1)), 0, 1)
 
 
 def read_depth_mask(path: Path, far: float) -> np.ndarray:
@@ -111,7 +111,7 @@ def read_depth_mask(path: Path, far: float) -> np.ndarray:
     Raises:
         InputError: if the file can't be decoded.
     """
-    return (unit(read_image(path).colour[..., 0]) < far).astype(np.float32)
+    return (to_unit_range(read_image(path).colour[..., 0]) < far).astype(np.float32)
 
 
 def _decode(path: Path, data: bytes) -> np.ndarray:
@@ -157,7 +157,7 @@ def _read_exr(path: Path) -> DecodedImage:
     return DecodedImage(encode_srgb(linear), alpha)
 
 
-def unit(pixels: np.ndarray) -> np.ndarray:
+def to_unit_range(pixels: np.ndarray) -> np.ndarray:
     """Convert integers of an array (...,) to float32 in 0..1; return floats unchanged."""
     return pixels.astype(np.float32) / np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else pixels
 
@@ -171,7 +171,7 @@ def reduce_image(image: DecodedImage, width: int, height: int) -> DecodedImage:
         height: of the result in pixels.
     """
     if image.size == (width, height):
-        return DecodedImage(unit(image.colour), None if image.alpha is None else unit(image.alpha))
+        return DecodedImage(to_unit_range(image.colour), None if image.alpha is None else to_unit_range(image.alpha))
     # Area averaging is separable: first the width is reduced band by band, then the height.
     starts = range(0, image.size[1], BAND)
     narrow = np.concatenate([_narrow_band(image, slice(i, i + BAND), width) for i in starts])
@@ -183,9 +183,9 @@ def reduce_image(image: DecodedImage, width: int, height: int) -> DecodedImage:
 
 def _narrow_band(image: DecodedImage, rows: slice, width: int) -> np.ndarray:
     """Reduce the width of some rows; return (rows, width, 3 or 4) linear, premultiplied where there is alpha."""
-    linear = decode_srgb(unit(image.colour[rows]))
+    linear = decode_srgb(to_unit_range(image.colour[rows]))
     if image.alpha is not None:
-        alpha = unit(image.alpha[rows])[..., None]
+        alpha = to_unit_range(image.alpha[rows])[..., None]
         linear = np.concatenate([linear * alpha, alpha], -1)
     return _area(linear, width, len(linear))
 

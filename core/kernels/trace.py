@@ -139,7 +139,7 @@ def trace(
     return function.apply(position, quaternion, log_scale, opacity, sh, extra, origin, direction, tree, coefficients)
 
 
-class Seen:
+class FrozenGaussians:
     """Renderer of constant Gaussians along rays, without gradients: feature rows are laid out once.
 
     Args:
@@ -149,7 +149,7 @@ class Seen:
     """
 
     def __init__(self, tree: Tree, sh: torch.Tensor, extra: torch.Tensor) -> None:
-        self._device = None if isinstance(tree, SurfelTree) else _warp_trace().Seen(tree, sh, extra)
+        self._device = None if isinstance(tree, SurfelTree) else _warp_trace().FrozenGaussians(tree, sh, extra)
         if not isinstance(tree, SurfelTree):
             return
         self._tree, self._extras = tree, len(extra)

@@ -38,7 +38,7 @@ class CudaInfo:
     free: int = 0
 
 
-def probe() -> CudaInfo:
+def probe_cuda() -> CudaInfo:
     """Detect driver, GPU and libraries, without starting any work on the GPU."""
     import torch
 
@@ -60,7 +60,7 @@ def _driver() -> tuple[int, int] | None:
     return version.value // 1000, version.value % 1000 // 10
 
 
-def obstacle(found: CudaInfo) -> tuple[str, str] | None:
+def cuda_obstacle(found: CudaInfo) -> tuple[str, str] | None:
     """Return why CUDA can't be used and what to do about it; None where it can be used."""
     if found.driver is None:
         return "there is no NVIDIA driver", "use --device auto or cpu"

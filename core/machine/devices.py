@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, IrgsppError
 from . import cuda
-from .version import VERSION, problems
+from .version import VERSION, missing_libraries
 
 if TYPE_CHECKING:
     import torch
@@ -32,7 +32,7 @@ def devices() -> dict[str, Any]:
     Raises:
         IrgsppError: if a library is missing or too old.
     """
-    if missing := problems():
+    if missing := missing_libraries():
         raise IrgsppError(f"this Python ({sys.executable}) can't run the engine: {'; '.join(missing)}")
     import llvmlite.binding as llvm
     import torch
@@ -40,7 +40,7 @@ def devices() -> dict[str, Any]:
     from .thread_pool import thread_count
 
     features = llvm.get_host_cpu_features()
-    obstacle = cuda.obstacle(cuda.probe())
+    obstacle = cuda.cuda_obstacle(cuda.probe_cuda())
     notes = ["cuda can be used"] if obstacle is None else [f"cuda can't be used: {'; '.join(obstacle)}"]
     return {
         "irgspp": VERSION,
@@ -57,7 +57,7 @@ def devices() -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenDevice:
     """Device that a job computes on.
 
     Attributes:
@@ -73,7 +73,7 @@ class Chosen:
     free: int = 0
 
 
-def choose(name: str, probe: Callable[[], cuda.CudaInfo] = cuda.probe) -> Chosen:
+def choose_device(name: str, probe: Callable[[], cuda.CudaInfo] = cuda.probe_cuda) -> ChosenDevice:
     """Choose the device that a job computes on.
 
     Args:
@@ -86,25 +86,25 @@ def choose(name: str, probe: Callable[[], cuda.CudaInfo] = cuda.probe) -> Chosen
     import torch
 
     if name == WARP_ON_CPU:
-        return Chosen(torch.device("cpu"), "requested, for a test", True)
+        return ChosenDevice(torch.device("cpu"), "requested, for a test", True)
     if name == "cpu":
-        return Chosen(torch.device("cpu"), "requested")
+        return ChosenDevice(torch.device("cpu"), "requested")
     found = probe()
-    obstacle = cuda.obstacle(found)
+    obstacle = cuda.cuda_obstacle(found)
     if obstacle is None:
-        return Chosen(torch.device("cuda", 0), "requested" if name == "cuda" else "a suitable GPU was found", True, found.free)
+        return ChosenDevice(torch.device("cuda", 0), "requested" if name == "cuda" else "a suitable GPU was found", True, found.free)
     if name == "cuda":
         raise InputError("--device cuda", *obstacle)
-    return Chosen(torch.device("cpu"), f"cuda can't be used: {obstacle[0]}")
+    return ChosenDevice(torch.device("cpu"), f"cuda can't be used: {obstacle[0]}")
 
 
 def best() -> torch.device:
     """Return the GPU if one can be used, else the CPU."""
-    return choose("auto").device
+    return choose_device("auto").device
 
 
 @contextmanager
-def computing_on(chosen: Chosen, resumable: bool = False) -> Iterator[None]:
+def computing_on(chosen: ChosenDevice, resumable: bool = False) -> Iterator[None]:
     """Use the chosen device's kernels within the block, and translate the GPU's errors into one line each.
 
     Args:

@@ -21,10 +21,10 @@ LIBRARIES = {
     "trimesh": ("trimesh", "4"),
     "xatlas": ("xatlas", "0.0.9"),
 }
-NEWER = "or newer is needed"  # by which callers recognise complaints about a version
+OUTDATED = "or newer is needed"  # by which callers recognise complaints about a version
 
 
-def problems() -> list[str]:
+def missing_libraries() -> list[str]:
     """List the libraries that this Python lacks to run the engine, a line each; none of them is imported."""
     from importlib import metadata, util
 
@@ -38,7 +38,7 @@ def problems() -> list[str]:
         except metadata.PackageNotFoundError:
             continue  # installed without metadata: by the system's package manager, or built from source
         if numbers(version) < numbers(oldest):
-            found.append(f"{name} is {version}, {oldest} {NEWER}")
+            found.append(f"{name} is {version}, {oldest} {OUTDATED}")
     return found
 
 

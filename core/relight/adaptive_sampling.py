@@ -82,7 +82,7 @@ def estimate_noise(
         surface: the points.
         filtered: True where a denoiser was applied.
     """
-    slope = encoding_slope(colour) * surface.alpha[:, None]
+    slope = srgb_derivative(colour) * surface.alpha[:, None]
     variance = (CAUTION if filtered else HALVES) * (split * slope).square().mean(1)
     change = ((raw - colour) * slope).square().mean(1)
     tile, pixels = tiles(surface)
@@ -100,7 +100,7 @@ def tiles(surface: PrimaryHits) -> tuple[torch.Tensor, torch.Tensor]:
     return tile, pixels.float()
 
 
-def encoding_slope(colour: torch.Tensor) -> torch.Tensor:
+def srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
     """Return the derivative of the sRGB curve at linear values (...,); 0 above 1, where the image is clipped."""
     slope = torch.where(colour > 0.0031308, 1.055 / 2.4 * colour.clamp_min(0.0031308) ** (1 / 2.4 - 1), 12.92)
     return torch.where(colour < 1, slope, 0.0)

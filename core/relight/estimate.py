@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
-from ..shading.brdf import base_reflectance, facing
+from ..shading.brdf import base_reflectance, bend_view_to_normal
 from ..shading.specular_albedo import diffuse_fraction
 from .prepared_light import PreparedLight
 from .primary_hits import PrimaryHits
@@ -73,5 +73,5 @@ def diffuse_albedo(surface: PrimaryHits, conserving: bool) -> torch.Tensor:
     body = (1 - surface.metallic[:, None]) * surface.albedo
     if not conserving:
         return body
-    n_v = (facing(surface.view, surface.normal) * surface.normal).sum(-1)
+    n_v = (bend_view_to_normal(surface.view, surface.normal) * surface.normal).sum(-1)
     return body * diffuse_fraction(n_v, surface.roughness)[:, None]

@@ -16,7 +16,7 @@ import torch
 from ..kernels.cpu.gathering import gather_range, terms_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
-from ..shading.brdf import base_reflectance, facing, ggx_alpha
+from ..shading.brdf import base_reflectance, bend_view_to_normal, ggx_alpha
 from ..shading.environment_lookup import direction_to_uv, lookup
 from ..shading.sampling import Samples
 from ..shading.specular_albedo import diffuse_fraction, specular_albedo
@@ -53,7 +53,9 @@ class ShadingPoints:
             normal: (P, 3) unit.
             roughness: (P,) in 0..1.
         """
-        return cls(origin.contiguous(), facing(view, normal).contiguous(), normal.contiguous(), ggx_alpha(roughness).contiguous())
+        return cls(
+            origin.contiguous(), bend_view_to_normal(view, normal).contiguous(), normal.contiguous(), ggx_alpha(roughness).contiguous()
+        )
 
 
 @dataclass(frozen=True, eq=False)

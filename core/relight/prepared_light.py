@@ -61,7 +61,7 @@ class PreparedLight:
         return lookup(self.diffuse, back) * math.pi
 
 
-def prepare(light: np.ndarray, device: torch.device | str = "cpu") -> PreparedLight:
+def prepare_light(light: np.ndarray, device: torch.device | str = "cpu") -> PreparedLight:
     """Prepare a light map for relighting.
 
     Args:

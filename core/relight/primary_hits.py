@@ -11,7 +11,7 @@ import torch
 from ..rendering.deferred import surface_pixels
 from ..rendering.gbuffer import rasterize_view
 from ..scene.camera import Camera
-from ..scene.gbuffer import NOTHING
+from ..scene.gbuffer import EMPTY_ALPHA
 from ..scene.reconstruction import Reconstruction
 
 
@@ -72,7 +72,7 @@ def primary_hits(reconstruction: Reconstruction, camera: Camera, albedo_scale: t
     """
     image, rays = rasterize_view(reconstruction, camera)
     with torch.no_grad():
-        p = surface_pixels(image, rays, NOTHING)
+        p = surface_pixels(image, rays, EMPTY_ALPHA)
         ray = rays.flatten(1)[:, p.index].T.contiguous()
         depth = image[-2].flatten()[p.index] / p.alpha
         point = torch.from_numpy(camera.centre).to(depth) + depth[:, None] * ray

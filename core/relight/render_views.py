@@ -21,10 +21,10 @@ from ..rendering.layers import LAYERS
 from ..run_folder import write_atomic
 from ..scene.camera import Camera
 from ..scene.environment_files import read_environment
-from ..scene.gbuffer import NOTHING, GBuffer
+from ..scene.gbuffer import EMPTY_ALPHA, GBuffer
 from ..settings.schema import DataSettings
 from ..shading.environment_lookup import rotate
-from .prepared_light import prepare
+from .prepared_light import prepare_light
 from .relighter import Relighter
 
 
@@ -96,7 +96,7 @@ def render_views(
     lights = lights or [Light("", relighter.reconstruction.environment_map())]
     if len({light.name for light in lights}) < len(lights):
         raise InputError("--environment", "two lights have the same name", "give each its own --name")
-    prepared = [(light.name, prepare(light.image, relighter.device)) for light in lights] if "rgba" in layers else []
+    prepared = [(light.name, prepare_light(light.image, relighter.device)) for light in lights] if "rgba" in layers else []
     progress.phase("render", len(cameras))
     for i, (name, camera) in enumerate(cameras):
         folder = out / name
@@ -145,7 +145,7 @@ def write_layers(folder: Path, gbuffer: GBuffer, layers: Sequence[str]) -> None:
         gbuffer: G-buffer of the view, (H, W).
         layers: names of the layers to write.
     """
-    covered = gbuffer.alpha > NOTHING
+    covered = gbuffer.alpha > EMPTY_ALPHA
     colour = np.where(covered[..., None], gbuffer.albedo, 0)
     channels = {
         "albedo": rgb_channels(colour),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import torch
 
-from ..kernels.trace import COLOUR, EXTRA, NORMAL, Seen, build_tree, trace
+from ..kernels.trace import COLOUR, EXTRA, NORMAL, FrozenGaussians, build_tree, trace
 from ..machine.backend import by_warp
 from ..scene.reconstruction import Reconstruction
 from ..shading.split_sum import specular_light, specular_radiance
@@ -39,7 +39,7 @@ class SecondaryTracer:
             self._materials = g.position.new_zeros(0, g.count) if mirrored is None else mirrored.material[:, inside].contiguous()
             self._stack = None if mirrored is None else specular_light(mirrored.environment)
         self._tree = self.tree if inside.all() else build_tree(*self._geometry)
-        self._packed, self.repack = Seen(self._tree, self._sh, self._materials), False
+        self._packed, self.repack = FrozenGaussians(self._tree, self._sh, self._materials), False
         self.offset, self.device = OFFSET * reconstruction.bound.radius, g.position.device
 
     def above(self, position: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:

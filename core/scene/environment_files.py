@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.exr import check_pixels, read_exr_rgb
-from ..io.image import read_image, unit
+from ..io.image import read_image, to_unit_range
 from ..io.srgb import decode_srgb
 
 DIM = 1e-4  # radiance that replaces a light that is black everywhere
@@ -23,7 +23,7 @@ HDR_HEADER = 1 << 16  # bytes within which the header must end
 def read_environment(path: Path) -> tuple[np.ndarray, list[str]]:
     """Read an environment map.
 
-    .exr and .hdr hold linear values, all other files are decoded as sRGB. Texels are repaired as by `repaired`.
+    .exr and .hdr hold linear values, all other files are decoded as sRGB. Texels are repaired as by `repair_environment`.
 
     Returns:
         The map (H, W, 3) float32 linear, finite and >= 0, and a line for each repair or oddity of the file.
@@ -37,11 +37,11 @@ def read_environment(path: Path) -> tuple[np.ndarray, list[str]]:
     elif suffix == ".hdr":
         image = _read_hdr(path)
     else:
-        image = decode_srgb(unit(read_image(path).colour))
-    return repaired(image, path)
+        image = decode_srgb(to_unit_range(read_image(path).colour))
+    return repair_environment(image, path)
 
 
-def repaired(image: np.ndarray, where: object) -> tuple[np.ndarray, list[str]]:
+def repair_environment(image: np.ndarray, where: object) -> tuple[np.ndarray, list[str]]:
     """Repair an environment map: NaN and negative texels become 0, infinite ones as bright as the brightest other, a black map dim grey.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .camera import Camera
 
-NOTHING = 0.5 / 255  # below this alpha a pixel is empty, and its layers are noise divided by almost zero
+EMPTY_ALPHA = 0.5 / 255  # below this alpha a pixel is empty, and its layers are noise divided by almost zero
 
 
 @dataclass(frozen=True, eq=False)

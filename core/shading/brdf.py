@@ -75,7 +75,7 @@ def base_reflectance(albedo: torch.Tensor, metallic: torch.Tensor) -> torch.Tens
     return DIELECTRIC_F0 * (1 - metallic) + metallic * albedo
 
 
-def facing(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+def bend_view_to_normal(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
     """Bend view directions towards the normal where n.v is below COSINE_FLOOR; sampling and shading both use the result.
 
     Args:

@@ -12,7 +12,7 @@ import torch
 
 from ..kernels.reflection import weighted_sums
 from ..machine.backend import by_warp
-from .brdf import base_reflectance, facing, ggx_alpha, specular_lobe
+from .brdf import base_reflectance, bend_view_to_normal, ggx_alpha, specular_lobe
 from .sampling import Samples
 from .specular_albedo import diffuse_fraction
 
@@ -43,7 +43,7 @@ def reflect_light(
         Diffuse and specular part, (P, 3) each, linear: means of f L cos / q. Differentiable with respect to materials, normal, view and
         incoming light.
     """
-    view, alpha = facing(view, normal), ggx_alpha(roughness)
+    view, alpha = bend_view_to_normal(view, normal), ggx_alpha(roughness)
     use_kernel = incoming.dtype == torch.float32 and not by_warp(incoming)
     sums = (weighted_sums if use_kernel else weighted_sums_reference)(view, normal, alpha, samples.direction, samples.density, incoming)
     irradiance, scaled, added = sums.unbind(1)  # the last axis is colour

@@ -17,7 +17,7 @@ import torch
 from ..kernels.cpu.directions import draw_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
-from .brdf import facing, ggx_alpha, sample_visible_normal, visible_normal_density
+from .brdf import bend_view_to_normal, ggx_alpha, sample_visible_normal, visible_normal_density
 from .light_distribution import LightDistribution
 
 METHODS = ("mis", "stratified")
@@ -102,7 +102,7 @@ def draw(
         if method == "stratified":
             local = _uniform(_shifted(sum(counts), shift))
             return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
-        local_view = facing(view, normal)[:, None] @ frame
+        local_view = bend_view_to_normal(view, normal)[:, None] @ frame
         use_kernel = view.dtype == torch.float32 and not by_warp(view)
         first = counts[0] + counts[1] if light_only else 0
         return (_mixture if use_kernel else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, first, light, shift)

@@ -72,7 +72,7 @@ def stoppable(progress: Progress, before: int = 0) -> Callable[[int], None]:
     return step
 
 
-def painted_mesh(
+def mesh_with_materials(
     vertices: np.ndarray,
     normals: np.ndarray,
     uvs: np.ndarray,

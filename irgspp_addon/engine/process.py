@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 
 from ...core.errors import InputError
-from ...core.machine.version import NEWER, VERSION
+from ...core.machine.version import OUTDATED, VERSION
 from ..user_folder import user_folder
 from . import managed
 from .child import detached
@@ -181,7 +181,7 @@ def check_result(exit_status: int, output: str, errors: str) -> Status:
     lines = [line.strip() for line in errors.splitlines() if line.strip()]
     last = lines[-1].removeprefix("irgspp: ") if lines else f"ended with status {exit_status}"
     if exit_status:
-        return Status("version" if NEWER in last else "broken", f"The engine does not work: {last}")
+        return Status("version" if OUTDATED in last else "broken", f"The engine does not work: {last}")
     try:
         devices = json.loads(output)
         version, python, cpu = devices["irgspp"], devices["python"], devices["cpu"]["name"]

@@ -13,7 +13,7 @@ from irgspp.core.evaluation.ground_truth import Truth
 from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips, find_lpips
 from irgspp.core.evaluation.prediction import Prediction
 from irgspp.core.relight.backends import best_backend, open_relighter
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.scene.reconstruction import Reconstruction
@@ -80,8 +80,8 @@ def _figures(bench: Bench, scene: Scene, preset: str) -> Measurement:
 
 def _lpips(scene: Scene, run: Path, scale: list[float] | None, lpips: Lpips) -> dict[str, float]:
     """Return LPIPS of new views, relit views and albedo: means over views, and over lights where there are several."""
-    plain, lights = _relighter(run), {name: prepare(scene.truth.lights[name]) for name in scene.relights}
-    relighter, own = plain.scaled(scale), prepare(plain.reconstruction.environment_map())
+    plain, lights = _relighter(run), {name: prepare_light(scene.truth.lights[name]) for name in scene.relights}
+    relighter, own = plain.scaled(scale), prepare_light(plain.reconstruction.environment_map())
     values: dict[str, list[float]] = {"nvs_lpips": [], "relight_lpips": [], "albedo_lpips": []}
     for view in scene.views:
         truth = scene.view_truth(view)
@@ -108,12 +108,12 @@ def _shown(bench: Bench, scene: Scene) -> Measurement:
     scale = bench.evaluation(scene, run.path)["albedo_scale"]
     plain, view = _relighter(run.path), scene.views[0]
     relighter, truth = plain.scaled(scale), scene.view_truth(view)
-    shaded = plain.relit(plain.surface(view.camera), prepare(plain.reconstruction.environment_map())).numpy()
+    shaded = plain.relit(plain.surface(view.camera), prepare_light(plain.reconstruction.environment_map())).numpy()
     prediction = Prediction(render_gbuffer(plain.reconstruction, view.camera), shaded)
     shown = {"photograph": truth.image, "photograph, ours": metrics.on_black(shaded)}
     shown["photograph, error to 0.2"] = _error(truth.image, shown["photograph, ours"])
     for name in scene.relights[:2]:
-        ours = metrics.on_black(relighter.relit(relighter.surface(view.camera), prepare(scene.truth.lights[name])).numpy())
+        ours = metrics.on_black(relighter.relit(relighter.surface(view.camera), prepare_light(scene.truth.lights[name])).numpy())
         shown |= {name: truth.relit[name], f"{name}, ours": ours, f"{name}, error to 0.2": _error(truth.relit[name], ours)}
     layers = _layers(prediction, truth, np.array(scale or (1.0, 1.0, 1.0)))
     return Measurement({}, {}, {n: np.round(255 * np.clip(p, 0, 1)).astype(np.uint8) for n, p in (shown | layers).items()})

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from irgspp.core.evaluation import metrics
 from irgspp.core.relight.backends import Backend, open_relighter
-from irgspp.core.relight.prepared_light import PreparedLight, prepare
+from irgspp.core.relight.prepared_light import PreparedLight, prepare_light
 from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.scene.dataset import View
 from irgspp.core.scene.reconstruction import Reconstruction
@@ -181,5 +181,5 @@ def lit_views(scene: Scene) -> list[LitView]:
     for number, index in enumerate(chosen):
         view, light = scene.views[index], lights[number % len(lights)]
         truth = scene.view_truth(view)
-        found.append(LitView(view, light, prepare(scene.truth.lights[light]), truth.relit[light], truth.object))
+        found.append(LitView(view, light, prepare_light(scene.truth.lights[light]), truth.relit[light], truth.object))
     return found

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from irgspp.core.pipeline import reconstruct
 from irgspp.core.relight.mesh_query import MeshQuery
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.settings.overrides import with_overrides
@@ -156,7 +156,7 @@ def relighting(work: Work, size: Size, device: torch.device) -> list[Measurement
         device: device of the kernels.
     """
     query = MeshQuery(work.mesh, RADIUS, device)
-    light = prepare(work.reconstruction.environment_map(), device)
+    light = prepare_light(work.reconstruction.environment_map(), device)
     found = []
     for samples in (16, 32):
         relighter = Relighter(work.reconstruction, query, RelightSettings(samples=samples), query)

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from irgspp.core.kernels.cpu.directions import lightmap_place
 from irgspp.core.relight.gaussian_query import GaussianQuery
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.scene.dataset import Bound
-from irgspp.core.scene.environment_files import DIM, repaired
+from irgspp.core.scene.environment_files import DIM, repair_environment
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.environment_lookup import direction_to_uv, lookup, solid_angles, texel_directions
 from irgspp.core.shading.light_distribution import LightDistribution
@@ -164,7 +164,7 @@ def images(measured: Measured) -> None:
     scene = ball()
     relighter = Relighter(scene, GaussianQuery(scene), RelightSettings(samples=32))
     surface = relighter.surface(camera(32, (3.0, 1.25, 2.0)))
-    seen = {name: relighter.relit(surface, prepare(light.numpy())) for name, light in maps().items()}
+    seen = {name: relighter.relit(surface, prepare_light(light.numpy())) for name, light in maps().items()}
     for name, image in seen.items():
         measured.finite(name, image)
         measured.holds(f"{name}: not negative", bool((image >= 0).all()))
@@ -203,10 +203,10 @@ def impossible(measured: Measured) -> None:
     """Check the repair of files."""
     image = np.full((4, 8, 3), 0.5, np.float32)
     image[0, 0], image[1, 1], image[2, 2] = np.nan, np.inf, -1.0
-    light, remarks = repaired(image, "map")
+    light, remarks = repair_environment(image, "map")
     measured.holds("finite and >= 0", bool(np.isfinite(light).all() and (light >= 0).all()))
     measured.at_least("remarks", len(remarks), 3)
-    dim, dim_remarks = repaired(np.zeros((4, 8, 3), np.float32), "map")
+    dim, dim_remarks = repair_environment(np.zeros((4, 8, 3), np.float32), "map")
     measured.holds("black is reported and made dim", bool(dim_remarks) and float(dim.min()) == np.float32(DIM))
 
 
@@ -238,4 +238,4 @@ def large_map(measured: Measured) -> None:
     measured.at_least("found again by lookup", float(((looked_up - true).abs() <= 1e-3 * true).double().mean()), 0.99)
     scene = ball()
     relighter = Relighter(scene, GaussianQuery(scene), RelightSettings(samples=32))
-    measured.finite("image", relighter.relit(relighter.surface(camera(32)), prepare(light.numpy())))
+    measured.finite("image", relighter.relit(relighter.surface(camera(32)), prepare_light(light.numpy())))

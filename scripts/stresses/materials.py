@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from irgspp.core.kernels.lobes import lobe_rows, lobe_sums
-from irgspp.core.shading.brdf import base_reflectance, facing, ggx_alpha, specular_lobe
+from irgspp.core.shading.brdf import base_reflectance, bend_view_to_normal, ggx_alpha, specular_lobe
 from irgspp.core.shading.environment_lookup import solid_angles, texel_directions
 from irgspp.core.shading.light_distribution import LightDistribution
 from irgspp.core.shading.rendering_equation import reflect_light
@@ -180,7 +180,7 @@ def energy(measured: Measured) -> None:
     split = shade(view, normal, albedo, roughness, metallic, diffuse_light(white), specular_light(white))
     measured.finite("split-sum", split)
     measured.at_most("split-sum", float(split.max()), 1.001)
-    known = specular_albedo((facing(view, normal) * normal).sum(1), roughness, base_reflectance(albedo, metallic[:, None]))
+    known = specular_albedo((bend_view_to_normal(view, normal) * normal).sum(1), roughness, base_reflectance(albedo, metallic[:, None]))
     apart, first = (known - sent).abs().amax(1), (view * normal).sum(1) < 1 / 63
     measured.at_most("table against samples, metal", float(apart[(metallic == 1) & ~first].max()), 0.01)
     measured.at_most("in its first step", float(apart[(metallic == 1) & first].max()), 0.05)
@@ -223,7 +223,7 @@ def directions(measured: Measured) -> None:
     error, hard = (samples.density - exact).abs() / exact, grazing_mirrors(points())
     measured.at_most("density's error", float(error[~hard].quantile(0.999)), 1e-3)
     measured.at_most("grazing mirrors", float(error[hard].quantile(0.999)), 0.3)
-    bent, alpha = facing(view, normal), ggx_alpha(roughness)
+    bent, alpha = bend_view_to_normal(view, normal), ggx_alpha(roughness)
     n_l, value, _ = specular_lobe(bent, normal, alpha, samples.direction)
     carried = (value * n_l.clamp_min(0) / samples.density).max()
     measured.at_most("weight", float(carried), 10)
@@ -245,7 +245,7 @@ def mixture_density(
         (P, N) float64.
     """
     n, d = normal.double()[:, None], direction.double()
-    v = facing(view.double(), normal.double())[:, None]
+    v = bend_view_to_normal(view.double(), normal.double())[:, None]
     a2 = ggx_alpha(roughness.double())[:, None] ** 2
     n_l, n_v = (n * d).sum(-1), (n * v).sum(-1)
     half = d + v

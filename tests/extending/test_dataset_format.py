@@ -49,7 +49,7 @@ def pose(degrees, distance):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(format_detection, "BEFORE", ((find_table, read_turntable), *format_detection.BEFORE))
+    monkeypatch.setattr(format_detection, "SPECIFIC_FORMATS", ((find_table, read_turntable), *format_detection.SPECIFIC_FORMATS))
     disk = np.hypot(*(np.mgrid[:48, :48] - 23.5)) < 12
     lines = ["image,degrees,distance,focal"]
     for i in range(12):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.mesh import Mesh
@@ -48,7 +48,7 @@ def lit_view(script, light: np.ndarray):
     """Return a camera's view of the balls under a light, without a true image."""
     camera = Camera(48, 48, 60.0, 60.0, 24.0, 24.0, look_at((1.5, -4.0, 2.0), (0.4, -0.1, 0.3)))
     inside = np.ones((48, 48), bool)
-    return script("benchmarks.studio").LitView(SimpleNamespace(camera=camera), "light", prepare(light), np.zeros((48, 48, 3)), inside)
+    return script("benchmarks.studio").LitView(SimpleNamespace(camera=camera), "light", prepare_light(light), np.zeros((48, 48, 3)), inside)
 
 
 @pytest.fixture(scope="module")

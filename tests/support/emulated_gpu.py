@@ -18,7 +18,7 @@ from irgspp.core.kernels.warp import bilateral, light, lobes, mesh, photometric,
 from irgspp.core.kernels.warp import trace as tracing
 from irgspp.core.machine import devices
 from irgspp.core.relight.backends import open_relighter
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relighter import RelightSettings
 from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.core.scene.reconstruction import Reconstruction
@@ -102,9 +102,9 @@ def emulate() -> None:
     make = torch.tensor  # it reads its values without the dispatch modes
     torch.tensor = lambda values, dtype=None, device="cpu": make(values, dtype=dtype).to(device)
     torch.Tensor.new_tensor = lambda like, values: make(values, dtype=like.dtype).to(like.device)
-    chosen = devices.Chosen(GPU, "emulated", True, 80 << 30)
+    chosen = devices.ChosenDevice(GPU, "emulated", True, 80 << 30)
     pipeline.write_blend = lambda *_: None  # slow, and independent of the GPU
-    pipeline.choose = devices.choose = lambda name: chosen
+    pipeline.choose = devices.choose_device = lambda name: chosen
 
 
 def check_itself() -> None:
@@ -126,7 +126,7 @@ def main(dataset: Path, run: Path, changes: list[str]) -> None:
         check_itself()
         pipeline.reconstruct(dataset, run, with_overrides(preset("balanced"), changes), overwrite=True)
         found = Reconstruction.load(run).to(GPU)
-        camera, sky = load_run_cameras(run / "cameras.json")[0].camera, prepare(sky_light(16, 32), GPU)
+        camera, sky = load_run_cameras(run / "cameras.json")[0].camera, prepare_light(sky_light(16, 32), GPU)
         cases = [("gaussian", {"samples": 8}), ("mesh", {"samples": 16, "error": 0.02}), ("mesh", {"samples": 8, "denoise": "off"})]
         for backend, settings in cases:
             relighter = open_relighter(run, found, backend, RelightSettings(**settings))

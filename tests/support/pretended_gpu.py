@@ -23,7 +23,7 @@ from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import FirstStageSettings, SecondStageSettings
 from irgspp.core.shading import sampling, specular_albedo, split_sum
-from irgspp.core.stages.common.finite_check import LOOK_EVERY
+from irgspp.core.stages.common.finite_check import CHECK_EVERY
 from irgspp.core.stages.first.initialization import surfels
 from irgspp.core.stages.first.material_class import MATERIAL_CLASSES
 from irgspp.core.stages.first.trainer import Trainer
@@ -117,7 +117,7 @@ def main() -> None:
             on_gpu.device, on_gpu._next_view = GPU, lambda: 0  # the host chooses the view, which needs values
             on_gpu.optimizer.others = {name: getattr(on_gpu, name) for name in on_gpu.optimizer.others}
             on_gpu.optimizer.adopt(on_gpu.optimizer.gaussians)
-            on_gpu.done = on_gpu.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not read
+            on_gpu.done = on_gpu.optimizer._steps = CHECK_EVERY + 1  # the losses of these steps are not read
             for _ in range(3):
                 on_gpu.step()
         for refinement in refinements:
@@ -125,7 +125,7 @@ def main() -> None:
             on_gpu.tracer.device = GPU
             on_gpu.optimizer.others = {"light": on_gpu.light}
             on_gpu.optimizer.adopt(on_gpu.optimizer.gaussians)
-            on_gpu.done = on_gpu.optimizer._steps = LOOK_EVERY + 1  # the losses of these steps are not read
+            on_gpu.done = on_gpu.optimizer._steps = CHECK_EVERY + 1  # the losses of these steps are not read
             for _ in range(3):
                 on_gpu.step()
     print(" ".join(sorted(set(launched))), flush=True)

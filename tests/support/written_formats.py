@@ -12,7 +12,7 @@ import pytest
 import torch
 from formats_scene import BALL, RADIUS, render_scene
 from irgspp.core.datasets.load import load_dataset, load_novel_views
-from irgspp.core.evaluation.ground_truth import SceneTruth, Truth, load_scene_truth, load_truth, turned
+from irgspp.core.evaluation.ground_truth import SceneTruth, Truth, load_scene_truth, load_truth, rotate_to_frame
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Dataset, View
@@ -126,7 +126,7 @@ def mirror_errors(light: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 def _on_its_side(light: np.ndarray) -> np.ndarray:
     """Return the light as if +Y up had been mistaken for +Z up."""
-    return turned(light, np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]))
+    return rotate_to_frame(light, np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]))
 
 
 def _moved(world: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:

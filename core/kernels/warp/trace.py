@@ -234,7 +234,7 @@ class Trace(torch.autograd.Function):
         return *(g if needed else None for needed, g in pairs), None, None
 
 
-class Seen:
+class FrozenGaussians:
     """Renderer of constant Gaussians along rays, see core/kernels/trace.py; it never makes the host wait.
 
     Args:

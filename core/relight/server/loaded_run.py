@@ -17,14 +17,14 @@ from ...errors import InputError
 from ...machine.devices import best
 from ...scene.camera import Camera
 from ...scene.camera_files import load_run_cameras
-from ...scene.environment_files import repaired
+from ...scene.environment_files import repair_environment
 from ...scene.environment_map import EnvironmentMap
 from ...scene.mesh_ply import load_mesh_ply
 from ...scene.reconstruction import Reconstruction
 from ..backends import Backend
 from ..gaussian_query import GaussianQuery
 from ..mesh_query import MeshQuery
-from ..prepared_light import PreparedLight, prepare
+from ..prepared_light import PreparedLight, prepare_light
 from ..primary_hits import PrimaryHits
 from ..relighter import RAYS, Relighter, RelightSettings
 from ..secondary_query import Hits, SurfaceQuery
@@ -208,9 +208,9 @@ class LoadedRun:
     def _light(self, source: LightSource | None) -> PreparedLight:
         """Return a prepared light, cached."""
         if source is None:
-            return self._lights.get(None, lambda: prepare(self.reconstruction.environment_map(), self._device))
+            return self._lights.get(None, lambda: prepare_light(self.reconstruction.environment_map(), self._device))
         upright, degrees = source.upright()
-        return self._lights.get(upright, lambda: prepare(self._map(upright).image(LIGHT_ROWS), self._device)).turned(degrees)
+        return self._lights.get(upright, lambda: prepare_light(self._map(upright).image(LIGHT_ROWS), self._device)).turned(degrees)
 
     def _map(self, source: LightSource) -> EnvironmentMap:
         """Return a light as an environment map with cached texels."""
@@ -278,4 +278,4 @@ def _read_map(file: Path) -> np.ndarray:
     if light.ndim != 3 or light.shape[-1] != 3 or not light.size or light.dtype.kind != "f":
         raise InputError(file, f"must hold a float light map (H, W, 3), found {light.dtype} {light.shape}")
     light = light.astype(np.float32)
-    return light if not light.any() else repaired(light, file)[0]
+    return light if not light.any() else repair_environment(light, file)[0]

@@ -9,17 +9,17 @@ import torch
 
 from ...errors import IrgsppError
 
-LOOK_EVERY = 50  # steps between checks on a GPU, as each makes the host wait for the device
+CHECK_EVERY = 50  # steps between checks on a GPU, as each makes the host wait for the device
 
 
 def check_due(value: torch.Tensor, step: int) -> bool:
-    """Return True where a value of this step is to be checked: each on the CPU, every LOOK_EVERY-th on a GPU (NaN persists).
+    """Return True where a value of this step is to be checked: each on the CPU, every CHECK_EVERY-th on a GPU (NaN persists).
 
     Args:
         value: tensor (...,) of any shape; only its device matters.
         step: number of the step, from 1 on.
     """
-    return value.device.type == "cpu" or step % LOOK_EVERY == 1
+    return value.device.type == "cpu" or step % CHECK_EVERY == 1
 
 
 def require_finite(values: Mapping[str, torch.Tensor], when: str) -> None:

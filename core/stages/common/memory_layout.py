@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...machine.cpu_memory import MOST_RAYS, rays_that_fit
-from ...machine.devices import Chosen
+from ...machine.devices import ChosenDevice
 from ...machine.gpu_memory import plan
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
@@ -26,7 +26,7 @@ class MemoryLayout:
     rays: int
 
 
-def fit_into_memory(data: Dataset, settings: Settings, chosen: Chosen, progress: Progress) -> MemoryLayout:
+def fit_into_memory(data: Dataset, settings: Settings, chosen: ChosenDevice, progress: Progress) -> MemoryLayout:
     """Return the fastest layout that fits into the free memory of the chosen device.
 
     Args:

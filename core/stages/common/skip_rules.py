@@ -7,7 +7,7 @@ from ...progress.protocol import Progress
 from ...settings.schema import SkipSettings
 
 
-def decide(settings: SkipSettings, rule: str, found: bool, evidence: str, progress: Progress) -> bool:
+def decide_skip_rule(settings: SkipSettings, rule: str, found: bool, evidence: str, progress: Progress) -> bool:
     """Decide whether a skip rule is in force, and report the decision to `progress`, which records it with the run.
 
     Args:

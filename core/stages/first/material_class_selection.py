@@ -13,7 +13,7 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
-from ..common.skip_rules import decide
+from ..common.skip_rules import decide_skip_rule
 from .material_class import COATED, MATERIAL_CLASSES, MaterialClass, allowed_material_classes, with_geometry_rates
 from .trainer import Trainer, invalid_checkpoint
 
@@ -89,7 +89,7 @@ def _compare(fits: dict[MaterialClass, Trainer], settings: Settings, progress: P
             running = [m for m in running if m not in hopeless]
         if len(running) == 1:
             break
-    decide(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
+    decide_skip_rule(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
     return score
 
 

@@ -11,7 +11,7 @@ from ...progress.protocol import Checkpoint, Progress, Silent
 from ...scene.dataset import Dataset
 from ...scene.reconstruction import Reconstruction
 from ...settings.schema import Settings
-from ..common.skip_rules import decide
+from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import first_stage_largest_scale, first_stage_schedule_scale, scale_schedule
 from ..common.training_view import object_box
 from .initial_light_albedo import estimate_light_albedo
@@ -36,7 +36,7 @@ def decide_cropping(dataset: Dataset, settings: Settings, progress: Progress) ->
     alphas = [torch.from_numpy(view.alpha) for view in dataset.train if view.alpha is not None]
     fraction = float(np.mean([alpha[object_box(alpha)].numel() / alpha.numel() for alpha in alphas]))
     evidence = f"the object's surroundings are {1 - fraction:.0%} of the pixels"
-    return decide(settings.skip, "background", fraction < CROP_BELOW, evidence, progress)
+    return decide_skip_rule(settings.skip, "background", fraction < CROP_BELOW, evidence, progress)
 
 
 def train(

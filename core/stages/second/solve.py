@@ -24,7 +24,7 @@ from ...scene.surface import Surface
 from ...settings.schema import Settings
 from ..common.finite_check import require_finite
 from ..common.preview import albedo_image
-from ..common.skip_rules import decide
+from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
 from .light_material_solver import METALLIC_VALUES, STEPS, LightMaterialSolver
@@ -175,7 +175,7 @@ def prepare_refinements(
     """
     megabytes = len(pool.lists.index) * 12 / 1e6
     evidence = f"the surfels of {pool.count:,} pixels take {megabytes:.0f} MB"
-    cache_hits = decide(settings.skip, "cache_hits", megabytes < CACHED_MEGABYTES, evidence, progress)
+    cache_hits = decide_skip_rule(settings.skip, "cache_hits", megabytes < CACHED_MEGABYTES, evidence, progress)
     tracer.repack = not cache_hits
     cameras = () if cache_hits else cameras
     return [Refinement(start, pool, tracer, settings.second, settings.seed, cameras=cameras) for start in starts]

@@ -8,7 +8,7 @@ import sys
 import pytest
 from irgspp.core.batch import batch as batches
 from irgspp.core.batch.batch import run_batch
-from irgspp.core.batch.job_state import JobFolder, Progress, State
+from irgspp.core.batch.job_state import JobFolder, JobProgress, State
 from irgspp.core.batch.table import BatchTable, progress_text, row_line, summary
 from irgspp.core.cli.main import main
 from irgspp.core.errors import Cancelled, InputError
@@ -129,10 +129,10 @@ def test_dask_without_a_scheduler(listed, capsys, monkeypatch):
 # --- the table
 
 ROWS = [
-    ("bear", State("done", seconds=65.0), Progress()),
-    ("fox", State("running"), Progress("first stage", 30, 120, 75.0)),
-    ("owl", State("failed", "photos: no such folder"), Progress()),
-    ("elk", State(), Progress()),
+    ("bear", State("done", seconds=65.0), JobProgress()),
+    ("fox", State("running"), JobProgress("first stage", 30, 120, 75.0)),
+    ("owl", State("failed", "photos: no such folder"), JobProgress()),
+    ("elk", State(), JobProgress()),
 ]
 
 
@@ -144,7 +144,7 @@ def test_rows_say_how_far_each_is():
         "waiting",
     ]
     assert summary(ROWS) == "4 jobs: 1 done, 1 running, 1 waiting, 1 failed"
-    assert progress_text(Progress()) == "starting" and progress_text(Progress("scene", 0, 0)) == "scene"
+    assert progress_text(JobProgress()) == "starting" and progress_text(JobProgress("scene", 0, 0)) == "scene"
 
 
 def test_in_a_file_a_line_is_a_change():
@@ -152,7 +152,7 @@ def test_in_a_file_a_line_is_a_change():
     board = BatchTable(stream)
     board.show(ROWS, last=True)
     board.show(ROWS, last=True)
-    changed = [*ROWS[:1], ("fox", State("done", seconds=80.0), Progress()), *ROWS[2:]]
+    changed = [*ROWS[:1], ("fox", State("done", seconds=80.0), JobProgress()), *ROWS[2:]]
     board.show(changed, last=True)
     assert [line.split()[:2] for line in stream.getvalue().splitlines()] == [
         ["bear", "done"],
@@ -168,7 +168,7 @@ def test_on_a_terminal_the_table_stays_in_its_place(monkeypatch):
             return True
 
     monkeypatch.setattr("shutil.get_terminal_size", lambda: (40, 5))
-    stream, many = Tty(), [*ROWS, *((f"job {i}", State(), Progress()) for i in range(20))]
+    stream, many = Tty(), [*ROWS, *((f"job {i}", State(), JobProgress()) for i in range(20))]
     board = BatchTable(stream)
     board.show(many)
     assert "fox" in stream.getvalue() and "owl" in stream.getvalue() and "bear" not in stream.getvalue()  # no room for all

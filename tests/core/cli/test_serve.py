@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from irgspp.core.relight.backends import open_relighter
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relighter import RelightSettings
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.reconstruction import Reconstruction
@@ -80,7 +80,7 @@ def worker(run, tmp_path_factory):
 
 def reference(run, light, samples=16, backend="mesh", camera=EYE):
     relighter = open_relighter(run, Reconstruction.load(run), backend, RelightSettings(samples=samples))
-    return relighter.relit(relighter.surface(camera), prepare(light)).numpy()
+    return relighter.relit(relighter.surface(camera), prepare_light(light)).numpy()
 
 
 def light_file(worker, name="light.npy", factor=1.0):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import InputError
-from irgspp.core.evaluation.ground_truth import SceneTruth, load_scene_truth, load_truth, turned
+from irgspp.core.evaluation.ground_truth import SceneTruth, load_scene_truth, load_truth, rotate_to_frame
 from irgspp.core.scene.dataset import View
 from irgspp.core.shading.environment_lookup import lookup, texel_directions
 from irgspp.core.shading.procedural_lights import sky_light
@@ -74,9 +74,9 @@ def test_light_maps_turn_with_the_world():
     light, matrix = sky_light(64, 128), similarity()
     direction = torch.nn.functional.normalize(torch.randn(200, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
     there = direction @ torch.from_numpy(matrix[:3, :3] / 2).float().T
-    moved = lookup(torch.from_numpy(turned(light, matrix)), there)
+    moved = lookup(torch.from_numpy(rotate_to_frame(light, matrix)), there)
     assert torch.median((moved - lookup(torch.from_numpy(light), direction)).abs()) < 0.01
-    assert np.array_equal(turned(light, np.diag([3.0, 3.0, 3.0, 1.0])), light)
+    assert np.array_equal(rotate_to_frame(light, np.diag([3.0, 3.0, 3.0, 1.0])), light)
 
 
 def test_layers_follow_the_world_frame_of_the_run(demo):

@@ -9,7 +9,7 @@ from irgspp.core.errors import InputError
 from irgspp.core.evaluation.ground_truth import Truth
 from irgspp.core.evaluation.image_metrics import prepare_image
 from irgspp.core.evaluation.prediction import Prediction
-from irgspp.core.evaluation.protocols import PLAIN, PROTOCOLS, described, protocol_named
+from irgspp.core.evaluation.protocols import PLAIN, PROTOCOLS, describe_protocol, protocol_named
 from irgspp.core.evaluation.view_metrics import Fits, averages, fitted_metrics, relit_metrics, view_metrics
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.scene.camera import Camera
@@ -275,11 +275,11 @@ def test_every_choice_is_said():
             continue  # of what the report was made, which it says itself
         how = replace(PLAIN, silhouette="true") if field.name == "cut" else PLAIN
         value = other.get(field.name, not getattr(PLAIN, field.name))
-        assert described(replace(how, **{field.name: value})) != described(how), field.name
+        assert describe_protocol(replace(how, **{field.name: value})) != describe_protocol(how), field.name
 
 
 def test_protocols_go_by_their_names():
     assert [protocol_named(name).name for name in PROTOCOLS] == list(PROTOCOLS) == [*DISPLAY[:4], "stanford-orb"]
-    assert len({tuple(described(how)) for how in PROTOCOLS.values()}) == len(PROTOCOLS)
+    assert len({tuple(describe_protocol(how)) for how in PROTOCOLS.values()}) == len(PROTOCOLS)
     with pytest.raises(InputError, match="there is no nerf; use plain, tensoir"):
         protocol_named("nerf")

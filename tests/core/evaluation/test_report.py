@@ -12,7 +12,7 @@ from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.evaluation import cases, report
 from irgspp.core.evaluation import contact_sheet as sheet
 from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips
-from irgspp.core.evaluation.protocols import PROTOCOLS, described
+from irgspp.core.evaluation.protocols import PROTOCOLS, describe_protocol
 from irgspp.core.progress.protocol import Silent
 from markupsafe import escape
 from PIL import Image
@@ -118,7 +118,7 @@ def test_report_of_a_perfect_run_by_each_protocol(demo, known, tmp_path, name):
         assert found["albedo_scale"] is None
     shown = report.table(found)
     html = (tmp_path / "out" / "report.html").read_text()
-    for line in (*described(how), "Only 3 of the 6 test views, evenly spread: published tables are of all.", NO_LPIPS):
+    for line in (*describe_protocol(how), "Only 3 of the 6 test views, evenly spread: published tables are of all.", NO_LPIPS):
         assert line in shown and escape(line) in html and line in found["protocol"]
     assert "8 samples per pixel" in shown
 

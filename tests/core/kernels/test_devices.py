@@ -14,7 +14,7 @@ from irgspp.core.kernels.photometric import photometric_loss
 from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.trace import blend, build_tree, hit_lists, trace, transmittance
 from irgspp.core.machine.backend import incomplete_images, warp_on_cpu
-from irgspp.core.machine.cuda import obstacle, probe
+from irgspp.core.machine.cuda import cuda_obstacle, probe_cuda
 from irgspp.core.relight.triangles import EmbreeTriangles, triangles_of
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.mesh import Mesh
@@ -27,7 +27,7 @@ DEVICES = ["warp-cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 @pytest.fixture(params=DEVICES)
 def device(request):
     if request.param == "cuda":
-        reason = obstacle(probe())
+        reason = cuda_obstacle(probe_cuda())
         if reason is not None:
             pytest.skip("; ".join(reason))
     with warp_on_cpu() if request.param == "warp-cpu" else nullcontext():

@@ -9,7 +9,7 @@ import torch
 from irgspp.core.kernels.constants import TRANSMITTANCE_MIN
 from irgspp.core.kernels.cpu.trace import NEAREST
 from irgspp.core.kernels.reference.trace import trace_reference
-from irgspp.core.kernels.trace import EXTRA, Seen, blend, build_tree, hit_lists, trace, transmittance
+from irgspp.core.kernels.trace import EXTRA, FrozenGaussians, blend, build_tree, hit_lists, trace, transmittance
 from surfel_clouds import cloud, rays
 
 NAMES = ("position", "quaternion", "log_scale", "opacity", "sh", "extra", "origin", "direction")
@@ -249,4 +249,4 @@ def test_results_do_not_depend_on_threads(monkeypatch):
 def test_seen_equals_trace():
     parameters, (origin, direction) = cloud(300, 5), rays(200, 5)
     tree = build_tree(*parameters[:4])
-    assert torch.equal(Seen(tree, *parameters[4:]).along(origin, direction), trace(*parameters, origin, direction, tree))
+    assert torch.equal(FrozenGaussians(tree, *parameters[4:]).along(origin, direction), trace(*parameters, origin, direction, tree))

@@ -9,8 +9,8 @@ import torch
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.machine import cuda
 from irgspp.core.machine.backend import by_warp
-from irgspp.core.machine.cuda import CudaInfo, DeviceLost, obstacle, translate_gpu_errors
-from irgspp.core.machine.devices import WARP_ON_CPU, choose, computing_on
+from irgspp.core.machine.cuda import CudaInfo, DeviceLost, cuda_obstacle, translate_gpu_errors
+from irgspp.core.machine.devices import WARP_ON_CPU, choose_device, computing_on
 from irgspp.core.machine.gpu_memory import FEWEST, RAYS, estimate_gpu_memory, plan, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA, reconstruct
 from irgspp.core.settings.overrides import with_overrides
@@ -32,35 +32,35 @@ OBSTACLES = {
 
 def test_a_suitable_gpu_is_chosen():
     for name in ("auto", "cuda"):
-        chosen = choose(name, lambda: GOOD)
+        chosen = choose_device(name, lambda: GOOD)
         assert chosen.device == torch.device("cuda", 0) and chosen.warp and chosen.free == 20 * GIB
-    assert obstacle(GOOD) is None and obstacle(replace(GOOD, driver=(13, 2), capability=(7, 5))) is None
+    assert cuda_obstacle(GOOD) is None and cuda_obstacle(replace(GOOD, driver=(13, 2), capability=(7, 5))) is None
 
 
 @pytest.mark.parametrize(("found", "words"), OBSTACLES.values(), ids=OBSTACLES)
 def test_an_obstacle_is_reported_in_one_line_and_auto_takes_the_cpu(found, words):
     with pytest.raises(InputError, match=words.replace("[", r"\[")) as caught:
-        choose("cuda", lambda: found)
+        choose_device("cuda", lambda: found)
     assert "\n" not in str(caught.value) and "--device cuda" in str(caught.value)
-    chosen = choose("auto", lambda: found)
+    chosen = choose_device("auto", lambda: found)
     assert chosen.device.type == "cpu" and not chosen.warp and "cuda can't be used" in chosen.why
 
 
 def test_cpu_is_taken_without_a_look_at_the_gpu():
-    assert choose("cpu", lambda: pytest.fail("looked")).device.type == "cpu"
+    assert choose_device("cpu", lambda: pytest.fail("looked")).device.type == "cpu"
 
 
 def test_warp_works_on_the_cpu_where_a_test_asks_for_it():
     tensor = torch.zeros(1)
-    with computing_on(choose(WARP_ON_CPU)):
+    with computing_on(choose_device(WARP_ON_CPU)):
         assert by_warp(tensor)
     assert not by_warp(tensor)
-    with computing_on(choose("cpu")):
+    with computing_on(choose_device("cpu")):
         assert not by_warp(tensor)
 
 
 def test_probing_this_machine_does_not_fail():
-    found = cuda.probe()
+    found = cuda.probe_cuda()
     assert found.torch_sees == torch.cuda.is_available()
 
 

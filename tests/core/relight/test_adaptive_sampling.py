@@ -6,8 +6,8 @@ import pytest
 import torch
 from irgspp.core.errors import InputError
 from irgspp.core.io.srgb import encode_srgb
-from irgspp.core.relight.adaptive_sampling import PILOT, Noise, encoding_slope
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.adaptive_sampling import PILOT, Noise, srgb_derivative
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.shading.procedural_lights import sunset_light
 
 
@@ -38,12 +38,12 @@ def test_what_a_filter_errs_by_bounds_what_is_left_of_the_noise():
 def test_slope_of_the_encoding():
     x = torch.tensor([0.001, 0.01, 0.2, 0.9], dtype=torch.float64)
     expected = (encode_srgb((x + 1e-6).numpy()) - encode_srgb((x - 1e-6).numpy())) / 2e-6
-    np.testing.assert_allclose(encoding_slope(x).numpy(), expected, rtol=1e-3)
-    assert encoding_slope(torch.tensor([1.5])) == 0
+    np.testing.assert_allclose(srgb_derivative(x).numpy(), expected, rtol=1e-3)
+    assert srgb_derivative(torch.tensor([1.5])) == 0
 
 
 def test_the_error_is_about_what_was_asked_for(relighter, camera):
-    light = prepare(sunset_light(32, 64))
+    light = prepare_light(sunset_light(32, 64))
     one, true = (relighter("mesh", denoise="off", **how) for how in ({"error": 0.01}, {"samples": 2048}))
     surface = one.surface(camera)
     seen, expected = (encode_srgb(r.relit(surface, light)[..., :3].clamp(0, 1).numpy()).reshape(-1, 3)[surface.index] for r in (one, true))

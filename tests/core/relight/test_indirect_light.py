@@ -6,7 +6,7 @@ import pytest
 import torch
 from irgspp.core.relight.direct_light import add_light_samples
 from irgspp.core.relight.indirect_light import SecondaryRays, SecondaryScene, ShadingPoints, gather, gather_reference, trace_samples
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.visibility_cache import VisibilityCache
 from irgspp.core.shading.environment_lookup import lookup, rotate
 from irgspp.core.shading.procedural_lights import studio_light
@@ -21,7 +21,7 @@ SCALE = torch.tensor([1.0, 0.8, 0.6])
 @pytest.fixture
 def light():
     """A light that is brighter on one side, of another size than its prefiltered maps."""
-    return prepare(studio_light(40, 80) * np.linspace(0.5, 1.5, 80, dtype=np.float32)[None, :, None])
+    return prepare_light(studio_light(40, 80) * np.linspace(0.5, 1.5, 80, dtype=np.float32)[None, :, None])
 
 
 def points_of(surface) -> tuple[ShadingPoints, torch.Tensor]:
@@ -89,8 +89,8 @@ def test_what_is_met_is_as_bright_where_samples_of_the_light_leave_it_out(religh
 @pytest.mark.parametrize("degrees", [0.0, 123.0])
 def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backend, degrees):
     """Compare with drawing them one by one: the table rounds their direction by at most one of its cells."""
-    light = prepare(np.linspace(0.5, 1.5, 64, dtype=np.float32)[None, :, None] * np.ones((32, 1, 3), np.float32)).turned(degrees)
-    still = prepare(rotate(light.radiance.numpy(), degrees).astype(np.float32))
+    light = prepare_light(np.linspace(0.5, 1.5, 64, dtype=np.float32)[None, :, None] * np.ones((32, 1, 3), np.float32)).turned(degrees)
+    still = prepare_light(rotate(light.radiance.numpy(), degrees).astype(np.float32))
     one = relighter(backend, (0.9, 0.7, 0.3, 0.4, 0.5))
     surface = one.surface(camera)
     points, shift = points_of(surface)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.relight import relighter as module
-from irgspp.core.relight.prepared_light import prepare
+from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.scene.camera import Camera
 from irgspp.core.shading.brdf import base_reflectance
@@ -16,7 +16,7 @@ from irgspp.core.shading.procedural_lights import studio_light, sunset_light
 from irgspp.core.shading.specular_albedo import specular_albedo
 
 BACKENDS = ("mesh", "gaussian")
-WHITE = prepare(np.ones((16, 32, 3), np.float32))
+WHITE = prepare_light(np.ones((16, 32, 3), np.float32))
 BALL = ((np.zeros(3), 1.0),)
 
 
@@ -50,7 +50,7 @@ def test_white_furnace(relighter, camera, backend, material, conserving):
 
 @pytest.mark.parametrize("material", [(0.6, 0.4, 0.2, 0.7, 0.0), (0.9, 0.7, 0.3, 0.3, 1.0)])
 def test_backends_agree_on_balls_that_shade_each_other(relighter, camera, material):
-    light = prepare(studio_light(32, 64))
+    light = prepare_light(studio_light(32, 64))
     _, mesh, solid = pixels(relighter("mesh", material, mesh_normals=0.0), camera, light)
     _, gaussian, same = pixels(relighter("gaussian", material), camera, light)
     assert torch.equal(solid, same)
@@ -61,7 +61,7 @@ def test_shadow_and_indirect_light(relighter, camera):
     """A ball shadows the one below it; indirect light only adds."""
     lamp = np.zeros((32, 64, 3), np.float32)
     lamp[:4] = 5.0  # overhead
-    light = prepare(lamp)
+    light = prepare_light(lamp)
     single = relighter("mesh", balls=BALL)
     alone = single.relit(single.surface(camera), light)
     lit, dark = (relighter("mesh", indirect=indirect, denoise="off") for indirect in (True, False))
@@ -83,7 +83,7 @@ def test_rays_start_on_the_mesh_where_a_pixel_s_mean_depth_lies_inside_it(religh
 
 
 def test_same_image_twice_bit_by_bit(relighter, camera):
-    light = prepare(sunset_light(32, 64))
+    light = prepare_light(sunset_light(32, 64))
     first, second = (relighter("gaussian", samples="efficient") for _ in range(2))
     image = first.relit(first.surface(camera), light)
     assert torch.equal(image, first.relit(first.surface(camera), light))
@@ -95,7 +95,7 @@ def test_same_image_twice_bit_by_bit(relighter, camera):
 def test_another_light_on_the_same_surface_is_the_same_image_as_alone(relighter, camera, monkeypatch, sampling, kept_bytes):
     monkeypatch.setattr(module, "CACHE_BYTES", kept_bytes)
     monkeypatch.setattr(module, "RAYS", 1 << 14)  # several parts
-    lights = [prepare(light) for light in (studio_light(32, 64), sunset_light(16, 32))]
+    lights = [prepare_light(light) for light in (studio_light(32, 64), sunset_light(16, 32))]
     one = relighter("mesh", samples=32, sampling=sampling)
     surface = one.surface(camera)
     kept = [one.relit(surface, light) for light in (*lights, *lights)]
@@ -112,7 +112,7 @@ def test_rays_are_kept_for_the_next_light_and_let_go_with_the_surface(relighter,
         hits=lambda o, d: asked.append(len(o)) or query.hits(o, d),
         hidden=lambda o, d: asked.append(len(o)) or query.hidden(o, d),
     )
-    surface, light = one.surface(camera), prepare(studio_light(32, 64))
+    surface, light = one.surface(camera), prepare_light(studio_light(32, 64))
     for _ in range(2):
         one.relit(surface, light)
     first, second = sum(asked[: len(asked) - 1]), asked[-1]  # cosine and visible normals once, light samples each time
@@ -124,7 +124,7 @@ def test_rays_are_kept_for_the_next_light_and_let_go_with_the_surface(relighter,
 
 def test_what_nothing_shades_is_exact_with_few_samples(relighter, camera):
     """A convex matt body: sampling determines visibility alone, and all light is visible."""
-    light = prepare(sunset_light(64, 128))
+    light = prepare_light(sunset_light(64, 128))
     few, many = (relighter("mesh", (0.6, 0.5, 0.4, 1.0, 0.0), BALL, samples=n, denoise="off") for n in (16, 2048))
     surface = few.surface(camera)
     solid = (surface.alpha > 0.99) & ((surface.view * surface.normal).sum(-1) > 0.3)
@@ -133,7 +133,7 @@ def test_what_nothing_shades_is_exact_with_few_samples(relighter, camera):
 
 
 def test_strategies_agree_and_mis_is_less_noisy(relighter, camera):
-    light = prepare(sunset_light(32, 64))
+    light = prepare_light(sunset_light(32, 64))
     glossy = (0.9, 0.7, 0.3, 0.3, 1.0)
     converged, mis, strata, many = (
         pixels(relighter("mesh", glossy, samples=n, sampling=sampling, denoise="off"), camera, light)[1]
@@ -157,7 +157,7 @@ def test_albedo_scale_holds_for_what_is_seen_in_reflections_too(relighter, camer
 def test_image_is_linear_in_the_light(relighter, camera):
     one = relighter("mesh", denoise="off")
     surface, light = one.surface(camera), sunset_light(32, 64)
-    single, triple = (one.relit(surface, prepare(light * factor)) for factor in (np.float32(1), np.float32(3)))
+    single, triple = (one.relit(surface, prepare_light(light * factor)) for factor in (np.float32(1), np.float32(3)))
     assert torch.allclose(triple[..., :3], 3 * single[..., :3], rtol=2e-3, atol=2e-3)
     assert torch.equal(triple[..., 3], single[..., 3])
 
@@ -165,7 +165,7 @@ def test_image_is_linear_in_the_light(relighter, camera):
 @pytest.mark.parametrize("denoise", ["off", "paper", "demodulated"])
 def test_no_light_is_black(relighter, camera, denoise):
     one = relighter("mesh", denoise=denoise)
-    rgba = one.relit(one.surface(camera), prepare(np.zeros((8, 16, 3), np.float32)))
+    rgba = one.relit(one.surface(camera), prepare_light(np.zeros((8, 16, 3), np.float32)))
     assert not rgba[..., :3].any() and rgba[..., 3].max() == 1
 
 
@@ -192,5 +192,5 @@ def test_light_is_looked_up_at_full_resolution_in_mirrors(relighter, camera):
     lamp[60:62, 383:385] = 500.0  # towards -Y, where the camera is, and up
     one = relighter("mesh", (0.9, 0.9, 0.9, 0.1, 1.0), BALL, samples=256, denoise="off", mesh_normals=1.0)
     assert isinstance(one.settings, RelightSettings)
-    rgba = one.relit(one.surface(camera), prepare(lamp))
+    rgba = one.relit(one.surface(camera), prepare_light(lamp))
     assert rgba[..., 0].max() > 20 * rgba[..., 0][rgba[..., 3] > 0.99].median()

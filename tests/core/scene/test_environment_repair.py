@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.scene.environment_files import repaired
+from irgspp.core.scene.environment_files import repair_environment
 
 
 def light_map():
@@ -12,7 +12,7 @@ def light_map():
 
 def test_a_valid_light_is_left_unchanged():
     light = light_map()
-    result, remarks = repaired(light, "light map")
+    result, remarks = repair_environment(light, "light map")
     assert not remarks
     np.testing.assert_array_equal(result, light)
 
@@ -23,7 +23,7 @@ def test_every_fault_is_repaired_and_counted():
     light[0, 2, 0], light[0, 3] = -1, -np.inf
     light[1, 0, 1], light[1, 4] = np.inf, np.inf
     before = light.copy()
-    result, remarks = repaired(light, "light map")
+    result, remarks = repair_environment(light, "light map")
     message = "; ".join(remarks)
     assert "2 texels are not a number, set to 0" in message
     assert "2 texels are negative, set to 0" in message
@@ -36,6 +36,6 @@ def test_every_fault_is_repaired_and_counted():
 
 @pytest.mark.parametrize("value", [0.0, -3.0, np.nan, -np.inf, np.inf])
 def test_a_light_without_any_power_becomes_a_dim_grey(value):
-    result, remarks = repaired(np.full((4, 8, 3), value, np.float32), "light map")
+    result, remarks = repair_environment(np.full((4, 8, 3), value, np.float32), "light map")
     np.testing.assert_allclose(result, 1e-4)
     assert "all 32 texels are black, set to a grey of 0.0001" in "; ".join(remarks)

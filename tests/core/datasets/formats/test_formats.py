@@ -8,7 +8,7 @@ from irgspp.core.datasets.format_detection import parse_dataset
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.datasets.summary import describe
 from irgspp.core.errors import InputError
-from irgspp.core.evaluation.ground_truth import turned
+from irgspp.core.evaluation.ground_truth import rotate_to_frame
 from irgspp.core.evaluation.report import evaluate
 from irgspp.core.pipeline import Job, reconstruct
 from irgspp.core.run_folder import read_run
@@ -167,7 +167,7 @@ def test_the_world_is_turned_as_the_images_show(written):
     """In every image, the ball mirrors the scene's own light, rotated by the axes of the file."""
     _, dataset = written
     data = load_dataset(dataset.path, SEVERAL)
-    light = turned(axes_light("axes"), data.to_world @ dataset.world)
+    light = rotate_to_frame(axes_light("axes"), data.to_world @ dataset.world)
     explained(dataset, [(v.camera, v.alpha, np.clip(v.colour, 0, 1), light) for v in data.train[::3]], data.to_world)
 
 

@@ -9,7 +9,7 @@ from irgspp.core.progress.protocol import Silent
 from irgspp.core.progress.recorder import ProgressRecorder
 from irgspp.core.run_folder import RunFolder
 from irgspp.core.settings.schema import Settings, SkipSettings
-from irgspp.core.stages.common.skip_rules import decide
+from irgspp.core.stages.common.skip_rules import decide_skip_rule
 
 
 class Witness(Silent):
@@ -25,7 +25,7 @@ class Witness(Silent):
 )
 def test_evidence_decides_unless_the_settings_do(choice, found, on):
     witness = Witness()
-    assert decide(replace(SkipSettings(), background=choice), "background", found, "40 % black", witness) is on
+    assert decide_skip_rule(replace(SkipSettings(), background=choice), "background", found, "40 % black", witness) is on
     ((rule, decided, evidence),) = witness.heard
     assert (rule, decided) == ("background", on)
     assert ("as set" in evidence) == (choice != "auto") and "40 % black" in evidence
