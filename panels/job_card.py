@@ -110,6 +110,6 @@ def progress_text(job: Job) -> str:
 
 def metrics_text(job: Job) -> str:
     """Return loss and PSNR in one line; empty where neither is known."""
-    parts = [f"Loss {job.figures['loss']:.4f}"] if "loss" in job.figures else []
-    parts += [f"PSNR {job.figures['psnr']:.1f} dB"] if "psnr" in job.figures else []
+    parts = [f"Loss {job.metrics['loss']:.4f}"] if "loss" in job.metrics else []
+    parts += [f"PSNR {job.metrics['psnr']:.1f} dB"] if "psnr" in job.metrics else []
     return "   ".join(parts)

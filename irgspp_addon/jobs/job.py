@@ -37,7 +37,7 @@ class Job:
         state: "queued", "running", "done", "failed", "cancelled" or "lost" (it ended unobserved, without an exit status).
         owner: name of the session file of the Blender that manages it.
         made, began, ended: times of its creation, start and end in seconds since the epoch.
-        phase, step, of, eta, figures, message: progress last reported by the engine; eta in seconds.
+        phase, step, of, eta, metrics, message: progress last reported by the engine; eta in seconds.
         preview: image of the state so far, or None.
         error: reason of a failure, in one line.
         stopping: True after a request to stop.
@@ -62,7 +62,7 @@ class Job:
     step: int = 0
     of: int = 0
     eta: float | None = None
-    figures: dict[str, float] = field(default_factory=dict)
+    metrics: dict[str, float] = field(default_factory=dict)
     message: str = ""
     preview: Path | None = None
     stopping: bool = False
@@ -173,7 +173,7 @@ class Job:
             self.phase, self.step, self.of, self.eta = str(event["phase"]), 0, 0, None
         if "step" in event:
             self.step, self.of, self.eta = int(event["step"]), int(event.get("of") or 0), event.get("eta")
-        self.figures |= {k: float(v) for k, v in event.items() if k in ("loss", "psnr", "gaussians") and v is not None}
+        self.metrics |= {k: float(v) for k, v in event.items() if k in ("loss", "psnr", "gaussians") and v is not None}
         self.message = str(event.get("message", self.message))
 
     def _look_for_preview(self) -> None:

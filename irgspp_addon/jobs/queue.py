@@ -245,7 +245,7 @@ def _start_queued() -> bool:
 
 def _begin(job: Job) -> None:
     try:
-        job.phase, job.step, job.of, job.eta, job.figures, job.preview, job._read = "", 0, 0, None, {}, None, 0
+        job.phase, job.step, job.of, job.eta, job.metrics, job.preview, job._read = "", 0, 0, None, {}, None, 0
         job.state, job.began = "running", time.time()
         job.save()
         spawn(job, keep_running())

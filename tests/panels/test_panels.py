@@ -131,7 +131,7 @@ def test_a_running_reconstruction(settings, tmp_path):
         step=100,
         of=400,
         eta=65.0,
-        figures={"loss": 0.02, "psnr": 28.0},
+        metrics={"loss": 0.02, "psnr": 28.0},
         message="a word",
         made=time.time(),
     )

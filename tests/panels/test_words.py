@@ -47,8 +47,8 @@ def test_progress_and_metrics():
     assert progress_text(job(step=23, of=50, eta=80.0)) == "46 %, 1:20 min left"
     assert progress_text(job(step=1, of=4)) == "25 %"
     assert progress_text(job()) == "Working"
-    assert metrics_text(job(figures={"loss": 0.01234, "psnr": 31.26})) == "Loss 0.0123   PSNR 31.3 dB"
-    assert metrics_text(job(figures={"gaussians": 3.0})) == ""
+    assert metrics_text(job(metrics={"loss": 0.01234, "psnr": 31.26})) == "Loss 0.0123   PSNR 31.3 dB"
+    assert metrics_text(job(metrics={"gaussians": 3.0})) == ""
 
 
 def test_when_a_job_was():

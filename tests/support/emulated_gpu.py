@@ -104,7 +104,7 @@ def emulate() -> None:
     torch.Tensor.new_tensor = lambda like, values: make(values, dtype=like.dtype).to(like.device)
     chosen = devices.ChosenDevice(GPU, "emulated", True, 80 << 30)
     pipeline.write_blend = lambda *_: None  # slow, and independent of the GPU
-    pipeline.choose = devices.choose_device = lambda name: chosen
+    pipeline.choose_device = devices.choose_device = lambda name: chosen
 
 
 def check_itself() -> None:

@@ -38,7 +38,7 @@ def test_reconstruction_reports_progress_and_writes_a_run(tmp_path):
     assert (job.state, job.error) == ("done", None), job.log_tail()
     assert {state for state, _ in seen} == {"running", "done"}
     assert {"first stage", "second stage"} & {phase for _, phase in seen}
-    assert 0 < job.figures["loss"] < 1 and 5 < job.figures["psnr"] < 60
+    assert 0 < job.metrics["loss"] < 1 and 5 < job.metrics["psnr"] < 60
     assert job.preview == tmp_path / "run" / "previews" / "latest.png"
     assert job.preview.read_bytes().startswith(b"\x89PNG")
     assert job.output().strip() == str(tmp_path / "run")
