@@ -24,8 +24,12 @@ PATIENCE = 300  # seconds on a machine that has other things to do
 
 @pytest.fixture(scope="module")
 def cluster():
+    """Two workers; afterwards the environment is as before, as dask leaves OMP_NUM_THREADS=1 for the processes of other tests."""
+    before = dict(os.environ)
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         yield cluster
+    os.environ.clear()
+    os.environ.update(before)
 
 
 def steps_of(run) -> list[int]:
