@@ -5,6 +5,7 @@ import ast
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -126,3 +127,10 @@ def test_modules_that_blender_imports_load_in_its_later_pythons(version):
     command = [python, "-B", "-W", "error", "-c", IMPORTS, str(ROOT), *sorted(modules)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.strip() == "all", done.stderr
+
+
+def test_every_package_is_listed_for_installation():
+    """Setuptools takes only packages that pyproject.toml names."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    folders = {file.parent.relative_to(ROOT).as_posix().replace("/", ".") for file in SOURCES if file.parent != ROOT}
+    assert set(project["tool"]["setuptools"]["packages"]) == {"irgspp", *(f"irgspp.{folder}" for folder in folders)}
