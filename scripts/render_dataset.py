@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render a dataset with exact ground truth from a .blend file, or from the built-in demonstration scene."""
+"""Render a dataset with exact ground truth from a .blend file, or from one of the built-in scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from irgspp.core.shading.procedural_lights import LIGHTS
 from irgspp.irgspp_addon.world.light_to_world import bake_world, world_from_map
 from PIL import Image
 from scenes import cycles_ground_truth
-from scenes.demo_scene import build_demo_scene
+from scenes.catalogue import SCENES
 
 ANGLE_X = 0.6911112070083618  # horizontal field of view of the NeRF-synthetic cameras
 LENS_RADII = 4 / 1.3  # camera distance in object radii
@@ -28,7 +28,8 @@ SEED = 7
 def arguments(argv: list[str] | None) -> argparse.Namespace:
     """Parse the command line; `argv` is that of the process where None."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", nargs="?", type=Path, help=".blend file (default: the built-in scene)")
+    parser.add_argument("blend", nargs="?", type=Path, help=".blend file (default: the built-in scene that --scene names)")
+    parser.add_argument("--scene", choices=SCENES, default="demo", help="built-in scene; default: demo, that of the embedded dataset")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write, must not exist or be empty")
     parser.add_argument("--resolution", type=int, default=200)
     parser.add_argument("--train", type=int, default=64, help="training views")
@@ -38,6 +39,7 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--relight", nargs="*", help="more lights for the test views; default: studio sunset")
     parser.add_argument("--light-height", type=int, default=128, help="rows of built-in and baked light maps")
     parser.add_argument("--points", type=int, default=10_000, help="surface samples for mesh scores")
+    parser.add_argument("--threads", type=int, default=0, help="of Cycles; default: 0, as many as the machine has")
     return parser.parse_args(argv)
 
 
@@ -62,14 +64,18 @@ def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolutio
     return cameras
 
 
-def load_scene(path: Path | None) -> bpy.types.Scene:
-    """Open a .blend file, or build the demonstration scene where the path is None.
+def load_scene(path: Path | None, name: str) -> bpy.types.Scene:
+    """Open a .blend file, or build a built-in scene where the path is None.
+
+    Args:
+        path: .blend file.
+        name: name of the built-in scene.
 
     Raises:
         InputError: where there is no such file, or Blender can't open it.
     """
     if path is None:
-        build_demo_scene()
+        SCENES[name]()
     elif not path.is_file():
         raise InputError(path, "no such file")
     else:
@@ -94,7 +100,7 @@ def write_lights(scene: bpy.types.Scene, args: argparse.Namespace) -> list[str]:
     folder.mkdir(parents=True)
     relights = ["studio", "sunset"] if args.relight is None else args.relight
     names = []
-    if args.light is None and args.scene is not None and scene.world is not None:
+    if args.light is None and scene.world is not None:
         bake_world(scene, folder / "world.exr", args.light_height)
         names.append("world")
     for light in ([args.light or "sky"] if not names else []) + relights:
@@ -193,7 +199,7 @@ def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray,
         scene: rendered scene.
     """
     meta = {
-        "name": args.scene.stem if args.scene else "demo",
+        "name": args.blend.stem if args.blend else args.scene,
         "blender": bpy.app.version_string,
         "seed": SEED,
         "resolution": [args.resolution, args.resolution],
@@ -226,13 +232,14 @@ def render_dataset(args: argparse.Namespace) -> None:
     """
     if args.output.exists() and any(args.output.iterdir()):
         raise InputError(args.output, "is not empty", "name a new folder")
-    scene = load_scene(args.scene)
-    cycles_ground_truth.prepare(scene, args.samples, SEED)
+    scene = load_scene(args.blend, args.scene)
+    cycles_ground_truth.prepare(scene, args.samples, SEED, args.threads)
     lights = write_lights(scene, args)
     worlds = {name: world_from_map(args.output / "envs" / f"{name}.exr", name) for name in lights}
     corners = cycles_ground_truth.world_triangles(scene).reshape(-1, 3)
-    centre = np.zeros(3) if args.scene is None else (corners.min(0) + corners.max(0)) / 2
-    radius = 1.3 if args.scene is None else float(np.linalg.norm(corners - centre, axis=-1).max())
+    demo = args.blend is None and args.scene == "demo"  # its cameras look at the origin, not at the middle of the object
+    centre = np.zeros(3) if demo else (corners.min(0) + corners.max(0)) / 2
+    radius = 1.3 if demo else float(np.linalg.norm(corners - centre, axis=-1).max())
     train = orbit(args.train, 0.0, centre, radius, args.resolution)
     test = orbit(args.test, 0.37, centre, radius, args.resolution)
     write_meta(args, lights, corners, scene)

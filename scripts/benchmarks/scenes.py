@@ -74,10 +74,9 @@ def rendered_scenes(folder: Path, say: Callable[[str], None]) -> list[Scene]:
 def _render(kind: str, folder: Path, target: Path) -> None:
     """Render a scene into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    partial, blend = folder / f"{kind}.part", folder / f"{kind}.blend"
+    partial = folder / f"{kind}.part"
     shutil.rmtree(partial, ignore_errors=True)  # left by an interrupted call
-    _call("scenes/demo_scene.py", kind, blend)
-    _call("render_dataset.py", blend, "-o", partial, *SIZE)
+    _call("render_dataset.py", "--scene", kind, "-o", partial, *SIZE)
     partial.rename(target)
 
 

@@ -16,15 +16,17 @@ from mathutils.bvhtree import BVHTree
 ALBEDO, MATERIAL = "irgspp_albedo", "irgspp_material"
 
 
-def prepare(scene: bpy.types.Scene, samples: int, seed: int) -> None:
+def prepare(scene: bpy.types.Scene, samples: int, seed: int, threads: int = 0) -> None:
     """Set a scene to complete light paths and a transparent film, and add AOVs of the layers to every material.
 
     Args:
         scene: scene to render.
         samples: samples per pixel.
         seed: seed of Cycles.
+        threads: threads of Cycles, or 0 for as many as the machine has.
     """
     scene.render.engine = "CYCLES"
+    scene.render.threads_mode, scene.render.threads = ("FIXED", threads) if threads else ("AUTO", scene.render.threads)
     scene.render.film_transparent = True
     scene.render.use_persistent_data = True
     cycles = scene.cycles

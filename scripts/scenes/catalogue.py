@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The built-in scenes by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import bpy
+
+from .bowl_scene import build_bowl_scene
+from .demo_scene import build_demo_scene
+from .relief_scene import build_relief_scene
+
+SCENES: dict[str, Callable[[], list[bpy.types.Object]]] = {
+    "demo": build_demo_scene,
+    "low-gloss": partial(build_demo_scene, "low-gloss"),
+    "glossy": partial(build_demo_scene, "glossy"),
+    "bowl": build_bowl_scene,
+    "relief": build_relief_scene,
+}
