@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any
 
@@ -78,3 +78,22 @@ def run_ranges(kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], *a
     if len(calls) == 1:
         return [kernel(*calls[0], *args)]
     return [future.result() for future in [_executor(thread_count()).submit(kernel, *call, *args) for call in calls]]
+
+
+def run_jobs(function: Callable[..., Any], jobs: Sequence[Sequence[Any]]) -> Iterator[Any]:
+    """Call a function for every job on the thread pool, and yield the results in order as they arrive.
+
+    Jobs that have not begun when the caller stops iterating are dropped. A function must not use the thread pool itself.
+
+    Args:
+        function: called as `function(*job)`.
+        jobs: arguments of each call.
+    """
+    futures = [_executor(thread_count()).submit(function, *job) for job in jobs]
+    try:
+        for future in futures:
+            yield future.result()
+    finally:
+        for future in futures:
+            future.cancel()
+        wait(futures)

@@ -2,12 +2,13 @@
 """The thread pool distributes every item once, evenly, and always the same way."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from irgspp.core.machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
+from irgspp.core.machine.thread_pool import balanced_ranges, even_ranges, run_jobs, run_ranges, thread_count
 
 
 def covers(ranges, count):
@@ -69,3 +70,26 @@ def test_one_thread_at_least(monkeypatch):
     assert thread_count() == 1
     monkeypatch.delenv("IRGSPP_THREADS")
     assert thread_count() >= 1
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_jobs_give_their_results_in_order(threads, monkeypatch):
+    monkeypatch.setenv("IRGSPP_THREADS", str(threads))
+    assert list(run_jobs(lambda a, b: a - b, [(i, 1) for i in range(20)])) == list(range(-1, 19))
+
+
+def test_jobs_that_have_not_begun_are_dropped(monkeypatch):
+    monkeypatch.setenv("IRGSPP_THREADS", "2")
+    begun = []
+    results = run_jobs(lambda i: (begun.append(i), time.sleep(0.01)), [(i,) for i in range(100)])
+    next(results)
+    results.close()
+    count = len(begun)
+    time.sleep(0.1)
+    assert count == len(begun) < 50
+
+
+def test_a_failed_job_raises_its_error(monkeypatch):
+    monkeypatch.setenv("IRGSPP_THREADS", "2")
+    with pytest.raises(ZeroDivisionError):
+        list(run_jobs(lambda i: 1 // (i - 3), [(i,) for i in range(10)]))
