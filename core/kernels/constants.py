@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Constants that the CPU kernels, the GPU kernels and the float64 references share, so that all three compute the same model.
 
-Sources: 2DGS (Huang 2024) for the splats, 3DGS (Kerbl 2023) for ALPHA_MIN and the order of the harmonics, Wang 2004 for SSIM.
+Sources: 2DGS (Huang 2024) for the splats, 3DGS (Kerbl 2023) for ALPHA_MIN and the order of the harmonics, Wang 2004 for SSIM,
+COLMAP (Schoenberger 2016) for the bilateral NCC of stereo.
 """
 
 import numpy as np
@@ -50,3 +51,14 @@ SSIM_RADIUS = 5
 _taps = np.exp(-0.5 * (np.arange(-SSIM_RADIUS, SSIM_RADIUS + 1) / 1.5) ** 2)
 SSIM_TAPS = (_taps / _taps.sum()).astype(np.float32)
 SSIM_C1, SSIM_C2 = np.float32(0.01**2), np.float32(0.03**2)
+
+# --- matching cost of stereo: bilateral NCC of patches
+PATCH_REACH = 2  # samples to each side of the patch's middle
+PATCH_SPACING = 2  # pixels between samples
+PATCH_SAMPLES = (2 * PATCH_REACH + 1) ** 2
+WORST_COST = np.float32(2)  # 1 - NCC of opposite patches; also of patches that cannot be compared
+FLAT_VARIANCE = np.float32(2e-5)  # variance of grey values in 0..1 below which a patch has no texture to compare
+WEIGHT_CUT = np.float32(2.5)  # grey differences in sigmas from which a sample has weight 0: patches then stop at silhouettes
+WARPED_AREA = (np.float32(0.1), np.float32(8))  # range of pixels in the source for one pixel; outside, sampling loses the texture
+WARPED_REACH = np.float32(25)  # pixels; largest distance of a sample from the middle of the warped patch
+LARGEST_REPROJECTION = np.float32(3)  # pixels; errors above it, and pixels without depth, count as this much

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""View selection: the views that each view is matched with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..scene.camera import Camera
+
+BEST_ANGLE = 10.0  # degrees between the rays to a point: less tells depth badly, more changes the patch's look
+NARROW_POWER = 1.5  # of the decline towards 0 degrees
+WIDE_SIGMA = 15.0  # degrees, of the decline beyond BEST_ANGLE
+SMALLEST_SCORE = 1e-3  # for each point that the view sees: about 50 degrees, where patches no longer look alike
+SMALLEST_FRACTION = 0.02  # of the best source's score
+
+
+def choose_sources(cameras: Sequence[Camera], points: np.ndarray, count: int) -> list[list[int]]:
+    """Choose the source views of each view: those that see the same points at a like scale and a helpful angle.
+
+    The score sums over the points that both see the product of a function of the angle between their rays and the ratio of their scales
+    (Yao et al. 2018).
+
+    Args:
+        cameras: of all views.
+        points: (P, 3) points about where the surfaces are.
+        count: largest number of sources of a view.
+
+    Returns:
+        Indices of each view's sources, the best first; empty for a view that shares no points with others.
+    """
+    inside = np.stack([_visible(camera, points) for camera in cameras])
+    offsets = np.stack([camera.centre - points for camera in cameras])
+    distances = np.linalg.norm(offsets, axis=-1)
+    chosen = []
+    for i, camera in enumerate(cameras):
+        scores = np.zeros(len(cameras))
+        for j, other in enumerate(cameras):
+            both = inside[i] & inside[j] & (distances[i] > 0) & (distances[j] > 0)
+            if j != i and both.any():
+                cosine = (offsets[i, both] * offsets[j, both]).sum(-1) / (distances[i, both] * distances[j, both])
+                scale = (other.fx / distances[j, both]) / (camera.fx / distances[i, both])
+                scores[j] = (_angle_score(cosine) * np.minimum(scale, 1 / scale)).sum()
+        order = np.argsort(-scores, kind="stable")[:count]
+        least = max(SMALLEST_FRACTION * scores.max(), SMALLEST_SCORE * inside[i].sum())
+        chosen.append([int(j) for j in order if scores[j] > least])
+    return chosen
+
+
+def choose_witnesses(sources: Sequence[Sequence[int]], most: int) -> list[tuple[int, ...]]:
+    """Return the views that each view's depths are compared with: its sources, then those that it is a source of.
+
+    Args:
+        sources: of each view.
+        most: largest number of witnesses of a view.
+    """
+    back = [[j for j, own in enumerate(sources) if i in own and j not in sources[i]] for i in range(len(sources))]
+    return [tuple([*own, *others][:most]) for own, others in zip(sources, back, strict=True)]
+
+
+def _visible(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return (P,) bool: True where a point is in front of the camera and in its image; what hides it is neglected."""
+    pixels, depth = camera.project(points)
+    return (depth > 0) & (pixels > 0).all(-1) & (pixels[:, 0] < camera.width) & (pixels[:, 1] < camera.height)
+
+
+def _angle_score(cosine: np.ndarray) -> np.ndarray:
+    """Return a score in 0..1 for the cosines of angles between rays, 1 at BEST_ANGLE."""
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    narrow, wide = (angle / BEST_ANGLE) ** NARROW_POWER, np.exp(-(((angle - BEST_ANGLE) / WIDE_SIGMA) ** 2))
+    return np.where(angle < BEST_ANGLE, narrow, wide)
