@@ -23,7 +23,7 @@ from .settings import StereoSettings
 from .view_selection import choose_sources, choose_witnesses
 
 FINE_STEP, GEOMETRIC_STEP = 0.25, 0.25  # of the first sweep's random changes; the coarse sweeps start with 1, and each halves it
-PROBES = 4000  # points that tell which views see the same places
+PROBES = 2000  # points that tell which views see the same places
 Depths = Sequence[np.ndarray | float]  # for each view, (H, W) or one for all its pixels
 
 

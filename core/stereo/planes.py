@@ -144,7 +144,7 @@ def _depths_of_points(camera: Camera, searched: np.ndarray, points: np.ndarray, 
     depth = np.zeros(searched.shape)
     if inside.sum() >= NEIGHBOURS and searched.any():
         rows, columns = np.nonzero(searched)
-        _, near = KDTree(pixels[inside]).query(np.stack([columns, rows], -1) + 0.5, NEIGHBOURS)
+        near = np.asarray(KDTree(pixels[inside]).query(np.stack([columns, rows], -1) + 0.5, NEIGHBOURS)[1])
         depth[rows, columns] = z[inside][near[np.arange(len(near)), rng.integers(0, NEIGHBOURS, len(near))]]
     return depth
 

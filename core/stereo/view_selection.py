@@ -12,6 +12,7 @@ from ..scene.camera import Camera
 BEST_ANGLE = 10.0  # degrees between the rays to a point: less tells depth badly, more changes the patch's look
 NARROW_POWER = 1.5  # of the decline towards 0 degrees
 WIDE_SIGMA = 15.0  # degrees, of the decline beyond BEST_ANGLE
+WIDEST_COSINE = 0.5  # of the angle beyond which the score counts as 0; it would be below 1e-4
 SMALLEST_SCORE = 1e-3  # for each point that the view sees: about 50 degrees, where patches no longer look alike
 SMALLEST_FRACTION = 0.02  # of the best source's score
 
@@ -30,22 +31,29 @@ def choose_sources(cameras: Sequence[Camera], points: np.ndarray, count: int) ->
     Returns:
         Indices of each view's sources, the best first; empty for a view that shares no points with others.
     """
-    inside = np.stack([_visible(camera, points) for camera in cameras])
-    offsets = np.stack([camera.centre - points for camera in cameras])
-    distances = np.linalg.norm(offsets, axis=-1)
+    visible = np.stack([_visible(camera, points) for camera in cameras])
+    scores, seen = _scores(cameras, points, visible), visible.sum(-1)
     chosen = []
-    for i, camera in enumerate(cameras):
-        scores = np.zeros(len(cameras))
-        for j, other in enumerate(cameras):
-            both = inside[i] & inside[j] & (distances[i] > 0) & (distances[j] > 0)
-            if j != i and both.any():
-                cosine = (offsets[i, both] * offsets[j, both]).sum(-1) / (distances[i, both] * distances[j, both])
-                scale = (other.fx / distances[j, both]) / (camera.fx / distances[i, both])
-                scores[j] = (_angle_score(cosine) * np.minimum(scale, 1 / scale)).sum()
-        order = np.argsort(-scores, kind="stable")[:count]
-        least = max(SMALLEST_FRACTION * scores.max(), SMALLEST_SCORE * inside[i].sum())
-        chosen.append([int(j) for j in order if scores[j] > least])
+    for i, row in enumerate(scores):
+        least = max(SMALLEST_FRACTION * row.max(), SMALLEST_SCORE * seen[i])
+        chosen.append([int(j) for j in np.argsort(-row, kind="stable")[:count] if row[j] > least])
     return chosen
+
+
+def _scores(cameras: Sequence[Camera], points: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Return the scores (V, V) of all pairs of views, which are symmetric; visible: (V, P) points that each view sees."""
+    offsets = np.stack([camera.centre - points for camera in cameras])
+    distances = np.maximum(np.linalg.norm(offsets, axis=-1), 1e-12)
+    directions = (offsets / distances[..., None]).astype(np.float32)
+    scales = np.array([camera.fx for camera in cameras])[:, None] / distances
+    scores = np.zeros((len(cameras), len(cameras)))
+    for i in range(len(cameras) - 1):
+        cosine = np.einsum("pk,vpk->vp", directions[i], directions[i + 1 :])
+        views, shared = np.nonzero(visible[i] & visible[i + 1 :] & (cosine > WIDEST_COSINE))
+        ratio = scales[i + 1 :][views, shared] / scales[i][shared]
+        values = _angle_score(cosine[views, shared]) * np.minimum(ratio, 1 / ratio)
+        scores[i, i + 1 :] = scores[i + 1 :, i] = np.bincount(views, values, len(cameras) - i - 1)
+    return scores
 
 
 def choose_witnesses(sources: Sequence[Sequence[int]], most: int) -> list[tuple[int, ...]]:
