@@ -174,6 +174,9 @@ def _cells(low: np.ndarray, high: np.ndarray, cell: float) -> np.ndarray:
 def _carve(points: np.ndarray, cell: float, views: list[tuple[Camera, np.ndarray]]) -> np.ndarray:
     """Return the cells inside every mask that sees them, or inside nearly every one if that would remove over 40 % of them.
 
+    A view whose mask does not reach the border shows the whole object, so a cell outside its image is outside the object. Without this
+    rule, cells near the cameras, which only the few views from the other side contain, would survive.
+
     Args:
         points: (M, 3) centres of the cells.
         cell: side of a cell.
@@ -189,8 +192,9 @@ def _carve(points: np.ndarray, cell: float, views: list[tuple[Camera, np.ndarray
         size = 2 * min(int(np.ceil(reach)), MASK_PIXELS) + 1
         wide = cv2.dilate(mask, np.ones((size, size), np.uint8))
         column, row = (np.clip(pixel * scale, 0, (wide.shape[1] - 1, wide.shape[0] - 1))).astype(np.int32).T
-        seen += visible
-        outside += visible & (wide[row, column] == 0)
+        informed = visible | _shows_whole_object(mask)
+        seen += informed
+        outside += informed & ~(_in_image(camera, pixel, depth, reach / scale) & (wide[row, column] > 0))
     needed = max(2.0, len(views) / 3)
     tolerant = (seen >= needed) & (outside <= np.floor(MISSES * seen))
     # The few views from below alone bound the hull there, so misses are tolerated only where masks do contradict each other.
@@ -205,9 +209,15 @@ def _coarse_mask(mask: np.ndarray) -> np.ndarray:
     return (cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 0.25).astype(np.uint8)
 
 
-def _in_image(camera: Camera, pixel: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Return (N,) bool, True for projected points in front of the camera and inside its image."""
-    return (depth > 0) & (pixel >= 0).all(-1) & (pixel[:, 0] < camera.width) & (pixel[:, 1] < camera.height)
+def _shows_whole_object(mask: np.ndarray) -> bool:
+    """Return True where a mask (h, w) is neither empty nor reaches the image's border: the object is inside the image."""
+    border = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
+    return bool(mask.any() and not border)
+
+
+def _in_image(camera: Camera, pixel: np.ndarray, depth: np.ndarray, margin: float = 0.0) -> np.ndarray:
+    """Return (N,) bool, True for projected points in front of the camera and inside its image, or at most `margin` pixels outside."""
+    return (depth > 0) & (pixel >= -margin).all(-1) & (pixel < np.array([camera.width, camera.height]) + margin).all(-1)
 
 
 def _sphere(centre: np.ndarray, radius: float, cameras: Sequence[Camera]) -> Bound:

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from irgspp.core.datasets.bound import find_look_at_point
+from irgspp.core.datasets.bound import bound_of_cameras, bound_of_masks, find_look_at_point
 from irgspp.core.datasets.load import load_dataset, load_dataset_cameras
 from irgspp.core.datasets.parsed_dataset import view_names
 from irgspp.core.datasets.summary import describe
 from irgspp.core.datasets.up_direction import rotation_to_z
+from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.settings.schema import DataSettings
 
 
@@ -30,6 +31,42 @@ def test_one_bad_mask_does_not_break_the_bound(ball_dataset):
     ball_dataset.transforms()
     bound = load_dataset(ball_dataset.folder, DataSettings(holdout=0)).bound
     assert np.linalg.norm(np.array(bound.centre) - ball_dataset.centre) < 0.15 and 1 < bound.radius / ball_dataset.radius < 1.35
+
+
+def turntable(count, distance, height=0.0, focal=48.0):
+    """Cameras of 48 x 48 pixels on a circle, `height` is the sine of its elevation."""
+    angle = 2 * np.pi * np.arange(count) / count
+    level = np.sqrt(1 - height**2)
+    places = distance * np.stack([level * np.cos(angle), level * np.sin(angle), np.full(count, height)], -1)
+    return [Camera(48, 48, focal, focal, 24.0, 24.0, look_at(place)) for place in places]
+
+
+def masked_bound(views):
+    cameras = [v.camera for v in views]
+    bound = bound_of_masks(cameras, [v.alpha for v in views], bound_of_cameras(cameras))
+    return np.array(bound.centre), bound.radius
+
+
+@pytest.mark.parametrize("height", [0.0, 0.35])
+@pytest.mark.parametrize(("count", "distance"), [(6, 4.0), (12, 3.0), (12, 4.0), (24, 3.0)])
+def test_cells_near_the_cameras_of_a_turntable_are_carved(sphere_dataset, count, distance, height):
+    """The unit sphere; of a pixel's width, 0.08, masks, cells and margin add about two."""
+    centre, radius = masked_bound(sphere_dataset(turntable(count, distance, height)).train)
+    assert np.linalg.norm(centre) < 0.25 and 1 + np.linalg.norm(centre) < radius < 1.5
+
+
+@pytest.mark.parametrize("count", [8, 12, 48])
+def test_a_half_dome_of_views_bounds_the_ball(sphere_dataset, camera_ring, count):
+    centre, radius = masked_bound(sphere_dataset(camera_ring(count, 48, lowest=0.05, highest=0.95)).train)
+    assert np.linalg.norm(centre) < 0.25 and 1 + np.linalg.norm(centre) < radius < 1.5
+
+
+def test_views_that_cut_the_ball_do_not_cut_its_bound(sphere_dataset):
+    """Close-ups, whose masks reach the border, say nothing about what is outside their images."""
+    views = sphere_dataset([*turntable(12, 4.0), *turntable(24, 3.0, 0.35, focal=90.0)]).train
+    assert max(v.alpha[0].max() for v in views) == 1
+    centre, radius = masked_bound(views)
+    assert np.linalg.norm(centre) < 0.25 and 1 + np.linalg.norm(centre) < radius < 1.5
 
 
 def test_contradicting_masks_give_a_warning(ball_dataset):
