@@ -49,11 +49,11 @@ def estimate_gpu_memory(settings: Settings, views: int, width: int, height: int,
     """
     pixels = width * height
     first = settings.first.gaussians * int(GAUSSIAN + ENTRIES * ENTRY) + pixels * PIXEL
-    transport, texels = settings.second, 2 * settings.second.rows**2
-    points = transport.points * texels * 4 * (4 * 4 + 1) + transport.points * transport.views * texels * 4 * 6
-    second = max(points, transport.pixels * transport.samples * RAY) + settings.first.gaussians * GAUSSIAN
+    second, texels = settings.second, 2 * settings.second.rows**2
+    points = second.points * texels * 4 * (4 * 4 + 1) + second.points * second.views * texels * 4 * 6
+    solve = max(points, second.pixels * second.samples * RAY) + settings.first.gaussians * GAUSSIAN
     stored = views * pixels * PHOTOGRAPH if targets else 0
-    return CONTEXT + stored + max(first, second, FEWEST * RAY)
+    return CONTEXT + stored + max(first, solve, FEWEST * RAY)
 
 
 def plan(settings: Settings, views: int, width: int, height: int, free: int) -> Plan:
