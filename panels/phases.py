@@ -5,7 +5,7 @@ from __future__ import annotations
 
 STEPS = (  # of a reconstruction, in order: text, and the phases of the engine that belong to it
     ("Reading photographs", ("read images",)),
-    ("Choosing the material class", ("materials",)),
+    ("Choosing the material class and the start", ("materials", "stereo", "start")),
     ("Fitting shape and radiance", ("first stage",)),
     ("Extracting the surface", ("fuse",)),
     ("Solving for light and materials", ("trace", "second stage", "paint", "refine", "radiance")),

@@ -17,6 +17,9 @@ class Range(NamedTuple):
     multiple: int = 0
 
 
+Choice = Literal["auto", "on", "off"]
+
+
 @dataclass(frozen=True)
 class DataSettings:
     """Reading of the dataset."""
@@ -35,6 +38,7 @@ class FirstStageSettings:
 
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # number at the start; with masks also the largest number
+    stereo: Choice = "auto"  # start on the points of dense stereo; auto: where a trial fit is better with it
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use
@@ -88,9 +92,6 @@ class ExportSettings:
     """Export to Blender."""
 
     material: Literal["textures", "attributes"] = "textures"  # source of the material's values in scene.blend
-
-
-Choice = Literal["auto", "on", "off"]
 
 
 @dataclass(frozen=True)

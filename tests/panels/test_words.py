@@ -31,7 +31,7 @@ def test_seconds(seconds, text):
 def test_every_phase_that_a_reconstruction_names_has_words():
     names = {
         line.split('.phase("')[1].split('"')[0]
-        for folder in ("stages", "surface", "datasets")
+        for folder in ("stages", "stereo", "surface", "datasets")
         for path in (CORE / folder).rglob("*.py")
         if path.name != "export.py"  # `inspect --export`, no part of a reconstruction
         for line in path.read_text().splitlines()

@@ -16,8 +16,10 @@ from ..common.time_budget import first_stage_largest_scale, first_stage_schedule
 from ..common.training_view import object_box
 from .initial_light_albedo import estimate_light_albedo
 from .initialization import initial_gaussians
-from .material_class_selection import HOLD_BACK_FROM, material_class_named, select_material_class
+from .material_class_selection import material_class_named, select_material_class
+from .start_selection import select_start
 from .trainer import Trainer
+from .trial_fits import HOLD_BACK_FROM
 
 CROP_BELOW = 0.9  # mean fraction of the images inside the object's box below which cropping saves time
 
@@ -80,6 +82,8 @@ def train(
         else select_material_class(dataset, settings, gaussians, progress, crop)
     )
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
+    if state is None:
+        gaussians = select_start(dataset, settings, gaussians, material_class, progress, crop)
     trainer = Trainer(dataset, settings.first, gaussians, material_class, settings.seed, hold_back, crop=crop, resident=resident)
     if state is not None:
         trainer.restore(state)

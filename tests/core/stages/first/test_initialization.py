@@ -8,7 +8,8 @@ import pytest
 from irgspp.core.errors import InputError
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.scene.dataset import PointCloud
-from irgspp.core.stages.first.initialization import SURROUNDINGS, initial_gaussians, observed_colour, visual_hull
+from irgspp.core.stages.first.initialization import SURROUNDINGS, initial_gaussians, observed_colour
+from irgspp.core.stages.first.visual_hull import visual_hull
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,8 @@ def cone_distance(points, cameras):
 
 
 def test_hull_holds_the_sphere_and_no_more_than_its_cones(dataset):
-    inside, corner, step = visual_hull(dataset.train, dataset.bound)
+    hull = visual_hull(dataset.train, dataset.bound)
+    inside, corner, step = hull.inside, hull.corner, hull.step
     cells = np.stack(np.meshgrid(*(np.arange(n) for n in inside.shape), indexing="ij"), -1).reshape(-1, 3) * step + corner
     pixel = 5 / dataset.train[0].camera.fx  # at the far side
     sphere = np.linalg.norm(cells, axis=1) < 1 - pixel
@@ -43,7 +45,7 @@ def test_start_lies_on_the_hull_and_faces_outward(dataset):
     g = initial_gaussians(dataset, 3000, np.random.default_rng(0))
     assert g.count == 3000
     points, normals = g.position.T.numpy(), g.normals().T.numpy()
-    _, _, step = visual_hull(dataset.train, dataset.bound)
+    step = visual_hull(dataset.train, dataset.bound).step
     off = np.abs(cone_distance(points, [v.camera for v in dataset.train]))
     assert np.quantile(off, 0.99) < step
     outward = (normals * points).sum(1) / np.linalg.norm(points, axis=1)

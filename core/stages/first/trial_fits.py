@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Trial fits: brief fits of few surfels to small images, compared on views that are held back from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import torch
+
+from ...errors import Cancelled
+from ...progress.protocol import Progress
+from ...scene.dataset import Dataset
+from ...scene.gaussians import Gaussians
+from ...settings.schema import Settings
+from ..common.skip_rules import decide_skip_rule
+from .material_class import MaterialClass
+from .trainer import Trainer
+
+HOLD_BACK_FROM = 8  # views; with fewer, all are needed for training
+TRIAL_HOLD_BACK = 6  # every 6th view is held back from a trial fit
+LIGHT_HEIGHT = 32  # rows of the light map; the small images of a trial fit resolve no more
+GIVE_UP = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a trial fit done, dB behind the best from which a fit is abandoned)
+
+
+def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool) -> Trainer:
+    """Prepare a trial fit: a trainer of few surfels on small images.
+
+    Args:
+        dataset: views.
+        settings: of the job; `first.trial_*` are the fit's size.
+        gaussians: initial Gaussians, of which some are selected.
+        material_class: initial materials and learning rates.
+        crop: crop the images to the object.
+    """
+    brief, camera = settings.first, dataset.train[0].camera
+    few = subsample(gaussians, brief.trial_gaussians, settings.seed)
+    light_height = min(LIGHT_HEIGHT, brief.light_height)
+    brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height)
+    reduction = max(1, max(camera.width, camera.height) // brief.trial_resolution)
+    return Trainer(dataset, brief, few, material_class, settings.seed, TRIAL_HOLD_BACK, reduction, crop)
+
+
+def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> dict[str, float]:
+    """Run all trial fits in turns.
+
+    Args:
+        fits: by the name of what is tried.
+        settings: of the job; the skip rule "trials" lets fits that have fallen behind be abandoned.
+        progress: receives steps and previews, and may cancel.
+
+    Returns:
+        By name, the PSNR in dB on the held-back views at the end of each fit, or where it was abandoned.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    iterations = settings.first.trial_iterations
+    may_give_up = settings.skip.trials != "off"
+    checks = {max(1, int(fraction * iterations)): behind for fraction, behind in GIVE_UP} if may_give_up else {}
+    score, running, given_up = dict.fromkeys(fits, 0.0), list(fits), []
+    for done in range(1, iterations + 1):
+        if progress.cancelled:
+            raise Cancelled("stopped during the trial fits")
+        for name in running:
+            fits[name].step()
+        progress.step(done)
+        progress.image(fits[running[0]].image)
+        if done in checks or done == iterations:
+            score |= {name: fits[name].test() or 0.0 for name in running}
+            limit = max(score.values()) - checks.get(done, math.inf)
+            hopeless = [name for name in running if score[name] < limit]
+            given_up += [f"{name} after {done} of {iterations} steps" for name in hopeless]
+            running = [name for name in running if name not in hopeless]
+        if len(running) == 1 and len(fits) > 1:
+            break
+    decide_skip_rule(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
+    return score
+
+
+def subsample(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
+    """Select surfels at random and enlarge them so that they cover the same area.
+
+    Args:
+        gaussians: the surfels.
+        count: most surfels to keep.
+        seed: of the selection.
+    """
+    index = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))[:count]
+    few = gaussians.select(index.sort().values)
+    few.log_scale += 0.5 * math.log(gaussians.count / few.count)
+    return few
