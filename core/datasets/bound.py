@@ -138,7 +138,7 @@ def bound_of_masks(cameras: Sequence[Camera], masks: Sequence[np.ndarray], start
     """Return the sphere about the region inside (nearly) every mask, found by carving a grid that is refined HULL_ROUNDS times.
 
     The carving is coarse and tolerates masks that contradict each other, as only a sphere is wanted. The hull that the first stage starts
-    on is carved inside this sphere by `core.stages.first.initialization.visual_hull`, at full mask resolution and without tolerance.
+    on is carved inside this sphere by `core.stages.first.visual_hull`, at full mask resolution and without tolerance.
 
     Args:
         cameras: one per mask.
