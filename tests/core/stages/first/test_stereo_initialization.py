@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Start on dense stereo: an open, textured bowl, which no silhouette shows to be hollow."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import Bound, Dataset, PointCloud, View
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
+from irgspp.core.stages.first.initialization import from_hull, initial_gaussians
+from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL
+from irgspp.core.stages.first.start_selection import select_start
+from irgspp.core.stages.first.stereo_initialization import from_stereo, thinned, views_through
+from irgspp.core.stages.first.visual_hull import visual_hull
+from irgspp.core.stereo.depth_map import DepthMap
+from irgspp.core.stereo.fusion import OrientedPoints
+
+RIM = 0.2  # height up to which the unit sphere is there
+COUNT = 3000
+_draw = np.random.default_rng(3)
+_direction = _draw.normal(size=(3, 24))
+WAVES = _direction / np.linalg.norm(_direction, axis=0) * _draw.uniform(8, 24, 24)
+PHASES = _draw.uniform(0, 2 * np.pi, 24)
+
+
+def bowl_depth(camera, rays):
+    """Depth along rays (..., 3) of z = 1 to the unit sphere below RIM, inside or outside; 0 where they miss it."""
+    origin = camera.centre
+    a, b, c = (rays * rays).sum(-1), (rays * origin).sum(-1), origin @ origin - 1
+    root = np.sqrt(np.maximum(b * b - a * c, 0))
+    near, far = (-b - root) / a, (-b + root) / a
+    below = [origin[2] + t * rays[..., 2] < RIM for t in (near, far)]
+    return np.where(b * b > a * c, np.where(below[0], near, np.where(below[1], far, 0)), 0)
+
+
+def bowl(masked=True, textured=True, count=20, size=72):
+    """Dataset of the bowl, seen from above and from the side."""
+    views = []
+    for i in range(count):
+        z, angle = 0.95 - 0.85 * (i + 0.5) / count, i * 2.399963
+        place = 4 * np.array([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
+        camera = Camera(size, size, 1.4 * size, 1.4 * size, size / 2, size / 2, look_at(place, np.zeros(3)))
+        fine = camera.resized(3 * size, 3 * size).rays().astype(np.float64)
+        depth = bowl_depth(camera, fine)
+        points = camera.centre + depth[..., None] * fine
+        grey = 0.5 + (0.08 * np.sin(points @ WAVES + PHASES).sum(-1) if textured else 0)
+        alpha = (depth > 0).reshape(size, 3, size, 3).mean((1, 3)).astype(np.float32)
+        grey = np.where(depth > 0, grey, 0).reshape(size, 3, size, 3).mean((1, 3)) / (np.maximum(alpha, 1e-9) if masked else 1)
+        colour = np.repeat(np.clip(grey, 0, 1)[..., None], 3, -1).astype(np.float32)
+        views.append(View(f"{i}", camera, Path(f"{i}.png"), colour, alpha if masked else None))
+    return Dataset(Path("bowl"), "transforms", views, [], Bound((0.0, 0.0, -0.3), 1.2), np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return bowl()
+
+
+@pytest.fixture(scope="module")
+def start(dataset):
+    return from_stereo(dataset, COUNT, 0, Silent())
+
+
+class Decisions(Silent):
+    """Progress that keeps the decisions."""
+
+    def __init__(self):
+        self.found = {}
+
+    def decided(self, rule, on, evidence):
+        self.found[rule] = on, evidence
+
+
+def lid(gaussians):
+    """Share of surfels far inside the bowl, where the hull closes it."""
+    return float((gaussians.position.norm(dim=0) < 0.85).float().mean())
+
+
+def test_stereo_opens_the_hollow_that_the_hull_closes(dataset, start):
+    assert lid(from_hull(dataset, COUNT, np.random.default_rng(0))) > 0.1
+    assert lid(start) < 0.02
+    assert COUNT / 2 < start.count <= COUNT
+    distance = (start.position.norm(dim=0) - 1).abs()
+    assert float((distance < 0.04).float().mean()) > 0.9
+
+
+def test_surfels_face_the_side_that_is_seen(dataset, start):
+    points, normals = start.position.T.numpy(), start.normals().T.numpy()
+    inner = (points[:, 2] < -0.3) & ((points * normals).sum(1) < 0)  # the inside of the bowl, which faces its middle
+    assert inner.sum() > 0.2 * len(points)
+    assert np.quantile(-(points * normals).sum(1)[inner], 0.2) > 0.85
+
+
+def test_same_seed_same_start(dataset, start):
+    again = from_stereo(dataset, COUNT, 0, Silent())
+    assert all(a.equal(b) for a, b in zip(start.tensors().values(), again.tensors().values(), strict=True))
+
+
+def test_hull_depth_is_where_the_rays_enter_and_leave(sphere_dataset, camera_ring):
+    spheres = sphere_dataset(camera_ring(12))
+    hull = visual_hull(spheres.train, spheres.bound)
+    (enter, leave), camera = hull.depths([spheres.train[0].camera])[0], spheres.train[0].camera
+    middle = camera.height // 2, camera.width // 2
+    distance = np.linalg.norm(camera.centre)
+    assert distance - 1 - 0.35 < enter[middle] <= distance - 1 + hull.step  # the hull of few views is larger than the sphere
+    assert distance + 1 - hull.step <= leave[middle] < distance + 1 + 0.35
+    assert enter[0, 0] == 0
+    assert leave[0, 0] == 0
+
+
+def test_without_masks_points_and_few_others_are_the_start():
+    posed = bowl(masked=False)
+    g = from_stereo(posed, COUNT, 0, Silent())
+    near = (g.position.norm(dim=0) - 1).abs() < 0.05
+    assert 0.3 * COUNT < int(near.sum())
+    assert g.count <= COUNT
+
+
+def test_textureless_object_has_no_stereo_start():
+    assert from_stereo(bowl(textured=False, count=10, size=48), COUNT, 0, Silent()) is None
+
+
+def test_thinned_points_are_averages_in_order_of_support():
+    rng = np.random.default_rng(0)
+    position = rng.random((5000, 3)).astype(np.float32)
+    normal = np.tile(np.array([[0, 0, 1]], np.float32), (5000, 1))
+    few = thinned(OrientedPoints(position, normal, position, np.ones(5000, np.int32)), 400)
+    assert 250 < len(few.position) <= 400
+    assert few.support.sum() == 5000
+    assert np.allclose(few.normal, [0, 0, 1], atol=1e-6)
+    assert np.allclose(few.position, few.colour, atol=1e-6)
+    assert thinned(few, 400) is few
+
+
+def test_points_before_a_depth_are_seen_through(dataset):
+    camera = dataset.train[0].camera
+    depth = np.full((camera.height, camera.width), 4, np.float32)
+    layers = np.zeros((camera.height, camera.width, 3), np.float32), depth, np.full(depth.shape, 3, np.uint8)
+    one = DepthMap(camera, depth, *layers, ())
+    ray = camera.rays()[camera.height // 2, camera.width // 2].astype(np.float64)
+    points = np.stack([camera.centre + d * ray for d in (3.0, 3.95, 4.05, 5.0, -3.0)])
+    assert views_through(points, [one], 0.1).tolist() == [1, 0, 0, 0, 0]
+
+
+def test_trial_prefers_stereo_in_a_hollow(dataset):
+    settings = with_overrides(preset("draft"), ["first.gaussians=3000", "first.trial_iterations=60", "first.trial_gaussians=2000"])
+    plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
+    chosen = select_start(dataset, settings, plain, LOW_GLOSS, progress)
+    on, evidence = progress.found["stereo"]
+    assert on
+    assert "stereo" in evidence
+    assert "the visual hull" in evidence
+    assert lid(chosen) < 0.02
+
+
+@pytest.mark.parametrize(("overrides", "material_class", "why"), [([], METAL, "reflections"), (["first.stereo=off"], LOW_GLOSS, "as set")])
+def test_plain_start_without_a_trial(dataset, overrides, material_class, why):
+    plain, progress = initial_gaussians(dataset, 100, np.random.default_rng(0)), Decisions()
+    assert select_start(dataset, with_overrides(preset("draft"), overrides), plain, material_class, progress) is plain
+    on, evidence = progress.found["stereo"]
+    assert not on
+    assert why in evidence
+
+
+def test_few_photographs_keep_the_sparse_points():
+    few = bowl(masked=False, count=5, size=32)
+    few = Dataset(
+        few.path, few.format, few.train, [], few.bound, few.to_world, PointCloud(np.zeros((30, 3), np.float32), np.zeros((30, 3)))
+    )
+    plain, progress = initial_gaussians(few, 100, np.random.default_rng(0)), Decisions()
+    assert select_start(few, preset("draft"), plain, LOW_GLOSS, progress) is plain
+    assert "5 photographs" in progress.found["stereo"][1]
