@@ -149,12 +149,12 @@ class Trainer:
         return 3 if fraction >= self.settings.sh_growth else int(3 * fraction / self.settings.sh_growth)
 
     def _control(self, statistics: ScreenStatistics) -> None:
-        """Apply density control in the middle of the schedule; Gaussians that start on a visual hull are only pruned."""
+        """Apply density control in the middle of the schedule; with masks, Gaussians are only pruned."""
         settings, fraction = self.settings, self.done / self.settings.iterations
         if not 0.1 < fraction < 0.7:
             return
         self.density.accumulate(statistics)
-        # On a visual hull, every view must have been rendered before a Gaussian counts as unseen.
+        # With masks, every view must have been rendered before a Gaussian counts as unseen.
         period = max(settings.iterations // 20, 2 * len(self.training_views) if self.masked else 1)
         if self.density.images >= period:
             self.density.refine(self.optimizer, self.generator, grow=not self.masked)
@@ -163,10 +163,10 @@ class Trainer:
             reset_opacity(self.optimizer)
 
     def _check_hull(self) -> None:
-        """Raise IrgsppError where most of the visual hull was pruned: it does not grow back."""
+        """Raise IrgsppError where most of the initial surfels were pruned: with masks, none grow back."""
         left = self.optimizer.gaussians.count
         if self.masked and left < HULL_LEFT * self._initial_count:
-            lost = f"only {left:,} of {self._initial_count:,} surfels of the visual hull are left at iteration {self.done}"
+            lost = f"only {left:,} of {self._initial_count:,} surfels that the fit started with are left at iteration {self.done}"
             raise IrgsppError(f"first stage: {lost}; check that cameras and masks match the images")
 
     def _next_view(self) -> int:
@@ -277,6 +277,8 @@ def invalid_checkpoint() -> InputError:
 
 
 def border_radiance(views: list[TrainingView]) -> torch.Tensor:
-    """Return the (3,) median linear colour of the top rows and left columns of all images, the initial radiance of the background."""
-    edges = [v.image[:, rows, columns].flatten(1) for v in views for rows, columns in ((0, slice(None)), (slice(None), 0))]
+    """Return the (3,) median linear colour of the outermost pixels of all images, the initial radiance of the background."""
+    everything = slice(None)
+    sides = ((0, everything), (-1, everything), (everything, 0), (everything, -1))
+    edges = [view.image[:, rows, columns] for view in views for rows, columns in sides]
     return decode_srgb(torch.cat(edges, 1).median(1).values).clamp_min(1e-3)

@@ -15,6 +15,7 @@ from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, preset
+from irgspp.core.stages.common.training_view import make_training_view
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import COATED, GEOMETRY_RATES, LOW_GLOSS, METAL, allowed_material_classes
 from irgspp.core.stages.first.material_class_selection import select_material_class
@@ -143,6 +144,13 @@ def test_background_starts_like_the_borders(sphere_dataset, camera_ring):
     found = border_radiance(trainer.training_views)
     assert found.tolist() == pytest.approx([((c + 0.055) / 1.055) ** 2.4 for c in (0.8, 0.5, 0.2)], rel=1e-4)
     assert trainer.test() is None
+
+
+def test_all_four_borders_count(sphere_dataset, camera_ring):
+    view = make_training_view(sphere_dataset(camera_ring(1, 32), masked=False).train[0])
+    view.image[:] = 0.0
+    view.image[:, -1], view.image[:, :, -1], view.image[:, 1:-1, 0] = 1.0, 1.0, 1.0
+    assert border_radiance([view]).tolist() == pytest.approx([1, 1, 1])
 
 
 def test_a_loss_that_is_not_finite_stops_the_fit(sphere_dataset, camera_ring):
