@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -74,12 +73,6 @@ def close_other_windows() -> Iterator[float]:
     yield 1.0
 
 
-def below() -> Iterator[float]:
-    """Move the mouse one button further down."""
-    subprocess.Popen(["xdotool", "mousemove_relative", "--", "0", "18", "sleep", "0.1", "mousemove_relative", "--", "0", "2"])
-    yield 0.5
-
-
 def open_panels(*names: str) -> None:
     """Open panels that are closed by default, from their first drawing on."""
     for name in names:
@@ -89,12 +82,13 @@ def open_panels(*names: str) -> None:
         bpy.utils.register_class(cls)
 
 
-def reach(button: str, across: float = 0.4) -> Iterator[float]:
+def reach(button: str, across: float = 0.4, part: str = "") -> Iterator[float]:
     """Move the mouse to a button, wherever the sidebar has to be scrolled to.
 
     Args:
         button: operator or property of the button.
         across: place across the sidebar, 0..1.
+        part: text in the button's command, where several buttons have the operator.
 
     Raises:
         RuntimeError: where there is no such button.
@@ -103,21 +97,22 @@ def reach(button: str, across: float = 0.4) -> Iterator[float]:
         if scroll:
             yield from scrolled(scroll)
         try:
-            yield from driver.find(button, across=across)
+            yield from driver.find(button, across=across, part=part)
             return
         except RuntimeError:
             if scroll == "scroll_up":
                 raise
 
 
-def press_button(button: str, across: float = 0.4) -> Iterator[float]:
+def press_button(button: str, across: float = 0.4, part: str = "") -> Iterator[float]:
     """Click on a button, wherever the sidebar has to be scrolled to.
 
     Args:
         button: operator or property of the button.
         across: place across the sidebar, 0..1.
+        part: text in the button's command, where several buttons have the operator.
     """
-    yield from reach(button, across)
+    yield from reach(button, across, part)
     driver.click_here()
     yield 1.0
 

@@ -224,24 +224,33 @@ def write(text: str) -> None:
 
 
 def under_mouse(kind: str = "UI", area: bpy.types.Area | None = None) -> str:
-    """Return the operator (`render.render`) or property (`preset`) of the button below the mouse, or "".
+    """Return the command (`bpy.ops.render.render()`) or data path of the button below the mouse, or "".
 
     Args:
         kind: type of the region.
         area: area; None: the 3D View.
     """
-    clipboard = bpy.context.window_manager
     with override(kind, area):
-        if bpy.ops.ui.copy_python_command_button.poll():  # as Ctrl-C over a button does
-            bpy.ops.ui.copy_python_command_button()
-            return clipboard.clipboard.partition("(")[0].removeprefix("bpy.ops.")
-        if bpy.ops.ui.copy_data_path_button.poll():
-            bpy.ops.ui.copy_data_path_button()
-            return clipboard.clipboard.rpartition(".")[2]
+        for copy in (bpy.ops.ui.copy_python_command_button, bpy.ops.ui.copy_data_path_button):
+            if copy.poll():  # as Ctrl-C over a button does
+                copy()
+                return bpy.context.window_manager.clipboard
     return ""
 
 
-def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4) -> Iterator[float]:
+def is_button(copied: str, button: str, part: str) -> bool:
+    """Return True where a command or data path is that of a button.
+
+    Args:
+        copied: command or data path.
+        button: operator (`render.render`) or property (`preset`).
+        part: text in the command, such as the value of an argument.
+    """
+    name = copied.partition("(")[0].removeprefix("bpy.ops.") if copied.startswith("bpy.ops.") else copied.rpartition(".")[2]
+    return name == button and part in copied
+
+
+def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4, part: str = "") -> Iterator[float]:
     """Move the mouse down a region until it is over a button.
 
     Args:
@@ -249,17 +258,20 @@ def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, acro
         kind: type of the region.
         area: area; None: the 3D View.
         across: place across the region, 0..1.
+        part: text in the button's command, where several buttons have the operator.
 
     Raises:
         RuntimeError: where there is no such button.
     """
-    part = region(kind, area)
-    x, y = part.x + across * part.width, part.y + part.height - 4
-    while y > part.y:
+    place = region(kind, area)
+    x, y = place.x + across * place.width, place.y + place.height - 4
+    while y > place.y:
         move(x, y)
         yield 0.12
-        if under_mouse(kind, area) == button:
-            return
+        if is_button(under_mouse(kind, area), button, part):
+            yield 0.5  # on a busy machine the answer may be about the place before
+            if is_button(under_mouse(kind, area), button, part):
+                return
         y -= STEP
     raise RuntimeError(f"no button {button} is visible")
 

@@ -91,13 +91,8 @@ def bake_again() -> Iterator[float]:
 def export(run: Path) -> Iterator[float]:
     """Export an asset and a .blend file by their buttons."""
     driver.sidebar_shot("40_export_panel")
-    yield from browsing.reach("irgspp.export")
-    for number, suffix in enumerate((".glb", ".blend")):
-        yield from browsing.reach("irgspp.export")
-        if number:
-            yield from browsing.below()
-        driver.click_here()
-        yield 1.0
+    for suffix in (".glb", ".blend"):
+        yield from browsing.press_button("irgspp.export", part=suffix)
         yield from browsing.confirm_files(f"41_export{suffix}", file=f"exported{suffix}")
         yield from driver.wait((run / f"exported{suffix}").is_file, 120)
         yield from driver.wait(lambda: not driver.extension_module("irgspp_addon.jobs.queue").unfinished(), 30)
