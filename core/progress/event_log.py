@@ -23,14 +23,14 @@ class EventLog:
             file.write(json.dumps({"time": round(time.time(), 3), **finite}) + "\n")
 
     def rule(self, name: str, on: bool, evidence: str) -> None:
-        """Log the decision on a skip rule.
+        """Log the decision on a rule such as a skip rule.
 
         Args:
-            name: of the setting, without "skip.".
+            name: of the setting, without its group.
             on: True where the rule is in force.
             evidence: reason, in one line.
         """
-        self.log(f"skip.{name} {'on' if on else 'off'}: {evidence}")
+        self.log(f"{name} {'on' if on else 'off'}: {evidence}")
 
     def log(self, text: str) -> None:
         """Append a line to log.txt, after the time of day."""

@@ -45,10 +45,10 @@ class Progress(Protocol):
         """Report one line for the user."""
 
     def decided(self, rule: str, on: bool, evidence: str) -> None:
-        """Report the decision on a skip rule.
+        """Report the decision on a rule such as a skip rule.
 
         Args:
-            rule: name of the setting, without "skip.".
+            rule: name of the setting, without its group.
             on: True where the rule is in force.
             evidence: reason, in one line.
         """
@@ -83,7 +83,7 @@ class Silent:
         """Discard a message."""
 
     def decided(self, rule: str, on: bool, evidence: str) -> None:
-        """Discard the decision on a skip rule.
+        """Discard the decision on a rule such as a skip rule.
 
         Args:
             rule: its name.

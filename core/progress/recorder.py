@@ -76,10 +76,10 @@ class ProgressRecorder:
         self._receiver.message(text)
 
     def decided(self, rule: str, on: bool, evidence: str) -> None:
-        """Report the decision on a skip rule.
+        """Report the decision on a rule such as a skip rule.
 
         Args:
-            rule: name of the setting, without "skip.".
+            rule: name of the setting, without its group.
             on: True where the rule is in force.
             evidence: reason, in one line.
         """

@@ -63,14 +63,14 @@ class Terminal:
         print(text, file=self._stream, flush=True)
 
     def decided(self, rule: str, on: bool, evidence: str) -> None:
-        """Print the decision on a skip rule.
+        """Print the decision on a rule such as a skip rule.
 
         Args:
-            rule: name of the setting, without "skip.".
+            rule: name of the setting, without its group.
             on: True where the rule is in force.
             evidence: reason, in one line.
         """
-        self.message(f"skip.{rule} {'on' if on else 'off'}: {evidence}")
+        self.message(f"{rule} {'on' if on else 'off'}: {evidence}")
 
     def image(self, draw: Draw) -> None:
         """Ignore a preview, which a terminal can't show."""

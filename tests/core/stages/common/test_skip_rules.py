@@ -36,5 +36,5 @@ def test_the_run_has_it_on_record(tmp_path):
     ProgressRecorder(folder, witness).decided("trials", True, "metal fell behind")
     folder.close()
     assert json.loads((tmp_path / "run" / "run.json").read_text())["rules"] == {"trials": {"on": True, "evidence": "metal fell behind"}}
-    assert "skip.trials on: metal fell behind" in (tmp_path / "run" / "log.txt").read_text()
+    assert "trials on: metal fell behind" in (tmp_path / "run" / "log.txt").read_text()
     assert witness.heard == [("trials", True, "metal fell behind")]
