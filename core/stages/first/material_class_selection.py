@@ -14,7 +14,7 @@ from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
 
 def select_material_class(
     dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress, crop: bool = False
-) -> MaterialClass:
+) -> tuple[MaterialClass, float | None]:
     """Select the object's material class: fit every allowed class briefly and take the one that predicts held-back views best.
 
     A class must be better by `first.trial_margin` dB than the less reflecting one selected before it. Where no view can be held back,
@@ -27,15 +27,18 @@ def select_material_class(
         progress: receives steps and messages, and may cancel.
         crop: crop the images to the object.
 
+    Returns:
+        The class, and the PSNR in dB of its trial fit on the held-back views; None where there was no trial.
+
     Raises:
         Cancelled: the user stopped the work.
     """
     classes = allowed_material_classes(settings.materials)
     if not dataset.has_alpha:
         progress.message(f"materials: {classes[0].name}; without masks the background would be taken for reflections")
-        return material_class_named(classes[0].name, dataset)
+        return material_class_named(classes[0].name, dataset), None
     if len(classes) == 1 or len(dataset.train) < HOLD_BACK_FROM:
-        return classes[0]
+        return classes[0], None
     # The same geometry rates for all: the shading models are compared, not the rates.
     fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, COATED), crop) for m in classes}
     progress.phase("materials", settings.first.trial_iterations)
@@ -44,7 +47,7 @@ def select_material_class(
     for material_class in classes[1:]:
         best = material_class if score[material_class.name] > score[best.name] + settings.first.trial_margin else best
     progress.message("materials: " + ", ".join(f"{name} {value:.2f} dB" for name, value in score.items()) + f" -> {best.name}")
-    return best
+    return best, score[best.name]
 
 
 def material_class_named(name: str, dataset: Dataset) -> MaterialClass:

@@ -7,13 +7,19 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
-from .material_class import METAL, MaterialClass
+from .material_class import COATED, METAL, MaterialClass, with_geometry_rates
 from .stereo_initialization import from_stereo
 from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
 
 
 def select_start(
-    dataset: Dataset, settings: Settings, plain: Gaussians, material_class: MaterialClass, progress: Progress, crop: bool = False
+    dataset: Dataset,
+    settings: Settings,
+    plain: Gaussians,
+    material_class: MaterialClass,
+    progress: Progress,
+    crop: bool = False,
+    plain_psnr: float | None = None,
 ) -> Gaussians:
     """Select the Gaussians that the first stage starts with: on the hull or the sparse points, or on the points of dense stereo.
 
@@ -27,6 +33,7 @@ def select_start(
         material_class: selected with the plain start.
         progress: receives steps and the decision, and may cancel.
         crop: crop the images of the trial fits to the object.
+        plain_psnr: PSNR in dB of the trial fit that selected the class, with the plain start; None where there was none.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -44,10 +51,11 @@ def select_start(
     if settings.first.stereo == "on":
         progress.decided("stereo", True, "as set")
         return stereo
-    starts = {name: plain, "stereo": stereo}
-    fits = {key: prepare_trial(dataset, settings, start, material_class, crop) for key, start in starts.items()}
+    starts = {"stereo": stereo} if plain_psnr is not None else {name: plain, "stereo": stereo}
+    rated = with_geometry_rates(material_class, COATED)  # as the trial fits that selected the class
+    fits = {key: prepare_trial(dataset, settings, start, rated, crop) for key, start in starts.items()}
     progress.phase("start", settings.first.trial_iterations)
-    score = run_trials(fits, settings, progress)
+    score = ({} if plain_psnr is None else {name: plain_psnr}) | run_trials(fits, settings, progress)
     better = score["stereo"] > score[name] + settings.first.trial_margin
     progress.decided("stereo", better, "held-back views: " + ", ".join(f"{key} {value:.2f} dB" for key, value in score.items()))
     return stereo if better else plain

@@ -76,14 +76,12 @@ def train(
     gaussians = initial_gaussians(dataset, settings.first.gaussians, np.random.default_rng(settings.seed)).to(device)
     state = checkpoint.load("first_stage") if checkpoint is not None else None
     crop = decide_cropping(dataset, settings, progress)
-    material_class = (
-        material_class_named(state.get("kind", ""), dataset)
-        if state is not None
-        else select_material_class(dataset, settings, gaussians, progress, crop)
-    )
+    if state is not None:
+        material_class = material_class_named(state.get("kind", ""), dataset)
+    else:
+        material_class, psnr = select_material_class(dataset, settings, gaussians, progress, crop)
+        gaussians = select_start(dataset, settings, gaussians, material_class, progress, crop, psnr)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
-    if state is None:
-        gaussians = select_start(dataset, settings, gaussians, material_class, progress, crop)
     trainer = Trainer(dataset, settings.first, gaussians, material_class, settings.seed, hold_back, crop=crop, resident=resident)
     if state is not None:
         trainer.restore(state)
