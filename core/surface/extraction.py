@@ -35,7 +35,7 @@ def extract_geometry(
         bound: sphere around the object; everything outside is ignored.
         settings: resolution, smoothing and triangle budget.
         progress: receives steps and messages, and may cancel.
-        masks: (H, W) opacity of each view's image; where given, the surface is moved outward to fill them.
+        masks: (H, W) opacity of each view's image; where given, the surface is moved outward at its outlines to fill them.
 
     Raises:
         IrgsppError: no surface was found.
@@ -46,8 +46,8 @@ def extract_geometry(
     surface = _surface(fuse(views, grid, progress), grid, settings)
     if masks is not None:
         offset = silhouette_offset(surface.vertices, surface.faces, [view.camera for view in views], masks)
-        surface = Surface(surface.vertices + offset * surface.normals, surface.normals, surface.faces, surface.voxel)
-        progress.message(f"surface moved outward by {offset:.2g} scene units to fill the masks")
+        surface = Surface(surface.vertices + offset[:, None] * surface.normals, surface.normals, surface.faces, surface.voxel)
+        progress.message(f"surface moved outward by {offset.mean():.2g} scene units on average to fill the masks")
     progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
     if progress.cancelled:
         raise Cancelled("stopped during surface extraction")

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Silhouette offset: distance between the outlines of a mesh and of the images' masks.
+"""Silhouette offset: distance between the outlines of a mesh and of the images' masks, where the mesh has outlines.
 
 Splatted surfels extend beyond the surface that they represent. A fit to silhouettes therefore places them, and the mesh fused from
 their depth, a fraction of a pixel inside the object. The masks measure the distance: area between both outlines over outline length.
+Each part of the mesh is measured by the outlines that run over it. Floors and hollows have none: their depth comes from colours that
+agree between views, which has no such bias, and they stay where they are.
 """
 
 from __future__ import annotations
@@ -12,14 +14,19 @@ from collections.abc import Sequence
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from scipy import ndimage, sparse
 
 from ..scene.camera import Camera
+from .meshing import Triangles, adjacency
 
 LARGEST = 1.5  # pixels; a larger offset is not a bias of splatting, but a missing part
+REACH = 3.0  # pixels on both sides of the mesh's outline whose coverage is compared
+PASSES = 10  # averages of a vertex's outlines with its neighbours'
+LEAST = 0.1  # outline length at a vertex, over the mean of all vertices, that moves it by half of the measured distance
 
 
-def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], masks: Sequence[np.ndarray]) -> float:
-    """Estimate the offset of the surface along its outward normals that fills the masks.
+def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], masks: Sequence[np.ndarray]) -> np.ndarray:
+    """Estimate the offset of each vertex along its outward normal that fills the masks.
 
     Args:
         vertices: (V, 3) of the mesh, world.
@@ -28,31 +35,54 @@ def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence
         masks: (H, W) opacity 0..1 of each camera's image.
 
     Returns:
-        The median offset over the views in world units; 0 where it is implausibly large or no view shows an outline.
+        (V,) offsets in world units; 0 far from all outlines, and where no view shows an outline with a plausible offset.
     """
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(vertices[faces], np.float32))
-    gaps, pixels = [], []
+    total, limits = np.zeros((len(vertices), 2)), []
     for camera, mask in zip(cameras, masks, strict=True):
-        gap, pixel = _gap(scene, camera, mask)
-        if pixel > 0:
-            gaps.append(gap)
-            pixels.append(pixel)
-    if not gaps:
-        return 0.0
-    offset = float(np.median(gaps))
-    return offset if abs(offset) <= LARGEST * float(np.median(pixels)) else 0.0
+        face, gaps, pixel = _gaps(scene, camera, mask)
+        area, length = gaps.sum(0) if len(gaps) else (0.0, 0.0)
+        if length < pixel or abs(area) > LARGEST * pixel * length:
+            continue
+        limits.append(LARGEST * pixel)
+        for corner, column in np.ndindex(3, 2):
+            total[:, column] += np.bincount(faces[face, corner], gaps[:, column] / 3, len(vertices))
+    if not limits:
+        return np.zeros(len(vertices))
+    limit = float(np.median(limits))
+    return np.clip(_spread(total, Triangles(vertices, faces)), -limit, limit)
 
 
-def _gap(scene: EmbreeScene, camera: Camera, mask: np.ndarray) -> tuple[float, float]:
-    """Return the mean distance of the outlines of mesh and mask (H, W) in one view and the size of a pixel there (0 without outline)."""
+def _gaps(scene: EmbreeScene, camera: Camera, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Compare the coverage of mesh and mask (H, W) in the pixels near the mesh's outline in one view.
+
+    Returns:
+        Index (P,) of the outline's triangle next to each of P pixels, their area of the mask without mesh and length of the mask's outline
+        (P, 2) in world units, and the size of a pixel there (1 without outline).
+    """
     rays = camera.rays().reshape(-1, 3)
     origins = np.repeat(camera.centre[None].astype(np.float32), len(rays), 0)
     result = scene.run(origins, rays, query="INTERSECT", output=True)
-    hit = (result["primID"] >= 0).reshape(mask.shape)
-    outline = float(np.hypot(*np.gradient(mask)).sum())  # length in pixels: alpha rises by one across it
+    face = result["primID"].reshape(mask.shape)
+    hit = face >= 0
     edge = hit & (np.hypot(*np.gradient(hit.astype(np.float32))) > 0)
-    if outline < 1 or not edge.any():
-        return 0.0, 0.0
-    pixel = float(np.median(result["tfar"].reshape(mask.shape)[edge])) / camera.fx
-    return (float(mask.sum()) - float(hit.sum())) / outline * pixel, pixel
+    if not edge.any():
+        return np.zeros(0, np.int64), np.zeros((0, 2)), 1.0
+    nearest = np.asarray(ndimage.distance_transform_edt(~edge, return_distances=False, return_indices=True))
+    near = np.hypot(*(nearest - np.indices(mask.shape))) <= REACH
+    nearest = tuple(nearest[:, near])
+    size = result["tfar"].reshape(mask.shape)[nearest] / camera.fx
+    outline = np.hypot(*np.gradient(mask))[near]  # length in pixels: alpha rises by one across it
+    gaps = np.stack([(mask - hit)[near] * size**2, outline * size], -1)
+    return face[nearest], gaps.astype(np.float64), float(np.median(size))
+
+
+def _spread(total: np.ndarray, mesh: Triangles) -> np.ndarray:
+    """Average area and outline length (V, 2) over neighbouring vertices, and return the distance (V,) that they measure."""
+    matrix = adjacency(mesh) + sparse.identity(len(total), format="csr")
+    matrix = sparse.diags(1 / np.asarray(matrix.sum(1)).ravel()) @ matrix
+    least = LEAST * total[:, 1].mean()
+    for _ in range(PASSES):
+        total = matrix @ total
+    return total[:, 0] / np.maximum(total[:, 1] + least, 1e-30)

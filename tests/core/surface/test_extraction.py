@@ -41,6 +41,16 @@ def test_the_mesh_is_closed_and_not_inside_out(extracted):
     assert body.area_faces[facing < 0.5].sum() < 1e-3 * body.area
 
 
+def test_masks_move_a_surface_that_is_too_small(solids, camera_ring, bound):
+    solid, voxel = solids["sphere"], 2.0 / SETTINGS.voxels
+    small = replace(solid, distance=lambda points: solid.distance(points) + 0.5 * voxel)
+    cameras = camera_ring(40)
+    masks = [solid.view(camera).alpha.astype(np.float32) for camera in cameras]
+    surface = extract_geometry([small.view(camera) for camera in cameras], small.samples(), bound, SETTINGS, Silent(), masks)
+    assert np.abs(solid.distance(surface.vertices)).mean() < 0.25 * voxel
+    assert body_of(surface).is_watertight
+
+
 def test_vertex_normals_are_those_of_the_solid(extracted):
     solid, surface = extracted
     cosine = (solid.gradient(surface.vertices) * surface.normals).sum(-1)
