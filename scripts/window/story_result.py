@@ -54,11 +54,11 @@ def demo_and_cancel() -> Iterator[float]:
     yield 1.0
     driver.shot("59_demo_asked")
     job = yield from browsing.started_job()
-    yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.step), 120)
+    yield from driver.wait(lambda: job.finished or (job.phase in ("materials", "start", "first stage") and job.step), 300)
     yield 3.0
     driver.sidebar_shot("60_demo_running")
     yield from browsing.press_button("irgspp.job_cancel", across=0.7)
-    yield from driver.wait(lambda: job.finished, 60)
+    yield from driver.wait(lambda: job.finished, 120)
     yield 1.5
     driver.sidebar_shot("61_demo_cancelled")
     assert job.state == "cancelled", job.state
