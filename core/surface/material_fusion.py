@@ -37,6 +37,11 @@ class FusedMaterials:
     metallic: np.ndarray
     weight: np.ndarray
 
+    @property
+    def confidence(self) -> np.ndarray:
+        """Confidence (P,) of the points: 0 where no view sees them, 0.5 for one view straight at them, towards 1 with their number."""
+        return self.weight / (1 + self.weight)
+
 
 def fuse_materials(
     points: np.ndarray,

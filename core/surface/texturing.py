@@ -51,6 +51,7 @@ def textured_mesh(
         albedo=fused.albedo[source],
         roughness=fused.roughness[source],
         metallic=fused.metallic[source],
+        confidence=fused.confidence[source],
     )
     mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
     return mesh
@@ -109,6 +110,7 @@ def mesh_with_materials(
         albedo=fused.albedo,
         roughness=fused.roughness,
         metallic=fused.metallic,
+        confidence=fused.confidence,
     )
     mesh.textures.update(baked_textures(mesh, views, samples, voxel, settings, stoppable(progress, len(views))))
     return mesh

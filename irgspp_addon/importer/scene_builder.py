@@ -21,6 +21,7 @@ from .ply import read_ply
 from .run_frame import ALBEDO_SCALE
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
+OPTIONAL = ("confidence",)  # columns that older runs lack
 RUN, DATASET = "irgspp_run", "irgspp_dataset"  # custom properties of the empty: the imported folders
 
 
@@ -206,7 +207,7 @@ def _set_attributes(mesh: bpy.types.Mesh, vertex: np.ndarray) -> None:
     rgb = _columns(vertex, "albedo_r", "albedo_g", "albedo_b")
     albedo.data.foreach_set("color", np.c_[rgb, np.ones(len(rgb), np.float32)].reshape(-1))
     mesh.color_attributes.active_color = albedo
-    for name in ("roughness", "metallic"):
+    for name in ("roughness", "metallic", *(name for name in OPTIONAL if name in vertex.dtype.names)):
         mesh.attributes.new(name, "FLOAT", "POINT").data.foreach_set("value", _columns(vertex, name)[:, 0])
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Mesh as PLY: exact round trip, and readable by other programs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -22,6 +24,14 @@ def test_round_trip_is_exact(mesh, tmp_path):
         assert got.dtype == expected.dtype
     assert loaded.textures == {}
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.ply"]  # no temporary file stays
+
+
+def test_confidence_is_kept_where_it_is_known(mesh, tmp_path):
+    path, confidence = tmp_path / "mesh.ply", np.linspace(0, 1, len(mesh.vertices), dtype=np.float32)
+    save_mesh_ply(replace(mesh, confidence=confidence), path)
+    np.testing.assert_array_equal(load_mesh_ply(path).confidence, confidence)
+    save_mesh_ply(mesh, path)
+    assert load_mesh_ply(path).confidence is None
 
 
 def test_a_loaded_file_can_be_written_again(mesh, tmp_path):

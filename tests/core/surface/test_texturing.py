@@ -64,6 +64,15 @@ def test_vertex_materials_are_those_of_the_solid(made, true_colour):
     assert np.abs(mesh.metallic - colour[:, 2]).mean() < 0.01
 
 
+def test_confidence_is_zero_where_no_view_looks(solids, camera_ring, few):
+    surface, _, samples = few
+    above = [solids["sphere"].view(camera) for camera in camera_ring(12, size=48) if camera.centre[2] > 2]
+    mesh = textured_mesh(surface, above, samples, replace(SETTINGS, texture=32), Silent())
+    assert (mesh.confidence[mesh.vertices[:, 2] < -0.5] == 0).all()
+    assert mesh.confidence[mesh.vertices[:, 2] > 0.7].min() > 0.3
+    assert mesh.confidence.max() < 1
+
+
 def test_textures_show_the_solid_where_the_uvs_say(made, true_colour):
     """Look the textures up at the triangles' centres as a renderer does: v = 0 at the bottom row."""
     _, _, mesh = made
