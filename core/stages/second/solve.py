@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second stage: environment light and materials by the rendering equation, with visibility and indirect light traced through Gaussians.
 
-The steps: normal alignment, multi-view samples, radiance transfer, light-material solver, assignment of materials to Gaussians,
-refinement, radiance refit.
+The steps: normal alignment, multi-view samples, radiance transfer, light-material solver, shading normals, assignment of materials to
+Gaussians, refinement, radiance refit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...errors import Cancelled, IrgsppError
 from ...progress.protocol import Progress
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.camera import Camera
-from ...scene.dataset import Dataset
+from ...scene.dataset import Dataset, View
 from ...scene.reconstruction import Reconstruction
 from ...scene.surface import Surface
 from ...settings.schema import Settings
@@ -26,6 +26,7 @@ from ..common.finite_check import require_finite
 from ..common.preview import albedo_image
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
+from .diffuse_shading import observe_diffuse_shading
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
 from .light_material_solver import METALLIC_VALUES, STEPS, LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
@@ -34,6 +35,8 @@ from .pixel_pool import PixelPool, pool_pixels
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
 from .refinement import METAL_ON_AVERAGE, Refinement, is_metal_on_average
+from .shading_normals import ITERATIONS, fit_normals
+from .surface_gradient import subdivided
 
 LEAST_POINTS = 50  # with which the light is solved
 CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
@@ -73,6 +76,10 @@ def solve_second_stage(
     if fraction > 0 and not is_metal_on_average(reconstruction.gaussians):
         reconstruction = replace(reconstruction, gaussians=align_normals(reconstruction.gaussians, surface, fraction))
     solver, tracer = solve_light_materials(reconstruction, surface, dataset, settings, progress)
+    if settings.second.shading_normals > 0 and not _is_metal(reconstruction, solver):
+        surface = shading_normals(surface, solver, dataset.train, tracer, progress)
+        aligned = align_normals(reconstruction.gaussians, surface, settings.second.shading_normals)
+        reconstruction = replace(reconstruction, gaussians=aligned)
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
@@ -143,6 +150,34 @@ def refine(
     after = refinement.test()
     progress.message(f"PSNR of shaded held-back views: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
     return refinement.result() if after > before[best] else starts[best], schedule_scale
+
+
+def shading_normals(
+    surface: Surface, solver: LightMaterialSolver, views: Sequence[View], tracer: SecondaryTracer, progress: Progress
+) -> Surface:
+    """Return the surface, subdivided once, with normals that explain the shading of the photographs under the solved light.
+
+    Args:
+        surface: fused from the first stage's depth.
+        solver: solved light, and materials of its points.
+        views: training images.
+        tracer: of the Gaussians.
+        progress: receives a message on how far normals turned.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    fine = subdivided(surface)
+    progress.phase("normals", ITERATIONS)
+    fitted = fit_normals(fine, observe_diffuse_shading(fine, solver, views, tracer), lambda done: _report_step(progress, done))
+    turned = np.degrees(np.arccos(np.clip((fine.normals * fitted.normals).sum(1), -1, 1)))
+    progress.message(f"shading turns the surface's normals by {turned.mean():.1f} degrees on average")
+    return fitted
+
+
+def _is_metal(reconstruction: Reconstruction, solver: LightMaterialSolver) -> bool:
+    """Return True where the first stage or the solver takes the object for metal, which has no diffuse shading."""
+    return is_metal_on_average(reconstruction.gaussians) or float(solver.metallic.mean()) > METAL_ON_AVERAGE
 
 
 def _scale_to_deadline(refinement: Refinement, deadline: float, progress: Progress) -> float:
