@@ -12,7 +12,8 @@ from ...scene.dataset import Dataset, View
 from ...scene.gaussians import SH_COEFFICIENTS, SH_DC, Gaussians, quaternion_to
 from .visual_hull import visual_hull
 
-OPACITY = 0.7  # of surfels on the hull
+OPACITY = 0.7  # of surfels on a surface
+FAINT = 0.1  # of surfels on sparse points and at random places, where there may be no surface
 SURROUNDINGS = 5.0  # largest distance of random points from the bound's centre, in radii of the bound
 SPREAD = 0.65  # scale of a surfel over the spacing of the points
 MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # initial albedo (3), roughness, metallic
@@ -41,7 +42,7 @@ def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) 
     return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)
 
 
-def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: np.ndarray, opacity: float) -> Gaussians:
+def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: np.ndarray, opacity: float | np.ndarray) -> Gaussians:
     """Make round surfels with constant radiance.
 
     Args:
@@ -49,7 +50,7 @@ def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing
         normals: (N, 3) unit normals.
         colour: (N, 3) linear radiance.
         spacing: (N,) distance to neighbouring points in world units, which the scales follow.
-        opacity: of all surfels, 0..1.
+        opacity: one for all surfels, or (N,), in 0..1.
     """
     n = len(points)
     sh = torch.zeros(SH_COEFFICIENTS, 3, n)
@@ -58,7 +59,8 @@ def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing
     material = torch.logit(torch.tensor(MATERIAL))[:, None].repeat(1, n)
     normal = torch.as_tensor(normals, dtype=torch.float32).T
     position = torch.as_tensor(points, dtype=torch.float32).T.contiguous()
-    return Gaussians(position, quaternion_to(normal), scale[None].repeat(2, 1), torch.logit(torch.full((n,), opacity)), sh, material)
+    opacities = torch.logit(torch.as_tensor(np.broadcast_to(opacity, n).copy(), dtype=torch.float32))
+    return Gaussians(position, quaternion_to(normal), scale[None].repeat(2, 1), opacities, sh, material)
 
 
 def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
@@ -96,7 +98,7 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     distance, _ = KDTree(points).query(points, k=4)
     spacing = np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
     colour = np.concatenate([colours, observed_colour(dataset.train, filler, facing)])
-    return surfels(points, normals, colour, spacing, 0.1)
+    return surfels(points, normals, colour, spacing, FAINT)
 
 
 def random_points(dataset: Dataset, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from ...stereo.depth_map import DepthMap
 from ...stereo.estimation import estimate_depth_maps
 from ...stereo.fusion import OrientedPoints, fuse_points
 from ...stereo.settings import StereoSettings
-from .initialization import OPACITY, observed_colour, random_points, spatial_order, surfels
+from .initialization import FAINT, OPACITY, observed_colour, random_points, spatial_order, surfels
 from .visual_hull import VisualHull, visual_hull
 
 SUPPORT = {True: 3, False: 2}  # views that must agree with a point, with masks and without: captures overlap less than turntables
@@ -64,9 +64,10 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress) -> 
     other, other_normal = other[keep][: count - len(points.position)], other_normal[keep][: count - len(points.position)]
     place, normal = np.concatenate([points.position, other]), np.concatenate([points.normal, other_normal])
     colour = np.concatenate([decode_srgb(points.colour), observed_colour(dataset.train, other, other_normal)])
+    opacity = np.repeat([OPACITY, OPACITY if masked else FAINT], [len(points.position), len(other)])
     order = spatial_order(place)
-    place, normal, colour = place[order], normal[order], colour[order]
-    return surfels(place, normal, colour, point_spacing(place, dataset.bound.radius), OPACITY)
+    place, normal, colour, opacity = place[order], normal[order], colour[order], opacity[order]
+    return surfels(place, normal, colour, point_spacing(place, dataset.bound.radius), opacity)
 
 
 def hull_bounds(dataset: Dataset, hull: VisualHull) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
