@@ -33,6 +33,23 @@ def align_normals(gaussians: Gaussians, surface: Surface, fraction: float) -> Ga
     return replace(gaussians, quaternion=product(shortest_turn(own, goal), gaussians.quaternion))
 
 
+def follow_normals(gaussians: Gaussians, before: Surface, after: Surface, fraction: float) -> Gaussians:
+    """Turn the surfels by as much as the surface's normals turned, which keeps what they know of silhouettes.
+
+    Args:
+        gaussians: the surfels.
+        before: surface whose normals did not explain the shading.
+        after: the same vertices with other normals.
+        fraction: of the turn, 0..1.
+    """
+    own, position = gaussians.normals(), np.ascontiguousarray(gaussians.position.T.cpu().numpy())
+    old, new = (torch.from_numpy(surface_normals(surface, position)).to(own.device).T for surface in (before, after))
+    cosine = (own * old).sum(0)
+    change = torch.where(cosine < 0, old - new, new - old)
+    goal = torch.where(cosine.abs() > SMALLEST_COSINE, torch.nn.functional.normalize(own + fraction * change, dim=0), own)
+    return replace(gaussians, quaternion=product(shortest_turn(own, goal), gaussians.quaternion))
+
+
 def shortest_turn(source: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
     """Compute the shortest rotations between unit vectors.
 

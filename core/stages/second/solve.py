@@ -30,7 +30,7 @@ from .diffuse_shading import observe_diffuse_shading
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
 from .light_material_solver import METALLIC_VALUES, STEPS, LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
-from .normal_alignment import align_normals
+from .normal_alignment import align_normals, follow_normals
 from .pixel_pool import PixelPool, pool_pixels
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
@@ -77,9 +77,10 @@ def solve_second_stage(
         reconstruction = replace(reconstruction, gaussians=align_normals(reconstruction.gaussians, surface, fraction))
     solver, tracer = solve_light_materials(reconstruction, surface, dataset, settings, progress)
     if settings.second.shading_normals > 0 and not _is_metal(reconstruction, solver):
-        surface = shading_normals(surface, solver, dataset.train, tracer, progress)
-        aligned = align_normals(reconstruction.gaussians, surface, settings.second.shading_normals)
-        reconstruction = replace(reconstruction, gaussians=aligned)
+        before = subdivided(surface)
+        surface = shading_normals(before, solver, dataset.train, tracer, progress)
+        turned = follow_normals(reconstruction.gaussians, before, surface, settings.second.shading_normals)
+        reconstruction = replace(reconstruction, gaussians=turned)
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
@@ -155,10 +156,10 @@ def refine(
 def shading_normals(
     surface: Surface, solver: LightMaterialSolver, views: Sequence[View], tracer: SecondaryTracer, progress: Progress
 ) -> Surface:
-    """Return the surface, subdivided once, with normals that explain the shading of the photographs under the solved light.
+    """Return the surface with normals that explain the shading of the photographs under the solved light.
 
     Args:
-        surface: fused from the first stage's depth.
+        surface: fused from the first stage's depth, fine enough for the relief.
         solver: solved light, and materials of its points.
         views: training images.
         tracer: of the Gaussians.
@@ -167,10 +168,9 @@ def shading_normals(
     Raises:
         Cancelled: the user stopped the work.
     """
-    fine = subdivided(surface)
     progress.phase("normals", ITERATIONS)
-    fitted = fit_normals(fine, observe_diffuse_shading(fine, solver, views, tracer), lambda done: _report_step(progress, done))
-    turned = np.degrees(np.arccos(np.clip((fine.normals * fitted.normals).sum(1), -1, 1)))
+    fitted = fit_normals(surface, observe_diffuse_shading(surface, solver, views, tracer), lambda done: _report_step(progress, done))
+    turned = np.degrees(np.arccos(np.clip((surface.normals * fitted.normals).sum(1), -1, 1)))
     progress.message(f"shading turns the surface's normals by {turned.mean():.1f} degrees on average")
     return fitted
 

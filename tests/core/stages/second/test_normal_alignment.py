@@ -7,7 +7,7 @@ import torch
 from irgspp.core.kernels.reference.harmonics import rotation_matrix
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.scene.surface import Surface
-from irgspp.core.stages.second.normal_alignment import align_normals, product, shortest_turn
+from irgspp.core.stages.second.normal_alignment import align_normals, follow_normals, product, shortest_turn
 
 
 def unit(*shape: int) -> torch.Tensor:
@@ -38,3 +38,15 @@ def test_surfels_go_that_fraction_of_the_way_on_whichever_side_they_are(fraction
     surfels = Gaussians(torch.zeros(3, 4), quaternion, torch.zeros(2, 4), torch.zeros(4), torch.zeros(16, 3, 4), torch.zeros(5, 4))
     angle = align_normals(surfels, surface, fraction).normals()[2].acos().rad2deg()
     assert torch.allclose(angle, torch.tensor([0.0, 10 * (1 - fraction), 180 - 10 * (1 - fraction), 60.0]), atol=0.1)
+
+
+def test_surfels_turn_as_the_surface_did_on_whichever_side_they_are():
+    grid = np.stack([*np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)), np.zeros((9, 9))], -1).reshape(-1, 3)
+    before = Surface(grid, np.tile([0.0, 0.0, 1.0], (81, 1)), np.array([[0, 1, 2]]), 0.1)
+    after = Surface(grid, np.tile([0.0, -np.sin(0.1), np.cos(0.1)], (81, 1)), before.faces, 0.1)
+    tilt = torch.tensor([0.0, 10.0, 180.0, 60.0]).deg2rad()  # from +Z about X
+    quaternion = torch.stack([(tilt / 2).cos(), (tilt / 2).sin(), torch.zeros(4), torch.zeros(4)])
+    surfels = Gaussians(torch.zeros(3, 4), quaternion, torch.zeros(2, 4), torch.zeros(4), torch.zeros(16, 3, 4), torch.zeros(5, 4))
+    _, y, z = follow_normals(surfels, before, after, 1.0).normals()
+    turned = torch.remainder(torch.atan2(-y, z) - tilt, 2 * np.pi)
+    assert torch.allclose(turned, torch.tensor([0.1, 0.1, 0.1, 0.0]), atol=3e-3)
