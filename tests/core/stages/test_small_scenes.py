@@ -2,7 +2,6 @@
 """Both stages on small rendered scenes: an open bowl, which no silhouette shows to be hollow, and a carved stone of one colour."""
 
 import numpy as np
-import pytest
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.io.exr import read_exr
 from irgspp.core.progress.protocol import Silent
