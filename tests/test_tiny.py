@@ -186,6 +186,8 @@ from irgspp.core.progress.recorder import ProgressRecorder
 from irgspp.core.stages.first import trainer
 
 def step(self, done, **metrics):  # of the first stage: a checkpoint after step {KEEP}, the end in step {STOP}
+    if "loss" not in metrics:  # trial fits and other phases
+        return
     trainer.CHECKPOINT_SECONDS = -1.0 if done == {KEEP} else 1e9
     if done == {STOP}:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -23,7 +23,8 @@ def select_start(
 ) -> Gaussians:
     """Select the Gaussians that the first stage starts with: on the hull or the sparse points, or on the points of dense stereo.
 
-    Stereo must be better by `first.trial_margin` dB on held-back views. A metal keeps the plain start without a trial, since stereo
+    Stereo must be better by `first.stereo_margin` dB on held-back views: a hollow that opens brings several. Smaller gains come with
+    worse shape on smooth objects, where the hull is more exact than stereo. A metal keeps the plain start without a trial, since stereo
     sees the depth of its reflections.
 
     Args:
@@ -56,7 +57,7 @@ def select_start(
     fits = {key: prepare_trial(dataset, settings, start, rated, crop) for key, start in starts.items()}
     progress.phase("start", settings.first.trial_iterations)
     score = ({} if plain_psnr is None else {name: plain_psnr}) | run_trials(fits, settings, progress)
-    better = score["stereo"] > score[name] + settings.first.trial_margin
+    better = score["stereo"] > score[name] + settings.first.stereo_margin
     progress.decided("stereo", better, "held-back views: " + ", ".join(f"{key} {value:.2f} dB" for key, value in score.items()))
     return stereo if better else plain
 
