@@ -87,7 +87,6 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
         count: most surfels.
         rng: of the selection and of random positions.
     """
-    radius = dataset.bound.radius
     known = dataset.points.position if dataset.points is not None else np.zeros((0, 3), np.float32)
     colours = decode_srgb(dataset.points.colour) if dataset.points is not None else np.zeros((0, 3), np.float32)
     if len(known) > count:
@@ -95,10 +94,14 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
         known, colours = known[chosen], colours[chosen]
     filler, facing = random_points(dataset, max(count // 2 - len(known), 0), rng)
     points, normals = np.concatenate([known, filler]), np.concatenate([towards_cameras(dataset, known), facing])
-    distance, _ = KDTree(points).query(points, k=4)
-    spacing = np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
     colour = np.concatenate([colours, observed_colour(dataset.train, filler, facing)])
-    return surfels(points, normals, colour, spacing, FAINT)
+    return surfels(points, normals, colour, point_spacing(points, dataset.bound.radius), FAINT)
+
+
+def point_spacing(points: np.ndarray, radius: float) -> np.ndarray:
+    """Return the (N,) root mean square distance of points (N, 3) to their three nearest neighbours, limited in units of the radius."""
+    distance, _ = KDTree(points).query(points, k=4)
+    return np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
 
 
 def random_points(dataset: Dataset, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

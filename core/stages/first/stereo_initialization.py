@@ -16,7 +16,7 @@ from ...stereo.depth_map import DepthMap
 from ...stereo.estimation import estimate_depth_maps
 from ...stereo.fusion import OrientedPoints, fuse_points
 from ...stereo.settings import StereoSettings
-from .initialization import FAINT, OPACITY, observed_colour, random_points, spatial_order, surfels
+from .initialization import FAINT, OPACITY, observed_colour, point_spacing, random_points, spatial_order, surfels
 from .visual_hull import VisualHull, visual_hull
 
 SUPPORT = {True: 3, False: 2}  # views that must agree with a point, with masks and without: captures overlap less than turntables
@@ -145,9 +145,3 @@ def views_through(points: np.ndarray, maps: Sequence[DepthMap], tolerance: float
         seen = np.where(one.support >= min(SUPPORT.values()), one.depth, 0)[row[inside], column[inside]]
         count[inside] += seen > depth[inside] + tolerance
     return count
-
-
-def point_spacing(points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the (N,) root mean square distance of points (N, 3) to their three nearest neighbours, limited in units of the radius."""
-    distance, _ = KDTree(points).query(points, k=4)
-    return np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
