@@ -55,7 +55,10 @@ def estimate_depth_maps(
     Raises:
         Cancelled: the user stopped the work.
     """
-    search = _Search.prepare(views, nearest, farthest, points, settings, seed, initial)
+    images = [matching_image(view) for view in views]
+    guesses = [None] * len(views) if initial is None else list(initial)
+    bounds = [_bounds(*one) for one in zip(images, nearest, farthest, guesses, strict=True)]
+    search = _Search.prepare(images, bounds, points, settings, seed)
     for view, sources in zip(views, search.sources, strict=True):
         if not sources:
             progress.message(f"stereo: {view.name} shares no points with other views")
@@ -96,20 +99,10 @@ class _Search:
 
     @classmethod
     def prepare(
-        cls,
-        views: Sequence[View],
-        nearest: Depths,
-        farthest: Depths,
-        points: np.ndarray | None,
-        settings: StereoSettings,
-        seed: int,
-        initial: Sequence[np.ndarray] | None,
+        cls, images: list[MatchingImage], bounds: list[Bounds], points: np.ndarray | None, settings: StereoSettings, seed: int
     ) -> _Search:
-        """Prepare images, bounds and sources; arguments as of `estimate_depth_maps`, with nearest and farthest (H, W)."""
-        images = [matching_image(view) for view in views]
-        guesses = [None] * len(views) if initial is None else list(initial)
-        bounds = [_bounds(*one) for one in zip(images, nearest, farthest, guesses, strict=True)]
-        sources = choose_sources([view.camera for view in views], _probes(images, bounds, points, seed), settings.sources)
+        """Halve the images and choose the sources."""
+        sources = choose_sources([image.camera for image in images], _probes(images, bounds, points, seed), settings.sources)
         return cls(images, [image.halved() for image in images], bounds, points, sources, settings, seed)
 
     def photometric(self, i: int, _: list[Planes]) -> Planes:
