@@ -36,7 +36,7 @@ def support(depth_map: DepthMap, witnesses: Sequence[DepthMap], settings: Stereo
 
 
 @kernel
-def _apply(matrix, x, y, z):
+def apply(matrix, x, y, z):
     """Return the product of a matrix (3, 4) with (x, y, z, 1)."""
     a = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]
     b = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]
@@ -44,9 +44,9 @@ def _apply(matrix, x, y, z):
 
 
 @kernel
-def _pixel_seeing(projection, x, y, z, depth, relative):
+def pixel_seeing(projection, x, y, z, depth, relative):
     """Return row and column of the pixel that sees a world point, and the point's depth; row -1 where `depth` there differs too much."""
-    a, b, far = _apply(projection, x, y, z)
+    a, b, far = apply(projection, x, y, z)
     if far <= 0 or a < 0 or b < 0:
         return -1, -1, far
     u, v = a / far, b / far
@@ -68,14 +68,14 @@ def add_agreement(own, its, depth, normal, other_depth, other_normal, pixels, re
             if d <= 0:
                 continue
             u, v = column + 0.5, row + 0.5
-            x, y, z = _apply(own[1], u * d, v * d, d)
-            r, c, _ = _pixel_seeing(its[0], x, y, z, other_depth, relative)
+            x, y, z = apply(own[1], u * d, v * d, d)
+            r, c, _ = pixel_seeing(its[0], x, y, z, other_depth, relative)
             if r < 0:
                 continue
             # Back from the centre of the other pixel, which is up to 0.7 pixels from the point.
             e = float(other_depth[r, c])
-            x, y, z = _apply(its[1], (c + 0.5) * e, (r + 0.5) * e, e)
-            a, b, back = _apply(own[0], x, y, z)
+            x, y, z = apply(its[1], (c + 0.5) * e, (r + 0.5) * e, e)
+            a, b, back = apply(own[0], x, y, z)
             if back <= 0 or (a / back - u) ** 2 + (b / back - v) ** 2 > pixels * pixels:
                 continue
             n, m = normal[row, column], other_normal[r, c]
@@ -92,11 +92,11 @@ def add_samples(points, its, centre, depth, normal, colour, relative, used, sums
     """
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        r, c, far = _pixel_seeing(its[0], x, y, z, depth, relative)
+        r, c, far = pixel_seeing(its[0], x, y, z, depth, relative)
         if r < 0:
             continue
         d, n = float(depth[r, c]), normal[r, c]
-        px, py, pz = _apply(its[1], (c + 0.5) * d, (r + 0.5) * d, d)
+        px, py, pz = apply(its[1], (c + 0.5) * d, (r + 0.5) * d, d)
         scale = d / far
         along = n[0] * (x - centre[0]) + n[1] * (y - centre[1]) + n[2] * (z - centre[2])
         if along < 0:  # else the plane is seen edge-on within the pixel

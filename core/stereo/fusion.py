@@ -29,6 +29,10 @@ class OrientedPoints:
     colour: np.ndarray
     support: np.ndarray
 
+    def select(self, keep: np.ndarray) -> OrientedPoints:
+        """Return the points where `keep` (N,) is True."""
+        return OrientedPoints(self.position[keep], self.normal[keep], self.colour[keep], self.support[keep])
+
 
 def fuse_points(
     maps: Sequence[DepthMap],

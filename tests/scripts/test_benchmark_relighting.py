@@ -29,8 +29,8 @@ def write_balls(folder: Path, material: tuple[float, ...]) -> Path:
         one, count = sphere(48, 96), int(9000 * radius)
         z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
         normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
-        spacing = np.full(count, radius * np.sqrt(4 * np.pi / count))
-        some = surfels(centre + radius * normal, normal, np.full((count, 3), 0.5), spacing, 0.99)
+        scale = np.full(count, 0.65 * radius * np.sqrt(4 * np.pi / count))
+        some = surfels(centre + radius * normal, normal, np.full((count, 3), 0.5), scale, 0.99)
         splats = some if splats is None else splats.joined(some)
         meshes.append((one, (centre + radius * one.vertices).astype(np.float32)))
     assert splats is not None

@@ -78,7 +78,7 @@ def sphere(views: int = 9, size: int = 24, count: int = 300) -> tuple[Dataset, R
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.399963
     r = np.sqrt(1 - z**2)
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
-    splats = surfels(points, points, np.full((count, 3), 0.5), np.full(count, 2 * np.sqrt(4 * np.pi / count)), 0.95)
+    splats = surfels(points, points, np.full((count, 3), 0.5), np.full(count, 1.3 * np.sqrt(4 * np.pi / count)), 0.95)
     bound, taken = Bound((0.0, 0.0, 0.0), 1.5), []
     for i in range(views):
         camera = Camera(size, size, 1.3 * size, 1.3 * size, size / 2, size / 2, look_at((4 * np.cos(i), 4 * np.sin(i), 1.0)))

@@ -23,7 +23,7 @@ def write_relightable(folder: Path, count: int = 8000) -> None:
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
     albedo, roughness, metallic = materials(normal)
-    splats = surfels(normal, normal, albedo, np.full(count, np.sqrt(4 * np.pi / count)), 0.99)
+    splats = surfels(normal, normal, albedo, np.full(count, 0.65 * np.sqrt(4 * np.pi / count)), 0.99)
     values = np.concatenate([albedo, roughness[:, None], metallic[:, None]], 1).T
     splats.material = torch.logit(torch.from_numpy(np.clip(values, 1e-4, 1 - 1e-4).astype(np.float32)))
     Reconstruction(splats, torch.from_numpy(axis_light(32)), Bound((0.0, 0.0, 0.0), 1.3), np.eye(4)).save(folder)

@@ -15,7 +15,9 @@ from .visual_hull import visual_hull
 OPACITY = 0.7  # of surfels on a surface
 FAINT = 0.1  # of surfels on sparse points and at random places, where there may be no surface
 SURROUNDINGS = 5.0  # largest distance of random points from the bound's centre, in radii of the bound
-SPREAD = 0.65  # scale of a surfel over the spacing of the points
+SURFACE_SPREAD = 0.92  # scale of a surfel over the spacing of points that cover a surface evenly
+SPARSE_SPREAD = 0.65  # scale of a surfel over the distance to its neighbours among points in space
+NEIGHBOURS = 16  # of a point that tell its surface's spacing
 MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # initial albedo (3), roughness, metallic
 
 
@@ -42,25 +44,25 @@ def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) 
     return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)
 
 
-def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, spacing: np.ndarray, opacity: float | np.ndarray) -> Gaussians:
+def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, scale: np.ndarray, opacity: float | np.ndarray) -> Gaussians:
     """Make round surfels with constant radiance.
 
     Args:
         points: (N, 3) centres, world.
         normals: (N, 3) unit normals.
         colour: (N, 3) linear radiance.
-        spacing: (N,) distance to neighbouring points in world units, which the scales follow.
+        scale: (N,) standard deviation along both tangents, world units.
         opacity: one for all surfels, or (N,), in 0..1.
     """
     n = len(points)
     sh = torch.zeros(SH_COEFFICIENTS, 3, n)
     sh[0] = (torch.as_tensor(colour, dtype=torch.float32).T - 0.5) / SH_DC
-    scale = torch.as_tensor(np.log(np.maximum(SPREAD * spacing, 1e-12)), dtype=torch.float32)
+    log_scale = torch.as_tensor(np.log(np.maximum(scale, 1e-12)), dtype=torch.float32)
     material = torch.logit(torch.tensor(MATERIAL))[:, None].repeat(1, n)
     normal = torch.as_tensor(normals, dtype=torch.float32).T
     position = torch.as_tensor(points, dtype=torch.float32).T.contiguous()
     opacities = torch.logit(torch.as_tensor(np.broadcast_to(opacity, n).copy(), dtype=torch.float32))
-    return Gaussians(position, quaternion_to(normal), scale[None].repeat(2, 1), opacities, sh, material)
+    return Gaussians(position, quaternion_to(normal), log_scale[None].repeat(2, 1), opacities, sh, material)
 
 
 def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
@@ -72,9 +74,9 @@ def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussia
         rng: of their positions.
     """
     points, normals, area = visual_hull(dataset.train, dataset.bound).sample(count, rng)
-    order, spacing = spatial_order(points), np.full(count, np.sqrt(area / count))
+    order, scale = spatial_order(points), np.full(count, SURFACE_SPREAD * np.sqrt(area / count))
     points, normals = points[order], normals[order]
-    return surfels(points, normals, observed_colour(dataset.train, points, normals), spacing, OPACITY)
+    return surfels(points, normals, observed_colour(dataset.train, points, normals), scale, OPACITY)
 
 
 def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:
@@ -95,13 +97,23 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     filler, facing = random_points(dataset, max(count // 2 - len(known), 0), rng)
     points, normals = np.concatenate([known, filler]), np.concatenate([towards_cameras(dataset, known), facing])
     colour = np.concatenate([colours, observed_colour(dataset.train, filler, facing)])
-    return surfels(points, normals, colour, point_spacing(points, dataset.bound.radius), FAINT)
+    return surfels(points, normals, colour, SPARSE_SPREAD * neighbour_distance(points, dataset.bound.radius), FAINT)
 
 
-def point_spacing(points: np.ndarray, radius: float) -> np.ndarray:
+def neighbour_distance(points: np.ndarray, radius: float) -> np.ndarray:
     """Return the (N,) root mean square distance of points (N, 3) to their three nearest neighbours, limited in units of the radius."""
     distance, _ = KDTree(points).query(points, k=4)
     return np.clip(np.sqrt((distance[:, 1:] ** 2).mean(1)), 1e-4 * radius, 0.2 * radius)
+
+
+def surface_spacing(points: np.ndarray, radius: float) -> np.ndarray:
+    """Return the (N,) root of the area per point of points (N, 3) on surfaces, limited in units of the radius.
+
+    A disk around each point holds NEIGHBOURS others. The distance to the very nearest ones would vary with the randomness of the points.
+    """
+    count = min(NEIGHBOURS, len(points) - 1)
+    distance = KDTree(points).query(points, k=count + 1, workers=-1)[0].reshape(len(points), -1)[:, -1]
+    return np.clip(distance * np.sqrt(np.pi / max(count, 1)), 1e-4 * radius, 0.2 * radius)
 
 
 def random_points(dataset: Dataset, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Start selection: surfels start on dense stereo where a trial fit from there predicts held-back views better."""
+"""Start selection: surfels start on dense stereo where the photographs show that it is better than the hull or the sparse points."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def select_start(
 ) -> Gaussians:
     """Select the Gaussians that the first stage starts with: on the hull or the sparse points, or on the points of dense stereo.
 
-    Stereo must be better by `first.stereo_margin` dB on held-back views: a hollow that opens brings several. Smaller gains come with
-    worse shape on smooth objects, where the hull is more exact than stereo. A metal keeps the plain start without a trial, since stereo
-    sees the depth of its reflections.
+    With masks, stereo's points replace the hull where the photographs agree better at their depth (`from_stereo`). Without masks, a trial
+    fit on them must predict held-back views better by `first.stereo_margin` dB. A metal keeps the plain start, since stereo sees the
+    depth of its reflections.
 
     Args:
         dataset: views.
-        settings: of the job; `first.stereo` decides without a trial where it is "on" or "off".
+        settings: of the job; `first.stereo` decides without evidence where it is "on" or "off".
         plain: Gaussians on the hull, or on the sparse points and at random.
         material_class: selected with the plain start.
         progress: receives steps and the decision, and may cancel.
@@ -39,31 +39,48 @@ def select_start(
     Raises:
         Cancelled: the user stopped the work.
     """
-    name = "the visual hull" if dataset.has_alpha else "sparse points"
-    reason = _reason_without_trial(dataset, settings, material_class)
-    if reason and settings.first.stereo != "on":
+    choice, name = settings.first.stereo, "the visual hull" if dataset.has_alpha else "sparse points"
+    reason = _reason_against(dataset, settings, material_class)
+    if reason and choice != "on":
         progress.decided("stereo", False, f"started on {name}: {reason}")
         return plain
-    stereo = from_stereo(dataset, settings.first.gaussians, settings.seed, progress)
-    if stereo is None:
+    start = from_stereo(dataset, settings.first.gaussians, settings.seed, progress, everywhere=choice == "on")
+    if start is None:
         progress.decided("stereo", False, f"started on {name}: stereo found too few points that views agree on")
         return plain
-    stereo = stereo.to(plain.position.device)
-    if settings.first.stereo == "on":
-        progress.decided("stereo", True, "as set")
-        return stereo
-    starts = {"stereo": stereo} if plain_psnr is not None else {name: plain, "stereo": stereo}
-    rated = with_geometry_rates(material_class, COATED)  # as the trial fits that selected the class
-    fits = {key: prepare_trial(dataset, settings, start, rated, crop) for key, start in starts.items()}
-    progress.phase("start", settings.first.trial_iterations)
-    score = ({} if plain_psnr is None else {name: plain_psnr}) | run_trials(fits, settings, progress)
-    better = score["stereo"] > score[name] + settings.first.stereo_margin
-    progress.decided("stereo", better, "held-back views: " + ", ".join(f"{key} {value:.2f} dB" for key, value in score.items()))
+    stereo = start.gaussians.to(plain.position.device)
+    if choice == "on":
+        better, evidence = True, "as set"
+    elif dataset.has_alpha:
+        better, evidence = start.better > 0, f"photographs agree better at stereo's depth on {start.better:.0%} of the surface"
+    else:
+        better, evidence = _trial(dataset, settings, plain, stereo, material_class, progress, crop, plain_psnr)
+    progress.decided("stereo", better, evidence)
     return stereo if better else plain
 
 
-def _reason_without_trial(dataset: Dataset, settings: Settings, material_class: MaterialClass) -> str:
-    """Return the reason why the plain start is taken without a trial, empty where there is none."""
+def _trial(
+    dataset: Dataset,
+    settings: Settings,
+    plain: Gaussians,
+    stereo: Gaussians,
+    material_class: MaterialClass,
+    progress: Progress,
+    crop: bool,
+    plain_psnr: float | None,
+) -> tuple[bool, str]:
+    """Return whether a trial fit is better with the stereo start, and the evidence; see `select_start`."""
+    starts = {"stereo": stereo} if plain_psnr is not None else {"sparse points": plain, "stereo": stereo}
+    rated = with_geometry_rates(material_class, COATED)  # as the trial fits that selected the class
+    fits = {key: prepare_trial(dataset, settings, start, rated, crop) for key, start in starts.items()}
+    progress.phase("start", settings.first.trial_iterations)
+    score = ({} if plain_psnr is None else {"sparse points": plain_psnr}) | run_trials(fits, settings, progress)
+    better = score["stereo"] > score["sparse points"] + settings.first.stereo_margin
+    return better, "held-back views: " + ", ".join(f"{key} {value:.2f} dB" for key, value in score.items())
+
+
+def _reason_against(dataset: Dataset, settings: Settings, material_class: MaterialClass) -> str:
+    """Return the reason why stereo is not tried, empty where there is none."""
     if settings.first.stereo == "off":
         return "as set"
     if material_class == METAL:

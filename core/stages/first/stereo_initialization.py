@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -13,61 +14,153 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...stereo.depth_map import DepthMap
-from ...stereo.estimation import estimate_depth_maps
+from ...stereo.estimation import Depths, estimate_depth_maps
 from ...stereo.fusion import OrientedPoints, fuse_points
 from ...stereo.settings import StereoSettings
-from .initialization import FAINT, OPACITY, observed_colour, point_spacing, random_points, spatial_order, surfels
+from .depth_evidence import DepthEvidence
+from .initialization import FAINT, OPACITY, SURFACE_SPREAD, observed_colour, random_points, spatial_order, surface_spacing, surfels
 from .visual_hull import VisualHull, visual_hull
 
 SUPPORT = {True: 3, False: 2}  # views that must agree with a point, with masks and without: captures overlap less than turntables
-SHARE = {True: 0.8, False: 0.65}  # largest share of the surfels that lie on stereo's points, with masks and without
+SHARE = 0.65  # without masks: largest share of the surfels that lie on stereo's points
 FILLER = 0.1  # without masks: share of the surfels that are random points, for what stereo did not see
+FEWEST = 0.08  # stereo's points over the budget of surfels below which there is no stereo start
+BETTER = 0.9  # reprojection error at stereo's depth over that at the hull's below which a region takes stereo's points
+COMPARED = 4  # views that each view is compared with
+EVERYWHERE = 1 / 3  # share of stereo's points in such regions from which all of them are taken
 REACH = 0.03  # radii of the bound around stereo's points without other points; tolerance of the free-space test
 SEEN_THROUGH = 2  # views whose depth lies behind a point, from which the point is in free space
 RANGE = (0.6, 2.0)  # factors of the nearest and the farthest sparse points' depth between which stereo searches
 VOXEL_ROUNDS = 12  # bisections of the voxel size that thins the points
 
 
-def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress) -> Gaussians | None:
+@dataclass(frozen=True, eq=False)
+class StereoStart:
+    """Initial Gaussians that dense stereo contributed to.
+
+    Attributes:
+        gaussians: on stereo's points and elsewhere.
+        better: share of stereo's points around which the photographs agree better at stereo's depth than at the hull's; 1 without masks.
+    """
+
+    gaussians: Gaussians
+    better: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Depth maps and fused points of stereo."""
+
+    maps: list[DepthMap]
+    points: OrientedPoints
+
+
+def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, everywhere: bool = False) -> StereoStart | None:
     """Place surfels on the points of dense stereo, and on the visual hull or at random where stereo says nothing.
 
-    With masks, stereo searches inside the visual hull, and points of the hull are added where no stereo point is near and fewer than
-    SEEN_THROUGH views look through them. Without masks, random points are added, likewise outside known free space.
+    With masks, stereo searches inside the visual hull. A region takes stereo's points where the photographs agree better at their depth
+    than at the hull's, and otherwise the hull's; where most of the hull is wrong, all of stereo's points are taken. Points of the hull
+    fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, random points are added, likewise outside known free
+    space.
 
     Args:
         dataset: training views, bound and sparse points.
         count: most surfels.
         seed: of stereo and of the samples.
         progress: receives the phase "stereo" and may cancel.
+        everywhere: take all of stereo's points, without comparing regions.
 
     Returns:
-        The Gaussians, None where stereo found too few points to start on.
+        The start, None where stereo found too few points to start on.
 
     Raises:
         Cancelled: the user stopped the work.
     """
-    rng, masked, settings = np.random.default_rng(seed), dataset.has_alpha, StereoSettings()
-    hull = visual_hull(dataset.train, dataset.bound) if masked else None
-    nearest, farthest, initial = hull_bounds(dataset, hull) if hull is not None else depth_bounds(dataset)
-    known = None if dataset.points is None or masked else dataset.points.position
-    maps = estimate_depth_maps(dataset.train, nearest, farthest, known, settings, seed, progress, initial)
-    points = fuse_points(maps, [view.colour for view in dataset.train], SUPPORT[masked], settings)
-    if len(points.position) < SHARE[masked] * count / 10:
+    rng = np.random.default_rng(seed)
+    if not dataset.has_alpha:
+        known = None if dataset.points is None else dataset.points.position
+        found = _search(dataset, depth_bounds(dataset), known, count, seed, progress)
+        return None if found is None else StereoStart(_with_random_points(dataset, found, count, rng), 1.0)
+    hull = visual_hull(dataset.train, dataset.bound)
+    bounds = hull_bounds(dataset, hull)
+    found = _search(dataset, bounds, None, count, seed, progress)
+    if found is None:
         return None
-    points = thinned(points, int(SHARE[masked] * count))
-    if hull is not None:
-        other, other_normal, _ = hull.sample(count, rng)
-    else:
-        other, other_normal = random_points(dataset, int(FILLER * count), rng)
-    reach = REACH * dataset.bound.radius
-    keep = (KDTree(points.position).query(other)[0] > reach) & (views_through(other, maps, reach) < SEEN_THROUGH)
-    other, other_normal = other[keep][: count - len(points.position)], other_normal[keep][: count - len(points.position)]
+    evidence = _evidence(dataset, found.maps, bounds[2])
+    chosen = evidence.ratio(found.points.position) < BETTER
+    better = float(chosen.mean())
+    if everywhere or better > EVERYWHERE:
+        chosen, evidence = np.ones_like(chosen), None
+    return StereoStart(_with_hull(dataset, found, hull, chosen, evidence, count, rng), better)
+
+
+def _search(
+    dataset: Dataset,
+    bounds: tuple[Depths, Depths, list[np.ndarray] | None],
+    known: np.ndarray | None,
+    count: int,
+    seed: int,
+    progress: Progress,
+) -> _Found | None:
+    """Run stereo within depth bounds and fuse its points; None where they are too few for `count` surfels."""
+    settings = StereoSettings()
+    nearest, farthest, initial = bounds
+    maps = estimate_depth_maps(dataset.train, nearest, farthest, known, settings, seed, progress, initial)
+    points = fuse_points(maps, [view.colour for view in dataset.train], SUPPORT[dataset.has_alpha], settings)
+    return _Found(maps, points) if len(points.position) >= FEWEST * count else None
+
+
+def _evidence(dataset: Dataset, maps: list[DepthMap], hull_depth: list[np.ndarray]) -> DepthEvidence:
+    """Compare stereo's depths, the hull's where it has none, with the hull's."""
+    stereo = [np.where(one.support >= SUPPORT[True], one.depth, depth) for one, depth in zip(maps, hull_depth, strict=True)]
+    sources = [one.witnesses[:COMPARED] for one in maps]
+    return DepthEvidence.collect(dataset.train, dataset.bound, (hull_depth, stereo), sources, StereoSettings().relative_depth)
+
+
+def _with_hull(
+    dataset: Dataset,
+    found: _Found,
+    hull: VisualHull,
+    chosen: np.ndarray,
+    evidence: DepthEvidence | None,
+    count: int,
+    rng: np.random.Generator,
+) -> Gaussians:
+    """Place surfels on the chosen points of stereo, and on the hull where it fits no worse or no stereo point is near."""
+    points, (other, other_normal, _) = found.points.select(chosen), hull.sample(count, rng)
+    keep = _unexplained(other, points, found.maps, REACH * dataset.bound.radius)
+    if evidence is not None:
+        keep |= evidence.ratio(other) >= BETTER
+    # Both cover their parts of the surface evenly: their numbers are in proportion to the areas.
+    share = chosen.mean() / max(chosen.mean() + keep.mean(), 1e-9)
+    points = thinned(points, round(share * count))
+    left = count - len(points.position)
+    return _joined(dataset, points, other[keep][:left], other_normal[keep][:left], OPACITY)
+
+
+def _with_random_points(dataset: Dataset, found: _Found, count: int, rng: np.random.Generator) -> Gaussians:
+    """Place surfels on stereo's points, and faint ones at random."""
+    points = thinned(found.points, int(SHARE * count))
+    other, other_normal = random_points(dataset, int(FILLER * count), rng)
+    keep = _unexplained(other, points, found.maps, REACH * dataset.bound.radius)
+    return _joined(dataset, points, other[keep], other_normal[keep], FAINT)
+
+
+def _unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap], reach: float) -> np.ndarray:
+    """Return (N,) True for the others (N, 3) that none of the points is near and that few views look through."""
+    if not len(points.position):
+        return np.ones(len(others), bool)
+    far = KDTree(points.position).query(others, workers=-1)[0] > reach
+    return far & (views_through(others, maps, reach) < SEEN_THROUGH)
+
+
+def _joined(dataset: Dataset, points: OrientedPoints, other: np.ndarray, other_normal: np.ndarray, opacity: float) -> Gaussians:
+    """Make surfels in spatial order of stereo's points, and of other points (N, 3) with normals (N, 3) and an opacity."""
     place, normal = np.concatenate([points.position, other]), np.concatenate([points.normal, other_normal])
     colour = np.concatenate([decode_srgb(points.colour), observed_colour(dataset.train, other, other_normal)])
-    opacity = np.repeat([OPACITY, OPACITY if masked else FAINT], [len(points.position), len(other)])
-    order = spatial_order(place)
-    place, normal, colour, opacity = place[order], normal[order], colour[order], opacity[order]
-    return surfels(place, normal, colour, point_spacing(place, dataset.bound.radius), opacity)
+    opacities = np.repeat([OPACITY, opacity], [len(points.position), len(other)])
+    order, scale = spatial_order(place), SURFACE_SPREAD * surface_spacing(place, dataset.bound.radius)
+    return surfels(place[order], normal[order], colour[order], scale[order], opacities[order])
 
 
 def hull_bounds(dataset: Dataset, hull: VisualHull) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:

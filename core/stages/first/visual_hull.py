@@ -82,12 +82,12 @@ class VisualHull:
         """
         triangles = self.triangles()
         edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        area = np.linalg.norm(edges, axis=1)
+        area = 0.5 * np.linalg.norm(edges, axis=1)
         pick = rng.choice(len(triangles), count, p=area / area.sum())
         r1, r2 = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
         a, b, c = triangles[pick, 0], triangles[pick, 1], triangles[pick, 2]
         points = (1 - r1) * a + r1 * (1 - r2) * b + r1 * r2 * c
-        flat = edges[pick] / np.maximum(area[pick, None], 1e-20)
+        flat = edges[pick] / np.maximum(2 * area[pick, None], 1e-20)
         return points, self._normals(points, flat), float(area.sum())
 
     def _normals(self, points: np.ndarray, flat: np.ndarray) -> np.ndarray:

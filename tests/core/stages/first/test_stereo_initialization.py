@@ -11,6 +11,7 @@ from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound, Dataset, PointCloud, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
+from irgspp.core.stages.first.depth_evidence import DepthEvidence
 from irgspp.core.stages.first.initialization import from_hull, initial_gaussians
 from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL
 from irgspp.core.stages.first.start_selection import select_start
@@ -62,7 +63,7 @@ def dataset():
 
 @pytest.fixture(scope="module")
 def start(dataset):
-    return from_stereo(dataset, COUNT, 0, Silent())
+    return from_stereo(dataset, COUNT, 0, Silent()).gaussians
 
 
 class Decisions(Silent):
@@ -96,7 +97,7 @@ def test_surfels_face_the_side_that_is_seen(dataset, start):
 
 
 def test_same_seed_same_start(dataset, start):
-    again = from_stereo(dataset, COUNT, 0, Silent())
+    again = from_stereo(dataset, COUNT, 0, Silent()).gaussians
     assert all(a.equal(b) for a, b in zip(start.tensors().values(), again.tensors().values(), strict=True))
 
 
@@ -114,7 +115,7 @@ def test_hull_depth_is_where_the_rays_enter_and_leave(sphere_dataset, camera_rin
 
 def test_without_masks_points_and_few_others_are_the_start():
     posed = bowl(masked=False)
-    g = from_stereo(posed, COUNT, 0, Silent())
+    g = from_stereo(posed, COUNT, 0, Silent()).gaussians
     near = (g.position.norm(dim=0) - 1).abs() < 0.05
     assert int(near.sum()) > 0.3 * COUNT
     assert g.count <= COUNT
@@ -146,15 +147,31 @@ def test_points_before_a_depth_are_seen_through(dataset):
     assert views_through(points, [one], 0.1).tolist() == [1, 0, 0, 0, 0]
 
 
-def test_trial_prefers_stereo_in_a_hollow(dataset):
-    settings = with_overrides(preset("draft"), ["first.gaussians=3000", "first.trial_iterations=60", "first.trial_gaussians=2000"])
+def test_a_hollow_is_a_region_where_stereo_is_better(dataset):
+    """The lid is given to stereo, the outside of the bowl, which the hull touches, may keep the hull."""
+    settings = with_overrides(preset("draft"), [f"first.gaussians={COUNT}"])
     plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
     chosen = select_start(dataset, settings, plain, LOW_GLOSS, progress)
     on, evidence = progress.found["stereo"]
     assert on
-    assert "stereo" in evidence
-    assert "the visual hull" in evidence
+    assert "% of the surface" in evidence
+    assert lid(plain) > 0.1
     assert lid(chosen) < 0.02
+
+
+def test_a_region_without_evidence_keeps_the_hull(dataset, monkeypatch):
+    """Where the hull's depths are taken for stereo's, both are equally good everywhere."""
+
+    def same(cls, views, bound, depths, *rest):
+        return collect(views, bound, (depths[0], depths[0]), *rest)
+
+    collect = DepthEvidence.collect
+    monkeypatch.setattr(DepthEvidence, "collect", classmethod(same))
+    start, hull = from_stereo(dataset, COUNT, 0, Silent()), from_hull(dataset, COUNT, np.random.default_rng(0))
+    assert start.better == 0
+    assert start.gaussians.count == COUNT
+    assert lid(start.gaussians) == pytest.approx(lid(hull), abs=0.02)
+    assert float(start.gaussians.log_scale.mean()) == pytest.approx(float(hull.log_scale.mean()), abs=0.1)
 
 
 @pytest.mark.parametrize(("overrides", "material_class", "why"), [([], METAL, "reflections"), (["first.stereo=off"], LOW_GLOSS, "as set")])

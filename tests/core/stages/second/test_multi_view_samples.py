@@ -46,7 +46,9 @@ def tree(*parts):
 def ball(centre, radius, count):
     z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
     normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
-    return surfels(centre + radius * normal, normal, np.full((count, 3), 0.5), np.full(count, radius * np.sqrt(4 * np.pi / count)), 0.99)
+    return surfels(
+        centre + radius * normal, normal, np.full((count, 3), 0.5), np.full(count, 0.65 * radius * np.sqrt(4 * np.pi / count)), 0.99
+    )
 
 
 @pytest.fixture(scope="module")

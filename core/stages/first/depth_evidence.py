@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Evidence for one of two surfaces, region by region: whose depth makes the photographs agree with each other.
+
+Dense stereo sees hollows, which no silhouette shows, but it guesses where there is no texture; the visual hull is exact where it touches
+the object. The reprojection errors of both are summed in voxels around both surfaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from ...scene.dataset import Bound, View
+from ...stereo.reprojection import reprojection_errors
+
+CELL = 0.02  # side of a voxel in radii of the bound
+BLUR = 1.5  # standard deviation, in voxels, of the blur that turns voxels into regions
+INNER = 0.95  # alpha from which a pixel is compared
+
+
+@dataclass(frozen=True, eq=False)
+class DepthEvidence:
+    """Errors of two surfaces in voxels.
+
+    Attributes:
+        bound: sphere that the voxels cover.
+        first: (N, N, N) sum of the first surface's reprojection errors, blurred.
+        second: (N, N, N) sum of the second's, of the same pixels.
+    """
+
+    bound: Bound
+    first: np.ndarray
+    second: np.ndarray
+
+    @classmethod
+    def collect(
+        cls,
+        views: Sequence[View],
+        bound: Bound,
+        depths: tuple[Sequence[np.ndarray], Sequence[np.ndarray]],
+        sources: Sequence[Sequence[int]],
+        relative: float,
+    ) -> DepthEvidence:
+        """Sum the errors of the pixels at which both surfaces can be compared.
+
+        Args:
+            views: photographs with masks.
+            bound: sphere around the object.
+            depths: (H, W) planar depth of each view, 0 for none, of the first and of the second surface.
+            sources: indices of the views that each view is compared with.
+            relative: see `reprojection_errors`.
+        """
+        errors = [reprojection_errors(views, one, sources, relative) for one in depths]
+        count = int(np.ceil(2 / CELL)) + 1
+        sums = np.zeros((2, count, count, count))
+        for i, view in enumerate(views):
+            assert view.alpha is not None
+            valid = np.isfinite(errors[0][i]) & np.isfinite(errors[1][i]) & (view.alpha > INNER)
+            rays = view.camera.rays()[valid].astype(np.float64)
+            for one in depths:
+                cells = tuple(_cells(view.camera.centre + one[i][valid][:, None] * rays, bound, count).T)
+                for total, error in zip(sums, errors, strict=True):
+                    np.add.at(total, cells, error[i][valid])
+        return cls(bound, *(gaussian_filter(total, BLUR).astype(np.float32) for total in sums))
+
+    def ratio(self, points: np.ndarray) -> np.ndarray:
+        """Return the second surface's error over the first's around points (N, 3), as (N,); 1 where nothing was compared."""
+        cells = tuple(_cells(points, self.bound, len(self.first)).T)
+        first, second = self.first[cells], self.second[cells]
+        return np.where(first > 0, second / np.maximum(first, 1e-20), 1.0)
+
+
+def _cells(points: np.ndarray, bound: Bound, count: int) -> np.ndarray:
+    """Return the voxels (N, 3) of points (N, 3), those outside at the border."""
+    place = ((points - np.asarray(bound.centre)) / bound.radius + 1) / CELL
+    return np.clip(np.round(place).astype(int), 0, count - 1)
