@@ -39,7 +39,7 @@ class FirstStageSettings:
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # number at the start; with masks also the largest number
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
-    stereo_margin: Annotated[float, Range(0)] = 2.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
+    stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use
