@@ -8,7 +8,7 @@ STEPS = (  # of a reconstruction, in order: text, and the phases of the engine t
     ("Choosing the material class and the start", ("materials", "stereo", "start")),
     ("Fitting shape and radiance", ("first stage",)),
     ("Extracting the surface", ("fuse",)),
-    ("Solving for light and materials", ("trace", "second stage", "normals", "paint", "refine", "radiance")),
+    ("Solving for light and materials", ("trace", "second stage", "normals", "turn surfels", "paint", "refine", "radiance")),
     ("Unwrapping the mesh and baking textures", ("unwrap", "bake")),
     ("Writing the Blender file", ("scene",)),
     ("Drawing the contact sheet", ("contact sheet",)),

@@ -67,6 +67,7 @@ class SecondStageSettings:
     radiance_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # of the fit of the radiance to the aligned normals at the end
     mesh_normals: Annotated[float, Range(0, 1)] = 0.5  # fraction by which surfels are first aligned with the mesh's smoother normals
     shading_normals: Annotated[float, Range(0, 1)] = 1.0  # fraction by which surfels then follow normals that explain the shading
+    normal_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # of the fit of surfels to the surface's normals, except a metal's
     pool: Annotated[int, Range(1000)] = 100_000  # pixels kept in memory, from which iterations draw
     normal_rate: Annotated[float, Range(0)] = 5e-4  # learning rate of surfels' rotations, except a metal's; 0: fixed
     albedo_smoothness: Annotated[float, Range(0)] = 0.02  # loss weight: differences between neighbours of similar albedo

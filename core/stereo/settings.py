@@ -30,7 +30,7 @@ class StereoSettings:
         ValueError: a number of sources is out of range.
     """
 
-    sources: int = 5
+    sources: int = 8
     best: int = 2
     coarse_sweeps: int = 5
     fine_sweeps: int = 2
@@ -40,8 +40,8 @@ class StereoSettings:
     largest_cost: float = 0.45
     reprojection: float = 1.5
     relative_depth: float = 0.01
-    cosine: float = 0.7
-    witnesses: int = 10
+    cosine: float = 0.5
+    witnesses: int = 16
 
     def __post_init__(self) -> None:
         if not 1 <= self.best <= self.sources <= MOST_SOURCES:

@@ -9,6 +9,7 @@ neighbours about as much as the chromaticity does around them. A painted surface
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,10 +23,13 @@ from ...scene.surface import Surface
 from .surface_gradient import SurfaceGradient
 
 ITERATIONS = 4  # Gauss-Newton steps with new robust weights
+REPEATED = 3  # further steps where the relief turns out to be strong
 SOLVES = 40  # conjugate gradient iterations in each
 TOLERANCE = 1e-3  # of the conjugate gradients' residual
 OUTLIER = 2.0  # residual over its standard deviation at which a vertex's robust weight is halved (Cauchy)
 DISPLACEMENT, SLOPE, BEND = 1.5, 0.25, 0.4  # standard deviations of the displacement, its gradient and its Laplacian, in edges
+RELIEF = 7.0  # standard deviation of the gradient over the root mean square of what was found with SLOPE, which the prior shrinks
+LARGEST_SLOPE = 0.6  # standard deviation of the gradient, at most
 STEP = 0.005  # standard deviation of log albedo along an edge where the chromaticity does not vary
 CHROMATICITY = 10.0  # by which the luminance of paint varies more than its chromaticity
 NOISE = 0.004  # of log chromaticity, along an edge
@@ -60,24 +64,43 @@ def fit_normals(surface: Surface, shading: DiffuseShading, progress: Callable[[i
         The mesh with new normals.
     """
     operators = SurfaceGradient.of(surface)
-    ties = displacement_prior(operators)
-    displacement, irradiance = np.zeros(len(surface.vertices)), log_irradiance(shading.irradiance, surface.normals)[0]
-    log_albedo = shading.log_radiance - irradiance
-    for step in range(ITERATIONS):
-        system = _linearised(surface, shading, operators, ties, displacement, log_albedo, robust=step > 0)
-        change = system.solved(SOLVES)
-        displacement = displacement + change[:, 0]
-        log_albedo = log_albedo + change[:, 1:]
-        progress(step + 1)
+    irradiance = log_irradiance(shading.irradiance, surface.normals)[0]
+    displacement, log_albedo = np.zeros(len(surface.vertices)), shading.log_radiance - irradiance
+    deviation = SLOPE
+    for repeated, steps in ((False, range(ITERATIONS)), (True, range(ITERATIONS, ITERATIONS + REPEATED))):
+        if repeated:
+            deviation = slope_deviation(operators.slope(displacement)[shading.precision > 0])
+            if deviation <= SLOPE:
+                break
+        ties = displacement_prior(operators, deviation)
+        for step in steps:
+            system = _linearised(surface, shading, operators, ties, displacement, log_albedo, robust=step > 0)
+            change = system.solved(SOLVES)
+            displacement, log_albedo = displacement + change[:, 0], log_albedo + change[:, 1:]
+            progress(min(step + 1, ITERATIONS))
     normals, _ = displaced_normals(surface.normals, operators.slope(displacement))
     return Surface(surface.vertices, normals, surface.faces, surface.voxel)
 
 
-def displacement_prior(operators: SurfaceGradient) -> sparse.csr_matrix:
-    """Return the matrix (V, V) whose quadratic form of a displacement in edges is its negative log prior, times 2."""
+def slope_deviation(slope: np.ndarray) -> float:
+    """Return the standard deviation of the gradient that a relief deserves: SLOPE, or more where slopes (V, 3) found with it are large."""
+    found = math.sqrt(float((slope**2).sum(1).mean())) if len(slope) else 0.0
+    return min(max(SLOPE, RELIEF * found), LARGEST_SLOPE)
+
+
+def displacement_prior(operators: SurfaceGradient, deviation: float) -> sparse.csr_matrix:
+    """Compute the prior of displacements.
+
+    Args:
+        operators: of the surface.
+        deviation: standard deviation of the displacement's gradient, in edges.
+
+    Returns:
+        The matrix (V, V) whose quadratic form of a displacement in edges is its negative log prior, times 2.
+    """
     count = len(operators.average.indptr) - 1
     bend = sparse.identity(count, format="csr") - operators.average
-    slope = sum((matrix.T @ matrix) / SLOPE**2 for matrix in operators.gradient)
+    slope = sum((matrix.T @ matrix) / deviation**2 for matrix in operators.gradient)
     return (slope + sparse.identity(count, format="csr") / DISPLACEMENT**2 + (bend.T @ bend) / BEND**2).tocsr()
 
 

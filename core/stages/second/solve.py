@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second stage: environment light and materials by the rendering equation, with visibility and indirect light traced through Gaussians.
 
-The steps: normal alignment, multi-view samples, radiance transfer, light-material solver, shading normals, assignment of materials to
-Gaussians, refinement, radiance refit.
+The steps: normal alignment, multi-view samples, radiance transfer, light-material solver, shading normals, normal fit, assignment of
+materials to Gaussians, refinement, radiance refit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...errors import Cancelled, IrgsppError
 from ...progress.protocol import Progress
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.camera import Camera
-from ...scene.dataset import Dataset, View
+from ...scene.dataset import Dataset
 from ...scene.reconstruction import Reconstruction
 from ...scene.surface import Surface
 from ...settings.schema import Settings
@@ -26,17 +26,15 @@ from ..common.finite_check import require_finite
 from ..common.preview import albedo_image
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
-from .diffuse_shading import observe_diffuse_shading
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
 from .light_material_solver import METALLIC_VALUES, STEPS, LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
-from .normal_alignment import align_normals, follow_normals
+from .normal_alignment import align_normals
+from .normal_improvement import improve_normals
 from .pixel_pool import PixelPool, pool_pixels
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
 from .refinement import METAL_ON_AVERAGE, Refinement, is_metal_on_average
-from .shading_normals import ITERATIONS, fit_normals
-from .surface_gradient import subdivided
 
 LEAST_POINTS = 50  # with which the light is solved
 CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
@@ -76,11 +74,9 @@ def solve_second_stage(
     if fraction > 0 and not is_metal_on_average(reconstruction.gaussians):
         reconstruction = replace(reconstruction, gaussians=align_normals(reconstruction.gaussians, surface, fraction))
     solver, tracer = solve_light_materials(reconstruction, surface, dataset, settings, progress)
-    if settings.second.shading_normals > 0 and not _is_metal(reconstruction, solver):
-        before = subdivided(surface)
-        surface = shading_normals(before, solver, dataset.train, tracer, progress)
-        turned = follow_normals(reconstruction.gaussians, before, surface, settings.second.shading_normals)
-        reconstruction = replace(reconstruction, gaussians=turned)
+    if not _is_metal(reconstruction, solver):
+        watch = (progress, lambda done: _report_step(progress, done))
+        reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, *watch)
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
@@ -151,28 +147,6 @@ def refine(
     after = refinement.test()
     progress.message(f"PSNR of shaded held-back views: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
     return refinement.result() if after > before[best] else starts[best], schedule_scale
-
-
-def shading_normals(
-    surface: Surface, solver: LightMaterialSolver, views: Sequence[View], tracer: SecondaryTracer, progress: Progress
-) -> Surface:
-    """Return the surface with normals that explain the shading of the photographs under the solved light.
-
-    Args:
-        surface: fused from the first stage's depth, fine enough for the relief.
-        solver: solved light, and materials of its points.
-        views: training images.
-        tracer: of the Gaussians.
-        progress: receives a message on how far normals turned.
-
-    Raises:
-        Cancelled: the user stopped the work.
-    """
-    progress.phase("normals", ITERATIONS)
-    fitted = fit_normals(surface, observe_diffuse_shading(surface, solver, views, tracer), lambda done: _report_step(progress, done))
-    turned = np.degrees(np.arccos(np.clip((surface.normals * fitted.normals).sum(1), -1, 1)))
-    progress.message(f"shading turns the surface's normals by {turned.mean():.1f} degrees on average")
-    return fitted
 
 
 def _is_metal(reconstruction: Reconstruction, solver: LightMaterialSolver) -> bool:

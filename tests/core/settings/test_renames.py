@@ -62,7 +62,8 @@ OLD = {
     "export": {"material": "textures"},
     "skip": {"outside": "off", "trials": "auto", "constants": "on", "open": "auto", "kept": "off"},
 }
-ADDED = {"first.stereo", "first.stereo_margin", "second.shading_normals"}  # settings that came later, with their defaults
+# Settings that came later, with their defaults.
+ADDED = {"first.stereo", "first.stereo_margin", "second.shading_normals", "second.normal_iterations"}
 CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "second.indirect=off"]
 CHANGED += ["skip.background=off", "skip.cache_hits=on", "skip.cache_rays=off"]
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from irgspp.core.scene.surface import Surface
-from irgspp.core.stages.second.shading_normals import DiffuseShading, fit_normals, log_irradiance
+from irgspp.core.stages.second.shading_normals import LARGEST_SLOPE, SLOPE, DiffuseShading, fit_normals, log_irradiance, slope_deviation
 from irgspp.core.stages.second.surface_gradient import SurfaceGradient, subdivided
 
 RADIUS = 20.0
@@ -82,3 +82,10 @@ def test_unseen_vertices_keep_their_normals():
     mesh = sphere(3)
     shading = DiffuseShading(np.zeros((len(mesh.vertices), 3)), np.zeros(len(mesh.vertices)), light(len(mesh.vertices)))
     assert fit_normals(mesh, shading).normals == pytest.approx(mesh.normals, abs=1e-6)
+
+
+def test_strong_relief_loosens_its_own_prior():
+    assert slope_deviation(np.full((10, 3), 1e-3)) == SLOPE
+    assert slope_deviation(np.full((10, 3), 10.0)) == LARGEST_SLOPE
+    assert SLOPE < slope_deviation(np.full((10, 3), 0.04)) < LARGEST_SLOPE
+    assert slope_deviation(np.zeros((0, 3))) == SLOPE
