@@ -24,6 +24,7 @@ from ..common.training_view import make_training_view
 RATE = Rate(2e-3, 0.1)  # learning rate of the rotations
 INNER = 0.99  # alpha of the photograph from which a pixel counts
 OPAQUE = 0.5  # rendered opacity from which a pixel counts
+OUTLINES = 8.0  # loss weight: opacity agrees with the mask, since surfels that turn change the object's outlines
 
 
 def fit_rendered_normals(
@@ -64,7 +65,10 @@ def fit_rendered_normals(
         sums, _ = rasterize(g.position.detach(), g.quaternion, *fixed, prepared[index].camera, radius, 0)
         alpha, weight = sums[-1], weights[index].to(device)
         difference = (sums[3:6] - goals[index].to(device) * alpha).abs().sum(0)
-        loss = (difference * weight * (alpha > OPAQUE)).sum() / weight.sum().clamp_min(1)
+        loss = (difference * weight * (alpha > OPAQUE)).sum()
+        if prepared[index].alpha is not None:
+            loss = loss + OUTLINES * (alpha - prepared[index].alpha.to(device)).abs().sum()
+        loss = loss / weight.sum().clamp_min(1)
         if check_due(loss, done + 1):
             require_finite({"the normals' loss": loss}, f"at iteration {done + 1}")
         loss.backward()

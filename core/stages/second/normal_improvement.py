@@ -16,7 +16,7 @@ from ...scene.surface import Surface
 from ...settings.schema import Settings
 from .diffuse_shading import observe_diffuse_shading
 from .light_material_solver import LightMaterialSolver
-from .normal_alignment import align_normals, follow_normals
+from .normal_alignment import follow_normals
 from .normal_fit import fit_rendered_normals
 from .shading_normals import ITERATIONS, fit_normals
 from .surface_gradient import subdivided
@@ -59,7 +59,6 @@ def improve_normals(
         turned = np.degrees(np.arccos(np.clip((before.normals * surface.normals).sum(1), -1, 1)))
         progress.message(f"shading turns the surface's normals by {turned.mean():.1f} degrees on average")
         gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
-        gaussians = align_normals(gaussians, surface, second.mesh_normals)
     if second.normal_iterations > 0:
         progress.phase("turn surfels", second.normal_iterations)
         radius, iterations = reconstruction.bound.radius, second.normal_iterations
