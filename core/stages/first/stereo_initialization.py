@@ -59,9 +59,9 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     """Place surfels on the points of dense stereo, and on the visual hull or at random where stereo says nothing.
 
     With masks, stereo searches inside the visual hull. A region takes stereo's points where the photographs agree better at their depth
-    than at the hull's, and otherwise the hull's; where most of the hull is wrong, all of stereo's points are taken. Points of the hull
-    fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, random points are added, likewise outside known free
-    space.
+    than at the hull's and where it differs by more than a pixel, and otherwise the hull's; where much of the hull is wrong, all of
+    stereo's points are taken. Points of the hull fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, random
+    points are added, likewise outside known free space.
 
     Args:
         dataset: training views, bound and sparse points.
@@ -127,10 +127,15 @@ def _with_hull(
     rng: np.random.Generator,
 ) -> Gaussians:
     """Place surfels on the chosen points of stereo, and on the hull where it fits no worse or no stereo point is near."""
-    points, (other, other_normal, _) = found.points.select(chosen), hull.sample(count, rng)
+    other, other_normal, _ = hull.sample(count, rng)
+    if evidence is not None:  # stereo's noise is about a pixel: where it is so near to the hull, the hull is the better start
+        size = pixel_size(dataset)
+        chosen = chosen & (KDTree(other).query(found.points.position, workers=-1)[0] > size)
+        agreed = KDTree(found.points.position).query(other, workers=-1)[0] <= size
+    points = found.points.select(chosen)
     keep = _unexplained(other, points, found.maps, REACH * dataset.bound.radius)
     if evidence is not None:
-        keep |= evidence.ratio(other) >= BETTER
+        keep |= agreed | (evidence.ratio(other) >= BETTER)
     # Both cover their parts of the surface evenly: their numbers are in proportion to the areas.
     share = chosen.mean() / max(chosen.mean() + keep.mean(), 1e-9)
     points = thinned(points, round(share * count))
@@ -161,6 +166,12 @@ def _joined(dataset: Dataset, points: OrientedPoints, other: np.ndarray, other_n
     opacities = np.repeat([OPACITY, opacity], [len(points.position), len(other)])
     order, scale = spatial_order(place), SURFACE_SPREAD * surface_spacing(place, dataset.bound.radius)
     return surfels(place[order], normal[order], colour[order], scale[order], opacities[order])
+
+
+def pixel_size(dataset: Dataset) -> float:
+    """Return the median size of a pixel at the bound's centre, world units."""
+    centre = np.asarray(dataset.bound.centre)
+    return float(np.median([np.linalg.norm(view.camera.centre - centre) / view.camera.fx for view in dataset.train]))
 
 
 def hull_bounds(dataset: Dataset, hull: VisualHull) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:

@@ -162,5 +162,5 @@ def test_progress_and_cancellation(sphere):
 
 
 def test_impossible_settings_are_refused():
-    with pytest.raises(ValueError, match="6 best of 5"):
-        StereoSettings(best=6)
+    with pytest.raises(ValueError, match="9 best of 8"):
+        StereoSettings(best=9)
