@@ -68,7 +68,7 @@ def spread(reconstruction, dataset, layer):
 
 
 def test_stereo_opens_the_bowl():
-    bowl, dataset, _, decisions = fitted("bowl", "first.stereo=on")  # trial fits as brief as these tests need do not decide
+    bowl, dataset, _, decisions = fitted("bowl", "first.stereo=on")  # all of its points, whatever the regions show
     assert decisions["stereo"]
     closed = errors(fitted("bowl", "first.stereo=off")[0], dataset)
     angle, depth = errors(bowl, dataset)
