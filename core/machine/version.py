@@ -5,6 +5,7 @@ VERSION = "0.1.0"
 
 # Module to import: (name of the distribution, oldest supported version).
 LIBRARIES = {
+    "av": ("av", "14"),
     "cv2": ("opencv-python-headless", "4.10"),
     "embreex": ("embreex", "4.4"),
     "fast_simplification": ("fast-simplification", "0.2"),
@@ -13,8 +14,11 @@ LIBRARIES = {
     "numpy": ("numpy", "1.26"),
     "OpenEXR": ("OpenEXR", "3.3"),
     "PIL": ("pillow", "10"),
+    "pillow_heif": ("pillow-heif", "1"),
     "plyfile": ("plyfile", "1"),
     "psutil": ("psutil", "6"),
+    "pycolmap": ("pycolmap", "4.1"),
+    "rawpy": ("rawpy", "0.24"),
     "scipy": ("scipy", "1.13"),
     "skimage": ("scikit-image", "0.24"),
     "torch": ("torch", "2.5"),

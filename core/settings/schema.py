@@ -21,6 +21,18 @@ Choice = Literal["auto", "on", "off"]
 
 
 @dataclass(frozen=True)
+class CaptureSettings:
+    """Capture: bare photographs to cameras, masks and exposures."""
+
+    features: Annotated[int, Range(200, 16384)] = 2000  # longest side of an image in which features are searched, pixels
+    frames: Annotated[int, Range(3, 2000)] = 80  # sharp frames taken of each video, at most
+    matching: Literal["auto", "exhaustive", "sequential"] = "auto"  # pairs of photographs; auto: all of them up to 150 photographs
+    masks: Choice = "auto"  # cut the object out; auto: where one stands on a plane, and no masks are given
+    resolution: Annotated[int, Range(64, 4096)] = 640  # longest side of an image in which the object is cut out, pixels
+    marker: Annotated[float | None, Range(1e-6)] = None  # side of the black square of an ArUco or AprilTag marker, metres
+
+
+@dataclass(frozen=True)
 class DataSettings:
     """Reading of the dataset."""
 
@@ -117,6 +129,7 @@ class Settings:
     device: Literal["auto", "cpu", "cuda", "warp-cpu"] = "auto"  # warp-cpu is for tests: the GPU's kernels on the CPU, slowly
     materials: Literal["auto", "low-gloss", "glossy"] = "auto"  # material class of the object; auto: decided by trial fits
     time: Annotated[float | None, Range(1)] = None  # time budget, seconds: scales the schedules down, or up as far as that helps
+    capture: CaptureSettings = field(default_factory=CaptureSettings)
     data: DataSettings = field(default_factory=DataSettings)
     first: FirstStageSettings = field(default_factory=FirstStageSettings)
     second: SecondStageSettings = field(default_factory=SecondStageSettings)

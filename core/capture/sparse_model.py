@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sparse model of a capture: cameras of the photographs, and points with their observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..datasets.parsed_dataset import Lens
+from .photograph import LeftOut, Photograph
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPhotograph:
+    """Photograph with its camera.
+
+    Attributes:
+        photograph: its image has the lens' size.
+        lens: intrinsics with distortion, of the upright image.
+        to_world: (4, 4) float64 rigid camera to world, looking along -Z, +Y up.
+    """
+
+    photograph: Photograph
+    lens: Lens
+    to_world: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SparseModel:
+    """Cameras and points in one frame, whose scale and orientation are arbitrary until the table or a marker gives them.
+
+    Attributes:
+        posed: photographs that were registered.
+        position: (P, 3) float64 points.
+        colour: (P, 3) uint8 sRGB.
+        track_point, track_photograph: (T,) int32, the point and the index in `posed` of each observation.
+        track_pixel: (T, 2) float32 place of each observation in the distorted upright image; the first pixel's centre is at (0.5, 0.5).
+        error: mean reprojection error, pixels.
+        left_out: photographs that were not registered.
+    """
+
+    posed: list[PosedPhotograph]
+    position: np.ndarray
+    colour: np.ndarray
+    track_point: np.ndarray
+    track_photograph: np.ndarray
+    track_pixel: np.ndarray
+    error: float
+    left_out: list[LeftOut]
