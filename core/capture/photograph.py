@@ -19,6 +19,7 @@ class Photograph:
         lens: key of the camera and its lens; photographs with the same key share their intrinsics.
         focal: focal length in pixels of the copy by EXIF, or None.
         exposure: exposure time x ISO / f-number^2 by EXIF, seconds; None where it is not stated.
+        mask: mask of the copy that the person gave (file mask or alpha channel), or None.
         turned: quarter turns anticlockwise from the stored pixels to the copy (EXIF orientation), 0..3.
     """
 
@@ -31,6 +32,7 @@ class Photograph:
     focal: float | None = None
     exposure: float | None = None
     turned: int = 0
+    mask: Path | None = None
 
 
 @dataclass(frozen=True)

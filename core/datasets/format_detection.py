@@ -8,13 +8,13 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..settings.schema import DataSettings
-from .formats import colmap, glossy_real, glossy_synthetic, metashape, realitycapture, stanford_orb, tensoir, transforms
+from .formats import captured, colmap, glossy_real, glossy_synthetic, metashape, realitycapture, stanford_orb, tensoir, transforms
 from .formats.colmap_model import model_files
 from .parsed_dataset import ParsedDataset
 
 LOOKED_FOR = (
-    "looked for transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt, train_000/metadata.json, 0-camera.pkl, "
-    "object_point_cloud.ply, and the cameras' .xml of Metashape or .csv of RealityCapture"
+    "looked for capture.json, transforms_train.json, transforms.json, sparse/0/cameras.bin and .txt, train_000/metadata.json, "
+    "0-camera.pkl, object_point_cloud.ply, and the cameras' .xml of Metashape or .csv of RealityCapture"
 )
 
 
@@ -27,6 +27,7 @@ Read = Callable[[Path, DataSettings], ParsedDataset]
 
 # Formats with files that no other format has come first; those recognised by a single file of cameras come last.
 SPECIFIC_FORMATS: tuple[tuple[Recognise, Read], ...] = (
+    (captured.find_capture, captured.read_captured),
     (tensoir.find_views, tensoir.read_tensoir),
     (glossy_synthetic.find_camera_files, glossy_synthetic.read_glossy_synthetic),
     (glossy_real.find_object_points, glossy_real.read_glossy_real),

@@ -19,6 +19,7 @@ from ..scene.camera import Camera
 from ..scene.dataset import Dataset, View
 from ..settings.schema import DataSettings
 from .bound import object_bound
+from .exposure import even_exposures
 from .format_detection import parse_dataset
 from .parsed_dataset import MINIMUM_VIEWS, Frame, ParsedDataset
 from .prepared_frames import PreparedFrame, decoding_threads, is_reduction, prepare_frames
@@ -58,6 +59,8 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     count = len(prepared)
     views, test_views = _usable(images[:count], MINIMUM_VIEWS, warnings), _usable(images[count:], 0, warnings)
     views, test_views = _normalise_alpha(views, test_views, warnings)
+    even = even_exposures([*views, *test_views], parsed.points, settings.exposure, warnings)
+    views, test_views = even[: len(views)], even[len(views) :]
     bound = object_bound(parsed, views, settings, warnings)
     lenses = sorted({str(p.frame.lens) for p in prepared})
     novel = Counter(f.light for f in _with_image(parsed.novel) if f.light is not None)
@@ -203,7 +206,7 @@ def _view(prepared: PreparedFrame, masks: bool) -> View | InputError:
             raise InputError(frame.mask if frame.mask and masks else frame.image, "is transparent everywhere")
     except InputError as error:
         return error
-    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, frame.lens.distorted, frame.light)
+    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, frame.lens.distorted, frame.light, frame.gain)
 
 
 def _mask(frame: Frame, image: tuple[int, int], size: tuple[int, int]) -> np.ndarray:

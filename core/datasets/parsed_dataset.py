@@ -101,6 +101,7 @@ class Frame:
         to_world: (4, 4) float64 rigid camera to world, looking along -Z, +Y up.
         far: if the mask file is a depth map, the fraction of its range from which on there is background; else None.
         light: name of the light that it was taken under, if it is not the dataset's own.
+        gain: linear exposure gain (3,) of its colours that the dataset states, relative to the other photographs; else None.
     """
 
     listed: str
@@ -110,6 +111,7 @@ class Frame:
     to_world: np.ndarray
     far: float | None = None
     light: str | None = None
+    gain: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

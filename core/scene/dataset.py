@@ -19,10 +19,11 @@ class View:
         name: file name without folders, extension or a final `rgba` part; unique in its dataset split.
         camera: pinhole camera of the image (already undistorted and resized).
         path: the image's file.
-        colour: (H, W, 3) float32, sRGB-encoded straight colour, 0..1 (above 1 only in HDR files).
+        colour: (H, W, 3) float32, sRGB-encoded straight colour, 0..1; above 1 only in HDR files and after division by an exposure gain.
         alpha: (H, W) float32 in 0..1, or None where there is neither a mask nor an alpha channel.
         distorted: the file has a lens distortion, which was removed from `colour` and `camera`.
         light: name of the light that the image was taken under, if it is not the dataset's own; else None.
+        gain: linear exposure gain (3,) of the file's colours that the dataset states, relative to the other photographs; else None.
     """
 
     name: str
@@ -32,6 +33,7 @@ class View:
     alpha: np.ndarray | None
     distorted: bool = False
     light: str | None = None
+    gain: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ class DataSettings:
 
     resolution: Annotated[int, Range(16, 16384)] = 640  # longest side of an image, pixels; larger images are reduced
     masks: bool = True  # use alpha channels and mask files
+    exposure: Choice = "auto"  # divide photographs by their exposure gains; auto: where they differ by more than noise
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
     split: Literal["auto", "holdout", "published"] = "auto"  # test views: the dataset's own, every n-th, or the published benchmark's
     centre: tuple[float, float, float] | None = None  # centre of the object's bounding sphere, dataset units; None: estimated

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Capture of bare photographs or a video: cameras, undistorted images, masks, exposure gains and true size, as a dataset folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..datasets.exposure import SMALLEST
+from ..datasets.format_detection import NoDataset, parse_dataset
+from ..datasets.formats.captured import FILE, FORMAT, load_capture
+from ..errors import InputError
+from ..io.file_lock import FileLock
+from ..progress.protocol import Progress, Silent
+from ..scene.dataset import Bound, PointCloud
+from ..settings.schema import CaptureSettings, DataSettings
+from .dataset_files import moved_points, write_json, write_masks, write_model, write_transforms
+from .exposures import exposure_gains, stated_log_gains
+from .marker import find_marker_scale
+from .object_masks import ObjectMasks, cut_out
+from .photograph import LeftOut
+from .photograph_files import VIDEO_SUFFIXES, has_photographs
+from .poses import find_poses
+from .reading import read_photographs
+from .report import write_contact_sheet, write_page
+from .sparse_model import SparseModel
+from .undistortion import UndistortedImage, undistort_photographs
+from .upright import world_similarity
+
+LOCK = ".lock"
+
+
+def needs_capture(path: Path) -> bool:
+    """Return True for a video, or a folder of photographs without cameras.
+
+    Args:
+        path: what the user named as dataset.
+    """
+    if path.is_file():
+        return path.suffix.lower() in VIDEO_SUFFIXES
+    if not path.is_dir():
+        return False
+    try:
+        parse_dataset(path, DataSettings())
+    except NoDataset:
+        return has_photographs(path)
+    except InputError:
+        return False  # a damaged dataset, which its reader reports
+    return False
+
+
+def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0, progress: Progress | None = None) -> Path:
+    """Capture photographs into a dataset folder, and return the folder; an interrupted capture goes on, a finished one is kept.
+
+    Args:
+        source: folder of photographs and videos, or a video; it is never changed.
+        folder: folder to write.
+        settings: of the capture.
+        seed: of every random number generator.
+        progress: receives the progress and may cancel; None for neither.
+
+    Raises:
+        InputError: if there are too few usable photographs, they don't overlap, or the folder holds something else.
+        Cancelled: if the user stopped the work.
+    """
+    watcher = progress or Silent()
+    inputs = {"source": str(source.resolve()), "settings": dataclasses.asdict(settings), "seed": seed}
+    lock = _claim(folder)
+    try:
+        before = load_capture(folder / FILE) if (folder / FILE).exists() else {}
+        if before.get("status") == "done" and before.get("inputs") == inputs:
+            watcher.message(f"capture: finished before, in {folder}")
+            return folder
+        write_json(folder / FILE, {"format": FORMAT, "status": "running", "inputs": inputs})
+        _capture(source, folder, settings, seed, watcher, inputs)
+    finally:
+        lock.release()
+    return folder
+
+
+def _claim(folder: Path) -> FileLock:
+    """Make the folder and lock it; raise InputError where it holds something else."""
+    if folder.exists() and (not folder.is_dir() or (not (folder / FILE).exists() and any(p.name != LOCK for p in folder.iterdir()))):
+        raise InputError(folder, "is not empty and not a capture", "name another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return FileLock(folder / LOCK)
+    except BlockingIOError as error:
+        raise InputError(folder, "is in use by another process") from error
+    except OSError as error:
+        raise InputError(folder, f"can't be written ({error.strerror})") from error
+
+
+def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, progress: Progress, inputs: dict[str, Any]) -> None:
+    photographs, left_out = read_photographs(source, folder, settings, progress)
+    _report_left_out(left_out, progress)
+    model = find_poses(photographs, folder, settings, seed, progress)
+    _report_left_out(model.left_out, progress)
+    images = undistort_photographs(model, folder, settings.resolution, progress)
+    found = _masks(model, images, settings, seed, progress)
+    gains = exposure_gains(model, [one.view for one in images])
+    scale = None if settings.marker is None else find_marker_scale(model, settings.marker, progress)
+    bound = None if found is None else found.bound
+    plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
+    similarity = world_similarity([one.camera for one in images], bound, plane, scale)
+    masks = [None] * len(images) if found is None else found.masks
+    doubtful = {} if found is None else dict(found.doubtful)
+    write_model(model, images, similarity, folder)
+    write_masks(images, masks, folder)
+    write_transforms(images, similarity, [mask is not None for mask in masks], folder)
+    write_json(folder / "exposures.json", {one.view.name: gain.tolist() for one, gain in zip(images, gains, strict=True)})
+    write_contact_sheet(images, masks, set(doubtful), folder / "contact_sheet.png")
+    state = {
+        "format": FORMAT,
+        "status": "done",
+        "inputs": inputs,
+        "source": str(source),
+        "error": model.error,
+        "bound": None if bound is None else _bound_in_world(bound, similarity),
+        "plane": plane is not None,
+        "metres_per_unit": None if scale is None else 1.0,
+        "masked": any(mask is not None for mask in masks),
+        "gains": {one.view.name: gain.tolist() for one, gain in zip(images, gains, strict=True)},
+        "photographs": _records(images, masks, gains, doubtful),
+        "left_out": [dataclasses.asdict(one) for one in (*left_out, *model.left_out)],
+        "notes": _notes(found, model, gains),
+    }
+    write_page(state, folder / "report.html")
+    write_json(folder / FILE, state)
+    progress.message(f"capture: {len(images)} photographs, report in {folder / 'report.html'}")
+
+
+def _masks(
+    model: SparseModel, images: list[UndistortedImage], settings: CaptureSettings, seed: int, progress: Progress
+) -> ObjectMasks | None:
+    """Cut the object out, unless the settings say not to and no masks are given."""
+    given = {one.view.name: one.mask for one in images if one.mask is not None}
+    if settings.masks == "off":
+        return None
+    points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
+    found = cut_out([one.view for one in images], points, settings, seed, progress, given=given or None)
+    for line in [] if found is None else found.lines:
+        progress.message(line)
+    return found
+
+
+def _report_left_out(left_out: list[LeftOut], progress: Progress) -> None:
+    for one in left_out:
+        progress.message(f"left out {one.name}: {one.reason}")
+
+
+def _bound_in_world(bound: Bound, similarity: np.ndarray) -> dict[str, Any]:
+    centre = moved_points(np.array([bound.centre], np.float64), similarity)[0]
+    return {"centre": centre.tolist(), "radius": bound.radius * float(np.cbrt(np.linalg.det(similarity[:3, :3])))}
+
+
+def _records(
+    images: list[UndistortedImage], masks: list[np.ndarray | None], gains: np.ndarray, doubtful: dict[str, str]
+) -> list[dict[str, Any]]:
+    """Return a record of each photograph for capture.json: name, source, exposure in EV, what is known of the mask."""
+    records = []
+    for one, mask, gain in zip(images, masks, gains, strict=True):
+        name = one.view.name
+        kind = doubtful.get(name, "none" if mask is None else "given" if one.mask is not None else "found")
+        source = str(one.posed.photograph.source)
+        records.append({"name": name, "source": source, "ev": float(np.log2(gain.mean())), "mask": kind})
+    return records
+
+
+def _notes(found: ObjectMasks | None, model: SparseModel, gains: np.ndarray) -> list[str]:
+    """Return lines about masks and exposure for the report."""
+    notes = [] if found is None else list(found.lines)
+    if found is None:
+        notes.append("no masks: the whole scene is reconstructed")
+    if np.log(gains).std(0).max() >= SMALLEST:
+        origin = "the points' colours" if stated_log_gains(model) is None else "EXIF, checked by the points' colours"
+        notes.append(f"exposure differs by up to {np.ptp(np.log2(gains.mean(1))):.2f} EV, by {origin}")
+    return notes
