@@ -9,12 +9,13 @@ from pathlib import Path
 
 from .assets.export import write_blend
 from .assets.mesh_files import save_mesh_files
+from .capture.capture import capture, needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
 from .datasets.load import load_dataset
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
-from .machine.devices import choose_device, computing_on
+from .machine.devices import ChosenDevice, choose_device, computing_on
 from .machine.disk_space import check_disk_space
 from .machine.peak_memory import peak_memory, reset_peak_memory
 from .progress.protocol import Progress, Silent
@@ -27,7 +28,7 @@ from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
 from .settings import overrides
 from .settings.schema import Settings
-from .stages.common.memory_layout import fit_into_memory
+from .stages.common.memory_layout import MemoryLayout, fit_into_memory
 from .stages.common.time_budget import FUSED
 from .stages.first.train import train
 from .stages.phase_results import FIRST_STAGE, GEOMETRY, PhaseResults
@@ -36,6 +37,8 @@ from .stages.second.solve import solve_second_stage
 from .surface.extraction import extract_geometry
 from .surface.texturing import textured_mesh
 
+CAPTURE = "capture"  # folder of a run with the captured dataset
+
 
 def reconstruct(
     dataset: Path, run: Path, settings: Settings, *, resume: bool = False, overwrite: bool = False, progress: Progress | None = None
@@ -43,7 +46,7 @@ def reconstruct(
     """Reconstruct a dataset into a run folder and return the folder; its run.json records the outcome, errors included.
 
     Args:
-        dataset: folder or file of posed images.
+        dataset: folder or file of posed images; or bare photographs or a video, which are captured into the run folder first.
         run: folder to write.
         settings: of the job.
         resume: continue the run in the folder from its last checkpoints; the result is that of an uninterrupted run.
@@ -61,20 +64,33 @@ def reconstruct(
     check_claim(run, resume, overwrite)
     began = time.monotonic()
     reset_peak_memory()
-    data = load_dataset(dataset, settings.data, watcher)
-    check_disk_space(run, settings, data.pixels(distorted=True))
-    memory = fit_into_memory(data, settings, chosen, watcher)
+    bare = needs_capture(dataset)
+    ready = None if bare else _read(dataset, run, settings, chosen, watcher)  # bad input is refused before anything is written
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
     try:
-        with folder.job(), computing_on(chosen, resumable=True), rays_at_a_time(memory.rays):
+        with folder.job():
             folder.state["computed_on"] = {"device": str(chosen.device), "why": chosen.why}
-            deadline = None if settings.time is None else began + settings.time - folder.spent
-            folder.record("read", time.monotonic() - began, peak_memory(), finished=True)
-            results = PhaseResults(folder, chosen.device)
-            Job(data, folder, settings, ProgressRecorder(folder, watcher), results, deadline, memory.resident).run()
+            recorder = ProgressRecorder(folder, watcher)
+            if bare:
+                captured = run / CAPTURE
+                work = lambda: capture(dataset, captured, settings.capture, settings.seed, recorder)  # noqa: E731
+                folder.run_phase("capture", work, recorder)
+            data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
+            with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays):
+                deadline = None if settings.time is None else began + settings.time - folder.spent
+                folder.record("read", time.monotonic() - began - folder.seconds("capture"), peak_memory(), finished=True)
+                results = PhaseResults(folder, chosen.device)
+                Job(data, folder, settings, recorder, results, deadline, memory.resident).run()
     finally:
         folder.close()
     return run
+
+
+def _read(dataset: Path, run: Path, settings: Settings, device: ChosenDevice, progress: Progress) -> tuple[Dataset, MemoryLayout]:
+    """Load a dataset, and check that the job fits on the disk and into memory."""
+    data = load_dataset(dataset, settings.data, progress)
+    check_disk_space(run, settings, data.pixels(distorted=True))
+    return data, fit_into_memory(data, settings, device, progress)
 
 
 @dataclass

@@ -27,7 +27,7 @@ from .settings.schema import Settings
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
 RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
-FOLDERS = ("checkpoint", "textures", "evaluation", "photographs", "previews")
+FOLDERS = ("capture", "checkpoint", "textures", "evaluation", "photographs", "previews")
 LOGS = ("events.jsonl", "log.txt", "cancel", "finish")
 LOCK = ".lock"
 OLD_CHECKPOINT, CHECKPOINT = "reflective.pt", "first_stage.pt"  # of the first stage, in version 0.1 and now

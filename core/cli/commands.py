@@ -54,6 +54,24 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
+def capture(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Find cameras, masks and exposures of bare photographs and write them as a dataset.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
+    settings = with_overrides(Settings(), args.set).capture
+    if args.marker is not None:
+        settings = dataclasses.replace(settings, marker=args.marker)
+    from ..capture.capture import capture
+
+    folder = capture(args.photographs, args.folder, settings, args.seed, terminal)
+    terminal.end_line()
+    print(folder)
+    return 0
+
+
 def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
     """Reconstruct a dataset into a run folder.
 

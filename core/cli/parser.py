@@ -35,9 +35,23 @@ def parser() -> argparse.ArgumentParser:
     _set_option(one)
 
     one = _command(
+        subparsers,
+        "capture",
+        commands.capture,
+        "photographs without cameras, or a video, to a dataset: cameras, masks, exposures, true size",
+    )
+    one.add_argument("photographs", metavar="PHOTOS", type=Path, help="folder of photographs and videos, or a video")
+    one.add_argument("-o", dest="folder", metavar="DATASET", type=Path, required=True, help="folder to write")
+    side = "side of the black square of an ArUco or AprilTag marker in the photographs, such as 5cm: the object gets its true size"
+    one.add_argument("--marker", type=_length, metavar="SIZE", help=side)
+    one.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every random number generator (default: 0)")
+    _set_option(one)
+
+    one = _command(
         subparsers, "reconstruct", commands.reconstruct, "photographs to mesh, materials, light and a Blender file", resumable=True
     )
-    one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of photographs with known cameras")
+    source = "folder of photographs, a video, or a dataset with known cameras"
+    one.add_argument("dataset", metavar="DATASET", type=Path, help=source)
     one.add_argument("-o", dest="run", metavar="RUN", type=Path, required=True, help="run folder")
     one.add_argument("--preset", choices=list(PRESETS), help="amount of work: draft, balanced or paper (default: balanced)")
     one.add_argument(
@@ -131,6 +145,13 @@ def _seconds(text: str) -> float:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text} is not a duration such as 90s, 5m or 1h")
     return float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]
+
+
+def _length(text: str) -> float:
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(mm|cm|m)", text)
+    if match is None or float(match[1]) == 0:
+        raise argparse.ArgumentTypeError(f"{text} is not a length such as 50mm, 5cm or 0.05m")
+    return float(match[1]) * {"mm": 0.001, "cm": 0.01, "m": 1.0}[match[2]]
 
 
 def _resume_options(one: argparse.ArgumentParser) -> None:
