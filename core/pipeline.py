@@ -9,7 +9,9 @@ from pathlib import Path
 
 from .assets.export import write_blend
 from .assets.mesh_files import save_mesh_files
-from .capture.capture import capture, needs_capture
+from .capture.capture import capture
+from .capture.source import FOLDER as CAPTURE
+from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
 from .datasets.load import load_dataset
 from .evaluation.contact_sheet import contact_sheet
@@ -36,8 +38,6 @@ from .stages.second.radiance_transfer import rays_at_a_time
 from .stages.second.solve import solve_second_stage
 from .surface.extraction import extract_geometry
 from .surface.texturing import textured_mesh
-
-CAPTURE = "capture"  # folder of a run with the captured dataset
 
 
 def reconstruct(

@@ -10,19 +10,17 @@ from typing import Any
 import numpy as np
 
 from ..datasets.exposure import SMALLEST
-from ..datasets.format_detection import NoDataset, parse_dataset
 from ..datasets.formats.captured import FILE, FORMAT, load_capture
 from ..errors import InputError
 from ..io.file_lock import FileLock
 from ..progress.protocol import Progress, Silent
 from ..scene.dataset import Bound, PointCloud
-from ..settings.schema import CaptureSettings, DataSettings
+from ..settings.schema import CaptureSettings
 from .dataset_files import moved_points, write_json, write_masks, write_model, write_transforms
 from .exposures import exposure_gains, stated_log_gains
 from .marker import find_marker_scale
 from .object_masks import ObjectMasks, cut_out
 from .photograph import LeftOut
-from .photograph_files import VIDEO_SUFFIXES, has_photographs
 from .poses import find_poses
 from .reading import read_photographs
 from .report import write_contact_sheet, write_page
@@ -31,25 +29,6 @@ from .undistortion import UndistortedImage, undistort_photographs
 from .upright import world_similarity
 
 LOCK = ".lock"
-
-
-def needs_capture(path: Path) -> bool:
-    """Return True for a video, or a folder of photographs without cameras.
-
-    Args:
-        path: what the user named as dataset.
-    """
-    if path.is_file():
-        return path.suffix.lower() in VIDEO_SUFFIXES
-    if not path.is_dir():
-        return False
-    try:
-        parse_dataset(path, DataSettings())
-    except NoDataset:
-        return has_photographs(path)
-    except InputError:
-        return False  # a damaged dataset, which its reader reports
-    return False
 
 
 def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0, progress: Progress | None = None) -> Path:

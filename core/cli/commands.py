@@ -40,11 +40,12 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
+    from ..capture.source import posed_dataset
     from ..datasets.load import load_dataset
     from ..datasets.summary import describe, summary
 
     settings = with_overrides(Settings(), args.set).data
-    data = load_dataset(args.dataset, settings, terminal)
+    data = load_dataset(posed_dataset(args.dataset), settings, terminal)
     if args.export is not None:
         from ..datasets.export import save_dataset
 
@@ -103,11 +104,12 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
+    from ..capture.source import posed_dataset
     from ..evaluation.report import evaluate, table
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     choices = {"protocol": args.protocol, "views": args.views, "samples": args.samples, "lpips": args.lpips}
-    report = evaluate(args.run, args.dataset, args.out, settings.data, terminal, args.cycles, **choices)
+    report = evaluate(args.run, posed_dataset(args.dataset, args.run), args.out, settings.data, terminal, args.cycles, **choices)
     terminal.end_line()
     print(table(report))
     return 0

@@ -88,14 +88,16 @@ def _lights(args: argparse.Namespace) -> list[tuple[Path, str | None, float, flo
 
 def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: Reconstruction) -> list[tuple[str, Camera]]:
     """Return the named views of a dataset, or an orbit with the intrinsics of their first (of the run's own where none is named)."""
+    from ..capture.source import posed_dataset
     from ..relight.orbit import orbit
-    from ..relight.render_views import cameras_of
+    from ..relight.render_views import cameras_of, split_of
     from ..scene.camera_files import load_run_cameras
 
     if args.orbit is None and args.views is None:
         raise InputError("render", "no views are given", "add --views DATASET[:split] or --orbit N")
     if args.views is not None:
-        cameras = cameras_of(args.views, settings, reconstruction.to_world)
+        path, split = split_of(args.views)
+        cameras = cameras_of(posed_dataset(path, args.run), split, settings, reconstruction.to_world)
     else:
         cameras = [(placed.name, placed.camera) for placed in load_run_cameras(args.run / "cameras.json")]
     if args.orbit is not None:

@@ -159,11 +159,12 @@ def write_layers(folder: Path, gbuffer: GBuffer, layers: Sequence[str]) -> None:
             write_exr(folder / f"{name}.exr", data)
 
 
-def cameras_of(text: str, settings: DataSettings, run_to_world: np.ndarray) -> list[tuple[str, Camera]]:
-    """Read the cameras of `DATASET[:split]` in the world frame of a run.
+def cameras_of(path: Path, split: str | None, settings: DataSettings, run_to_world: np.ndarray) -> list[tuple[str, Camera]]:
+    """Read the cameras of a dataset in the world frame of a run.
 
     Args:
-        text: dataset with an optional split.
+        path: the dataset.
+        split: see `load_dataset_cameras`.
         settings: data settings of the run.
         run_to_world: (4, 4) similarity from the dataset's own frame to the run's world.
 
@@ -173,7 +174,6 @@ def cameras_of(text: str, settings: DataSettings, run_to_world: np.ndarray) -> l
     Raises:
         InputError: when the cameras can't be read or the split has none.
     """
-    path, split = split_of(text)
     cameras, to_world = load_dataset_cameras(path, split, settings)
     move = run_to_world @ np.linalg.inv(to_world)  # a dataset read on its own may be normalised differently
     return [(name, camera.moved(move)) for name, camera in cameras]

@@ -191,7 +191,7 @@ def test_cameras_come_into_the_world_of_the_run(tmp_path):
     run_to_world[:3, :3], run_to_world[:3, 3] = 2.5 * turn, [1, 2, 3]
     points = rng.normal(size=(10, 3))
     inside = points @ run_to_world[:3, :3].T + run_to_world[:3, 3]
-    plain, placed = (cameras_of(f"{DEMO_DATA}:all", DataSettings(), world) for world in (np.eye(4), run_to_world))
+    plain, placed = (cameras_of(DEMO_DATA, "all", DataSettings(), world) for world in (np.eye(4), run_to_world))
     assert len(plain) == 46
     for (name, before), (same, after) in zip(plain, placed, strict=True):
         assert name == same
