@@ -2,6 +2,7 @@
 """Inverse rendering with 2D Gaussians for Blender: photographs in, a relightable object out.
 
     import irgspp
+    irgspp.capture(photographs, folder, irgspp.Settings().capture)
     dataset = irgspp.load_dataset(folder)
     irgspp.reconstruct(folder, run_folder, irgspp.Settings())
 
@@ -16,6 +17,7 @@ _PUBLIC = {
     "Settings": ".core.settings.schema",
     "preset": ".core.settings.schema",
     "load_dataset": ".core.datasets.load",
+    "capture": ".core.capture.capture",
     "reconstruct": ".core.pipeline",
     "evaluate": ".core.evaluation.report",
     "export": ".core.assets.export",

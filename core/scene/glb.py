@@ -18,7 +18,7 @@ from .textures import occlusion_roughness_metallic
 
 
 def save_glb(mesh: Mesh, path: Path) -> None:
-    """Write the mesh atomically, with its textures if it has any, else with the albedo of its vertices.
+    """Write the mesh atomically, with its textures if it has any, else with the albedo of its vertices; `_CONFIDENCE` is an attribute.
 
     Args:
         mesh: the mesh.
@@ -29,6 +29,8 @@ def save_glb(mesh: Mesh, path: Path) -> None:
         body.visual = TextureVisuals(uv=mesh.uvs.astype(np.float64), material=_textured(mesh.textures))
     else:
         _colour_vertices(body, mesh)
+    if mesh.confidence is not None:  # glTF's own attributes have no underscore
+        body.vertex_attributes["_CONFIDENCE"] = mesh.confidence.astype(np.float32)
     scene = trimesh.Scene()
     scene.add_geometry(body, node_name="object", geom_name="object")
     write_atomic(path, export_glb(scene, include_normals=True))

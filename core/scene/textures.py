@@ -11,7 +11,7 @@ from PIL import Image
 from ..errors import InputError
 from ..io.atomic import atomic_file
 
-CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3}
+CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3, "confidence": 1}
 
 
 def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:

@@ -124,7 +124,7 @@ def baked_textures(
     settings: SurfaceSettings,
     step: Callable[[int], None] = lambda done: None,
 ) -> dict[str, np.ndarray]:
-    """Bake albedo, roughness, metallic and normal textures.
+    """Bake albedo, roughness, metallic, normal and confidence textures.
 
     Args:
         mesh: with UVs and normals.
@@ -135,7 +135,8 @@ def baked_textures(
         step: called with the number of views done; may raise.
 
     Returns:
-        Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness and metallic.
+        Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness,
+        metallic and confidence (see `Mesh`).
     """
     texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
     frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
@@ -153,4 +154,5 @@ def baked_textures(
         "roughness": texels.image(to_byte(fused.roughness)),
         "metallic": texels.image(to_byte(fused.metallic)),
         "normal": texels.image(to_byte(0.5 + 0.5 * local)),
+        "confidence": texels.image(to_byte(fused.confidence)),
     }

@@ -88,9 +88,10 @@ def test_size_changes_the_images_and_nothing_else(run):
     bake(run, Silent(), size=128)
     assert (run / "mesh.ply").read_bytes() == before
     sizes = {name: len(texture) for name, texture in load_textures(run / "textures").items()}
-    assert sizes == dict.fromkeys(("albedo", "roughness", "metallic", "normal"), 128)
+    assert sizes == dict.fromkeys(("albedo", "roughness", "metallic", "normal", "confidence"), 128)
     assert albedo_error(run) < 0.01
     assert int(trimesh.load(run / "asset.glb").geometry["object"].visual.material.baseColorTexture.height) == 128
+    assert load_textures(run / "textures")["confidence"].mean() > 128  # fourteen cameras all around
     state = json.loads((run / "run.json").read_text())
     assert state["status"] == "done" and state["baked"] == {"texture": 128, "triangles": 1024, "mesh": None}
     assert not (run / "bake.part").exists() and not (run / "scene.blend").exists()

@@ -47,6 +47,14 @@ def test_trimesh_reads_it_with_y_up(mesh, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["asset.glb"]
 
 
+def test_confidence_is_an_attribute(mesh, tmp_path):
+    known = np.linspace(0, 1, len(mesh.vertices), dtype=np.float32)
+    save_glb(replace(mesh, confidence=known), tmp_path / "asset.glb")
+    np.testing.assert_array_equal(only_geometry(tmp_path / "asset.glb").vertex_attributes["_CONFIDENCE"].ravel(), known)
+    save_glb(replace(mesh, confidence=None), tmp_path / "asset.glb")
+    assert "_CONFIDENCE" not in only_geometry(tmp_path / "asset.glb").vertex_attributes
+
+
 def test_textures_are_in_their_slots(mesh, tmp_path):
     save_glb(mesh, tmp_path / "asset.glb")
     material = only_geometry(tmp_path / "asset.glb").visual.material
