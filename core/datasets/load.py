@@ -64,7 +64,8 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     bound = object_bound(parsed, views, settings, warnings)
     lenses = sorted({str(p.frame.lens) for p in prepared})
     novel = Counter(f.light for f in _with_image(parsed.novel) if f.light is not None)
-    return Dataset(path, parsed.format, views, test_views, bound, parsed.to_world, parsed.points, warnings, lenses, dict(novel))
+    about = (parsed.points, warnings, lenses, dict(novel), parsed.surroundings)
+    return Dataset(path, parsed.format, views, test_views, bound, parsed.to_world, *about)
 
 
 def load_dataset_cameras(

@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import InputError
 from ..io.safe_paths import is_file, possible_name
 from ..scene.dataset import Bound, PointCloud
+from ..scene.surroundings import Surroundings
 from ..settings.schema import DataSettings
 
 MINIMUM_VIEWS = 3
@@ -128,6 +129,7 @@ class ParsedDataset:
         bound: bounding sphere of the object in the world if the files state it, or None.
         published: names (`listed`) of the test views of the dataset's paper, if that is another split than `test`; else empty.
         novel: frames of the same object under other lights, each with its `light`; relit images are compared with them.
+        surroundings: near surfaces that shadow and light the object, in the world, or None.
         warnings: warnings for the user, one line each.
     """
 
@@ -141,6 +143,7 @@ class ParsedDataset:
     bound: Bound | None = None
     published: frozenset[str] = frozenset()
     novel: list[Frame] = field(default_factory=list)
+    surroundings: Surroundings | None = None
     warnings: list[str] = field(default_factory=list)
 
     def split(self, settings: DataSettings) -> tuple[list[Frame], list[Frame]]:

@@ -7,10 +7,13 @@ import torch
 
 from ..kernels.trace import COLOUR, EXTRA, NORMAL, FrozenGaussians, build_tree, trace
 from ..machine.backend import by_warp
+from ..scene.gaussians import Gaussians, surfels
 from ..scene.reconstruction import Reconstruction
+from ..scene.surroundings import Surroundings
 from ..shading.split_sum import specular_light, specular_radiance
 
 FAINTEST = 1 / 255  # opacity at or below which a ray counts as free
+SPREAD, OPAQUE = 0.92, 0.95  # scale of a surfel of the surroundings over its spacing, and its opacity
 OFFSET = 0.02  # of the scene radius, along the normal: ray origins lie above the surfels of the surface itself
 
 
@@ -20,6 +23,7 @@ class SecondaryTracer:
     Args:
         reconstruction: result of the first stage. If it is glossy, its SH hold the diffuse radiance only, and the split-sum reflections
             are added.
+        surroundings: near surfaces that also block rays and reflect light, or None.
 
     Attributes:
         repack: lay the surfels' channels out again for each call instead of once; for comparison only, since they do not change.
@@ -29,16 +33,20 @@ class SecondaryTracer:
         device: device of the Gaussians.
     """
 
-    def __init__(self, reconstruction: Reconstruction) -> None:
+    def __init__(self, reconstruction: Reconstruction, surroundings: Surroundings | None = None) -> None:
         g = reconstruction.gaussians
         with torch.no_grad():
             self.tree = build_tree(g.position, g.quaternion, g.log_scale, g.opacity)
             inside, mirrored = inside_bound(reconstruction), reconstruction.mirrored()
             g = g.select(inside)
-            self._geometry, self._sh = (g.position, g.quaternion, g.log_scale, g.opacity), g.sh
-            self._materials = g.position.new_zeros(0, g.count) if mirrored is None else mirrored.material[:, inside].contiguous()
+            materials = g.position.new_zeros(0, g.count) if mirrored is None else mirrored.material[:, inside]
+            if surroundings is not None:
+                near = _surfels(surroundings).to(g.position.device)
+                matt = near.position.new_tensor((0, 0, 0, 1, 0))[: len(materials), None].expand(-1, near.count)
+                g, materials = g.joined(near), torch.cat([materials, matt], 1)
+            self._geometry, self._sh, self._materials = (g.position, g.quaternion, g.log_scale, g.opacity), g.sh, materials.contiguous()
             self._stack = None if mirrored is None else specular_light(mirrored.environment)
-        self._tree = self.tree if inside.all() else build_tree(*self._geometry)
+        self._tree = self.tree if inside.all() and surroundings is None else build_tree(*self._geometry)
         self._packed, self.repack = FrozenGaussians(self._tree, self._sh, self._materials), False
         self.offset, self.device = OFFSET * reconstruction.bound.radius, g.position.device
 
@@ -91,6 +99,12 @@ class SecondaryTracer:
         normal = torch.nn.functional.normalize(mean[:, NORMAL], dim=1)
         reflected = specular_radiance(-direction, normal, albedo, roughness, metallic, stack)
         return (1 - metallic[:, None]) * mean[:, COLOUR] + reflected
+
+
+def _surfels(surroundings: Surroundings) -> Gaussians:
+    """Return surroundings as surfels that cover their surfaces."""
+    s = surroundings
+    return surfels(s.position, s.normal, s.radiance, SPREAD * s.spacing, OPAQUE)
 
 
 def inside_bound(reconstruction: Reconstruction) -> torch.Tensor:

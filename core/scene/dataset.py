@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
+from .surroundings import Surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,7 @@ class Dataset:
         warnings: warnings for the user, one line each.
         lenses: the real cameras as the dataset states them, one line each (the views' cameras are undistorted).
         novel: number of further views under other lights, by light; `load.load_novel_views` reads them.
+        surroundings: near surfaces that shadow and light the object, or None.
     """
 
     path: Path
@@ -78,6 +80,7 @@ class Dataset:
     warnings: list[str] = field(default_factory=list)
     lenses: list[str] = field(default_factory=list)
     novel: dict[str, int] = field(default_factory=dict)
+    surroundings: Surroundings | None = None
 
     @property
     def has_alpha(self) -> bool:

@@ -17,6 +17,7 @@ from .gbuffer import SurfaceSamples
 SH_COEFFICIENTS = 16  # degree 3
 SH_DC = 0.28209479177387814
 ALBEDO, ROUGHNESS, METALLIC = slice(0, 3), 3, 4  # rows of `material`
+MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # of new surfels: albedo (3), roughness, metallic
 
 
 def _ply_columns() -> list[str]:
@@ -99,6 +100,27 @@ def quaternion_to(normal: torch.Tensor) -> torch.Tensor:
     axis = torch.stack([-normal[1], normal[0], torch.zeros_like(w)])
     q = torch.cat([torch.where(flipped, 0.0, w)[None], torch.where(flipped, torch.eye(3, device=normal.device)[:, :1], axis)])
     return torch.nn.functional.normalize(q, dim=0)
+
+
+def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, scale: np.ndarray, opacity: float | np.ndarray) -> Gaussians:
+    """Make round surfels with constant radiance.
+
+    Args:
+        points: (N, 3) centres, world.
+        normals: (N, 3) unit normals.
+        colour: (N, 3) linear radiance.
+        scale: (N,) standard deviation along both tangents, world units.
+        opacity: one for all surfels, or (N,), in 0..1.
+    """
+    n = len(points)
+    sh = torch.zeros(SH_COEFFICIENTS, 3, n)
+    sh[0] = (torch.as_tensor(colour, dtype=torch.float32).T - 0.5) / SH_DC
+    log_scale = torch.as_tensor(np.log(np.maximum(scale, 1e-12)), dtype=torch.float32)
+    material = torch.logit(torch.tensor(MATERIAL))[:, None].repeat(1, n)
+    normal = torch.as_tensor(normals, dtype=torch.float32).T
+    position = torch.as_tensor(points, dtype=torch.float32).T.contiguous()
+    opacities = torch.logit(torch.as_tensor(np.broadcast_to(opacity, n).copy(), dtype=torch.float32))
+    return Gaussians(position, quaternion_to(normal), log_scale[None].repeat(2, 1), opacities, sh, material)
 
 
 def save_gaussians(gaussians: Gaussians, path: Path) -> None:

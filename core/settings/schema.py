@@ -73,6 +73,7 @@ class SecondStageSettings:
     rows: Annotated[int, Range(4, 32, 2)] = 16  # rows of the environment map in that solve
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the resulting environment map
     indirect: bool = True  # trace interreflections of the object; its shadows are always traced
+    surroundings: bool = True  # trace the table and other near surfaces of a capture, which shadow and light the object
     iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement per pixel
     pixels: Annotated[int, Range(1, 1_000_000)] = 256  # shaded in each iteration of the refinement
     samples: Annotated[int, Range(3, 65536)] = 128  # light samples per shaded pixel

@@ -12,11 +12,12 @@ import numpy as np
 
 from ...errors import InputError
 from ...scene.dataset import Bound
+from ...scene.surroundings import load_surroundings
 from ...settings.schema import DataSettings
 from ..parsed_dataset import Frame, ParsedDataset
 from .colmap import read_frames
 
-FILE = "capture.json"
+FILE, SURROUNDINGS = "capture.json", "surroundings.npz"
 FORMAT = "irgspp-capture"  # value of "format" in the file
 
 
@@ -48,7 +49,8 @@ def read_captured(folder: Path, settings: DataSettings) -> ParsedDataset:
         sphere = None if bound is None else _bound(bound)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise InputError(file, f"is broken ({error!r})", "run irgspp capture again") from error
-    return ParsedDataset(file, folder, "capture", frames, None, np.eye(4), points, sphere, warnings=warnings)
+    around = load_surroundings(folder / SURROUNDINGS) if (folder / SURROUNDINGS).is_file() else None
+    return ParsedDataset(file, folder, "capture", frames, None, np.eye(4), points, sphere, surroundings=around, warnings=warnings)
 
 
 def load_capture(file: Path) -> dict[str, Any]:

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from scipy.spatial import KDTree
 
 from ...io.srgb import decode_srgb
 from ...scene.dataset import Dataset, View
-from ...scene.gaussians import SH_COEFFICIENTS, SH_DC, Gaussians, quaternion_to
+from ...scene.gaussians import Gaussians, surfels
 from .visual_hull import visual_hull
 
 OPACITY = 0.7  # of surfels on a surface
@@ -18,7 +17,6 @@ SURROUNDINGS = 5.0  # largest distance of random points from the bound's centre,
 SURFACE_SPREAD = 0.92  # scale of a surfel over the spacing of points that cover a surface evenly
 SPARSE_SPREAD = 0.65  # scale of a surfel over the distance to its neighbours among points in space
 NEIGHBOURS = 16  # of a point that tell its surface's spacing
-MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # initial albedo (3), roughness, metallic
 
 
 def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -42,27 +40,6 @@ def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) 
         total[visible] += cosine[visible, None] * view.colour[row[visible], column[visible]]
         weight[visible] += cosine[visible, None]
     return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)
-
-
-def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, scale: np.ndarray, opacity: float | np.ndarray) -> Gaussians:
-    """Make round surfels with constant radiance.
-
-    Args:
-        points: (N, 3) centres, world.
-        normals: (N, 3) unit normals.
-        colour: (N, 3) linear radiance.
-        scale: (N,) standard deviation along both tangents, world units.
-        opacity: one for all surfels, or (N,), in 0..1.
-    """
-    n = len(points)
-    sh = torch.zeros(SH_COEFFICIENTS, 3, n)
-    sh[0] = (torch.as_tensor(colour, dtype=torch.float32).T - 0.5) / SH_DC
-    log_scale = torch.as_tensor(np.log(np.maximum(scale, 1e-12)), dtype=torch.float32)
-    material = torch.logit(torch.tensor(MATERIAL))[:, None].repeat(1, n)
-    normal = torch.as_tensor(normals, dtype=torch.float32).T
-    position = torch.as_tensor(points, dtype=torch.float32).T.contiguous()
-    opacities = torch.logit(torch.as_tensor(np.broadcast_to(opacity, n).copy(), dtype=torch.float32))
-    return Gaussians(position, quaternion_to(normal), log_scale[None].repeat(2, 1), opacities, sh, material)
 
 
 def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussians:

@@ -210,7 +210,8 @@ def solve_light_materials(
         IrgsppError: too few points are seen, or a value is not finite.
     """
     second, random = settings.second, np.random.default_rng(settings.seed)
-    tracer = SecondaryTracer(reconstruction)
+    near = dataset.surroundings if second.surroundings and second.indirect else None  # shadows without their light would be wrong
+    tracer = SecondaryTracer(reconstruction, near)
     position, normal = surface.samples(second.points, random)
     samples, _ = sample_views(position, normal, dataset.train, tracer.tree, tracer.offset, random, second.views, device=tracer.device)
     if len(samples.position) < LEAST_POINTS:

@@ -10,6 +10,7 @@ from irgspp.core.kernels.trace import transmittance
 from irgspp.core.rendering.secondary_rays import OFFSET, SecondaryTracer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.surroundings import Surroundings
 from irgspp.core.shading.specular_albedo import specular_albedo
 
 RADIANCE, SKY = np.array([0.6, 0.3, 0.1]), torch.tensor([1.0, 2.0, 3.0])
@@ -91,3 +92,19 @@ def test_a_backdrop_hides_points_but_is_part_of_the_light(splat_sphere):
         assert (free == passes).all() and ((radiance == 0).all() or not passes)
         assert (tracer.look(*rays((0, 0, 2, 0, 0, -1)))[0] == 0).all()
         assert (transmittance(tracer.tree, *rays((0, 0, 2, 0, 0, 1))) == 0).all()
+
+
+@pytest.mark.parametrize("glossy", [False, True])
+def test_surroundings_block_and_reflect_light(splat_sphere, glossy):
+    sphere = splat_sphere(6000, np.tile(RADIANCE, (6000, 1)), 0.999)
+    scene = Reconstruction(sphere, SKY.expand(8, 16, 3).contiguous(), Bound((0, 0, 0), 1.5), np.eye(4), glossy)
+    x, y = np.meshgrid(np.arange(-4, 4, 0.1), np.arange(-4, 4, 0.1))
+    table = np.stack([x.ravel(), y.ravel(), np.full(x.size, -1.2)], 1).astype(np.float32)
+    up, shine = np.tile(np.float32([0, 0, 1]), (x.size, 1)), np.tile(np.float32([0.2, 0.5, 0.4]), (x.size, 1))
+    tracer = SecondaryTracer(scene, Surroundings(table, up, shine, np.full(x.size, 0.1, np.float32)))
+    free, radiance = tracer.look(*rays((2, 0.03, 0, 0, 0, -1), (-1.5, 1.57, 0.3, 0.2, 0, -1), (0, 0, 5, 0, 0, 1), (0, 0, 5, 0, 0, -1)))
+    np.testing.assert_allclose(free, [0, 0, 1, 0], atol=0.03)
+    tolerance = 0.15 if glossy else 0.02  # where the first stage has reflections, a table gets a dielectric's, of the sky above it
+    np.testing.assert_allclose(radiance[:2], np.tile(shine[:1], (2, 1)), atol=tolerance)
+    assert tracer.tree is not tracer._tree  # cameras look past the table
+    assert len(SecondaryTracer(scene).look(*PAST_IT)[0]) == 2
