@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 import io
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageCms
@@ -43,7 +44,8 @@ def to_srgb(image: Image.Image, profile: bytes) -> Image.Image | None:
 @functools.lru_cache(16)
 def _properties(profile: bytes) -> tuple[str, bool]:
     """Return the mode that a profile belongs to, and True where it is sRGB."""
-    space = ImageCms.ImageCmsProfile(io.BytesIO(profile)).profile.xcolor_space.strip()
+    opened: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile)).profile
+    space = opened.xcolor_space.strip()
     mode = MODES.get(space, "")
     if mode != "RGB":
         return mode, False

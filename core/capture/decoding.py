@@ -18,12 +18,13 @@ from .exif import Orientation, Shot, read_shot
 from .photograph_files import RAW
 from .raw import decode_raw
 
-FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "HEIF")
+FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "HEIF")  # files of several JPEGs (MPO) are opened as JPEG
 LOSSLESS = ("PNG", "TIFF")
 RATIO = {"JPEG": 341, "MPO": 341, "PNG": 8 * 1032, "TIFF": 8 * 1032}  # most pixels in a byte, by the codec
 COMPRESSED = 2000  # of codecs without such a limit; no photograph comes near
 BITS_PER_SAMPLE = 258  # tag of TIFF
 
+Image.init()  # here, since threads must not do it at the same time
 pillow_heif.register_heif_opener()
 
 
@@ -94,7 +95,7 @@ def _decoded(path: Path, image: Image.Image) -> DecodedPhotograph:
         shallow = Image.fromarray((pixels[..., :3] >> 8).astype(np.uint8))
         converted = _convert(shallow, profile, notes)
         if converted is not None:
-            pixels = np.dstack([converted, *((pixels[..., 3:] >> 8).astype(np.uint8),)])
+            pixels = np.dstack([np.asarray(converted), (pixels[..., 3:] >> 8).astype(np.uint8)])
             notes.append("reduced to 8 bits, since its colours had to be converted to sRGB")
     colour, alpha = shot.orientation.upright(pixels[..., :3]), None
     if pixels.shape[2] == 4 and pixels[..., 3].min() < np.iinfo(pixels.dtype).max:

@@ -20,6 +20,7 @@ class Photograph:
         focal: focal length in pixels of the copy by EXIF, or None.
         exposure: exposure time x ISO / f-number^2 by EXIF, seconds; None where it is not stated.
         turned: quarter turns anticlockwise from the stored pixels to the copy (EXIF orientation), 0..3.
+        mask: given mask, 8-bit PNG of the copy's size with 255 on the object, or None.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Photograph:
     focal: float | None = None
     exposure: float | None = None
     turned: int = 0
+    mask: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".hei
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 MASK_FOLDERS = ("masks", "mask")  # and masks_NAME
+RECORD = "photographs.json"  # of a capture that was read; its folders are no photographs
+COPIES, GIVEN_MASKS = "photographs", "given_masks"  # folders beside that file
 LOOKED_AT = 2000  # entries of a folder that `has_photographs` looks at before it gives up
 FIX = f"give a folder with photographs ({', '.join(s[1:] for s in (*PHOTOGRAPHS, *RAW))}) or a video ({', '.join(s[1:] for s in VIDEOS)})"
 
@@ -116,7 +118,12 @@ def _without_twins(files: list[Path], photographs: list[Path], what: str, notes:
 
 
 def _walk(folder: Path) -> Iterator[Path]:
-    """Yield the files below a folder that are neither hidden nor masks; links to folders are not followed."""
+    """Yield the files below a folder that are neither hidden, masks nor copies of a capture; links to folders are not followed."""
     for place, folders, names in os.walk(folder):
         folders[:] = sorted(n for n in folders if not n.startswith(".") and not is_mask_folder(n))
+        if RECORD in names and Path(place) == folder:
+            folders[:] = [n for n in folders if n not in (COPIES, GIVEN_MASKS)]
+        elif RECORD in names:
+            folders.clear()
+            continue
         yield from (Path(place, n) for n in sorted(names) if not n.startswith("."))

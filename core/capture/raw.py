@@ -50,7 +50,9 @@ def decode_raw(path: Path) -> tuple[np.ndarray, Shot]:
     except InputError:
         raise
     except Exception as error:  # LibRaw's errors are plain exceptions of several kinds
-        raise InputError(path, f"not a readable RAW photograph ({str(error)[:120] or type(error).__name__})", "develop it to a JPEG") from error
+        raise InputError(
+            path, f"not a readable RAW photograph ({str(error)[:120] or type(error).__name__})", "develop it to a JPEG"
+        ) from error
     return _curve()[linear], shot
 
 

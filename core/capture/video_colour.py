@@ -7,7 +7,7 @@ import functools
 
 import av
 import numpy as np
-from av.video.reformatter import Colorspace, ColorRange
+from av.video.reformatter import ColorRange, Colorspace
 
 from ..io.srgb import encode_srgb
 
@@ -36,8 +36,8 @@ def frame_to_srgb(frame: av.VideoFrame) -> np.ndarray:
     wide = primaries in TO_SRGB
     if transfer not in (PQ, HLG) and not wide:
         return frame.to_ndarray(format="rgb24", src_colorspace=matrix, dst_color_range=ColorRange.JPEG)
-    deep = frame.to_ndarray(format="rgb48le", src_colorspace=matrix, dst_color_range=ColorRange.JPEG)
-    linear = _linear_table(transfer)[deep]
+    deep: np.ndarray = frame.to_ndarray(format="rgb48le", src_colorspace=matrix, dst_color_range=ColorRange.JPEG)
+    linear = np.take(_linear_table(transfer), deep)
     if wide:
         linear = linear @ np.asarray(TO_SRGB[primaries], np.float32).T
     return np.round(255 * np.clip(encode_srgb(np.clip(linear, 0, 1)), 0, 1)).astype(np.uint8)
@@ -59,7 +59,9 @@ def _linear_table(transfer: int) -> np.ndarray:
         return (_hlg(signal) / _hlg(np.array(HLG_WHITE))).astype(np.float32)
     if transfer == PQ:  # EOTF of SMPTE ST 2084
         power = signal ** (1 / 78.84375)
-        return (PEAK / WHITE * (np.maximum(power - 0.8359375, 0) / (18.8515625 - 18.6875 * power)) ** (1 / 0.1593017578125)).astype(np.float32)
+        return (PEAK / WHITE * (np.maximum(power - 0.8359375, 0) / (18.8515625 - 18.6875 * power)) ** (1 / 0.1593017578125)).astype(
+            np.float32
+        )
     return np.where(signal <= 0.04045, signal / 12.92, ((signal + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
