@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,8 @@ import pillow_heif
 from PIL import Image
 
 from ..errors import InputError
-from ..io.exr import check_filled, check_pixels
+from ..io.exr import MAX_PIXELS, check_filled, check_pixels
+from ..io.image import image_size
 from .colour_profile import UnusableProfileError, to_srgb
 from .exif import Orientation, Shot, read_shot
 from .photograph_files import RAW
@@ -20,8 +22,9 @@ from .raw import decode_raw
 
 FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "HEIF")  # files of several JPEGs (MPO) are opened as JPEG
 LOSSLESS = ("PNG", "TIFF")
-RATIO = {"JPEG": 341, "MPO": 341, "PNG": 8 * 1032, "TIFF": 8 * 1032}  # most pixels in a byte, by the codec
-COMPRESSED = 2000  # of codecs without such a limit; no photograph comes near
+DEFLATE = 8 * 1032  # largest number of pixels of one bit in a byte of a compressed TIFF
+COMPRESSED = 2000  # the same of HEIC and WebP, which have no such limit; photographs have less than 100
+LARGEST = 8 * MAX_PIXELS  # bytes of a file: four channels of 16 bits
 BITS_PER_SAMPLE = 258  # tag of TIFF
 
 Image.init()  # here, since threads must not do it at the same time
@@ -66,10 +69,13 @@ def decode_photograph(path: Path) -> DecodedPhotograph:
     if path.suffix.lower() in RAW:
         colour, shot = decode_raw(path)
         return DecodedPhotograph(shot.orientation.upright(colour), None, shot, lossless=True, unchanged=False)
+    if _size(path) > LARGEST:
+        raise InputError(path, "is larger than any photograph", "remove it")
     try:
-        with Image.open(path, formats=FORMATS) as image:
+        data = path.read_bytes()  # Pillow would allocate what a damaged file claims for a part of it
+        with Image.open(BytesIO(data), formats=FORMATS) as image:
             _check(path, image)
-            return _decoded(path, image)
+            return _decoded(path, image, data)
     except InputError:
         raise
     except Exception as error:  # Pillow raises OSError, SyntaxError, ValueError, struct.error, ... for broken files
@@ -77,17 +83,28 @@ def decode_photograph(path: Path) -> DecodedPhotograph:
         raise InputError(path, f"unreadable or truncated photograph ({reason})", "copy it again, or remove it") from error
 
 
+def _size(path: Path) -> int:
+    """Return the size of a file in bytes."""
+    try:
+        return path.stat().st_size
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})") from error
+
+
 def _check(path: Path, image: Image.Image) -> None:
     """Check what the header claims before pixels are decoded."""
+    if image.format in ("PNG", "JPEG", "MPO"):
+        image_size(path)
+        return
     check_pixels(path, *image.size)
-    check_filled(path, image.width * image.height, RATIO.get(image.format or "", COMPRESSED) * path.stat().st_size)
+    check_filled(path, image.width * image.height, (DEFLATE if image.format == "TIFF" else COMPRESSED) * path.stat().st_size)
 
 
-def _decoded(path: Path, image: Image.Image) -> DecodedPhotograph:
+def _decoded(path: Path, image: Image.Image, data: bytes) -> DecodedPhotograph:
     """Decode an opened image."""
     image.load()
     shot, profile, notes = read_shot(image), image.info.get("icc_profile"), []
-    pixels = _deep(path, image)
+    pixels = _deep(path, image, data)
     converted = None
     if pixels is None:
         pixels, converted = _with_profile(image, profile, notes)
@@ -105,16 +122,14 @@ def _decoded(path: Path, image: Image.Image) -> DecodedPhotograph:
     return DecodedPhotograph(colour, alpha, shot, image.format in LOSSLESS, unchanged, (*filter(None, [shot.note]), *notes))
 
 
-def _deep(path: Path, image: Image.Image) -> np.ndarray | None:
+def _deep(path: Path, image: Image.Image, data: bytes) -> np.ndarray | None:
     """Decode a file of 16 bits with OpenCV to (H, W, 3 or 4) uint16, since Pillow keeps only 8 of colours; None for other files."""
     if image.mode in ("I", "F"):
         raise InputError(path, f"has {'floating-point' if image.mode == 'F' else '32-bit'} pixels", "save it with 8 or 16 bits")
     bits = getattr(image, "tag_v2", {}).get(BITS_PER_SAMPLE, (8,)) if image.format == "TIFF" else (8,)
-    with path.open("rb") as file:
-        deep = file.read(25)[-1] == 16 if image.format == "PNG" else max(bits) == 16
-    if not deep:
+    if not (data[24] == 16 if image.format == "PNG" else max(bits) == 16):
         return None
-    pixels = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.dtype != np.uint16:
         raise ValueError("not decodable")
     if pixels.ndim == 2:

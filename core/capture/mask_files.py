@@ -82,7 +82,11 @@ def _image_folders(place: Path, masks: str) -> list[str]:
 
 def _named(file: PurePosixPath) -> PurePosixPath:
     """Return the path of a mask without suffix, the photograph's own suffix and _mask."""
-    stem = file.stem
-    if PurePosixPath(stem).suffix.lower() in (*PHOTOGRAPHS, *RAW):
-        stem = PurePosixPath(stem).stem
-    return file.with_name(stem[:-5] if stem.lower().endswith("_mask") and len(stem) > 5 else stem)
+    stem = _without_suffix(file.stem)
+    return file.with_name(_without_suffix(stem[:-5] if stem.lower().endswith("_mask") and len(stem) > 5 else stem))
+
+
+def _without_suffix(name: str) -> str:
+    """Return a name without the suffix of a photograph."""
+    path = PurePosixPath(name)
+    return path.stem if path.suffix.lower() in (*PHOTOGRAPHS, *RAW) else name

@@ -99,13 +99,8 @@ def mask_neighbours(images: list[Path]) -> set[Path]:
     Args:
         images: images of all folders.
     """
-    stems = {_base(f) for f in images}
+    stems = {base for f in images for base in (f, f.with_name(f.stem))}
     return {f for f in images if f.stem.lower().endswith("_mask") and f.with_name(f.stem[:-5]) in stems}
-
-
-def _base(file: Path) -> Path:
-    """Return a file without its suffix."""
-    return file.with_name(file.stem)
 
 
 def _without_twins(files: list[Path], photographs: list[Path], what: str, notes: list[str]) -> list[Path]:

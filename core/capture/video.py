@@ -83,16 +83,24 @@ def sharp_frames(path: Path, count: int, progress: Progress) -> Iterator[VideoFr
         InputError: if the file is no video, or no frame can be decoded.
         Cancelled: once the user stops the job.
     """
-    try:
-        container = av.open(str(path))
-    except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise InputError(path, f"not a readable video ({_reason(error)})", FIX) from error
-    with container:
+    with _opened(path) as container:
         if not container.streams.video:
             raise InputError(path, "has no video stream", "give a video or photographs")
         stream: Any = container.streams.video[0]
+        if stream.codec_context is None:
+            raise InputError(path, "has a video stream of an unknown codec", FIX)
         check_pixels(path, stream.width, stream.height)
         yield from _sharpest(path, container, stream, count, progress)
+
+
+def _opened(path: Path) -> Any:
+    """Open a video."""
+    try:
+        return av.open(str(path))
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        reason = _reason(error)
+    # Not in the handler: FFmpeg refuses impossible sizes as a lack of memory, and the error must not pass for one.
+    raise InputError(path, f"not a readable video ({reason})", FIX)
 
 
 def _sharpest(path: Path, container: Any, stream: Any, count: int, progress: Progress) -> Iterator[VideoFrame]:
@@ -127,23 +135,18 @@ def _timing(path: Path, container: Any, stream: Any) -> Timing:
     rate = float(stream.average_rate or stream.guessed_rate or 30)
     duration = float(stream.duration or 0) * base or float(container.duration or 0) / av.time_base
     if duration <= 0:
-        duration = _counted_duration(container, stream, start, base)
-        container.seek(0)
+        duration = _counted_duration(path, start, base)
     if not base > 0 or not 0 < duration < 1e9 or not 0 < rate < 1e6:
         raise InputError(path, "has impossible times", FIX)
     keyframes = tuple(entry.timestamp * base for entry in stream.index_entries if entry.is_keyframe)
     return Timing(start, duration, rate, keyframes)
 
 
-def _counted_duration(container: Any, stream: Any, start: float, base: float) -> float:
+def _counted_duration(path: Path, start: float, base: float) -> float:
     """Return the time of the last packet, in seconds after the start."""
-    last = start
-    try:
-        for packet in container.demux(stream):
-            last = max(last, (packet.pts or 0) * base)
-    except (av.error.FFmpegError, OSError):  # a damaged tail: what is before counts
-        pass
-    return last - start + base
+    with _opened(path) as container:
+        times = (float(packet.pts) * base for packet in _packets(container, container.streams.video[0]) if packet.pts is not None)
+        return max(times, default=start) - start + base
 
 
 def _decoded(path: Path, container: Any, stream: Any, timing: Timing, count: int, progress: Progress) -> Iterator[tuple[float, Any]]:
