@@ -18,6 +18,7 @@ THUMBNAIL = 320  # longest side at which displacements are measured, pixels
 DIRECTIONS = 8  # in which gradients are measured, in half a turn: motion blurs one of them
 DARKEST, BRIGHTEST = 10, 250  # grey levels between which tones are usable
 FEWEST_TONES = 0.02  # fraction of pixels with such tones
+DARK, LIGHT = 64, 192  # grey levels below which, and above which, such a photograph is called black or white
 LEAST_CONTRAST = 8.0  # grey levels between the 1st and 99th percentile
 BLURRED = 0.65  # octaves of the energy ratio below the median: a streak of 4 pixels at SIDE, or a Gaussian of 1 pixel
 DEVIATIONS = 3.5  # as many standard deviations of the set below, at least
@@ -72,7 +73,7 @@ def appearance(grey: np.ndarray) -> Appearance:
     low, high = np.percentile(grey, [1, 99])
     fault = ""
     if usable < FEWEST_TONES or high - low < LEAST_CONTRAST:
-        fault = "black: nothing is visible" if high < 128 else "white: overexposed" if low > 200 else "uniform: nothing is visible"
+        fault = "black: underexposed" if high < DARK else "white: overexposed" if low > LIGHT else "uniform: nothing is visible"
     return Appearance(_reduced(grey, THUMBNAIL), _sharpness(grey), fault)
 
 
