@@ -159,7 +159,7 @@ class ParsedDataset:
         Raises:
             InputError: if the paper's split is requested but not known.
         """
-        every = self.train if self.test is None else sorted([*self.train, *self.test], key=lambda f: _natural_key(f.listed))
+        every = self.train if self.test is None else sorted([*self.train, *self.test], key=lambda f: natural_key(f.listed))
         if settings.split == "published":
             if not self.published:
                 raise InputError("data.split", f"no published split is known for the format {self.format}", "use auto or holdout")
@@ -173,9 +173,9 @@ class ParsedDataset:
         return [f for i, f in enumerate(frames) if i % holdout], frames[::holdout]
 
 
-def _natural_key(name: str) -> list[tuple[int, str]]:
+def natural_key(name: str) -> list[tuple[int, str]]:
     """Return a sort key that orders numbers in names by their value."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def view_names(listed: list[str]) -> list[str]:

@@ -16,7 +16,7 @@ from pathlib import Path
 import atheris
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-ROOMS = ("datasets", "io", "scene", "batch", "settings")
+ROOMS = ("capture", "datasets", "io", "scene", "batch", "settings")
 with atheris.instrument_imports(include=[f"irgspp.core.{room}" for room in ROOMS]):
     from faulting.fuzz_child import fault_of
     from faulting.readers import READERS

@@ -34,6 +34,7 @@ from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
 from irgspp.core.settings.schema import DataSettings
 from PIL import Image
 
+from . import photographs
 from .runs import read_checkpoint, read_layer, read_state, write_run
 
 IMAGES = ("picture.png", "grey.png", "palette.png", "deep.png", "picture.jpg")
@@ -260,4 +261,7 @@ READERS = (
     Reader("RealityCapture CSV", ("cameras.csv",), lambda f: write_scene("realitycapture", f), read_dataset, True),
     Reader("true points", ("surface_points.npz",), write_points, lambda folder, _: rendered_points(folder)),
     Reader("pickles", ("0.pkl", "2.pkl", "4.pkl", "5.pkl"), write_pickles, lambda _, file: read_pickle(file)),
+    Reader("photographs", photographs.PHOTOGRAPHS, photographs.write_photographs, photographs.read_photograph),
+    Reader("given masks", photographs.MASKS, photographs.write_masks, photographs.read_given_mask),
+    Reader("videos", photographs.VIDEOS, photographs.write_videos, photographs.read_video),
 )
