@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Matching of features between pairs of photographs, verified by two-view geometry."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from ..io.atomic import write_atomic
+from ..machine.thread_pool import thread_count
+from ..progress.protocol import Progress
+from .colmap_library import run_call
+from .feature_database import count_rows, image_name
+from .image_retrieval import similarity
+
+EXHAUSTIVE = 150  # photographs up to which "auto" matches every pair
+NEIGHBOURS = 10  # next photographs in the order of their names that each one is matched with, where not every pair is
+ALIKE = {"auto": 30, "sequential": 8}  # most similar photographs that each one is matched with too: they close loops
+
+Pairs = list[tuple[int, int]]
+
+
+def select_pairs(path: Path, count: int, matching: str, seed: int) -> Pairs:
+    """Select the pairs of photographs to match.
+
+    Every pair, or where they are too many: the neighbours in order, those at distances of powers of two, and the most similar ones.
+
+    Args:
+        path: the database with the features.
+        count: number of photographs.
+        matching: "auto", "exhaustive" or "sequential".
+        seed: of the similarity.
+
+    Returns:
+        Pairs (i, j) of indices, i < j, sorted.
+    """
+    if matching == "exhaustive" or (matching == "auto" and count <= EXHAUSTIVE):
+        return list(combinations(range(count), 2))
+    steps = {*range(1, NEIGHBOURS + 1), *(1 << k for k in range(count.bit_length()))}
+    pairs = {(i, i + step) for step in steps for i in range(count - step)}
+    alike = similarity(path, count, seed)
+    np.fill_diagonal(alike, -2)
+    for i, row in enumerate(np.argsort(-alike, axis=1, kind="stable")[:, : min(ALIKE[matching], count - 1)]):
+        pairs |= {(min(i, j), max(i, j)) for j in row.tolist()}
+    return sorted(pairs)
+
+
+def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress) -> None:
+    """Match the pairs that the database has no matches of yet.
+
+    Args:
+        path: the database.
+        pairs: pairs (i, j) of indices.
+        seed: of RANSAC.
+        progress: receiver; it may cancel.
+
+    Raises:
+        Cancelled: if the user stopped the job; matches found so far are kept.
+    """
+    progress.phase("match photographs", len(pairs))
+    listed = path.with_name("pairs.txt")
+    write_atomic(listed, "".join(f"{image_name(i + 1)} {image_name(j + 1)}\n" for i, j in pairs).encode())
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = listed
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu, matching.num_threads = False, thread_count()
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = seed
+    pycolmap.set_random_seed(seed)
+
+    def call(token: pycolmap.CancellationToken) -> None:
+        pycolmap.match_image_pairs(path, matching, pairing, verification, pycolmap.Device.cpu, token)
+
+    run_call(call, lambda: count_rows(path, "two_view_geometries"), progress)
+    progress.step(len(pairs))

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reasons in plain words: why photographs have no pose, and why no poses can be found at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from ..errors import InputError
+from .photograph import LeftOut, Photograph
+
+MINIMUM = 3  # photographs
+FEW_FEATURES = 50  # below, a photograph can hardly be matched
+SMALLEST_PARALLAX = 1.0  # degrees; median over points of the largest angle between two of their rays
+ADVICE = "take 20 or more photographs around the object, each overlapping the one before by two thirds"
+
+
+def check_count(photographs: Sequence[Photograph]) -> None:
+    """Raise InputError if there are too few photographs for poses."""
+    if len(photographs) < MINIMUM:
+        raise InputError(_place(photographs), f"{len(photographs)} photographs are too few to find camera poses", ADVICE)
+
+
+def check_features(photographs: Sequence[Photograph], counts: np.ndarray) -> None:
+    """Check that enough photographs have texture.
+
+    Args:
+        photographs: in the order of their indices.
+        counts: features of each photograph, (N,).
+
+    Raises:
+        InputError: if fewer than three photographs have features.
+    """
+    if (counts >= FEW_FEATURES).sum() < MINIMUM:
+        what = f"the photographs have almost no texture (median {int(np.median(counts))} features), so no camera poses can be found"
+        raise InputError(
+            _place(photographs), what, "put the object on a patterned surface such as a newspaper, in even light, and focus on it"
+        )
+
+
+def check_matches(photographs: Sequence[Photograph], inliers: np.ndarray) -> None:
+    """Check that photographs overlap.
+
+    Args:
+        photographs: in the order of their indices.
+        inliers: verified matches of each pair, (N, N).
+
+    Raises:
+        InputError: if fewer than two pairs of photographs match.
+    """
+    if np.count_nonzero(np.triu(inliers)) < MINIMUM - 1:
+        raise InputError(_place(photographs), "the photographs do not show the same surfaces, so no camera poses can be found", ADVICE)
+
+
+def check_model(photographs: Sequence[Photograph], model: pycolmap.Reconstruction | None, panoramic: bool) -> pycolmap.Reconstruction:
+    """Check that a model was found and that its cameras stand at different places.
+
+    Args:
+        photographs: in the order of their indices.
+        model: the largest model, if there is one.
+        panoramic: True if most pairs of photographs are explained by a rotation about one place.
+
+    Returns:
+        The model.
+
+    Raises:
+        InputError: if it can't be used.
+    """
+    where = _place(photographs)
+    if (model is None and panoramic) or (model is not None and parallax(model) < SMALLEST_PARALLAX):
+        raise InputError(
+            where, "all photographs were taken from nearly the same place, which shows no depth", f"walk around the object: {ADVICE}"
+        )
+    if model is None or model.num_reg_images() < MINIMUM:
+        raise InputError(where, "the photographs match in parts, but no camera poses explain them", ADVICE)
+    return model
+
+
+def parallax(model: pycolmap.Reconstruction) -> float:
+    """Return the median over points of the largest angle between two of their rays, degrees."""
+    centres = {number: model.image(number).projection_center() for number in model.reg_image_ids()}
+    angles = []
+    for point in model.points3D.values():
+        rays = point.xyz - np.array([centres[e.image_id] for e in point.track.elements])
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        angles.append(np.arccos(np.clip((rays @ rays.T).min(), -1, 1)))
+    return float(np.degrees(np.median(angles))) if angles else 0.0
+
+
+def is_panoramic(path: Path) -> bool:
+    """Return True if most matching pairs are related by a homography and not by an essential or fundamental matrix.
+
+    Args:
+        path: the database with the matches.
+    """
+    with pycolmap.Database.open(path) as database:
+        _, geometries = database.read_two_view_geometries()
+    kinds = pycolmap.TwoViewGeometryConfiguration
+    flat = sum(g.config in (kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC) for g in geometries)
+    return flat > 0.5 * len(geometries)
+
+
+def explain_left_out(
+    photographs: Sequence[Photograph], models: Sequence[pycolmap.Reconstruction], counts: np.ndarray, inliers: np.ndarray
+) -> list[LeftOut]:
+    """Explain why photographs have no pose in the first model.
+
+    Args:
+        photographs: in the order of their indices.
+        models: the chosen one first; image i + 1 is photograph i.
+        counts: features of each photograph, (N,).
+        inliers: verified matches of each pair, (N, N).
+    """
+    members = [{number - 1 for number in model.reg_image_ids()} for model in models]
+    missing = [i for i in range(len(photographs)) if i not in members[0]]
+    return [LeftOut(photographs[i].name, _reason(i, photographs, members, counts, inliers)) for i in missing]
+
+
+def _reason(i: int, photographs: Sequence[Photograph], members: list[set[int]], counts: np.ndarray, inliers: np.ndarray) -> str:
+    partners = [int(j) for j in np.argsort(-inliers[i], kind="stable") if inliers[i, j] > 0]
+    if counts[i] < FEW_FEATURES:
+        return f"no texture: only {counts[i]} features were found; it may be blurred, dark or plain"
+    if not partners:
+        return "no match: it shows nothing that another photograph shows"
+    group = next((group for group in members[1:] if i in group), None)
+    if group is not None or not members[0] & set(partners):
+        near = [j for j in partners if group is None or j in group] or partners
+        names = ", ".join(photographs[j].name for j in near[:3]) + (f" and {len(near) - 3} more" if len(near) > 3 else "")
+        return f"not connected: it matches only with {names}; photographs between the groups are missing"
+    return f"no consistent pose: it matches {len(partners)} photographs, but too weakly"
+
+
+def _place(photographs: Sequence[Photograph]) -> Path | str:
+    return photographs[0].source.parent if photographs else "photographs"
