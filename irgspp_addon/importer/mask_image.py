@@ -44,8 +44,7 @@ def open_mask(camera: bpy.types.Object) -> bpy.types.Image:
     pixels = _pixels(photograph)
     mask = _mask(file) if file.is_file() else np.ones(pixels.shape[:2], np.float32)
     if mask.shape != pixels.shape[:2]:
-        sizes = [f"{a.shape[1]}x{a.shape[0]}" for a in (mask, pixels)]
-        raise InputError(file, f"is {sizes[0]}, its photograph {sizes[1]}", "delete the mask, or capture again")
+        raise InputError(file, "is not of its photograph's size", "delete the mask, or capture again")
     pixels[..., 3] = DIM + (1 - DIM) * mask
     image = known or bpy.data.images.new(f"{photograph.stem} mask", pixels.shape[1], pixels.shape[0], alpha=True)
     image.pixels.foreach_set(pixels.reshape(-1))
