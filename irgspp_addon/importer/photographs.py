@@ -15,8 +15,8 @@ from ..properties import VIDEOS
 
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif")
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
-CAPTURED = "capture.json"  # in the folder of a capture
-DESCRIPTIONS = (CAPTURED, "transforms_train.json", "transforms.json", "0-camera.pkl", "object_point_cloud.ply")
+RECORD = "photographs.json"  # in the folder of a capture, whose images are copies
+DESCRIPTIONS = ("capture.json", "transforms_train.json", "transforms.json", "0-camera.pkl", "object_point_cloud.ply")
 MODEL_FOLDERS = ("", "sparse/0", "sparse", "0", "colmap/sparse/0", "colmap/sparse")  # of COLMAP
 HEADS = {".xml": b"<document", ".csv": b"#name"}  # texts by which cameras of Metashape and RealityCapture are recognised
 HEAD_BYTES = 4096
@@ -94,7 +94,7 @@ def _count(folder: Path) -> BarePhotographs | None:
 def _walk(folder: Path) -> Iterator[Path]:
     """Yield the files below a folder, without hidden files, masks and captures."""
     for place, folders, names in os.walk(folder):
-        if CAPTURED in names:
+        if RECORD in names and Path(place) != folder:
             folders.clear()
             continue
         folders[:] = [name for name in folders if not name.startswith(".") and not _holds_masks(name.lower())]

@@ -25,8 +25,21 @@ def test_suffixes_are_the_engines():
 
 
 def test_photographs_are_counted_as_the_engine_counts_them(tmp_path):
-    write(tmp_path, "a.JPG", "a.dng", "b.heic", "sub/c.png", "sub/turn.mp4", "b.mov", ".hidden/d.jpg", ".e.jpg", "masks/a.png", "masks_b/a.png", "notes.txt")
-    write(tmp_path, "sub/mine/capture.json", "sub/mine/images/a.jpg")  # a capture of some of them
+    write(
+        tmp_path,
+        "a.JPG",
+        "a.dng",
+        "b.heic",
+        "sub/c.png",
+        "sub/turn.mp4",
+        "b.mov",
+        ".hidden/d.jpg",
+        ".e.jpg",
+        "masks/a.png",
+        "masks_b/a.png",
+        "notes.txt",
+    )
+    write(tmp_path, "sub/mine/photographs.json", "sub/mine/images/a.jpg")  # a capture of some of them
     assert find_bare_photographs(tmp_path) == BarePhotographs(3, 1)
     found = find_photographs(tmp_path)
     assert (len(found.photographs), len(found.videos)) == (3, 1)
