@@ -12,6 +12,7 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatPrope
 # From Blender 4.5 on, a property must declare that it accepts paths relative to the .blend file (`//`).
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 
+VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")  # suffixes of videos that the engine reads
 UP_AXES = [
     ("AS_IS", "As It Is", "Keep the up direction that the engine estimated", 0),
     ("Y_UP", "+Y Up", "The dataset's Y axis becomes Blender's Z", 1),
@@ -64,7 +65,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     # Dataset
     dataset: StringProperty(
         name="Photographs",
-        description="Folder of photographs with known cameras: transforms.json (NeRF, instant-ngp, nerfstudio) or a COLMAP model",
+        description="Folder of photographs, or a video. Known cameras (transforms.json, COLMAP, ...) are used, others are found",
         subtype="DIR_PATH",
         options=RELATIVE,
         update=_forget_inspection,
@@ -85,6 +86,16 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         name="Photographs Behind Cameras", description="Each camera shows its photograph when you look through it", default=True
     )
     with_points: BoolProperty(name="Point Cloud", description="Import the dataset's point cloud, if it has one", default=True)
+    capture_marker: FloatProperty(
+        name="Marker (m)",
+        description="Side of the black square of a printed ArUco or AprilTag marker in the photographs, in metres; the object then gets "
+        "its true size. 0: no marker",
+        default=0.0,
+        min=0.0,
+        soft_max=1.0,
+        step=0.1,
+        precision=4,
+    )
 
     # Reconstruct
     run: StringProperty(
@@ -173,7 +184,18 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         if self.run:
             return Path(bpy.path.abspath(self.run))
         dataset = self.dataset_path()
-        return dataset.with_name(f"{dataset.name}_irgspp") if dataset else None
+        return beside(dataset, "_irgspp") if dataset else None
+
+
+def beside(photographs: Path, ending: str) -> Path:
+    """Return the folder next to photographs with their name and an ending; the suffix of a video is dropped.
+
+    Args:
+        photographs: folder of photographs, or a video.
+        ending: of the folder's name.
+    """
+    name = photographs.stem if photographs.suffix.lower() in VIDEOS else photographs.name
+    return photographs.with_name(f"{name}{ending}")
 
 
 class IRGSPP_JobItem(bpy.types.PropertyGroup):

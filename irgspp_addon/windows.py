@@ -22,6 +22,26 @@ def redraw(*kinds: str) -> None:
         area.tag_redraw()
 
 
+def open_image_editor(image: bpy.types.Image) -> bpy.types.Area:
+    """Show an image in an open Image Editor, or else in a new window, and return the editor's area."""
+    area = next((area for area in areas("IMAGE_EDITOR") if area.ui_type == "IMAGE_EDITOR"), None)
+    if area is None:
+        bpy.ops.wm.window_new()
+        area = bpy.context.window_manager.windows[-1].screen.areas[0]
+        area.ui_type = "IMAGE_EDITOR"
+    if area.spaces.active.image != image:
+        area.spaces.active.image = image
+    return area
+
+
+def fit_image(area: bpy.types.Area) -> None:
+    """Fit the view of an Image Editor to its image."""
+    window = next(one for one in bpy.context.window_manager.windows if area in one.screen.areas[:])
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.image.view_all(fit_view=True)
+
+
 def enlarged(image: np.ndarray, width: int, height: int) -> np.ndarray:
     """Resize an image by nearest neighbour and return its pixels in Blender's order.
 

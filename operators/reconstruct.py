@@ -10,21 +10,29 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon.importer.mask_image import save_masks
+from ..irgspp_addon.importer.object_sphere import bound_settings
+from ..irgspp_addon.importer.photographs import find_bare_photographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import DEVICES, MATERIALS, PRESETS
+from ..irgspp_addon.properties import DEVICES, MATERIALS, PRESETS, beside
 from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
 
 
 class IRGSPP_OT_reconstruct(bpy.types.Operator):
-    """Reconstruct a relightable object from the photographs, in the background. Missing options are taken from the IRGS++ panel."""
+    """Reconstruct a relightable object from photographs or a video, in the background. Missing options are taken from the IRGS++ panel."""
 
     bl_idname = "irgspp.reconstruct"
     bl_label = "Reconstruct"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
-    dataset: StringProperty(name="Photographs", description="Folder of photographs with known cameras", subtype="DIR_PATH", options=SKIP)
+    dataset: StringProperty(
+        name="Photographs",
+        description="Folder of photographs, or a video; cameras that are not known are found",
+        subtype="DIR_PATH",
+        options=SKIP,
+    )
     run: StringProperty(
         name="Run Folder",
         description="Folder for the results. Empty: next to the photographs' folder, with its name and _irgspp",
@@ -89,18 +97,21 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         dataset = Path(bpy.path.abspath(self.dataset)).absolute()
         if not dataset.exists():
             raise InputError(dataset, "no such folder", "it may have been moved; choose it again")
-        run = Path(bpy.path.abspath(self.run)).absolute() if self.run else dataset.with_name(f"{dataset.name}_irgspp")
+        run = Path(bpy.path.abspath(self.run)).absolute() if self.run else beside(dataset, "_irgspp")
         place = result_import.place_of(scene, scene.irgspp.source, scene.irgspp.pack)
         on_done = "import_result" if self.import_result and not self.wait else None
-        return jobs.start("reconstruct", f"Reconstruct {dataset.name}", run, self._arguments(dataset, run), on_done, place)
+        save_masks()  # else the reconstruction would read them without what was painted last
+        return jobs.start("reconstruct", f"Reconstruct {dataset.name}", run, self._arguments(scene, dataset, run), on_done, place)
 
-    def _arguments(self, dataset: Path, run: Path) -> list[str]:
+    def _arguments(self, scene: bpy.types.Scene, dataset: Path, run: Path) -> list[str]:
         words = ["reconstruct", str(dataset), "-o", str(run)]
         if self.resume and (run / "run.json").is_file():
             return [*words, "--resume"]  # with the settings that it was started with
         if (run / "run.json").is_file() and not self.overwrite:
             raise InputError(run, "holds another run", "resume it, overwrite it, or name another folder")
         words += ["--preset", self.preset, "--materials", self.materials, "--device", self.device, "--seed", str(self.seed)]
+        words += marker_words(scene.irgspp.capture_marker) if find_bare_photographs(dataset) else []
+        words += [word for setting in bound_settings(scene, dataset) for word in ("--set", setting)]
         return words + set_words(self.settings) + (["--overwrite"] if self.overwrite else [])
 
 
@@ -132,6 +143,11 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
             return ended
         except (IrgsppError, RuntimeError) as error:
             return refuse(self, error)
+
+
+def marker_words(metres: float) -> list[str]:
+    """Return command-line arguments for the size of a marker in metres; none for 0."""
+    return ["--set", f"capture.marker={metres:.6g}"] if metres > 0 else []
 
 
 def set_words(settings: str) -> list[str]:

@@ -56,7 +56,7 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
             return self.execute(context)
         try:
             self._start(context)
-            preview.show_image(context)
+            preview.show_image()
         except IrgsppError as error:
             return refuse(self, error)
         return {"FINISHED"}

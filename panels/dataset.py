@@ -11,9 +11,12 @@ from typing import Any
 import bpy
 
 from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.importer.mask_image import is_captured_camera
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
 from ..operators.look_through import is_imported
+from .capture import draw_capture, draw_find_cameras
+from .capture_state import capture_of
 from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
 
@@ -29,30 +32,23 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the folder, the buttons, the inspection, and the guide where no folder is chosen."""
         layout, settings = self.layout, context.scene.irgspp
-        layout.prop(settings, "dataset", text="")
-        if not settings.dataset:
+        row = layout.row(align=True)
+        row.prop(settings, "dataset", text="")
+        button(row, "irgspp.choose_video", "", "FILE_MOVIE")
+        dataset = settings.dataset_path()
+        if dataset is None:
             draw_guide(layout, context)
             return
-        folder = str(settings.dataset_path())
-        row = layout.row(align=True)
-        row.enabled = engine.status().usable
-        button(row, "irgspp.inspect_dataset", "Inspect", "VIEWZOOM", directory=folder)
-        button(
-            row,
-            "irgspp.import_dataset",
-            "Import Cameras",
-            "CAMERA_DATA",
-            directory=folder,
-            up_axis=settings.up_axis,
-            scale=settings.scale,
-            recentre=settings.recentre,
-            photographs=settings.with_photographs,
-            points=settings.with_points,
-        )
-        draw_inspection(layout, context, last_inspection(settings.dataset_path()))
+        capture = capture_of(dataset)
+        if not draw_find_cameras(layout, context, dataset, capture):
+            draw_import(layout, settings, str(dataset))
+        draw_inspection(layout, context, last_inspection(dataset))
         draw_summary(layout, context, settings.inspected)
+        draw_capture(layout, context, dataset, capture)
         if is_imported(context.object):
             button(layout, "irgspp.look_through", f"Look Through {context.object.name}", "VIEW_CAMERA", camera=context.object.name)
+            if is_captured_camera(context.object):
+                button(layout, "irgspp.edit_mask", "Edit Mask", "BRUSH_DATA", camera=context.object.name)
 
 
 class IRGSPP_PT_import_options(SidebarPanel, bpy.types.Panel):
@@ -83,13 +79,38 @@ def draw_guide(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """
     box = layout.box()
     say(box, context, "From photographs of one object to an object that can be relit:")
-    say(box, context, "Choose a folder of photographs with known cameras: transforms.json or COLMAP.", "FILE_FOLDER")
+    say(box, context, "Choose a folder of photographs, or a video. Known cameras are used, others are found.", "FILE_FOLDER")
     say(box, context, "Press Reconstruct; you can go on working in Blender.", "PLAY")
     say(box, context, "Relight the object with any World.", "WORLD")
     column = layout.column()
     column.scale_y = 1.3
     column.enabled = engine.status().usable  # else the panel above explains what to do
     button(column, "irgspp.demo", "Try the Demo", "MONKEY")
+
+
+def draw_import(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, dataset: str) -> None:
+    """Draw the buttons that inspect and import a dataset.
+
+    Args:
+        layout: to draw into.
+        settings: of the scene.
+        dataset: path of the dataset.
+    """
+    row = layout.row(align=True)
+    row.enabled = engine.status().usable
+    button(row, "irgspp.inspect_dataset", "Inspect", "VIEWZOOM", directory=dataset)
+    button(
+        row,
+        "irgspp.import_dataset",
+        "Import Cameras",
+        "CAMERA_DATA",
+        directory=dataset,
+        up_axis=settings.up_axis,
+        scale=settings.scale,
+        recentre=settings.recentre,
+        photographs=settings.with_photographs,
+        points=settings.with_points,
+    )
 
 
 def draw_inspection(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:

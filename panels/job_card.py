@@ -10,6 +10,7 @@ import bpy
 
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from .capture_state import capture_of
 from .images import image
 from .phases import phase_in_words
 from .run_state import run_state
@@ -98,7 +99,9 @@ def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) 
 
 
 def can_resume(job: Job) -> bool:
-    """Return True where a stopped job left a run that can be resumed; one whose settings were refused left none."""
+    """Return True where a stopped job left a run or capture that can be resumed; one whose settings were refused left none."""
+    if job.kind == "capture":
+        return job.resumable and capture_of(job.folder) is not None
     return job.resumable and run_state(job.folder).status not in ("", "done")
 
 

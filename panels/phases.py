@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Texts for the phases of a reconstruction."""
+"""Texts for the phases of a reconstruction and of a capture."""
 
 from __future__ import annotations
 
@@ -13,11 +13,23 @@ STEPS = (  # of a reconstruction, in order: text, and the phases of the engine t
     ("Writing the Blender file", ("scene",)),
     ("Drawing the contact sheet", ("contact sheet",)),
 )
+CAPTURE_STEPS = (  # of a capture, in order; a reconstruction of photographs without cameras begins with them
+    ("Reading photographs", ("read photographs",)),
+    ("Finding features", ("find features",)),
+    ("Matching photographs", ("match photographs",)),
+    ("Finding the cameras", ("find poses",)),
+    ("Undistorting photographs", ("undistort photographs",)),
+    ("Cutting out the object", ("dense points", "cut out the object")),
+)
 NUMBERS = {phase: number for number, (_, phases) in enumerate(STEPS, 1) for phase in phases}
+
+CAPTURE_NUMBERS = {phase: number for number, (_, phases) in enumerate(CAPTURE_STEPS, 1) for phase in phases}
 
 
 def phase_in_words(kind: str, phase: str) -> str:
-    """Return a phase as "Step 3 of 8: Fitting shape and radiance"; phases of other kinds of jobs keep their names.
+    """Return a phase as "Step 3 of 8: Fitting shape and radiance", "Cameras, step 3 of 6: Matching photographs" before.
+
+    Phases of other kinds of jobs keep their names.
 
     Args:
         kind: of the job.
@@ -26,4 +38,7 @@ def phase_in_words(kind: str, phase: str) -> str:
     number = NUMBERS.get(phase)
     if kind in ("reconstruct", "demo") and number:
         return f"Step {number} of {len(STEPS)}: {STEPS[number - 1][0]}"
+    number = CAPTURE_NUMBERS.get(phase)
+    if kind in ("reconstruct", "capture") and number:
+        return f"{'Step' if kind == 'capture' else 'Cameras, step'} {number} of {len(CAPTURE_STEPS)}: {CAPTURE_STEPS[number - 1][0]}"
     return f"{phase[:1].upper()}{phase[1:]}" if phase else "Starting"

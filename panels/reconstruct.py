@@ -8,8 +8,10 @@ from pathlib import Path
 import bpy
 
 from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.importer.object_sphere import find_sphere, is_changed
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from .capture_state import bare_photographs
 from .job_card import BEGAN, RECONSTRUCTIONS, can_resume, draw_job
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -73,8 +75,27 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
         say(layout, context, "Choose photographs above first.", icon="INFO")
     elif not engine.status().usable:
         say(layout, context, "Set up the engine above first.", icon="INFO")
-    elif status:
-        say(layout, context, "Reconstruct Again replaces the run in the folder.", icon="INFO")
+    else:
+        if status:
+            say(layout, context, "Reconstruct Again replaces the run in the folder.", icon="INFO")
+        draw_sphere(layout, context)
+
+
+def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw what is reconstructed: photographs without cameras, or the contents of the object's sphere.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
+    dataset = context.scene.irgspp.dataset_path()
+    sphere = find_sphere(context.scene, resolved(dataset))
+    if bare_photographs(dataset) is not None:
+        say(layout, context, "The cameras are found first.", icon="INFO")
+    elif sphere is not None and is_changed(sphere):
+        say(layout, context, f"What is inside the sphere {sphere.name} is reconstructed.", icon="SPHERE")
+    elif sphere is not None:
+        say(layout, context, f"Move or scale the sphere {sphere.name} if it does not surround the object.", icon="SPHERE")
 
 
 def current_job(run: Path | None) -> Job | None:

@@ -19,8 +19,9 @@ from ..irgspp_addon.preferences_page import IRGSPP_Preferences
 from ..irgspp_addon.relight import live_image as relight_follow
 from ..irgspp_addon.relight import render_engine
 from ..irgspp_addon.relight import session as relight_session
+from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
-from ..operators import import_dataset
+from ..operators import import_dataset, masks
 from ..operators import jobs as job_operators
 from ..operators import relight as relight_operators
 from ..operators import result as result_operators
@@ -47,6 +48,8 @@ CLASSES = (
     IRGSPP_OT_import_run,
     IRGSPP_OT_look_through,
     *import_dataset.CLASSES,
+    *capture_operators.CLASSES,
+    *masks.CLASSES,
     *result_operators.CLASSES,
     *relight_operators.CLASSES,
     render_engine.IRGSPP_RenderEngine,
@@ -69,6 +72,7 @@ def register() -> None:
     images.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     import_dataset.register()
+    capture_operators.register()
     result_operators.register()
     relight_session.register()
     relight_follow.register()
@@ -84,6 +88,7 @@ def unregister() -> None:
     relight_follow.unregister()
     relight_session.unregister()
     result_operators.unregister()
+    capture_operators.unregister()
     import_dataset.unregister()
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
     images.unregister()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import of a dataset as Blender datablocks: cameras with photographs and the point cloud, in one collection under one empty.
+"""Import of a dataset as Blender datablocks: cameras with photographs, points, and the object's sphere, in a collection under one empty.
 
 The engine reads the dataset, since it knows lens models and file formats, and exports plain files from which Blender builds the scene.
 """
@@ -20,6 +20,7 @@ from ...core.errors import InputError
 from ...core.scene.camera_files import load_run_cameras
 from ..user_folder import user_folder
 from .cameras import place_cameras
+from .object_sphere import build_sphere
 from .ownership import Owner
 from .placement import Placement, place
 from .point_cloud import build_points
@@ -37,6 +38,7 @@ class ImportedDataset:
         root: empty above them.
         cameras: camera objects.
         points: object of the point cloud, or None.
+        sphere: empty that shows the object's bound.
         facts: the engine's description of the dataset.
     """
 
@@ -44,6 +46,7 @@ class ImportedDataset:
     root: bpy.types.Object
     cameras: list[bpy.types.Object]
     points: bpy.types.Object | None
+    sphere: bpy.types.Object
     facts: dict[str, Any]
 
 
@@ -125,8 +128,9 @@ def build_dataset(
     place(root, placement, np.array(facts["to_world"]), facts["centre"])
     placed = place_cameras(owner, records, root, collection, photographs)
     shown = None if cloud is None else build_points(owner, f"{collection.name} points", *cloud, facts["radius"], root, collection)
+    sphere = build_sphere(owner, f"{collection.name} object", facts["centre"], facts["radius"], root, collection)
     owner.remove_unused()
-    return ImportedDataset(collection, root, placed, shown, facts)
+    return ImportedDataset(collection, root, placed, shown, sphere, facts)
 
 
 def _facts(folder: Path) -> dict[str, Any]:

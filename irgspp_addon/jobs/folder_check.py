@@ -10,7 +10,7 @@ from ...core.errors import InputError
 from ...core.io.file_lock import FileLock
 from .job import Job
 
-WRITERS = ("reconstruct", "demo", "bake")  # kinds of jobs that write into their folder: at most one per folder
+WRITERS = ("reconstruct", "demo", "bake", "capture")  # kinds of jobs that write into their folder: at most one per folder
 
 
 def check_free(folder: Path, jobs: Iterable[Job]) -> None:

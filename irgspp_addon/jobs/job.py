@@ -26,7 +26,7 @@ class Job:
 
     Attributes:
         id: name of its private folder.
-        kind: "reconstruct", "demo", "render", "bake", "export", "inspect", "check" or "install".
+        kind: "reconstruct", "demo", "capture", "render", "bake", "export", "inspect", "check" or "install".
         title: text in the list of jobs.
         folder: folder that it reads or writes, such as the run folder.
         notes: its private folder: events.jsonl, log.txt, output.txt (stdout), the request files `cancel` and `finish`, and job.json.
@@ -81,7 +81,7 @@ class Job:
     @property
     def resumable(self) -> bool:
         """True if `queue.resume` can continue the job."""
-        return self.state in ("failed", "cancelled", "lost") and self.kind in ("reconstruct", "demo")
+        return self.state in ("failed", "cancelled", "lost") and self.kind in ("reconstruct", "demo", "capture")
 
     @property
     def can_finish_early(self) -> bool:

@@ -116,12 +116,13 @@ def finish_early(job: Job) -> None:
 
 
 def resume(job: Job) -> None:
-    """Continue a stopped reconstruction from its last checkpoint; raise InputError for other jobs, or if its folder is in use."""
+    """Continue a stopped reconstruction or capture where it stopped; raise InputError for other jobs, or if its folder is in use."""
     if not job.resumable:
         raise InputError(job.title, f"is {job.state}, which can't be resumed", "start a new job")
     require_engine()
     check_free(job.folder, _jobs.values())
-    job.arguments = [a for a in job.arguments if a not in ("--resume", "--overwrite")] + ["--resume"]
+    if job.kind != "capture":  # which goes on by itself
+        job.arguments = [a for a in job.arguments if a not in ("--resume", "--overwrite")] + ["--resume"]
     (job.notes / "cancel").unlink(missing_ok=True)
     job.state, job.owner, job.error, job.message, job.stopping, job.ended = "queued", session_file().name, None, "", False, None
     job.save_if_possible()

@@ -12,7 +12,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...core.scene.camera import Camera
 from ..importer.run_frame import Frame, scene_camera, view_camera
-from ..windows import areas, enlarged, redraw
+from ..windows import areas, enlarged, fit_image, open_image_editor, redraw
 from .live_image import Follower, follow, follower_of, stop
 
 IMAGE = "IRGS++ Relight"
@@ -117,13 +117,10 @@ _fitted: dict[int, tuple[int, int]] = {}  # Image Editor -> size of the image it
 
 def _fit(image: bpy.types.Image, size: tuple[int, int]) -> None:
     """Fit the view of the Image Editors that show the image, once for each of its sizes."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR" and area.spaces.active.image == image and _fitted.get(area.as_pointer()) != size:
-                region = next(region for region in area.regions if region.type == "WINDOW")
-                with bpy.context.temp_override(window=window, area=area, region=region):
-                    bpy.ops.image.view_all(fit_view=True)
-                _fitted[area.as_pointer()] = size
+    for area in areas("IMAGE_EDITOR"):
+        if area.spaces.active.image == image and _fitted.get(area.as_pointer()) != size:
+            fit_image(area)
+            _fitted[area.as_pointer()] = size
 
 
 def preview_image(width: int, height: int) -> bpy.types.Image:
@@ -145,14 +142,10 @@ def preview_image(width: int, height: int) -> bpy.types.Image:
     return image
 
 
-def show_image(context: bpy.types.Context) -> None:
+def show_image() -> None:
     """Show the image in an open Image Editor, or else in a new window."""
     image = preview_image(*(bpy.data.images[IMAGE].size if IMAGE in bpy.data.images else (256, 256)))
-    area = next((area for area in areas("IMAGE_EDITOR") if area.ui_type == "IMAGE_EDITOR"), None)
-    if area is None:
-        bpy.ops.wm.window_new()
-        area = context.window_manager.windows[-1].screen.areas[0]
-        area.ui_type = "IMAGE_EDITOR"
-    if area.spaces.active.image != image:
-        area.spaces.active.image = image
+    shown = any(area.spaces.active.image == image for area in areas("IMAGE_EDITOR"))
+    area = open_image_editor(image)
+    if not shown:
         _fitted.pop(area.as_pointer(), None)

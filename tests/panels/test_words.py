@@ -10,7 +10,7 @@ from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.panels import run_state
 from irgspp.panels.job_card import metrics_text, progress_text
 from irgspp.panels.jobs import job_when
-from irgspp.panels.phases import NUMBERS, STEPS, phase_in_words
+from irgspp.panels.phases import CAPTURE_NUMBERS, CAPTURE_STEPS, NUMBERS, STEPS, phase_in_words
 from irgspp.panels.sidebar import letters, say, seconds_in_words
 from recording_layout import RecordingLayout
 
@@ -28,19 +28,30 @@ def test_seconds(seconds, text):
     assert seconds_in_words(seconds) == text
 
 
-def test_every_phase_that_a_reconstruction_names_has_words():
-    names = {
+def phases_of(*folders: str) -> set[str]:
+    return {
         line.split('.phase("')[1].split('"')[0]
-        for folder in ("stages", "stereo", "surface", "datasets")
+        for folder in folders
         for path in (CORE / folder).rglob("*.py")
         if path.name != "export.py"  # `inspect --export`, no part of a reconstruction
         for line in path.read_text().splitlines()
         if '.phase("' in line
-    } | {"scene", "contact sheet"}
-    assert names == set(NUMBERS)
+    }
+
+
+def test_every_phase_that_a_reconstruction_names_has_words():
+    assert phases_of("stages", "stereo", "surface", "datasets") | {"scene", "contact sheet"} == set(NUMBERS)
     assert phase_in_words("reconstruct", "refine") == f"Step 5 of {len(STEPS)}: {STEPS[4][0]}"
     assert phase_in_words("install", "download torch") == "Download torch"
     assert phase_in_words("reconstruct", "") == "Starting"
+
+
+def test_every_phase_that_a_capture_names_has_words():
+    assert phases_of("capture") == set(CAPTURE_NUMBERS)
+    last = f"of {len(CAPTURE_STEPS)}: Cutting out the object"
+    assert phase_in_words("capture", "dense points") == f"Step 6 {last}"
+    assert phase_in_words("reconstruct", "cut out the object") == f"Cameras, step 6 {last}"  # of photographs without cameras
+    assert phase_in_words("bake", "match photographs") == "Match photographs"
 
 
 def test_progress_and_metrics():

@@ -55,11 +55,22 @@ def write_transforms(folder: Path) -> None:
 
 def write_colmap(folder: Path) -> None:
     """Write a COLMAP model as text with a distorted lens and points; its up axis is -Y, as is common with COLMAP."""
+    turned = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    write_model(folder, "OPENCV", (*LENSES["distorted"], *DISTORTION), turned)
+
+
+def write_model(folder: Path, lens: str, parameters: tuple[float, ...], turned: np.ndarray) -> None:
+    """Write images and a COLMAP model as text.
+
+    Args:
+        folder: of the dataset.
+        lens: COLMAP's name of the lens model.
+        parameters: of the lens.
+        turned: (4, 4) from the frame of `poses` and `points` to the model's.
+    """
     names, model = write_images(folder / "images"), folder / "sparse" / "0"
     model.mkdir(parents=True)
-    turned = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
-    lens = " ".join(map(repr, (*LENSES["distorted"], *DISTORTION)))
-    (model / "cameras.txt").write_text(f"1 OPENCV {W} {H} {lens}\n")
+    (model / "cameras.txt").write_text(f"1 {lens} {W} {H} {' '.join(map(repr, parameters))}\n")
     lines = []
     for i, (name, pose) in enumerate(zip(names, poses(), strict=True)):
         to_camera = np.diag([1, -1, -1, 1]) @ np.linalg.inv(turned @ pose)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sphere around the object of a dataset: an empty that shows the object's bound, and by which the user changes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from .ownership import KEY, Owner, put
+from .placement import TO_WORLD
+
+PART = "object"  # of the owner
+BOUND = "irgspp_bound"  # custom property: the engine's bound in the engine's frame, centre and radius, (4,)
+TOLERANCE = 1e-3  # of the radius: a smaller difference is rounding, no change by the user
+
+
+def build_sphere(
+    owner: Owner, name: str, centre: list[float], radius: float, root: bpy.types.Object, collection: bpy.types.Collection
+) -> bpy.types.Object:
+    """Create the sphere, or move it to a new bound unless the user has changed it.
+
+    Args:
+        owner: owner of the datablocks.
+        name: name of a new empty.
+        centre: (3,) centre of the bound in the engine's frame.
+        radius: radius of the bound.
+        root: parent of the sphere, in the engine's frame.
+        collection: collection of the sphere.
+    """
+    known = owner.find(bpy.data.objects, PART)
+    keep = known is not None and is_changed(known)
+    sphere = owner.object(PART, name, None, root)
+    if not keep:
+        sphere.empty_display_type, sphere.empty_display_size = "SPHERE", 1.0
+        sphere.matrix_parent_inverse = Matrix()
+        sphere.matrix_basis = Matrix.Translation(centre) @ Matrix.Diagonal((radius, radius, radius, 1.0))
+    sphere[BOUND] = [*map(float, centre), float(radius)]
+    put(sphere, collection)
+    return sphere
+
+
+def find_sphere(scene: bpy.types.Scene, dataset: Path | None) -> bpy.types.Object | None:
+    """Return the sphere of an imported dataset; None if it is not in the scene.
+
+    Args:
+        scene: scene to search.
+        dataset: path of the dataset without links; None without one.
+    """
+    found = [thing for thing in scene.objects if thing.get(KEY) == f"{dataset}#{PART}"]
+    return min(found, key=lambda thing: (len(thing.name), thing.name), default=None)
+
+
+def is_changed(sphere: bpy.types.Object) -> bool:
+    """Return True if the user has moved or scaled the sphere."""
+    if BOUND not in sphere:
+        return False
+    before, (centre, radius) = np.array(sphere[BOUND], float), _bound(sphere)
+    allowed = TOLERANCE * before[3]
+    return bool(np.abs(centre - before[:3]).max() > allowed or abs(radius - before[3]) > allowed)
+
+
+def bound_settings(scene: bpy.types.Scene, dataset: Path) -> list[str]:
+    """Return `data.centre=x,y,z` and `data.radius=r` in the dataset's own frame, if the user has changed its sphere; else nothing.
+
+    Args:
+        scene: scene with the imported dataset.
+        dataset: path of the dataset.
+    """
+    sphere = find_sphere(scene, dataset.resolve())
+    root = None if sphere is None else _root(sphere)
+    if sphere is None or root is None or not is_changed(sphere):
+        return []
+    centre, radius = _bound(sphere)
+    to_own = np.linalg.inv(np.array(root[TO_WORLD], float).reshape(4, 4))
+    x, y, z = to_own[:3, :3] @ centre + to_own[:3, 3]
+    own_radius = radius * float(np.cbrt(np.linalg.det(to_own[:3, :3])))
+    return [f"data.centre={x:.7g},{y:.7g},{z:.7g}", f"data.radius={own_radius:.7g}"]
+
+
+def _bound(sphere: bpy.types.Object) -> tuple[np.ndarray, float]:
+    """Return centre (3,) and radius in the engine's frame; of a stretched sphere the longest half-axis, so that nothing is cut off."""
+    root = _root(sphere)
+    if root is None or sphere.parent == root:
+        matrix = sphere.matrix_parent_inverse @ sphere.matrix_basis  # up to date also before the scene is evaluated
+    else:
+        matrix = root.matrix_world.inverted() @ sphere.matrix_world
+    values = np.array(matrix, float)
+    return values[:3, 3], float(np.linalg.norm(values[:3, :3], axis=0).max() * sphere.empty_display_size)
+
+
+def _root(sphere: bpy.types.Object) -> bpy.types.Object | None:
+    """Return the empty above the imported dataset, also where the user has given the sphere another parent; None if it is gone."""
+    if sphere.parent is not None and TO_WORLD in sphere.parent:
+        return sphere.parent
+    key = f"{sphere[KEY].rpartition('#')[0]}#root"
+    return next((thing for thing in bpy.data.objects if thing.get(KEY) == key), None)

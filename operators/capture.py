@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators for photographs without cameras: find their cameras, choose a video."""
+
+# pyright: reportInvalidTypeForm=false
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
+
+from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon.importer.capture_file import FILE, CaptureSummary, read_capture
+from ..irgspp_addon.importer.dataset_import import checked
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs import result_import
+from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.properties import VIDEOS, beside
+from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
+from .reconstruct import marker_words, set_words
+
+NAMED = 3  # photographs left out that a report names
+
+
+class IRGSPP_OT_capture(Queued, bpy.types.Operator):
+    """Find the cameras of photographs or of a video, cut the object out, and import cameras, points and the object's sphere."""
+
+    bl_idname = "irgspp.capture"
+    bl_label = "Find Cameras"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    directory: StringProperty(
+        name="Photographs",
+        description="Folder of photographs without cameras, a video, or a capture that was stopped",
+        subtype="DIR_PATH",
+        options=SKIP,
+    )
+    output: StringProperty(
+        name="Captured Dataset",
+        description="Folder for cameras, undistorted photographs and masks. Empty: next to the photographs, with their name and _capture",
+        subtype="DIR_PATH",
+        options=SKIP,
+    )
+    marker: FloatProperty(
+        name="Marker", description="Side of the black square of a printed marker, in metres; 0: no marker", min=0.0, options=SKIP
+    )
+    seed: IntProperty(name="Seed", description="Seed of all random numbers", min=0, options=SKIP)
+    settings: StringProperty(name="Settings", description="Single settings, as capture.key=value separated by spaces", options=SKIP)
+    import_result: BoolProperty(**IMPORT)
+    wait: BoolProperty(**WAIT)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the capture as a job."""
+        self._take_from_scene(context.scene)
+        try:
+            job = self._start(context.scene)
+            ended = run_to_end(self, job) if self.wait else {"FINISHED"}
+            if self.wait and ended == {"FINISHED"} and self.import_result:
+                _use(context.scene, job, wait=True)
+                self.report({"INFO"}, found(read_capture(job.folder)))
+            return ended
+        except (IrgsppError, RuntimeError) as error:
+            return refuse(self, error)
+
+    def _take_from_scene(self, scene: bpy.types.Scene) -> None:
+        """Take the options that the caller did not give from the panel."""
+        panel, given = scene.irgspp, self.properties.is_property_set
+        if not given("marker"):
+            self.marker = panel.capture_marker
+        if not given("seed"):
+            self.seed = panel.seed
+        if not given("settings"):
+            self.settings = " ".join(word for word in panel.overrides.split() if word.startswith("capture."))
+        if not given("directory"):
+            self.directory = str(panel.dataset_path() or "")
+
+    def _start(self, scene: bpy.types.Scene) -> Job:
+        source = checked(self.directory)
+        stopped = read_capture(source)
+        if stopped is not None and stopped.status == "broken":
+            raise InputError(source / FILE, "can't be read", "choose the photographs, and name another folder or delete this one")
+        if stopped is not None:  # the folder of a capture that goes on
+            source, folder = checked(stopped.source), source
+        else:
+            folder = Path(bpy.path.abspath(self.output)).absolute() if self.output else beside(source, "_capture")
+        words = ["capture", str(source), "-o", str(folder), "--seed", str(self.seed), *marker_words(self.marker), *set_words(self.settings)]
+        data = {**result_import.place_of(scene), "source": str(source), "run": str(folder)}
+        on_done = "import_capture" if self.import_result and not self.wait else None
+        return jobs.start("capture", f"Find cameras of {source.name}", folder, words, on_done, data)
+
+
+def found(capture: CaptureSummary | None) -> str:
+    """Return the outcome of a capture in one line: photographs used, and those left out with the reason."""
+    if capture is None or capture.status != "done":
+        return "no cameras were found"
+    text = f"cameras of {capture.used} photographs found"
+    if not capture.left_out:
+        return text
+    named = "; ".join(f"{name}: {reason}" for name, reason in capture.left_out[:NAMED])
+    more = f"; and {len(capture.left_out) - NAMED} more" if len(capture.left_out) > NAMED else ""
+    return f"{text}, {len(capture.left_out)} left out ({named}{more})"
+
+
+def import_when_captured(job: Job) -> None:
+    """Import a captured dataset into the scene that the job was started from."""
+    with result_import.started_from(job, f"choose {job.folder} as photographs there") as scene:
+        _use(scene, job, wait=False)
+
+
+def _use(scene: bpy.types.Scene, job: Job, wait: bool) -> None:
+    """Choose the captured dataset in the panel, unless the user has chosen another one meanwhile, and import it."""
+    panel = scene.irgspp
+    chosen = panel.dataset_path()
+    if chosen is None or chosen.resolve() in (Path(job.data["source"]), job.folder.resolve()):
+        panel.dataset = str(job.folder)
+    options = {"up_axis": panel.up_axis, "scale": panel.scale, "recentre": panel.recentre}
+    options |= {"photographs": panel.with_photographs, "points": panel.with_points, "wait": wait}
+    bpy.ops.irgspp.import_dataset("EXEC_DEFAULT", True, directory=str(job.folder), **options)
+
+
+class IRGSPP_OT_choose_video(bpy.types.Operator):
+    """Choose a video of the object in place of a folder of photographs."""
+
+    bl_idname = "irgspp.choose_video"
+    bl_label = "Choose Video"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
+
+    filepath: StringProperty(name="Video", description="Video around the object", subtype="FILE_PATH", options=SKIP)
+    filter_movie: BoolProperty(default=True, options={"HIDDEN"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file.
+
+        Args:
+            context: of the button.
+            event: ignored.
+        """
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Choose the video."""
+        try:
+            video = checked(self.filepath)
+            if not video.is_file() or video.suffix.lower() not in VIDEOS:
+                raise InputError(video, "is not a video", f"choose one that ends with {', '.join(VIDEOS)}")
+            context.scene.irgspp.dataset = str(video)
+            return {"FINISHED"}
+        except IrgsppError as error:
+            return refuse(self, error)
+
+
+CLASSES = (IRGSPP_OT_capture, IRGSPP_OT_choose_video)
+
+
+def register() -> None:
+    """Register the function that a finished job calls."""
+    jobs.ON_DONE["import_capture"] = import_when_captured
+
+
+def unregister() -> None:
+    """Unregister it."""
+    jobs.ON_DONE.pop("import_capture", None)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that show images of a captured dataset in the Image Editor: paint a mask, save masks, show the contact sheet."""
+
+# pyright: reportInvalidTypeForm=false
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon.importer.mask_image import open_mask, save_masks
+from ..irgspp_addon.windows import fit_image, open_image_editor
+from .blocking import SKIP, refuse
+
+
+class IRGSPP_OT_edit_mask(bpy.types.Operator):
+    """Paint the mask of this camera's photograph in an Image Editor: erase what is not the object, add what is missing."""
+
+    bl_idname = "irgspp.edit_mask"
+    bl_label = "Edit Mask"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    camera: StringProperty(name="Camera", description="Name of an imported camera. Empty: the active object", options=SKIP)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Open the mask; in background mode only its image is made."""
+        try:
+            camera = context.scene.objects.get(self.camera) if self.camera else context.object
+            if camera is None:
+                raise InputError(self.camera or "edit_mask", "is not a camera of a captured dataset", "select one, or give camera=")
+            image = open_mask(camera)
+        except IrgsppError as error:
+            return refuse(self, error)
+        if not bpy.app.background:
+            area = open_image_editor(image)
+            area.spaces.active.ui_mode = "PAINT"
+            area.spaces.active.show_region_ui = True
+            fit_image(area)
+            brush = context.tool_settings.image_paint.brush
+            if brush is not None:
+                brush.blend = "ERASE_ALPHA"
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_save_masks(bpy.types.Operator):
+    """Write the masks that you have painted on into the captured dataset, where the reconstruction reads them."""
+
+    bl_idname = "irgspp.save_masks"
+    bl_label = "Save Masks"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Write the masks."""
+        try:
+            written = save_masks()
+        except IrgsppError as error:
+            return refuse(self, error)
+        self.report({"INFO"}, f"{len(written)} mask{'' if len(written) == 1 else 's'} saved")
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_show_image(bpy.types.Operator):
+    """Show an image file in an Image Editor."""
+
+    bl_idname = "irgspp.show_image"
+    bl_label = "Show Image"
+    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+
+    filepath: StringProperty(name="Image", description="Image file", subtype="FILE_PATH", options=SKIP)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Load the image, or load it again, and show it."""
+        file = Path(bpy.path.abspath(self.filepath)).absolute()
+        if not file.is_file():
+            return refuse(self, InputError(file, "no such file", "capture the photographs again"))
+        image = bpy.data.images.load(str(file), check_existing=True)
+        image.reload()
+        if not bpy.app.background:
+            fit_image(open_image_editor(image))
+        return {"FINISHED"}
+
+
+CLASSES = (IRGSPP_OT_edit_mask, IRGSPP_OT_save_masks, IRGSPP_OT_show_image)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Parts of the dataset's panel for photographs without cameras: the button that finds them, and what was found and left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.importer.capture_file import CaptureSummary
+from ..irgspp_addon.importer.photographs import BarePhotographs
+from ..irgspp_addon.properties import beside
+from .capture_state import bare_photographs
+from .job_card import draw_last
+from .run_state import resolved
+from .sidebar import button, say, settings_column
+
+SHOWN = 4  # photographs left out that the panel names
+
+
+def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path, capture: CaptureSummary | None) -> bool:
+    """Draw the button that finds cameras, and its job; return False where the dataset has its cameras.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        dataset: that the user chose.
+        capture: summary of its capture.json; None without one.
+    """
+    bare = None if capture else bare_photographs(dataset)
+    if bare is not None:
+        say(layout, context, f"Photographs without cameras: {count_in_words(bare)}", icon="INFO")
+    elif capture is not None and capture.status == "running":
+        say(layout, context, "The cameras of these photographs are not all found yet; Find Cameras goes on.", icon="INFO")
+    else:
+        return False
+    settings_column(layout).prop(context.scene.irgspp, "capture_marker")
+    column = layout.column()
+    column.scale_y = 1.3
+    column.enabled = engine.status().usable
+    button(column, "irgspp.capture", "Find Cameras", "CAMERA_DATA", directory=str(dataset))
+    place = resolved(dataset) or dataset
+    draw_last(layout, context, "capture", place if capture else beside(place, "_capture"))
+    return True
+
+
+def count_in_words(bare: BarePhotographs) -> str:
+    """Return the number of photographs and videos as "23 files" or "1 video, 3 files"."""
+    parts = [f"{n} {word}{'' if n == 1 else 's'}" for n, word in ((bare.videos, "video"), (bare.photographs, "file")) if n]
+    return ", ".join(parts) + ("" if bare.complete else " and more")
+
+
+def draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path, capture: CaptureSummary | None) -> None:
+    """Draw what a capture found and left out, and the buttons that show its report.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        dataset: folder of the capture.
+        capture: summary of its capture.json; None without one.
+    """
+    if capture is None or capture.status != "done":
+        return
+    box = layout.box()
+    for name, text in capture_rows(capture):
+        row = box.split(factor=0.27)
+        say(row, context, name)
+        say(row, context, text, width=0.73)
+    for name, reason in capture.left_out[:SHOWN]:
+        say(box, context, f"Left out {name}: {reason}", icon="ERROR")
+    if len(capture.left_out) > SHOWN:
+        say(box, context, f"and {len(capture.left_out) - SHOWN} more; the report names them", icon="BLANK1")
+    row = box.row(align=True)
+    button(row, "wm.path_open", "Report", "URL", filepath=str(dataset / "report.html"))
+    button(row, "irgspp.show_image", "Contact Sheet", "IMAGE_DATA", filepath=str(dataset / "contact_sheet.png"))
+
+
+def capture_rows(capture: CaptureSummary) -> list[tuple[str, str]]:
+    """Return names and texts of what a capture found: photographs, masks, size."""
+    left_out = f", {len(capture.left_out)} left out" if capture.left_out else ""
+    doubtful = f", {len(capture.doubtful)} doubtful: {', '.join(capture.doubtful[:SHOWN])}" if capture.doubtful else ""
+    masks = f"{capture.masked}{doubtful}" if capture.masked else "none: the whole scene is reconstructed"
+    size = "true, in metres" if capture.true_size else "unknown; a printed marker in the photographs would tell"
+    return [("Used", f"{capture.used} photographs{left_out}"), ("Masks", masks), ("Size", size)]

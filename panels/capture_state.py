@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What panels show of folders of photographs and captures, looked at every two seconds at most however often panels are drawn."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..irgspp_addon.importer.capture_file import CaptureSummary, read_capture
+from ..irgspp_addon.importer.photographs import BarePhotographs, find_bare_photographs
+
+CHECK_SECONDS = 2.0  # between two looks at the same folder
+
+_known: dict[tuple[Any, Path], tuple[float, Any]] = {}  # by function and folder: when it was looked at, and the result
+
+
+def capture_of(folder: Path | None) -> CaptureSummary | None:
+    """Return the summary of a captured dataset; None for other folders."""
+    return _look(read_capture, folder)
+
+
+def bare_photographs(folder: Path | None) -> BarePhotographs | None:
+    """Return the photographs of a folder without cameras, or a video; None for anything else."""
+    return _look(find_bare_photographs, folder)
+
+
+def forget() -> None:
+    """Look at all folders again when they are asked for next."""
+    _known.clear()
+
+
+def _look(function: Callable[[Path], Any], folder: Path | None) -> Any:
+    if folder is None:
+        return None
+    now = time.monotonic()
+    looked, result = _known.get((function, folder), (-CHECK_SECONDS, None))
+    if now - looked >= CHECK_SECONDS:
+        result = function(folder)
+        _known[function, folder] = (now, result)
+    return result

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The dataset's panel for photographs without cameras, for what a capture found, and the panel in which masks are painted."""
+
+import json
+import time
+from types import SimpleNamespace
+
+import bpy
+import irgspp
+import pytest
+from irgspp.irgspp_addon.engine import process as engine
+from irgspp.irgspp_addon.importer.mask_image import MASK
+from irgspp.irgspp_addon.importer.object_sphere import BOUND
+from irgspp.irgspp_addon.importer.ownership import KEY
+from irgspp.irgspp_addon.jobs import queue as jobs
+from irgspp.irgspp_addon.jobs.job import Job
+from irgspp.irgspp_addon.properties import show_jobs
+from irgspp.panels import capture_state, dataset, mask, reconstruct, run_state
+from recording_layout import draw
+
+
+@pytest.fixture
+def settings():
+    bpy.ops.wm.read_homefile(use_empty=True)
+    irgspp.register()
+    run_state._known.clear()
+    capture_state.forget()
+    jobs.clear()
+    show_jobs([])
+    yield bpy.context.scene.irgspp
+    irgspp.unregister()
+
+
+@pytest.fixture
+def photos(tmp_path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for name in ("a.jpg", "b.jpg", "c.png"):
+        (folder / name).touch()
+    return folder
+
+
+def write_capture(folder, **values):
+    state = {
+        "format": "irgspp-capture",
+        "status": "done",
+        "inputs": {"source": "/photos"},
+        "metres_per_unit": None,
+        "photographs": [{"name": f"{i}", "mask": "found"} for i in range(8)],
+        "left_out": [],
+    }
+    folder.mkdir(exist_ok=True)
+    (folder / "capture.json").write_text(json.dumps(state | values))
+    capture_state.forget()
+    return folder
+
+
+def test_photographs_without_cameras_offer_to_find_them(settings, photos):
+    settings.dataset = str(photos)
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert "Photographs without cameras: 3 files" in drawn.words and "capture_marker" in drawn.properties
+    (button,) = drawn.buttons("irgspp.capture")
+    assert (button.text, button.values, button.live) == ("Find Cameras", {"directory": str(photos)}, engine.status().usable)
+    assert not drawn.buttons("irgspp.import_dataset") and not drawn.buttons("irgspp.inspect_dataset")
+    start = draw(reconstruct.IRGSPP_PT_reconstruct)
+    assert start.buttons("irgspp.reconstruct")[0].live == engine.status().usable
+    assert not engine.status().usable or "The cameras are found first" in start.words
+    (photos / "transforms.json").touch()
+    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")  # the folder is not looked at each time
+    capture_state.forget()
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert not drawn.buttons("irgspp.capture") and drawn.buttons("irgspp.import_dataset")
+
+
+def test_without_an_engine_there_is_no_finding(settings, photos, monkeypatch):
+    monkeypatch.setattr(engine, "status", lambda: engine.Status("missing", "No engine"))
+    settings.dataset = str(photos)
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")[0].live
+
+
+def test_a_video_can_be_chosen(settings, tmp_path):
+    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.choose_video")
+    (tmp_path / "turn.mp4").touch()
+    settings.dataset = str(tmp_path / "turn.mp4")
+    assert "Photographs without cameras: 1 video" in draw(dataset.IRGSPP_PT_dataset).words
+
+
+def test_the_job_is_shown_below_its_button(settings, photos):
+    settings.dataset = str(photos)
+    folder = photos.resolve().with_name("photos_capture")
+    job = Job("j1", "capture", "Find cameras of photos", folder, photos, state="running", phase="match photographs", step=1, of=4)
+    job.data, job.made = {"run": str(folder)}, time.time() + 1
+    jobs._jobs[job.id] = job
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert ("progress", 0.25, "25 %") in drawn.drawn and "Step 3 of 6: Matching photographs" in drawn.words
+    job.state, job.error = "failed", "the photographs do not overlap"
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert "the photographs do not overlap" in drawn.words and not drawn.buttons("irgspp.job_resume")  # nothing to go on from
+    write_capture(folder, status="running")
+    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.job_resume")[0].values == {"job": "j1"}
+
+
+def test_a_stopped_capture_goes_on_from_its_folder(settings, tmp_path):
+    settings.dataset = str(write_capture(tmp_path / "x_capture", status="running"))
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert "Find Cameras goes on" in drawn.words and drawn.buttons("irgspp.capture") and not drawn.buttons("irgspp.import_dataset")
+
+
+def test_what_a_capture_found_and_left_out(settings, tmp_path):
+    left_out = [{"name": f"IMG_{i}.jpg", "reason": "blurred"} for i in range(6)]
+    photographs = [{"name": "a", "mask": "found"}, {"name": "b", "mask": "touches the border"}, {"name": "c", "mask": "none"}]
+    folder = write_capture(tmp_path / "x_capture", left_out=left_out, photographs=photographs)
+    settings.dataset = str(folder)
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert "Used 3 photographs, 6 left out" in drawn.words and "Masks 2, 1 doubtful: b" in drawn.words
+    assert "Left out IMG_3.jpg: blurred" in drawn.words and "IMG_4.jpg" not in drawn.words and "2 more" in drawn.words
+    assert "unknown; a printed marker" in drawn.words and drawn.buttons("irgspp.import_dataset")
+    assert drawn.buttons("wm.path_open")[0].values == {"filepath": str(folder / "report.html")}
+    assert drawn.buttons("irgspp.show_image")[0].values == {"filepath": str(folder / "contact_sheet.png")}
+    write_capture(folder, metres_per_unit=1.0, photographs=[{"name": "a", "mask": "none"}])
+    words = draw(dataset.IRGSPP_PT_dataset).words
+    assert "true, in metres" in words and "none: the whole scene is reconstructed" in words
+    (folder / "capture.json").write_text("{")
+    capture_state.forget()
+    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.inspect_dataset")  # which says what is wrong
+
+
+def test_the_sphere_is_named_where_it_counts(settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "status", lambda: engine.Status("ok", "Engine 1"))
+    settings.dataset = str(write_capture(tmp_path / "x_capture"))
+    assert "sphere" not in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    sphere = bpy.data.objects.new("x object", None)
+    bpy.context.scene.collection.objects.link(sphere)
+    sphere[KEY], sphere[BOUND] = f"{(tmp_path / 'x_capture').resolve()}#object", [0.0, 0.0, 0.0, 1.0]
+    sphere.empty_display_size = 1.0
+    assert "Move or scale the sphere x object" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    sphere.location.x = 0.1
+    assert "What is inside the sphere x object is reconstructed" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+
+
+def test_masks_are_edited_from_a_captured_camera(settings, tmp_path):
+    folder = write_capture(tmp_path / "x_capture").resolve()
+    settings.dataset = str(folder)
+    camera = bpy.data.objects.new("train a", bpy.data.cameras.new("a"))
+    camera.data["width"], camera[KEY] = 90, f"{folder}#camera train a"
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.view_layer.update()
+    bpy.context.view_layer.objects.active = camera
+    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.edit_mask")[0].values == {"camera": "train a"}
+    (folder / "capture.json").unlink()
+    drawn = draw(dataset.IRGSPP_PT_dataset)
+    assert not drawn.buttons("irgspp.edit_mask") and drawn.buttons("irgspp.look_through")
+
+
+def test_the_panel_of_a_mask_is_in_the_image_editor(settings):
+    panel, image = mask.IRGSPP_PT_mask, bpy.data.images.new("mask", 4, 4)
+    assert (panel.bl_space_type, panel.bl_category) == ("IMAGE_EDITOR", "IRGS++")
+    editor = SimpleNamespace(space_data=SimpleNamespace(image=image))
+    assert not panel.poll(editor) and not panel.poll(SimpleNamespace(space_data=None))
+    image[MASK] = "/masks/a.png"
+    assert panel.poll(editor)
+    drawn = draw(panel)
+    assert [button.values["value"] for button in drawn.buttons("wm.context_set_enum")] == ["ERASE_ALPHA", "ADD_ALPHA"]
+    assert drawn.buttons("irgspp.save_masks")[0].live
+    assert bpy.ops.irgspp.save_masks() == {"FINISHED"}
