@@ -77,7 +77,6 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     photographs, left_out = read_photographs(source, folder, settings, progress)
     _report_left_out(left_out, progress)
     model = find_poses(photographs, folder, settings, seed, progress)
-    _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
     found = _masks(model, images, settings, seed, progress)
     gains = exposure_gains(model, [one.view for one in images])

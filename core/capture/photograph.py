@@ -19,7 +19,6 @@ class Photograph:
         lens: key of the camera and its lens; photographs with the same key share their intrinsics.
         focal: focal length in pixels of the copy by EXIF, or None.
         exposure: exposure time x ISO / f-number^2 by EXIF, seconds; None where it is not stated.
-        mask: mask of the copy that the person gave (file mask or alpha channel), or None.
         turned: quarter turns anticlockwise from the stored pixels to the copy (EXIF orientation), 0..3.
         mask: given mask, 8-bit PNG of the copy's size with 255 on the object, or None.
     """

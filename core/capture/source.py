@@ -9,7 +9,7 @@ from ..datasets.format_detection import NoDataset, parse_dataset
 from ..datasets.formats.captured import FILE, load_capture
 from ..errors import InputError
 from ..settings.schema import DataSettings
-from .photograph_files import VIDEO_SUFFIXES, has_photographs
+from .photograph_files import VIDEOS, has_photographs
 
 FOLDER = "capture"  # in a run folder whose photographs came without cameras
 
@@ -21,7 +21,7 @@ def needs_capture(path: Path) -> bool:
         path: what the user named as dataset.
     """
     if path.is_file():
-        return path.suffix.lower() in VIDEO_SUFFIXES
+        return path.suffix.lower() in VIDEOS
     if not path.is_dir():
         return False
     try:
