@@ -209,5 +209,7 @@ def test_raw_keeps_exposure(tmp_path, writers):
     dark, bright = (decode_photograph(tmp_path / f"{n}.dng") for n in ("dark", "bright"))
     levels = [decode_srgb(p.colour[16, 16] / 65535) for p in (dark, bright)]
     assert np.allclose(levels[1] / levels[0], 18, rtol=0.01)
-    assert dark.shot.exposure == pytest.approx(200 / 60 / 1.8**2, rel=1e-3) and dark.shot.focal == pytest.approx(28 * 32 / 36 * np.sqrt(18 / 13))
+    assert dark.shot.exposure == pytest.approx(200 / 60 / 1.8**2, rel=1e-3) and dark.shot.focal == pytest.approx(
+        28 * 32 / 36 * np.sqrt(18 / 13)
+    )
     assert dark.shot.lens == "Lab|Camera||4.5 mm"

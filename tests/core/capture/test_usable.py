@@ -91,7 +91,9 @@ def test_near_identical_photographs_name_their_twin(walk, gain):
 
 def test_sharper_twin_is_kept(walk):
     soft = cv2.GaussianBlur(walk[4], (0, 0), 0.8)
-    assert left_out([*walk[:4], soft, *walk[5:], view(40 * 4 + 0.5, 15 * 4, 99)])[0] == {"v4": "near-identical to v12: taken from the same place"}
+    assert left_out([*walk[:4], soft, *walk[5:], view(40 * 4 + 0.5, 15 * 4, 99)])[0] == {
+        "v4": "near-identical to v12: taken from the same place"
+    }
 
 
 @pytest.mark.parametrize(("shift", "parallax", "same"), [(0, 0, True), (2, 0, True), (8, 0, False), (0, 1.5, False), (2, -2, False)])
