@@ -101,6 +101,13 @@ def test_same_place_is_where_nothing_shifts_against_the_background(shift, parall
     assert same_place(view(), view(shift, parallax, 1)) == same
 
 
+def test_small_object_on_a_turntable_is_seen_to_move():
+    first, second = view(noise=1), view(noise=2)
+    for image, shift in ((first, 0), (second, 2)):
+        image[90:150, 130:190] = view(500 + shift)[90:150, 130:190]  # 5 % of the picture
+    assert not same_place(first, second)
+
+
 def test_no_texture_is_no_evidence_of_the_same_place():
     flat = np.full(SIZE, 100, np.uint8)
     assert not same_place(flat, flat)
