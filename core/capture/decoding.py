@@ -15,6 +15,7 @@ from PIL import Image
 from ..errors import InputError
 from ..io.exr import MAX_PIXELS, check_filled, check_pixels
 from ..io.image import image_size
+from .coded_colour import coded_to_srgb, is_srgb
 from .colour_profile import UnusableProfileError, to_srgb
 from .exif import Orientation, Shot, read_shot
 from .photograph_files import RAW
@@ -143,7 +144,11 @@ def _with_profile(image: Image.Image, profile: bytes | None, notes: list[str]) -
     alpha = [np.asarray(image.convert("RGBA"))[..., 3]] if clear else []
     base = image if image.mode in ("RGB", "L", "CMYK") else image.convert("RGB")
     converted = _convert(base, profile, notes) if profile else None
-    return np.dstack([np.asarray(converted or base.convert("RGB")), *alpha]), converted
+    colour = np.asarray(converted or base.convert("RGB"))
+    coded = image.info.get("nclx_profile")  # of HEIC
+    if coded and not profile and not is_srgb(coded["transfer_characteristics"], coded["color_primaries"]):
+        colour = coded_to_srgb(colour, coded["transfer_characteristics"], coded["color_primaries"])
+    return np.dstack([colour, *alpha]), converted
 
 
 def _convert(image: Image.Image, profile: bytes, notes: list[str]) -> Image.Image | None:

@@ -27,10 +27,11 @@ SOFT = -1.45  # median log2 energy ratio below which all photographs are blurred
 TINY = 16  # side of the pictures that are compared all with all, pixels
 SIMILAR = 0.95  # normalised correlation of these above which displacements are measured; a displacement of MOVED leaves 0.99
 FEATURES, FEWEST, WINDOW = 300, 30, 15  # tracked corners, fewest of them, and side of their windows in pixels
-TRACKED = 0.9  # fraction of corners that must be found again, forwards and backwards, within RETURN pixels
+TRACKED = 0.95  # fraction of corners that must be found again, forwards and backwards, within RETURN pixels
 RETURN = 0.5
 MOVED = 4.0  # median displacement up to which photographs are near-identical, pixels of THUMBNAIL
-PARALLAX = 0.5  # of 95 % of the corners, beyond a homography: no more than the noise of tracking, pixels of THUMBNAIL
+STILL = 98  # percentage of the corners that must not move beyond a homography: an object on a turntable may be small
+PARALLAX = 0.6  # up to which they do not, pixels of THUMBNAIL: the noise of tracking is half of it
 CLEARER = 0.15  # octaves by which the second photograph must be sharper to be kept in place of the first
 
 
@@ -192,4 +193,4 @@ def same_place(first: np.ndarray, second: np.ndarray) -> bool:
     if plane is None:
         return False
     left = np.linalg.norm(cv2.perspectiveTransform(start[:, None], plane)[:, 0] - end, axis=1)
-    return bool(np.percentile(left, 95) < PARALLAX)
+    return bool(np.percentile(left, STILL) < PARALLAX)

@@ -55,7 +55,9 @@ def _count(type: int, value: Any) -> int:
     return count // 2 if type in (RATIONAL, SIGNED) else count
 
 
-def write_video(path: Path, frames: Iterable[np.ndarray], turned: int = 0, codec: str = "libx264", times: list[int] | None = None, **options: Any) -> None:
+def write_video(
+    path: Path, frames: Iterable[np.ndarray], turned: int = 0, codec: str = "libx264", times: list[int] | None = None, **options: Any
+) -> None:
     """Write a video of 30 frames a second.
 
     Args:

@@ -128,6 +128,15 @@ def test_display_p3_is_converted(tmp_path, suffix):
     assert not found.unchanged and not found.notes
 
 
+def test_heic_with_numbered_colours(tmp_path):
+    colour = np.full((16, 16, 3), (200, 120, 60), np.uint8)
+    options = {"color_primaries": 12, "transfer_characteristics": 13, "matrix_coefficients": 6, "full_range_flag": 1, "quality": 98}
+    Image.fromarray(colour).save(tmp_path / "a.heic", save_nclx_profile=True, **options)
+    rec709 = to_xyz(((0.64, 0.33), (0.30, 0.60), (0.15, 0.06)))
+    right = 255 * encode_srgb(np.linalg.solve(rec709, to_xyz(P3) @ decode_srgb(colour[0, 0] / 255)))
+    assert np.abs(decode_photograph(tmp_path / "a.heic").colour[8, 8] - right).max() < 5
+
+
 def test_sixteen_bits_of_another_profile_become_eight_and_say_so(tmp_path):
     pixels = np.full((8, 8, 3), (60, 120, 200), np.uint16) * 257
     data = cv2.imencode(".png", pixels)[1].tobytes()
@@ -209,5 +218,7 @@ def test_raw_keeps_exposure(tmp_path, writers):
     dark, bright = (decode_photograph(tmp_path / f"{n}.dng") for n in ("dark", "bright"))
     levels = [decode_srgb(p.colour[16, 16] / 65535) for p in (dark, bright)]
     assert np.allclose(levels[1] / levels[0], 18, rtol=0.01)
-    assert dark.shot.exposure == pytest.approx(200 / 60 / 1.8**2, rel=1e-3) and dark.shot.focal == pytest.approx(28 * 32 / 36 * np.sqrt(18 / 13))
+    assert dark.shot.exposure == pytest.approx(200 / 60 / 1.8**2, rel=1e-3) and dark.shot.focal == pytest.approx(
+        28 * 32 / 36 * np.sqrt(18 / 13)
+    )
     assert dark.shot.lens == "Lab|Camera||4.5 mm"

@@ -45,7 +45,9 @@ def test_masks_beside_the_folder(tmp_path, beside):
     assert found(tmp_path / "images", "a.jpg", []) == beside
 
 
-@pytest.mark.parametrize(("photograph", "mask"), [("a.jpg", "masks/b.png"), ("one/a.jpg", "masks/a.png"), ("images_4/a.jpg", "masks_8/a.png")])
+@pytest.mark.parametrize(
+    ("photograph", "mask"), [("a.jpg", "masks/b.png"), ("one/a.jpg", "masks/a.png"), ("images_4/a.jpg", "masks_8/a.png")]
+)
 def test_masks_of_others(tmp_path, photograph, mask):
     assert found(tmp_path / "set", photograph, [mask]) is None
 

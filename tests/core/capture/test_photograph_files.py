@@ -20,7 +20,19 @@ def relative(files, root):
 
 
 def test_photographs_are_found_below_the_folder_in_natural_order(tmp_path):
-    made(tmp_path, "IMG_10.JPG", "IMG_2.jpeg", "b/1.png", "a/x.HEIC", "a/y.tif", "z.webp", "r.NEF", "notes.txt", ".hidden.jpg", ".trash/a.jpg")
+    made(
+        tmp_path,
+        "IMG_10.JPG",
+        "IMG_2.jpeg",
+        "b/1.png",
+        "a/x.HEIC",
+        "a/y.tif",
+        "z.webp",
+        "r.NEF",
+        "notes.txt",
+        ".hidden.jpg",
+        ".trash/a.jpg",
+    )
     found = find_photographs(tmp_path)
     assert relative(found.photographs, tmp_path) == ["IMG_2.jpeg", "IMG_10.JPG", "a/x.HEIC", "a/y.tif", "b/1.png", "r.NEF", "z.webp"]
     assert not found.videos and not found.notes and found.root == tmp_path

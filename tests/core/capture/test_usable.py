@@ -91,12 +91,21 @@ def test_near_identical_photographs_name_their_twin(walk, gain):
 
 def test_sharper_twin_is_kept(walk):
     soft = cv2.GaussianBlur(walk[4], (0, 0), 0.8)
-    assert left_out([*walk[:4], soft, *walk[5:], view(40 * 4 + 0.5, 15 * 4, 99)])[0] == {"v4": "near-identical to v12: taken from the same place"}
+    assert left_out([*walk[:4], soft, *walk[5:], view(40 * 4 + 0.5, 15 * 4, 99)])[0] == {
+        "v4": "near-identical to v12: taken from the same place"
+    }
 
 
 @pytest.mark.parametrize(("shift", "parallax", "same"), [(0, 0, True), (2, 0, True), (8, 0, False), (0, 1.5, False), (2, -2, False)])
 def test_same_place_is_where_nothing_shifts_against_the_background(shift, parallax, same):
     assert same_place(view(), view(shift, parallax, 1)) == same
+
+
+def test_small_object_on_a_turntable_is_seen_to_move():
+    first, second = view(noise=1), view(noise=2)
+    for image, shift in ((first, 0), (second, 2)):
+        image[90:150, 130:190] = view(500 + shift)[90:150, 130:190]  # 5 % of the picture
+    assert not same_place(first, second)
 
 
 def test_no_texture_is_no_evidence_of_the_same_place():
