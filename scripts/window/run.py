@@ -53,6 +53,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("-o", dest="output", type=Path, required=True, help="folder for the images")
     parser.add_argument("--story", choices=STORIES, default="story_first_day", help="story to run (default: story_first_day)")
     parser.add_argument("--run", type=Path, help="a finished run's folder, for story_result; a copy is used")
+    parser.add_argument("--photographs", type=Path, help="a folder of photographs without cameras, for story_capture; a copy is used")
     parser.add_argument("--blender", default="blender", help="Blender's executable")
     parser.add_argument("--size", default="1600x1000", help="of the window (default: 1600x1000)")
     parser.add_argument("--timeout", type=float, default=900.0, help="seconds (default: 900)")
@@ -61,6 +62,10 @@ def arguments() -> argparse.Namespace:
         os.environ["IRGSPP_RUN"] = str(args.run.resolve())
     elif args.story == "story_result":
         parser.error("--run is needed for story_result")
+    if args.photographs:
+        os.environ["IRGSPP_PHOTOGRAPHS"] = str(args.photographs.resolve())
+    elif args.story == "story_capture":
+        parser.error("--photographs is needed for story_capture")
     return args
 
 

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Masks to paint on: opened over their photograph, saved as the engine reads them, never saved unless painted."""
 
+import json
 import shutil
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from blender_side import ROOT, in_engine, read_image
 from irgspp.core.errors import InputError
-from irgspp.core.io.image import read_mask
 from irgspp.irgspp_addon.importer import mask_image
 from irgspp.irgspp_addon.importer.mask_image import DIM, is_captured_camera, open_mask, save_masks
 from irgspp.irgspp_addon.importer.ownership import KEY
@@ -25,6 +26,11 @@ def captured(tmp_path_factory):
 def folder(captured, tmp_path):
     bpy.ops.wm.read_homefile(use_empty=True)
     return shutil.copytree(captured, tmp_path / "copy").resolve()
+
+
+def read_mask(file: Path) -> np.ndarray:
+    """A mask (H, W) as the engine reads it."""
+    return np.array(json.loads(in_engine(ROOT / "tests" / "support" / "mask_values.py", file)), np.float32)
 
 
 def camera(folder, name: str) -> bpy.types.Object:

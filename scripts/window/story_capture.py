@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Story of bare photographs (run.py --photographs): find their cameras, look at masks and the object's sphere, reconstruct a draft."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator, Iterator
+from pathlib import Path
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+
+import bpy
+import browsing
+import driver
+
+PATIENCE = 3000.0  # seconds for a capture, and for a reconstruction
+
+
+def story() -> Iterator[float]:
+    """Run the story."""
+    work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
+    photographs = Path(shutil.copytree(os.environ["IRGSPP_PHOTOGRAPHS"], work / "photos"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(work / "capture.blend"))
+    for name in ("Cube", "Light", "Camera"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    driver.view3d().spaces[0].overlay.show_relationship_lines = False
+    time_callbacks()
+    bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
+    yield from driver.open_sidebar("IRGS++")
+    yield from browsing.press_button("irgspp.check_engine")
+    yield from driver.wait(lambda: driver.extension_module("irgspp_addon.engine.process").status().state == "ok", 120)
+    yield from find_cameras(photographs)
+    yield from look_at_masks()
+    yield from reconstruct()
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def time_callbacks() -> None:
+    """Time what blocks Blender: every panel's drawing and the polling of jobs."""
+    driver.time_calls(driver.extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
+    for cls in driver.extension_module("panels.registration").CLASSES:
+        if issubclass(cls, bpy.types.Panel) and "draw" in vars(cls):
+            driver.time_calls(cls, "draw", f"{cls.__name__}.draw")
+
+
+def find_cameras(photographs: Path) -> Iterator[float]:
+    """Choose the photographs, press Find Cameras, and wait until cameras, points and the sphere are in the scene."""
+    settings = bpy.context.scene.irgspp
+    settings.dataset = f"//{photographs.name}"
+    yield 1.0
+    driver.sidebar_shot("70_photographs")
+    yield from browsing.press_button("irgspp.capture")
+    job = yield from browsing.started_job()
+    assert job.kind == "capture", job.kind
+    yield from driver.wait(lambda: job.finished or (job.phase == "match photographs" and job.step), PATIENCE)
+    yield 1.0
+    driver.shot("71_matching")
+    driver.sidebar_shot("71_matching_sidebar")
+    yield from driver.wait(lambda: job.finished or job.phase == "dense points", PATIENCE)
+    driver.sidebar_shot("72_cutting_out")
+    yield from driver.wait(lambda: job.finished, PATIENCE)
+    assert job.state == "done" and not job.error, (job.state, job.error)
+    yield from driver.wait(lambda: sphere() is not None, 300)
+    yield from browsing.frame_selected()
+    with driver.override():
+        bpy.ops.view3d.view_all(use_all_regions=False)
+    yield 1.0
+    driver.shot("73_cameras_and_sphere")
+    driver.sidebar_shot("73_cameras_sidebar")
+    assert settings.dataset_path().name == "photos_capture", settings.dataset
+    assert any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects)
+
+
+def sphere() -> bpy.types.Object | None:
+    """Return the sphere around the object; None before the import."""
+    return next((thing for thing in bpy.context.scene.objects if thing.type == "EMPTY" and thing.empty_display_type == "SPHERE"), None)
+
+
+def look_at_masks() -> Iterator[float]:
+    """Show the contact sheet, paint on a mask by the mouse, and save it."""
+    yield from browsing.press_button("irgspp.show_image", across=0.7)
+    yield 2.0
+    driver.shot("74_contact_sheet")
+    yield from browsing.close_other_windows()
+    camera = next(thing for thing in bpy.context.scene.objects if thing.type == "CAMERA")
+    with driver.override():
+        bpy.ops.object.select_all(action="DESELECT")
+    camera.select_set(True)
+    bpy.context.view_layer.objects.active = camera
+    yield 1.0
+    editor = yield from open_image_editor()
+    yield from browsing.press_button("irgspp.edit_mask")
+    yield 3.0
+    masks = driver.extension_module("irgspp_addon.importer.mask_image")
+    image = editor.spaces.active.image
+    assert image is not None and masks.MASK in image, image
+    driver.shot("75_mask")
+    mask = Path(image[masks.MASK])
+    before = mask.read_bytes() if mask.is_file() else b""
+    paint_across(driver.region("WINDOW", editor))
+    yield 3.0
+    driver.shot("76_mask_painted")
+    bpy.ops.irgspp.save_masks()
+    assert mask.read_bytes() != before, "the mask was not painted on"
+    if before:
+        mask.write_bytes(before)  # the reconstruction is to see the mask as it was found
+    with bpy.context.temp_override(window=driver.window(), area=editor):
+        bpy.ops.screen.area_close()
+    yield 1.0
+
+
+def open_image_editor() -> Generator[float, None, bpy.types.Area]:
+    """Open an Image Editor in a part of the 3D View's area, and return it."""
+    before = {area.as_pointer() for area in driver.window().screen.areas}
+    with driver.override():
+        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
+    new = next(area for area in driver.window().screen.areas if area.as_pointer() not in before)
+    new.ui_type = "IMAGE_EDITOR"
+    yield 1.0
+    return new
+
+
+def paint_across(place: bpy.types.Region) -> None:
+    """Draw a stroke across the middle of an Image Editor."""
+    x, y = place.x + 0.35 * place.width, driver.window().height - (place.y + 0.5 * place.height)
+    words = ["xdotool", "mousemove", f"{x:.0f}", f"{y:.0f}", "sleep", "0.3", "mousedown", "1"]
+    for step in range(1, 11):
+        words += ["mousemove", f"{x + 0.03 * step * place.width:.0f}", f"{y:.0f}", "sleep", "0.05"]
+    subprocess.Popen([*words, "mouseup", "1"])
+
+
+def reconstruct() -> Iterator[float]:
+    """Reconstruct a draft of what the sphere surrounds, and look at the object."""
+    settings = bpy.context.scene.irgspp
+    settings.preset = "draft"
+    yield from browsing.scrolled("scroll_up")
+    yield from browsing.press_button("irgspp.reconstruct")
+    job = yield from browsing.started_job()
+    yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), PATIENCE)
+    yield 1.0
+    driver.shot("77_reconstructing")
+    driver.sidebar_shot("77_reconstructing_sidebar")
+    yield from driver.wait(lambda: job.finished, PATIENCE)
+    yield 2.0
+    assert job.state == "done" and not job.error, (job.state, job.error)
+    assert any(thing.type == "MESH" and len(thing.data.polygons) > 1000 for thing in bpy.context.scene.objects)
+    yield from browsing.frame_selected()
+    driver.shot("78_object")
+    driver.view3d().spaces[0].shading.type = "MATERIAL"
+    yield 40.0  # shaders are compiled
+    driver.shot("79_object_material")
+    driver.sidebar_shot("79_object_sidebar")
+
+
+driver.run_story(story)
