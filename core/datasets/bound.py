@@ -217,7 +217,8 @@ def _shows_whole_object(mask: np.ndarray) -> bool:
 
 def _in_image(camera: Camera, pixel: np.ndarray, depth: np.ndarray, margin: float = 0.0) -> np.ndarray:
     """Return (N,) bool, True for projected points in front of the camera and inside its image, or at most `margin` pixels outside."""
-    return (depth > 0) & (pixel >= -margin).all(-1) & (pixel < np.array([camera.width, camera.height]) + margin).all(-1)
+    x, y = pixel[:, 0], pixel[:, 1]  # reductions over an axis of two are several times slower
+    return (depth > 0) & (x >= -margin) & (y >= -margin) & (x < camera.width + margin) & (y < camera.height + margin)
 
 
 def _sphere(centre: np.ndarray, radius: float, cameras: Sequence[Camera]) -> Bound:

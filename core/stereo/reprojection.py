@@ -48,7 +48,7 @@ def reprojection_errors(
 def add_differences(own, its, depth, other_depth, colour, other_colour, relative, total, count):
     """Add a source's colour differences to `total` (H, W) and 1 to `count` where it sees the pixel's point.
 
-    own and its: `camera_matrices` of the two views.
+    own and its: `camera_matrices` of the two views. Reference: `core.kernels.reference.reprojection`.
     """
     height, width = other_depth.shape
     for row in range(depth.shape[0]):

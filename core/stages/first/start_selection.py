@@ -52,11 +52,18 @@ def select_start(
     if choice == "on":
         better, evidence = True, "as set"
     elif dataset.has_alpha:
-        better, evidence = start.better > 0, f"photographs agree better at stereo's depth on {start.better:.0%} of the surface"
+        better, evidence = start.share > 0, _share_in_words(start.share)
     else:
         better, evidence = _trial(dataset, settings, plain, stereo, material_class, progress, crop, plain_psnr)
     progress.decided("stereo", better, evidence)
     return stereo if better else plain
+
+
+def _share_in_words(share: float) -> str:
+    """Return the evidence with masks: the fraction of the surfels that lie on stereo's points."""
+    if share == 0:
+        return "nowhere do the photographs agree better at a stereo depth that is more than a pixel off the visual hull"
+    return f"{share:.1%} of the surfels lie on stereo's points, where the photographs agree better than on the visual hull"
 
 
 def _trial(

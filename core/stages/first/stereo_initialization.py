@@ -40,11 +40,11 @@ class StereoStart:
 
     Attributes:
         gaussians: on stereo's points and elsewhere.
-        better: share of stereo's points around which the photographs agree better at stereo's depth than at the hull's; 1 without masks.
+        share: fraction of them that lie on stereo's points.
     """
 
     gaussians: Gaussians
-    better: float
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,18 +80,15 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     if not dataset.has_alpha:
         known = None if dataset.points is None else dataset.points.position
         found = _search(dataset, depth_bounds(dataset), known, count, seed, progress)
-        return None if found is None else StereoStart(_with_random_points(dataset, found, count, rng), 1.0)
+        return None if found is None else _with_random_points(dataset, found, count, rng)
     hull = visual_hull(dataset.train, dataset.bound)
     bounds = hull_bounds(dataset, hull)
     found = _search(dataset, bounds, None, count, seed, progress)
     if found is None:
         return None
-    evidence = _evidence(dataset, found.maps, bounds[2])
-    chosen = evidence.ratio(found.points.position) < BETTER
-    better = float(chosen.mean())
-    if everywhere or better > EVERYWHERE:
-        chosen, evidence = np.ones_like(chosen), None
-    return StereoStart(_with_hull(dataset, found, hull, chosen, evidence, count, rng), better)
+    other, other_normal, _ = hull.sample(count, rng)
+    chosen, kept = _regions(dataset, found, bounds[2], other, everywhere)
+    return _with_hull(dataset, found, chosen, (other, other_normal), kept, count)
 
 
 def _search(
@@ -117,33 +114,46 @@ def _evidence(dataset: Dataset, maps: list[DepthMap], hull_depth: list[np.ndarra
     return DepthEvidence.collect(dataset.train, dataset.bound, (hull_depth, stereo), sources, StereoSettings().relative_depth)
 
 
+def _regions(
+    dataset: Dataset, found: _Found, hull_depth: list[np.ndarray], other: np.ndarray, everywhere: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Divide the surface between stereo and the hull; see `from_stereo`.
+
+    Args:
+        dataset: views with masks.
+        found: by stereo, N points.
+        hull_depth: (H, W) of each view.
+        other: (M, 3) points of the hull.
+        everywhere: take all of stereo's points.
+
+    Returns:
+        (N,) True for the points of stereo that are taken, (M,) True for those of the hull that are kept whatever lies near them.
+    """
+    points, evidence = found.points.position, _evidence(dataset, found.maps, hull_depth)
+    better = evidence.ratio(points) < BETTER
+    if everywhere or better.mean() > EVERYWHERE:
+        return np.ones(len(points), bool), np.zeros(len(other), bool)
+    # Stereo's noise is about a pixel: where it is so near to the hull, the hull is the better start.
+    size = pixel_size(dataset)
+    apart = KDTree(other).query(points, workers=-1)[0] > size
+    agreed = KDTree(points).query(other, workers=-1)[0] <= size
+    return better & apart, agreed | (evidence.ratio(other) >= BETTER)
+
+
 def _with_hull(
-    dataset: Dataset,
-    found: _Found,
-    hull: VisualHull,
-    chosen: np.ndarray,
-    evidence: DepthEvidence | None,
-    count: int,
-    rng: np.random.Generator,
-) -> Gaussians:
-    """Place surfels on the chosen points of stereo, and on the hull where it fits no worse or no stereo point is near."""
-    other, other_normal, _ = hull.sample(count, rng)
-    if evidence is not None:  # stereo's noise is about a pixel: where it is so near to the hull, the hull is the better start
-        size = pixel_size(dataset)
-        chosen = chosen & (KDTree(other).query(found.points.position, workers=-1)[0] > size)
-        agreed = KDTree(found.points.position).query(other, workers=-1)[0] <= size
+    dataset: Dataset, found: _Found, chosen: np.ndarray, hull: tuple[np.ndarray, np.ndarray], kept: np.ndarray, count: int
+) -> StereoStart:
+    """Place surfels on the chosen points of stereo, and on the hull's points (M, 3) with normals (M, 3) that are kept or fill a gap."""
     points = found.points.select(chosen)
-    keep = _unexplained(other, points, found.maps, REACH * dataset.bound.radius)
-    if evidence is not None:
-        keep |= agreed | (evidence.ratio(other) >= BETTER)
+    keep = kept | _unexplained(hull[0], points, found.maps, REACH * dataset.bound.radius)
     # Both cover their parts of the surface evenly: their numbers are in proportion to the areas.
     share = chosen.mean() / max(chosen.mean() + keep.mean(), 1e-9)
     points = thinned(points, round(share * count))
     left = count - len(points.position)
-    return _joined(dataset, points, other[keep][:left], other_normal[keep][:left], OPACITY)
+    return _joined(dataset, points, hull[0][keep][:left], hull[1][keep][:left], OPACITY)
 
 
-def _with_random_points(dataset: Dataset, found: _Found, count: int, rng: np.random.Generator) -> Gaussians:
+def _with_random_points(dataset: Dataset, found: _Found, count: int, rng: np.random.Generator) -> StereoStart:
     """Place surfels on stereo's points, and faint ones at random."""
     points = thinned(found.points, int(SHARE * count))
     other, other_normal = random_points(dataset, int(FILLER * count), rng)
@@ -159,13 +169,14 @@ def _unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap
     return far & (views_through(others, maps, reach) < SEEN_THROUGH)
 
 
-def _joined(dataset: Dataset, points: OrientedPoints, other: np.ndarray, other_normal: np.ndarray, opacity: float) -> Gaussians:
+def _joined(dataset: Dataset, points: OrientedPoints, other: np.ndarray, other_normal: np.ndarray, opacity: float) -> StereoStart:
     """Make surfels in spatial order of stereo's points, and of other points (N, 3) with normals (N, 3) and an opacity."""
     place, normal = np.concatenate([points.position, other]), np.concatenate([points.normal, other_normal])
     colour = np.concatenate([decode_srgb(points.colour), observed_colour(dataset.train, other, other_normal)])
     opacities = np.repeat([OPACITY, opacity], [len(points.position), len(other)])
     order, scale = spatial_order(place), SURFACE_SPREAD * surface_spacing(place, dataset.bound.radius)
-    return surfels(place[order], normal[order], colour[order], scale[order], opacities[order])
+    gaussians = surfels(place[order], normal[order], colour[order], scale[order], opacities[order])
+    return StereoStart(gaussians, len(points.position) / max(len(place), 1))
 
 
 def pixel_size(dataset: Dataset) -> float:

@@ -11,6 +11,7 @@ from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound, Dataset, PointCloud, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
+from irgspp.core.stages.first import stereo_initialization
 from irgspp.core.stages.first.depth_evidence import DepthEvidence
 from irgspp.core.stages.first.initialization import from_hull, initial_gaussians
 from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL
@@ -19,6 +20,7 @@ from irgspp.core.stages.first.stereo_initialization import from_stereo, thinned,
 from irgspp.core.stages.first.visual_hull import visual_hull
 from irgspp.core.stereo.depth_map import DepthMap
 from irgspp.core.stereo.fusion import OrientedPoints
+from scipy.spatial import cKDTree
 
 RIM = 0.2  # height up to which the unit sphere is there
 COUNT = 3000
@@ -154,7 +156,7 @@ def test_a_hollow_is_a_region_where_stereo_is_better(dataset):
     chosen = select_start(dataset, settings, plain, LOW_GLOSS, progress)
     on, evidence = progress.found["stereo"]
     assert on
-    assert "% of the surface" in evidence
+    assert "% of the surfels" in evidence
     assert lid(plain) > 0.1
     assert lid(chosen) < 0.02
 
@@ -168,10 +170,32 @@ def test_a_region_without_evidence_keeps_the_hull(dataset, monkeypatch):
     collect = DepthEvidence.collect
     monkeypatch.setattr(DepthEvidence, "collect", classmethod(same))
     start, hull = from_stereo(dataset, COUNT, 0, Silent()), from_hull(dataset, COUNT, np.random.default_rng(0))
-    assert start.better == 0
+    assert start.share == 0
     assert start.gaussians.count == COUNT
     assert lid(start.gaussians) == pytest.approx(lid(hull), abs=0.02)
     assert float(start.gaussians.log_scale.mean()) == pytest.approx(float(hull.log_scale.mean()), abs=0.1)
+
+
+def test_better_regions_that_are_no_pixel_off_the_hull_are_no_stereo_start(dataset, monkeypatch):
+    settings = with_overrides(preset("draft"), [f"first.gaussians={COUNT}"])
+    monkeypatch.setattr(stereo_initialization, "EVERYWHERE", 1.0)
+    monkeypatch.setattr(stereo_initialization, "pixel_size", lambda dataset: 10.0)
+    plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
+    assert select_start(dataset, settings, plain, LOW_GLOSS, progress) is plain
+    on, evidence = progress.found["stereo"]
+    assert not on
+    assert "nowhere" in evidence
+
+
+def test_share_is_that_of_the_surfels_on_points_of_stereo(dataset, monkeypatch):
+    """Regions are divided at the middle: on one side all points are stereo's, on the other the hull's."""
+    hull = visual_hull(dataset.train, dataset.bound).sample(COUNT, np.random.default_rng(0))[0]
+    split = lambda dataset, found, depth, other, everywhere: (found.points.position[:, 0] > 0, other[:, 0] <= 0)  # noqa: E731
+    monkeypatch.setattr(stereo_initialization, "_regions", split)
+    start = from_stereo(dataset, COUNT, 0, Silent())
+    on_hull = cKDTree(hull).query(start.gaussians.position.T.numpy())[0] < 1e-6
+    assert 0.3 < start.share < 0.8
+    assert start.share == pytest.approx(1 - on_hull.mean(), abs=1e-3)
 
 
 @pytest.mark.parametrize(("overrides", "material_class", "why"), [([], METAL, "reflections"), (["first.stereo=off"], LOW_GLOSS, "as set")])
