@@ -4,21 +4,24 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..datasets.exposure import SMALLEST
-from ..datasets.formats.captured import FILE, FORMAT, load_capture
+from ..datasets.formats.captured import FILE, FORMAT, SURROUNDINGS, load_capture
 from ..errors import InputError
 from ..io.file_lock import FileLock
 from ..progress.protocol import Progress, Silent
 from ..scene.dataset import Bound, PointCloud
+from ..scene.surroundings import Surroundings, save_surroundings
 from ..settings.schema import CaptureSettings
 from .dataset_files import moved_points, write_json, write_masks, write_model, write_transforms
 from .exposures import exposure_gains, stated_log_gains
 from .marker import find_marker_scale
+from .near_surfaces import near_surfaces
 from .object_masks import ObjectMasks, cut_out
 from .photograph import LeftOut
 from .poses import find_poses
@@ -84,11 +87,12 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     bound = None if found is None else found.bound
     plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
     similarity = world_similarity([one.camera for one in images], bound, plane, scale)
-    masks = [None] * len(images) if found is None else found.masks
+    masks: Sequence[np.ndarray | None] = [None] * len(images) if found is None else found.masks
     doubtful = {} if found is None else dict(found.doubtful)
     write_model(model, images, similarity, folder)
     write_masks(images, masks, folder)
     write_transforms(images, similarity, [mask is not None for mask in masks], folder)
+    _write_surroundings(found, similarity, folder)
     write_json(folder / "exposures.json", {one.view.name: gain.tolist() for one, gain in zip(images, gains, strict=True)})
     write_contact_sheet(images, masks, set(doubtful), folder / "contact_sheet.png")
     state = {
@@ -119,10 +123,19 @@ def _masks(
     if settings.masks == "off":
         return None
     points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
-    found = cut_out([one.view for one in images], points, settings, seed, progress, given=given or None)
-    for line in [] if found is None else found.lines:
-        progress.message(line)
-    return found
+    return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None)
+
+
+def _write_surroundings(found: ObjectMasks | None, similarity: np.ndarray, folder: Path) -> None:
+    """Write the surfaces around the object, in the world; without masks they are part of the scene."""
+    path = folder / SURROUNDINGS
+    path.unlink(missing_ok=True)
+    around = None if found is None else near_surfaces(found.points, found.on_object, found.plane, found.bound)
+    if around is not None:
+        scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+        normal = around.normal @ (similarity[:3, :3] / scale).T
+        moved = Surroundings(moved_points(around.position, similarity), normal, around.radiance, scale * around.spacing)
+        save_surroundings(moved, path)
 
 
 def _report_left_out(left_out: list[LeftOut], progress: Progress) -> None:
@@ -136,7 +149,7 @@ def _bound_in_world(bound: Bound, similarity: np.ndarray) -> dict[str, Any]:
 
 
 def _records(
-    images: list[UndistortedImage], masks: list[np.ndarray | None], gains: np.ndarray, doubtful: dict[str, str]
+    images: list[UndistortedImage], masks: Sequence[np.ndarray | None], gains: np.ndarray, doubtful: dict[str, str]
 ) -> list[dict[str, Any]]:
     """Return a record of each photograph for capture.json: name, source, exposure in EV, what is known of the mask."""
     records = []
@@ -150,7 +163,7 @@ def _records(
 
 def _notes(found: ObjectMasks | None, model: SparseModel, gains: np.ndarray) -> list[str]:
     """Return lines about masks and exposure for the report."""
-    notes = [] if found is None else list(found.lines)
+    notes = [] if found is None else list(found.messages)
     if found is None:
         notes.append("no masks: the whole scene is reconstructed")
     if np.log(gains).std(0).max() >= SMALLEST:

@@ -13,6 +13,7 @@ from ...io.srgb import decode_srgb
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
+from ...stereo.depth_bounds import depth_bounds
 from ...stereo.depth_map import DepthMap
 from ...stereo.estimation import Depths, estimate_depth_maps
 from ...stereo.fusion import OrientedPoints, fuse_points
@@ -30,7 +31,6 @@ COMPARED = 4  # views that each view is compared with
 EVERYWHERE = 1 / 3  # share of stereo's points in such regions from which all of them are taken
 REACH = 0.03  # radii of the bound around stereo's points without other points; tolerance of the free-space test
 SEEN_THROUGH = 2  # views whose depth lies behind a point, from which the point is in free space
-RANGE = (0.6, 2.0)  # factors of the nearest and the farthest sparse points' depth between which stereo searches
 VOXEL_ROUNDS = 12  # bisections of the voxel size that thins the points
 
 
@@ -79,7 +79,8 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     rng = np.random.default_rng(seed)
     if not dataset.has_alpha:
         known = None if dataset.points is None else dataset.points.position
-        found = _search(dataset, depth_bounds(dataset), known, count, seed, progress)
+        bounds = depth_bounds([view.camera for view in dataset.train], dataset.points, dataset.bound)
+        found = _search(dataset, (*bounds, None), known, count, seed, progress)
         return None if found is None else _with_random_points(dataset, found, count, rng)
     hull = visual_hull(dataset.train, dataset.bound)
     bounds = hull_bounds(dataset, hull)
@@ -191,23 +192,6 @@ def hull_bounds(dataset: Dataset, hull: VisualHull) -> tuple[list[np.ndarray], l
     nearest = [np.where(enter > 0, enter - hull.step, 0).astype(np.float32) for enter, _ in found]
     farthest = [np.where(enter > 0, leave + hull.step, 0).astype(np.float32) for enter, leave in found]
     return nearest, farthest, [enter for enter, _ in found]
-
-
-def depth_bounds(dataset: Dataset) -> tuple[list[float], list[float], None]:
-    """Return the nearest and the farthest depth that stereo searches in each view: around its sparse points, or else the bound."""
-    centre, radius = np.asarray(dataset.bound.centre), dataset.bound.radius
-    nearest, farthest = [], []
-    for view in dataset.train:
-        depth = float(view.camera.project(centre[None])[1][0])
-        low, high = max(depth - 1.1 * radius, 0.05 * abs(depth)), depth + 4 * radius
-        if dataset.points is not None:
-            pixel, depths = view.camera.project(dataset.points.position.astype(np.float64))
-            inside = (depths > 0) & (pixel >= 0).all(1) & (pixel < (view.camera.width, view.camera.height)).all(1)
-            if inside.sum() >= 20:
-                low, high = np.quantile(depths[inside], [0.01, 0.99]) * RANGE
-        nearest.append(float(low))
-        farthest.append(float(high))
-    return nearest, farthest, None
 
 
 def thinned(points: OrientedPoints, count: int) -> OrientedPoints:

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Masks that agree over the views: cut in each view, carve a soft hull from all, and cut again with its silhouettes as a prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ..errors import Cancelled
+from ..machine.thread_pool import run_jobs
+from ..progress.protocol import Progress
+from ..scene.camera import Camera
+from .object_region import ObjectRegion
+from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cut, learn_colours
+from .soft_hull import projected_voxels, silhouettes, soft_hull
+from .support_plane import SupportPlane
+
+ROUNDS = 2  # of carving and cutting again
+LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
+AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
+ON = 0.65  # first prior where the object's points are
+ELSEWHERE = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
+AGREED = 0.6  # IoU with the other views' silhouette below which a mask has no vote
+DOUBTFUL = 0.75  # IoU below which a finished mask is reported
+
+
+def consistent_masks(
+    cutouts: Sequence[Cutout | None],
+    cameras: Sequence[Camera],
+    names: Sequence[str],
+    mapped: Sequence[bool],
+    region: ObjectRegion,
+    plane: SupportPlane | None,
+    progress: Progress,
+) -> tuple[list[np.ndarray | None], list[tuple[str, str]]]:
+    """Cut the object out of all views.
+
+    Args:
+        cutouts: the views' crops with their seeds; None for a view that does not show the object.
+        cameras: of the views.
+        names: of the views.
+        mapped: True for the views with a depth map: the others are cut once the hull is known.
+        region: of the object.
+        plane: on which the object stands, or None.
+        progress: receives the phase "cut out the object", and may cancel.
+
+    Returns:
+        A mask (H, W) of each view, nearly binary, None where there is none, and the names of doubtful views with the reason.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    work = _Work(cutouts, cameras, names, region, plane, progress)
+    progress.phase("cut out the object", (ROUNDS + 1) * len(cutouts))
+    work.first([cutout is not None and (known or cutout.given is not None) for cutout, known in zip(cutouts, mapped, strict=True)])
+    for _ in range(ROUNDS):
+        work.again()
+    return work.masks, work.doubtful()
+
+
+class _Work:
+    """State of the rounds; see `consistent_masks` for the arguments."""
+
+    def __init__(
+        self,
+        cutouts: Sequence[Cutout | None],
+        cameras: Sequence[Camera],
+        names: Sequence[str],
+        region: ObjectRegion,
+        plane: SupportPlane | None,
+        progress: Progress,
+    ) -> None:
+        self.cutouts, self.cameras, self.names = list(cutouts), cameras, names
+        self.region, self.plane, self.progress = region, plane, progress
+        self.masks: list[np.ndarray | None] = [None] * len(cutouts)
+        self.agreement = np.ones(len(cutouts))
+        self.refused: set[int] = set()
+        self.done = 0
+
+    def first(self, ready: list[bool]) -> None:
+        """Cut the views that have evidence of their own, with the object's points as a weak prior."""
+        chosen = [i for i, one in enumerate(ready) if one]
+        priors = [self._cutout(i).cropped(self._first_prior(self.cameras[i])) for i in chosen]
+        sure = [_first_sureness(self._cutout(i), prior) for i, prior in zip(chosen, priors, strict=True)]
+        self._cut(chosen, priors, sure, [SEED] * len(chosen), [np.maximum(one, 0) for one in sure])
+
+    def again(self) -> None:
+        """Carve the hull from all masks, and cut every view with the silhouette that the other views give."""
+        hull = soft_hull(self.cameras, self.masks, (self.agreement >= AGREED).astype(float), self.region.bound, self.plane)
+        if hull is None:
+            return
+        found = silhouettes(hull, self.cameras)
+        self._compare(found)
+        chosen = [i for i, cutout in enumerate(self.cutouts) if cutout is not None]
+        priors = [self._cutout(i).cropped(found[i]) for i in chosen]
+        seeds = [LATER_SEED if self.agreement[i] >= AGREED else 0.0 for i in chosen]
+        self._cut(chosen, priors, [2 * prior - 1 for prior in priors], seeds, priors)
+        self._compare(found)
+
+    def doubtful(self) -> list[tuple[str, str]]:
+        """Return the names of doubtful views with the reason."""
+        found = []
+        for i, (name, mask) in enumerate(zip(self.names, self.masks, strict=True)):
+            if self.cutouts[i] is None:
+                found.append((name, "does not show the object"))
+            elif mask is None or mask.max() < 0.5:
+                found.append((name, "the object was not found in it"))
+            elif i in self.refused:
+                found.append((name, "the mask that was given contradicts the other views; it was cut out anew"))
+            elif self.agreement[i] < DOUBTFUL:
+                found.append((name, f"its mask and the other views' agree only by {100 * self.agreement[i]:.0f} %"))
+        return found
+
+    def _cutout(self, i: int) -> Cutout:
+        cutout = self.cutouts[i]
+        assert cutout is not None
+        return cutout
+
+    def _first_prior(self, camera: Camera) -> np.ndarray:
+        """Return the prior (H, W) from the object's points: ON at them, and 0 away from them."""
+        points, bound = self.region.points(), self.region.bound
+        if not len(points):
+            return np.full((camera.height, camera.width), 0.5, np.float32)
+        on = projected_voxels(camera, points, self.region.step) > 0
+        radius = bound.radius * camera.fx / max(float(camera.project(np.asarray(bound.centre)[None])[1][0]), 1e-9)
+        distance = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 5)
+        return np.where(on, ON, 0.5 * np.clip(1 - distance / max(AROUND * radius, 1), 0, 1)).astype(np.float32)
+
+    def _cut(
+        self, chosen: list[int], priors: list[np.ndarray], sure: list[np.ndarray], seeds: list[float], starts: list[np.ndarray]
+    ) -> None:
+        """Learn the colours of the chosen views and cut them; for each a prior, what is sure, the seeds' cost and the start."""
+        cutouts = [self._cutout(i) for i in chosen]
+        near = NEAR * float(np.median([max(camera.width, camera.height) for camera in self.cameras])) / 640
+        models = learn_colours(cutouts, sure, near)
+        jobs = list(zip(cutouts, models, priors, seeds, starts, strict=True))
+        for i, cutout, crop in zip(chosen, cutouts, run_jobs(cut, jobs), strict=False):
+            self.masks[i] = cutout.full(crop, (self.cameras[i].height, self.cameras[i].width))
+            self.done += 1
+            self.progress.step(self.done)
+            if self.progress.cancelled:
+                raise Cancelled("stopped while the object was cut out")
+
+    def _compare(self, found: list[np.ndarray]) -> None:
+        """Compare masks with the other views' silhouettes (H, W); a person's mask that contradicts them is dropped."""
+        for i, (mask, other) in enumerate(zip(self.masks, found, strict=True)):
+            self.agreement[i] = 1.0 if mask is None else overlap(mask, other)
+            cutout = self.cutouts[i]
+            if cutout is not None and cutout.given is not None and self.agreement[i] < AGREED:
+                self.cutouts[i] = replace(cutout, given=None)
+                self.refused.add(i)
+
+
+def _first_sureness(cutout: Cutout, prior: np.ndarray) -> np.ndarray:
+    """Return (h, w) float32 -1..1, how surely pixels are the object before any view was cut."""
+    if cutout.given is not None:
+        return np.clip(cutout.given * LOOSE_EDGE / 4, -1, 1)
+    return np.where(cutout.seed != 0, cutout.seed, np.where(prior < 0.35, -ELSEWHERE, 0)).astype(np.float32)
+
+
+def overlap(mask: np.ndarray, other: np.ndarray) -> float:
+    """Return the intersection over union of two masks (H, W), cut at a half; 1 where both are empty."""
+    a, b = mask >= 0.5, other >= 0.5
+    union = int((a | b).sum())
+    return int((a & b).sum()) / union if union else 1.0

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Masks of the object that the photographs show, found without learned weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..datasets.bound import bound_of_cameras, bound_of_masks
+from ..machine.thread_pool import run_jobs
+from ..progress.protocol import Progress
+from ..scene.dataset import Bound, PointCloud, View
+from ..settings.schema import CaptureSettings
+from ..stereo.fusion import OrientedPoints
+from .dense_points import DensePoints, find_dense_points
+from .mask_consistency import consistent_masks
+from .object_region import ObjectRegion, find_object_region, lowest_height
+from .segmentation import prepare_cutout
+from .soft_edges import soft_edges
+from .support_plane import SupportPlane, find_support_plane
+
+FEWEST = 3  # masks that must be found, and given masks that can stand for a support plane
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectMasks:
+    """Masks of the object and what is known of its place.
+
+    Attributes:
+        masks: (H, W) float32 in 0..1 of each view, None where the object could not be found.
+        plane: on which the object stands; None where it hangs or where given masks tell the object.
+        bound: sphere about the object.
+        doubtful: names of views whose masks should be looked at, with the reason.
+        points: dense points of the whole scene.
+        on_object: (N,) bool, points that belong to the object.
+        messages: lines for the user, such as what was left out of the masks.
+    """
+
+    masks: list[np.ndarray | None]
+    plane: SupportPlane | None
+    bound: Bound
+    doubtful: list[tuple[str, str]]
+    points: OrientedPoints
+    on_object: np.ndarray
+    messages: list[str] = field(default_factory=list)
+
+
+def cut_out(
+    views: Sequence[View],
+    points: PointCloud | None,
+    settings: CaptureSettings,
+    seed: int,
+    progress: Progress,
+    sphere: Bound | None = None,
+    given: dict[str, np.ndarray] | None = None,
+) -> ObjectMasks | None:
+    """Cut the object that the cameras look at out of all views.
+
+    Args:
+        views: undistorted photographs of about 640 pixels a side; their alpha is not used.
+        points: sparse points, or None.
+        settings: `masks` "off" cuts nothing out.
+        seed: of the random numbers.
+        progress: receives the phases "dense points" and "cut out the object" and messages, and may cancel.
+        sphere: about the object, if a person gave it.
+        given: masks (H, W) 0..1 of a person by the view's name, for some or all views; they are followed but for a band at their edge.
+
+    Returns:
+        The masks; None, with a message that says why, where there is no object to cut out.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    given = given or {}
+    if settings.masks == "off" or len(views) < FEWEST:
+        return None
+    cameras = [view.camera for view in views]
+    dense = find_dense_points(views, points, sphere, seed, progress)
+    plane = find_support_plane(dense, cameras, seed)
+    region = _region(views, dense, plane, sphere, given)
+    if isinstance(region, str):
+        progress.message(f"masks: {region}; the photographs are used whole")
+        return None
+    lowest = 0.0 if plane is None else lowest_height(dense, plane)
+    maps = dict(zip(dense.chosen, dense.maps, strict=True))
+    jobs = [(view, maps.get(i), region, plane, lowest, given.get(view.name)) for i, view in enumerate(views)]
+    cutouts = list(run_jobs(prepare_cutout, jobs))
+    names, mapped = [view.name for view in views], [i in maps for i in range(len(views))]
+    masks, doubtful = consistent_masks(cutouts, cameras, names, mapped, region, plane, progress)
+    masks = [None if one is None or one.max() < 0.5 else soft_edges(view.colour, one) for view, one in zip(views, masks, strict=True)]
+    if sum(mask is not None for mask in masks) < FEWEST:
+        progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")
+        return None
+    bound, on_object = sphere or _bound(views, masks, region), region.labels(dense.points.position) == 1
+    found = ObjectMasks(masks, plane, bound, doubtful, dense.points, on_object, _left_out(region))
+    for line in found.messages:
+        progress.message(line)
+    return found
+
+
+def _region(
+    views: Sequence[View], dense: DensePoints, plane: SupportPlane | None, sphere: Bound | None, given: dict[str, np.ndarray]
+) -> ObjectRegion | str:
+    """Return the object's region, or the reason why there is none."""
+    cameras = [view.camera for view in views]
+    masked = [(view.camera, given[view.name].astype(np.float32)) for view in views if view.name in given]
+    if len(masked) >= FEWEST and sphere is None:
+        sphere = bound_of_masks([camera for camera, _ in masked], [mask for _, mask in masked], bound_of_cameras(cameras))
+    if not dense.reliable and sphere is None:
+        return "the cameras don't look at one point (give the object's centre and radius)"
+    region = find_object_region(dense, plane, cameras, sphere)
+    if region is not None:
+        return region
+    if sphere is not None:  # nothing of it is seen by stereo: colours and given masks have to tell
+        return ObjectRegion(sphere, np.asarray(sphere.centre) - sphere.radius, 2 * sphere.radius, np.zeros((1, 1, 1), np.uint8), [])
+    return "nothing stands apart where the cameras look" if plane is not None else "there is no plane that an object stands on"
+
+
+def _bound(views: Sequence[View], masks: Sequence[np.ndarray | None], region: ObjectRegion) -> Bound:
+    """Return the sphere about the region inside the masks, or that of the points where masks contradict each other."""
+    pairs = [(view.camera, mask) for view, mask in zip(views, masks, strict=True) if mask is not None]
+    return bound_of_masks([camera for camera, _ in pairs], [mask for _, mask in pairs], region.bound) or region.bound
+
+
+def _left_out(region: ObjectRegion) -> list[str]:
+    """Return lines about things near the object that the masks leave out."""
+    if not region.clutter:
+        return []
+    sizes = ", ".join(f"{one.radius / region.bound.radius:.1f}" for one in region.clutter[:5])
+    what = "1 other thing" if len(region.clutter) == 1 else f"{len(region.clutter)} other things"
+    return [f"masks: {what} near the object left out (radius {sizes} times the object's); give a centre and radius to choose another"]

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Object's region in space: the cluster of dense points that the cameras look at, told from the plane, clutter and background."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from ..datasets.bound import bound_of_cameras
+from ..scene.camera import Camera
+from ..scene.dataset import Bound
+from .dense_points import DensePoints
+from .support_plane import SupportPlane
+
+VOXEL = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
+REACH = 0.85  # distances of the cameras around the look-at point in which clusters are sought
+FRAME = 2.0  # the same in radii of the sphere that fills the pictures
+HEIGHT = 2.0  # pixels above the plane from which points do not belong to it; more where it is noisy
+NOISE = 4.0  # the same in standard deviations of the plane's points
+FEWEST = 3  # points in a voxel from which it is occupied
+SMALLEST = 12  # voxels of a cluster
+BESIDE = 0.12  # radii of the object to a part that hangs free, up to which it belongs to the object
+STANDING = 4.0  # voxels above the plane below which a cluster stands on it by itself
+CENTRAL = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
+QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
+MARGIN = 1.1  # factor of that radius
+FRAMED = 0.6  # mean fraction of the object's points inside the pictures below which it is no object but the scene
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectRegion:
+    """Voxels around the object's points.
+
+    Attributes:
+        bound: bounding sphere, robust against single points.
+        corner: (3,) corner of voxel (0, 0, 0).
+        step: side of a voxel, world units.
+        label: (X, Y, Z) uint8: 1 the object, 2 other things above the plane, 0 no points.
+        clutter: bounding spheres of other things near the object, the largest first.
+    """
+
+    bound: Bound
+    corner: np.ndarray
+    step: float
+    label: np.ndarray
+    clutter: list[Bound]
+
+    def labels(self, points: np.ndarray) -> np.ndarray:
+        """Return the labels (...,) of points (..., 3), 0 outside the voxels."""
+        cell = np.floor((points - self.corner) / self.step).astype(np.int64)
+        inside = ((cell >= 0) & (cell < self.label.shape)).all(-1)
+        cell = np.where(inside[..., None], cell, 0)
+        return np.where(inside, self.label[cell[..., 0], cell[..., 1], cell[..., 2]], 0)
+
+    def points(self) -> np.ndarray:
+        """Return the centres (N, 3) of the object's voxels."""
+        return self.corner + (np.argwhere(self.label == 1) + 0.5) * self.step
+
+
+@dataclass(frozen=True, eq=False)
+class _Clusters:
+    """Connected voxels.
+
+    Attributes:
+        cells: (N, 3) occupied voxels.
+        label: (N,) cluster of each, from 0.
+        centre: (C, 3) mean of each cluster, world.
+        size: (C,) voxels of each cluster.
+        floor: (C,) least height above the plane, world units; 0 without a plane.
+    """
+
+    cells: np.ndarray
+    label: np.ndarray
+    centre: np.ndarray
+    size: np.ndarray
+    floor: np.ndarray
+
+
+def find_object_region(
+    dense: DensePoints, plane: SupportPlane | None, cameras: Sequence[Camera], sphere: Bound | None = None
+) -> ObjectRegion | None:
+    """Find the cluster of points above the plane that the cameras look at.
+
+    Points above the plane are joined in voxels and labelled by connectivity. The object is the cluster that is largest and most central in
+    the pictures; parts that hang free right beside it belong to it. If a person gave a sphere, everything above the plane in it does.
+
+    Args:
+        dense: dense points.
+        plane: on which the object stands, or None.
+        cameras: of all views.
+        sphere: about the object, if a person gave it.
+
+    Returns:
+        The region, None where there is no cluster or where it fills the pictures beyond their edges, as a facade does.
+    """
+    reach = min(REACH * dense.distance, FRAME * bound_of_cameras(cameras).radius if sphere is None else 3 * sphere.radius)
+    points = _above(dense, plane, reach)
+    step = VOXEL * dense.pixel
+    corner = dense.target - reach - step
+    shape = np.full(3, int(np.ceil(2 * (reach + step) / step)))
+    cells = np.floor((points - corner) / step).astype(np.int64)
+    flat, count = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(shape)), return_counts=True)
+    occupied = np.zeros(shape, bool)
+    occupied.reshape(-1)[flat[count >= FEWEST]] = True
+    clusters = _clusters(occupied, corner, step, plane)
+    if clusters is None:
+        return None
+    own = _looked_at(clusters, corner, step, cameras) if sphere is None else _inside(clusters, corner, step, sphere)
+    if own is None:
+        return None
+    label = np.zeros(shape, np.uint8)
+    label[tuple(clusters.cells.T)] = np.where(own[clusters.label], 1, 2)
+    if sphere is not None:
+        centres = corner + (clusters.cells + 0.5) * step
+        label[tuple(clusters.cells.T)] = np.where(np.linalg.norm(centres - sphere.centre, axis=1) < sphere.radius, 1, 2)
+    bound = sphere or _sphere(corner + (np.argwhere(label == 1) + 0.5) * step, step)
+    region = ObjectRegion(bound, corner, step, label, _clutter(clusters, own, corner, step, bound))
+    return region if sphere is not None or _framed(region, cameras) else None
+
+
+def _above(dense: DensePoints, plane: SupportPlane | None, reach: float) -> np.ndarray:
+    """Return the points (N, 3) float64 around the look-at point and above the plane."""
+    position = dense.points.position
+    position = position[np.linalg.norm(position - dense.target, axis=1) < reach].astype(np.float64)
+    return position if plane is None else position[plane.height(position) > lowest_height(dense, plane)]
+
+
+def lowest_height(dense: DensePoints, plane: SupportPlane) -> float:
+    """Return the height above the plane, world units, from which points do not belong to it."""
+    return max(HEIGHT * dense.pixel, NOISE * plane.noise)
+
+
+def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: SupportPlane | None) -> _Clusters | None:
+    """Label connected voxels, and drop the smallest clusters; None where no cluster is left."""
+    label, count = ndimage.label(occupied, np.ones((3, 3, 3)))
+    cells = np.argwhere(occupied)
+    own = label[tuple(cells.T)] - 1
+    size = np.bincount(own, minlength=count)
+    keep = size >= SMALLEST
+    if not keep.any():
+        return None
+    number = np.cumsum(keep) - 1
+    cells, own = cells[keep[own]], number[own[keep[own]]]
+    centres = corner + (cells + 0.5) * step
+    mean = np.stack([np.bincount(own, c) for c in centres.T], 1) / size[keep][:, None]
+    floor = np.zeros(len(mean))
+    if plane is not None:
+        floor[:] = np.inf
+        np.minimum.at(floor, own, plane.height(centres))
+    return _Clusters(cells, own, mean, size[keep], floor)
+
+
+def _looked_at(clusters: _Clusters, corner: np.ndarray, step: float, cameras: Sequence[Camera]) -> np.ndarray:
+    """Return (C,) True for the cluster that is largest and most central in the pictures, and for parts that hang free beside it."""
+    central = np.mean([_centrality(camera, clusters.centre) for camera in cameras], 0)
+    first = int(np.argmax(central**2 * np.sqrt(clusters.size)))
+    own = np.zeros(len(clusters.size), bool)
+    own[first] = True
+    body = corner + (clusters.cells[clusters.label == first] + 0.5) * step
+    bound = _sphere(body, step)
+    standing = clusters.floor < STANDING * step
+    own |= (_distances(clusters, first, step) < max(BESIDE * bound.radius, 3 * step)) & ~standing
+    return own
+
+
+def _distances(clusters: _Clusters, first: int, step: float) -> np.ndarray:
+    """Return (C,) least distance of each cluster to one of them, world units."""
+    distance = KDTree(clusters.cells[clusters.label == first]).query(clusters.cells)[0] * step
+    least = np.full(len(clusters.size), np.inf)
+    np.minimum.at(least, clusters.label, distance)
+    return least
+
+
+def _centrality(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return (N,) in 0..1, how near to the image's centre points are: 1 in the centre, 0 outside."""
+    pixel, depth = camera.project(points)
+    inside = (depth > 0) & (pixel > 0).all(1) & (pixel < (camera.width, camera.height)).all(1)
+    off = np.linalg.norm(pixel - (camera.width / 2, camera.height / 2), axis=1) / (CENTRAL * min(camera.width, camera.height) / 2)
+    return np.where(inside, np.exp(-0.5 * np.minimum(off, 40) ** 2), 0)
+
+
+def _inside(clusters: _Clusters, corner: np.ndarray, step: float, sphere: Bound) -> np.ndarray | None:
+    """Return (C,) True for the clusters that lie at least half in a sphere; None where no voxel does."""
+    inside = np.linalg.norm(corner + (clusters.cells + 0.5) * step - sphere.centre, axis=1) < sphere.radius
+    if not inside.any():
+        return None
+    return np.bincount(clusters.label, inside) >= 0.5 * clusters.size
+
+
+def _sphere(points: np.ndarray, step: float) -> Bound:
+    """Return a sphere about points (N, 3) that leaves out the farthest few."""
+    low, high = np.quantile(points, [1 - QUANTILE, QUANTILE], axis=0)
+    x, y, z = (float(c) for c in (low + high) / 2)
+    far = np.quantile(np.linalg.norm(points - (x, y, z), axis=1), QUANTILE)
+    return Bound((x, y, z), MARGIN * float(far) + step)
+
+
+def _clutter(clusters: _Clusters, own: np.ndarray, corner: np.ndarray, step: float, bound: Bound) -> list[Bound]:
+    """Return the bounding spheres of other clusters within three radii of the object, the largest first."""
+    near = np.linalg.norm(clusters.centre - bound.centre, axis=1) < 3 * bound.radius
+    numbers = np.flatnonzero(near & ~own & (clusters.size >= 4 * SMALLEST))
+    numbers = numbers[np.argsort(-clusters.size[numbers], kind="stable")]
+    return [_sphere(corner + (clusters.cells[clusters.label == n] + 0.5) * step, step) for n in numbers]
+
+
+def _framed(region: ObjectRegion, cameras: Sequence[Camera]) -> bool:
+    """Return True where the pictures show most of the object."""
+    points = region.points()
+    shown = []
+    for camera in cameras:
+        pixel, depth = camera.project(points)
+        shown.append(float(((depth > 0) & (pixel > 0).all(1) & (pixel < (camera.width, camera.height)).all(1)).mean()))
+    return float(np.mean(shown)) > FRAMED

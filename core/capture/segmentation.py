@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Segmentation of single views: seeds from the depth maps, colours of the object and its surroundings, and a minimum cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from ..scene.camera import Camera
+from ..scene.dataset import Bound, View
+from ..stereo.depth_map import DepthMap
+from .colour_model import count_colours, lab_bins, probabilities
+from .convex_cut import minimum_cut
+from .dense_points import SUPPORT
+from .object_region import ObjectRegion
+from .support_plane import SupportPlane
+
+MARGIN = 1.15  # factor of the bound's radius in the crop
+THIN = 3  # pixels of a depth map's window in which all depths must agree for a seed
+SEED = 4.0  # cost of cutting against a seed, nats
+GIVEN = 4.0  # the same against a person's mask
+LOOSE_EDGE = 8.0  # pixels around the edge of a person's mask over which this cost grows: drawn edges are not exact
+COLOUR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
+MOST = 2.5  # largest log-likelihood ratio of a colour
+SHARED = 0.5  # weight of the colours of all views against those of the view itself
+PRIOR = 2.5  # cost of cutting against the other views, nats
+INSIDE = 0.4  # factor of it inside their silhouette: a visual hull fills hollows, so that it tells more of the outside
+NEAR = 12.0  # pixels around the object's silhouette from which the background's colours are learned, at 640 pixels a side
+EDGE = 2.5  # cost of a pixel's length of silhouette where the image is flat
+CONTRAST = 0.1  # the same across the strongest edges, as a fraction
+ITERATIONS = 150  # of the cut
+
+
+@dataclass(frozen=True, eq=False)
+class Cutout:
+    """Part of a view in which the object is cut out; all images are (h, w) of the crop.
+
+    Attributes:
+        box: first column, first row, end of the columns, end of the rows.
+        colour: (h, w, 3) float32 sRGB.
+        bins: (h, w) int32 bins of the colours (see `colour_model`).
+        seed: int8, 1 where stereo sees the object, -1 where it sees something else or where the object can't be, 0 elsewhere.
+        weight: float32 cost of a pixel's length of silhouette.
+        given: float32 -1..1, how surely a person's mask says that a pixel is the object; None without.
+    """
+
+    box: tuple[int, int, int, int]
+    colour: np.ndarray
+    bins: np.ndarray
+    seed: np.ndarray
+    weight: np.ndarray
+    given: np.ndarray | None = None
+
+    def full(self, crop: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """Return the image (H, W) float32 of the whole view that is 0 outside the crop."""
+        image = np.zeros(shape, np.float32)
+        image[self.box[1] : self.box[3], self.box[0] : self.box[2]] = crop
+        return image
+
+    def cropped(self, image: np.ndarray) -> np.ndarray:
+        """Return the crop of an image (H, W, ...) of the whole view."""
+        return image[self.box[1] : self.box[3], self.box[0] : self.box[2]]
+
+
+def prepare_cutout(
+    view: View,
+    depth_map: DepthMap | None,
+    region: ObjectRegion,
+    plane: SupportPlane | None,
+    lowest: float,
+    given: np.ndarray | None = None,
+) -> Cutout | None:
+    """Crop a view around the object and set its seeds.
+
+    Args:
+        view: the photograph.
+        depth_map: of the view, at any resolution; None without.
+        region: of the object.
+        plane: on which the object stands, or None.
+        lowest: height above the plane below which points belong to it, world units.
+        given: (H, W) 0..1 mask of a person, or None.
+
+    Returns:
+        The crop, None where the view does not show the object's bound.
+    """
+    box = _box(view.camera, region.bound)
+    if box is None:
+        return None
+    crop = (slice(box[1], box[3]), slice(box[0], box[2]))
+    seed = np.where(_sphere_mask(cropped_camera(view.camera, box), region.bound), 0, -1).astype(np.int8)
+    if depth_map is not None:
+        found = _depth_seeds(depth_map, region, plane, lowest)
+        found = cv2.resize(found, (view.camera.width, view.camera.height), interpolation=cv2.INTER_NEAREST)[crop]
+        seed = np.where(seed == 0, found, seed)
+    colour = np.ascontiguousarray(view.colour[crop])
+    sure = None if given is None else _sureness(given)[crop]
+    return Cutout(box, colour, lab_bins(colour), seed, _edge_weight(colour), sure)
+
+
+def _sureness(mask: np.ndarray) -> np.ndarray:
+    """Return (H, W) float32 -1..1 for a person's mask, 0 at its edge."""
+    inside = (mask >= 0.5).astype(np.uint8)
+    distance = cv2.distanceTransform(inside, cv2.DIST_L2, 3) - cv2.distanceTransform(1 - inside, cv2.DIST_L2, 3)
+    return np.clip(distance / LOOSE_EDGE, -1, 1).astype(np.float32)
+
+
+def _box(camera: Camera, bound: Bound) -> tuple[int, int, int, int] | None:
+    """Return the part of the image around a sphere; None where it is outside or the camera is inside the sphere."""
+    pixel, depth = camera.project(np.asarray(bound.centre)[None])
+    if depth[0] <= bound.radius:
+        return None
+    x, y = pixel[0]
+    reach = MARGIN * bound.radius / np.sqrt(depth[0] ** 2 - bound.radius**2)
+    left, right = max(int(x - reach * camera.fx), 0), min(int(np.ceil(x + reach * camera.fx)), camera.width)
+    top, bottom = max(int(y - reach * camera.fy), 0), min(int(np.ceil(y + reach * camera.fy)), camera.height)
+    return (left, top, right, bottom) if right - left >= 8 and bottom - top >= 8 else None
+
+
+def cropped_camera(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
+    """Return the camera of a part of the image."""
+    return replace(camera, width=box[2] - box[0], height=box[3] - box[1], cx=camera.cx - box[0], cy=camera.cy - box[1])
+
+
+def _sphere_mask(camera: Camera, bound: Bound) -> np.ndarray:
+    """Return (H, W) True where a pixel's ray meets a sphere."""
+    rays = camera.rays()
+    to = (np.asarray(bound.centre) - camera.centre).astype(np.float32)
+    along = rays @ to
+    return (along > 0) & (along**2 >= (rays * rays).sum(-1) * np.float32(to @ to - bound.radius**2))
+
+
+def _depth_seeds(one: DepthMap, region: ObjectRegion, plane: SupportPlane | None, lowest: float) -> np.ndarray:
+    """Return seeds (h, w) int8 at the depth map's resolution."""
+    known = one.support >= SUPPORT
+    points = one.points()
+    own = known & (region.labels(points) == 1)
+    if plane is not None:
+        own &= plane.height(points) > lowest
+    window = np.ones((THIN, THIN), np.uint8)
+    inner = cv2.erode((own | ~known).astype(np.uint8), window) * own
+    outer = cv2.erode((~own).astype(np.uint8), window) * (known & ~own)
+    return inner.astype(np.int8) - outer.astype(np.int8)
+
+
+def _edge_weight(colour: np.ndarray) -> np.ndarray:
+    """Return the cost (h, w) of a pixel's length of silhouette: less where colours change."""
+    lab = cv2.cvtColor(colour, cv2.COLOR_RGB2LAB)
+    change = np.zeros(lab.shape[:2], np.float32)
+    change[:, :-1] += (np.diff(lab, axis=1) ** 2).sum(-1)
+    change[:-1] += (np.diff(lab, axis=0) ** 2).sum(-1)
+    return EDGE * (CONTRAST + (1 - CONTRAST) * np.exp(-change / (2 * change.mean() + 1e-6))).astype(np.float32)
+
+
+def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], near: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Count the colours of the object and of its surroundings in every view, mixed with those of all views.
+
+    Args:
+        cutouts: the views.
+        inside: (h, w) -1..1 of each, how surely a pixel is the object (1) or the background (-1).
+        near: pixels around the object from which the background's colours count.
+
+    Returns:
+        The probabilities (B,) of the object's and of the background's colours in each view.
+    """
+    counts = []
+    for cutout, sure in zip(cutouts, inside, strict=True):
+        far = cv2.distanceTransform((sure <= 0).astype(np.uint8), cv2.DIST_L2, 3)
+        weight = np.maximum(-sure, 0) / (1 + (far / near) ** 2)
+        counts.append((count_colours(cutout.bins, np.maximum(sure, 0)), count_colours(cutout.bins, weight)))
+    shared = [sum(c[k] / max(c[k].sum(), 1) for c in counts) / max(len(counts), 1) for k in (0, 1)]
+    models = []
+    for own in counts:
+        mixed = [SHARED * shared[k] + (1 - SHARED) * own[k] / own[k].sum() if own[k].sum() > 0 else shared[k] for k in (0, 1)]
+        models.append((probabilities(mixed[0]), probabilities(mixed[1])))
+    return models
+
+
+def cut(cutout: Cutout, model: tuple[np.ndarray, np.ndarray], prior: np.ndarray, seeds: float, start: np.ndarray) -> np.ndarray:
+    """Cut the object out of a view.
+
+    Args:
+        cutout: the view.
+        model: probabilities (B,) of the object's and of the background's colours.
+        prior: (h, w) 0..1, how surely other evidence says that a pixel is the object.
+        seeds: cost of cutting against a seed, nats.
+        start: (h, w) 0..1 where the iterations begin.
+
+    Returns:
+        The mask (h, w) float32, nearly binary.
+    """
+    ratio = np.log(model[1] / model[0]).astype(np.float32)
+    cost = COLOUR * np.clip(ratio, -MOST, MOST)[cutout.bins] - np.float32(seeds) * cutout.seed
+    cost += PRIOR * np.where(prior > 0.5, INSIDE, 1) * (1 - 2 * prior)
+    if cutout.given is not None:
+        cost -= GIVEN * cutout.given
+    return minimum_cut(cost, cutout.weight, start, ITERATIONS)
