@@ -14,6 +14,7 @@ from ..datasets.exposure import SMALLEST
 from ..datasets.formats.captured import FILE, FORMAT, SURROUNDINGS, load_capture
 from ..errors import InputError
 from ..io.file_lock import FileLock
+from ..io.image import read_image
 from ..progress.protocol import Progress, Silent
 from ..scene.dataset import Bound, PointCloud
 from ..scene.surroundings import Surroundings, save_surroundings
@@ -83,7 +84,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     images = undistort_photographs(model, folder, settings.resolution, progress)
     found = _masks(model, images, settings, seed, progress)
     gains = exposure_gains(model, [one.view for one in images])
-    scale = None if settings.marker is None else find_marker_scale(model, settings.marker, progress)
+    scale = _metres_per_unit(model, settings, progress)
     bound = None if found is None else found.bound
     plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
     similarity = world_similarity([one.camera for one in images], bound, plane, scale)
@@ -124,6 +125,22 @@ def _masks(
         return None
     points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
     return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None)
+
+
+def _metres_per_unit(model: SparseModel, settings: CaptureSettings, progress: Progress) -> float | None:
+    """Return the model's scale by the printed marker; None where none is expected or found."""
+    if settings.marker is None:
+        return None
+    marker = find_marker_scale(model, settings.marker, lambda photograph: _eight_bits(read_image(photograph.image).colour))
+    if marker is None:
+        progress.message("no marker was found in three photographs: the true size is not known; print it larger, or lay it flat and lit")
+        return None
+    progress.message(f"marker {marker.name}, found in {marker.photographs} photographs, gives the true size")
+    return marker.metres_per_unit
+
+
+def _eight_bits(colour: np.ndarray) -> np.ndarray:
+    return colour if colour.dtype == np.uint8 else (colour >> 8).astype(np.uint8)
 
 
 def _write_surroundings(found: ObjectMasks | None, similarity: np.ndarray, folder: Path) -> None:
