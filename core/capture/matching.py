@@ -19,6 +19,7 @@ from .image_retrieval import similarity
 EXHAUSTIVE = 150  # photographs up to which "auto" matches every pair
 NEIGHBOURS = 10  # next photographs in the order of their names that each one is matched with, where not every pair is
 ALIKE = {"auto": 30, "sequential": 8}  # most similar photographs that each one is matched with too: they close loops
+BLOCK = 20  # pairs after which matches are written
 
 Pairs = list[tuple[int, int]]
 
@@ -64,7 +65,7 @@ def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress) -> N
     listed = path.with_name("pairs.txt")
     write_atomic(listed, "".join(f"{image_name(i + 1)} {image_name(j + 1)}\n" for i, j in pairs).encode())
     pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = listed
+    pairing.match_list_path, pairing.block_size = listed, BLOCK
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu, matching.num_threads = False, thread_count()
     verification = pycolmap.TwoViewGeometryOptions()

@@ -106,7 +106,7 @@ def _solve(photographs: Sequence[Photograph], folder: Path, settings: CaptureSet
     """Run the mapper, and again with other settings while few photographs are registered; return the best solution."""
     enough = ENOUGH * len(photographs)
     best = _search(photographs, folder / "database.db", False, settings, seed, progress)
-    if best.registered >= enough:
+    if best.registered >= enough or is_panoramic(best.path):
         return best
     progress.message(f"only {best.registered} of {len(photographs)} photographs fit together; trying with weaker matches")
     best = max(best, _map(photographs, best, True, seed, progress), key=lambda s: s.quality)

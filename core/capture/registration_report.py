@@ -15,6 +15,9 @@ from .photograph import LeftOut, Photograph
 MINIMUM = 3  # photographs
 FEW_FEATURES = 50  # below, a photograph can hardly be matched
 SMALLEST_PARALLAX = 1.0  # degrees; median over points of the largest angle between two of their rays
+ROTATION_STRETCH = 1.1  # largest ratio of the singular values of a homography that counts as a rotation: focal lengths are not exact
+MOST = 0.8  # fraction of the pairs
+KIND = pycolmap.TwoViewGeometryConfiguration
 ADVICE = "take 20 or more photographs around the object, each overlapping the one before by two thirds"
 
 
@@ -61,7 +64,7 @@ def check_model(photographs: Sequence[Photograph], model: pycolmap.Reconstructio
     Args:
         photographs: in the order of their indices.
         model: the largest model, if there is one.
-        panoramic: True if most pairs of photographs are explained by a rotation about one place.
+        panoramic: see `is_panoramic`.
 
     Returns:
         The model.
@@ -91,16 +94,24 @@ def parallax(model: pycolmap.Reconstruction) -> float:
 
 
 def is_panoramic(path: Path) -> bool:
-    """Return True if most matching pairs are related by a homography and not by an essential or fundamental matrix.
+    """Return True if rotations about one place explain most matching pairs of photographs.
+
+    A homography H between two images is a rotation where the singular values of inv(K2) H K1 are equal; that of a plane, seen from two
+    places, has others.
 
     Args:
         path: the database with the matches.
     """
     with pycolmap.Database.open(path) as database:
-        _, geometries = database.read_two_view_geometries()
-    kinds = pycolmap.TwoViewGeometryConfiguration
-    flat = sum(g.config in (kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC) for g in geometries)
-    return flat > 0.5 * len(geometries)
+        pairs, geometries = database.read_two_view_geometries()
+        matrices = {i.image_id: database.read_camera(i.camera_id).calibration_matrix() for i in database.read_all_images()}
+    turned = 0
+    for pair, geometry in zip(pairs, geometries, strict=True):
+        one, other = (matrices[number] for number in pycolmap.pair_id_to_image_pair(pair))
+        if geometry.config in (KIND.PANORAMIC, KIND.PLANAR_OR_PANORAMIC) and geometry.H is not None:
+            values = np.linalg.svd(np.linalg.inv(other) @ geometry.H @ one, compute_uv=False)
+            turned += values[0] < ROTATION_STRETCH * values[2]
+    return turned > MOST * len(pairs)
 
 
 def explain_left_out(
