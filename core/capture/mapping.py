@@ -17,6 +17,7 @@ from .colmap_library import run_call
 
 ROBUST_SCALE = 1.0  # pixels of error at which the final adjustment begins to distrust an observation (Cauchy's loss)
 ROBUST_ITERATIONS = 10  # of the final adjustment; more change the poses by less than a tenth of their error
+GLOBAL_GROWTH = 1.5  # the model grows by this factor between two global adjustments; 1.1 takes a fifth longer for the same poses
 SMALLEST_MODEL = 3  # photographs
 FOCAL_RANGE = (0.3, 20.0)  # possible focal lengths, in long sides of the image
 FOCAL_CHANGE = 1.6  # largest factor between the focal length of EXIF and the refined one
@@ -88,6 +89,8 @@ def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions
     options.extract_colors, options.min_model_size = False, SMALLEST_MODEL
     options.ba_refine_focal_length = options.mapper.abs_pose_refine_focal_length = attempt.freedom is not Freedom.FIXED
     options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = attempt.freedom is not Freedom.FIXED
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = GLOBAL_GROWTH
+    options.ba_global_max_refinements = 2
     if attempt.lenient:
         options.min_num_matches = 10
         options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = 40, 6

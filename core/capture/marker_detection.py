@@ -9,6 +9,8 @@ from functools import cache
 import cv2
 import numpy as np
 
+from .marker_corners import refine_corners
+
 # Dictionaries of each number of cells along a side; ArUco's smaller ones are the beginnings of those of 1000.
 DICTIONARIES = {
     4: ("DICT_4X4_1000", "DICT_APRILTAG_16H5"),
@@ -20,7 +22,6 @@ CELL = 8  # pixels of a cell in the rectified marker
 CORRECTED = 0.3  # fraction of the correctable bits that may be wrong: more would find markers in any texture
 BORDER_ERRORS = 0.1  # largest fraction of white cells in the black border
 LEAST_SPREAD = 20.0  # grey levels between black and white cells
-SUBPIXEL = 1 / 12  # half of the window of the corners' refinement, in sides of the marker
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,9 @@ def detect_markers(grey: np.ndarray) -> list[Detection]:
                 continue
             for name in names:
                 known, number, turns = _dictionary(name).identify(bits, CORRECTED)
-                if known:
-                    found.append(Detection(name, int(number), np.roll(_refine(grey, corners), turns, axis=0) + 0.5))
+                refined = refine_corners(grey, corners) if known else None
+                if refined is not None:
+                    found.append(Detection(name, int(number), np.roll(refined, turns, axis=0) + 0.5))
     return found
 
 
@@ -87,10 +89,3 @@ def _read_cells(grey: np.ndarray, corners: np.ndarray, cells: int) -> np.ndarray
     if not white.any() or white[border].mean() > BORDER_ERRORS or inner[white].mean() - inner[~white].mean() < LEAST_SPREAD:
         return None
     return white[1:-1, 1:-1].astype(np.uint8)
-
-
-def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Refine corners (4, 2) to a fraction of a pixel."""
-    half = int(np.clip(SUBPIXEL * np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).min(), 2, 10))
-    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 0.005)
-    return cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), stop).reshape(4, 2).astype(float)

@@ -170,27 +170,27 @@ def test_other_photographs_are_not_mistaken_for_the_earlier_ones(shots, folder, 
 
 
 def test_two_photographs_are_refused(shots, tmp_path):
-    with pytest.raises(InputError, match="2 photographs are too few.*take 20"):
+    with pytest.raises(InputError, match=r"2 photographs are too few.*take 20"):
         find_poses([s.photograph for s in shots[:2]], tmp_path, SETTINGS, 0, Silent())
 
 
 def test_photographs_without_texture_are_refused(tmp_path):
     plain = [np.full((1024, 1024, 3), value, np.uint8) for value in (90, 120, 150)]
     taken = take(tmp_path / "photographs", cameras(3), plain)
-    with pytest.raises(InputError, match="almost no texture.*patterned surface"):
+    with pytest.raises(InputError, match=r"almost no texture.*patterned surface"):
         find_poses([s.photograph for s in taken], tmp_path / "capture", SETTINGS, 0, Silent())
 
 
 def test_photographs_from_one_place_are_refused(tmp_path):
     poses = [look_at((2.0, 2.0, 1.4), (0.4 + 0.1 * k, 0.5 - 0.08 * k, 0.4)) for k in range(5)]
     taken = take(tmp_path / "photographs", poses, textures())
-    with pytest.raises(InputError, match="same place.*walk around"):
+    with pytest.raises(InputError, match=r"same place.*walk around"):
         find_poses([s.photograph for s in taken], tmp_path / "capture", SETTINGS, 0, Silent())
 
 
 def test_photographs_that_do_not_overlap_are_refused(tmp_path):
     taken = [take(tmp_path / f"{k}", [pose], [texture(10 * k + j) for j in range(3)])[0] for k, pose in enumerate(cameras(3))]
-    with pytest.raises(InputError, match="do not show the same surfaces.*overlapping"):
+    with pytest.raises(InputError, match=r"do not show the same surfaces.*overlapping"):
         find_poses([s.photograph for s in taken], tmp_path / "capture", SETTINGS, 0, Silent())
 
 
