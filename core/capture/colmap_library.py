@@ -25,13 +25,13 @@ def silence() -> None:
         log.set_log_destination(level, "")
 
 
-def run_call(call: Callable[[pycolmap.CancellationToken], Result], done: Callable[[], int], progress: Progress) -> Result:
+def run_call(call: Callable[[pycolmap.CancellationToken], Result], progress: Progress, done: Callable[[], int] = lambda: -1) -> Result:
     """Run a long call of COLMAP in a thread, report its steps, and stop it when the user cancels.
 
     Args:
         call: called with the token that stops it.
-        done: returns the number of finished steps.
         progress: receiver.
+        done: returns the number of finished steps; -1 where it is not known.
 
     Returns:
         The call's result.

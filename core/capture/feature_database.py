@@ -106,24 +106,16 @@ def _write_image(database: pycolmap.Database, number: int, camera: int) -> None:
 
 
 def _is_sound(path: Path, count: int) -> bool:
-    """Check a database that a killed job may have left behind."""
+    """Check a database that a killed job may have left behind.
+
+    Python's SQLite must not touch the file while COLMAP has it open: two copies of the library in a process break each other's locks.
+    """
     try:
         with closing(sqlite3.connect(path)) as database:
             sound = database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
             return sound and database.execute("SELECT COUNT(*) FROM images").fetchone() == (count,)
     except sqlite3.DatabaseError:
         return False
-
-
-def count_rows(path: Path, table: str) -> int:
-    """Return the number of rows of a table while COLMAP may be writing to it.
-
-    Args:
-        path: the database file.
-        table: its name, such as `matches`.
-    """
-    with closing(sqlite3.connect(path, timeout=30)) as database:
-        return database.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
 
 
 def feature_counts(path: Path, count: int) -> np.ndarray:

@@ -13,13 +13,13 @@ from ..io.atomic import write_atomic
 from ..machine.thread_pool import thread_count
 from ..progress.protocol import Progress
 from .colmap_library import run_call
-from .feature_database import count_rows, image_name
+from .feature_database import image_name
 from .image_retrieval import similarity
 
 EXHAUSTIVE = 150  # photographs up to which "auto" matches every pair
 NEIGHBOURS = 10  # next photographs in the order of their names that each one is matched with, where not every pair is
 ALIKE = {"auto": 30, "sequential": 8}  # most similar photographs that each one is matched with too: they close loops
-BLOCK = 20  # pairs after which matches are written
+BLOCK = 100  # pairs after which progress is reported
 
 Pairs = list[tuple[int, int]]
 
@@ -62,18 +62,19 @@ def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress) -> N
         Cancelled: if the user stopped the job; matches found so far are kept.
     """
     progress.phase("match photographs", len(pairs))
-    listed = path.with_name("pairs.txt")
-    write_atomic(listed, "".join(f"{image_name(i + 1)} {image_name(j + 1)}\n" for i, j in pairs).encode())
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path, pairing.block_size = listed, BLOCK
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu, matching.num_threads = False, thread_count()
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     pycolmap.set_random_seed(seed)
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = path.with_name("pairs.txt")
+    for begin in range(0, len(pairs), BLOCK):
+        names = [(image_name(i + 1), image_name(j + 1)) for i, j in pairs[begin : begin + BLOCK]]
+        write_atomic(pairing.match_list_path, "".join(f"{a} {b}\n" for a, b in names).encode())
 
-    def call(token: pycolmap.CancellationToken) -> None:
-        pycolmap.match_image_pairs(path, matching, pairing, verification, pycolmap.Device.cpu, token)
+        def call(token: pycolmap.CancellationToken) -> None:
+            pycolmap.match_image_pairs(path, matching, pairing, verification, pycolmap.Device.cpu, token)
 
-    run_call(call, lambda: count_rows(path, "two_view_geometries"), progress)
-    progress.step(len(pairs))
+        run_call(call, progress)
+        progress.step(min(begin + BLOCK, len(pairs)))
