@@ -21,7 +21,7 @@ from .support_plane import SupportPlane
 ROUNDS = 2  # of carving and cutting again
 LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
 AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
-ON = 0.65  # first prior where the object's points are
+ON = 0.87  # first prior where the object's points are
 ELSEWHERE = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
 AGREED = 0.6  # IoU with the other views' silhouette below which a mask has no vote
 DOUBTFUL = 0.75  # IoU below which a finished mask is reported
