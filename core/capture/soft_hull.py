@@ -137,7 +137,7 @@ def _resized(masks: Sequence[np.ndarray | None], pixels: np.ndarray) -> list[np.
     """Return masks (H, W) uint8 that are widened (> 0) or narrowed (< 0) by pixels (V,), rounded."""
     result = []
     for mask, reach in zip(masks, pixels, strict=True):
-        size = 2 * min(int(round(abs(float(reach)))), 64) + 1
+        size = 2 * min(round(abs(float(reach))), 64) + 1
         change = cv2.dilate if reach > 0 else cv2.erode
         result.append(mask if mask is None or size == 1 else change(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))))
     return result
@@ -148,9 +148,7 @@ def _closed(mask: np.ndarray) -> bool:
     return not bool((mask[[0, -1]] > 127).any() or (mask[:, [0, -1]] > 127).any())
 
 
-def _voted(
-    centres: np.ndarray, step: float, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None], weights: np.ndarray
-) -> _Voxels:
+def _voted(centres: np.ndarray, step: float, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None], weights: np.ndarray) -> _Voxels:
     """Return voxels at centres (N, 3) with the votes of all views."""
     misses, views = np.zeros(len(centres), np.float32), np.zeros(len(centres), np.float32)
     ranges = even_ranges(len(centres), thread_count())
