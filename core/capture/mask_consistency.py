@@ -83,6 +83,8 @@ class _Work:
     def first(self, ready: list[bool]) -> None:
         """Cut the views that have evidence of their own, with the object's points as a weak prior."""
         chosen = [i for i, one in enumerate(ready) if one]
+        if not chosen:
+            return
         priors = [self._cutout(i).cropped(self._first_prior(self.cameras[i])) for i in chosen]
         sure = [_first_sureness(self._cutout(i), prior) for i, prior in zip(chosen, priors, strict=True)]
         self._cut(chosen, priors, sure, [SEED] * len(chosen), [np.maximum(one, 0) for one in sure])

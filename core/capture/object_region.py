@@ -29,9 +29,9 @@ STANDING = 4.0  # voxels above the plane below which a cluster stands on it by i
 CENTRAL = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
 QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
 MARGIN = 1.1  # factor of that radius
-BORDER_PIXELS = 48  # side of the small images in which the pictures' borders are looked at
-AT_BORDER = 0.3  # mean fraction of the pictures' borders that an object on a plane may cover
-HANGING = 0.15  # the same without a plane, where only free space around it tells an object from a facade
+SMALL, INSET = 48, 5  # side of the small images in which the pictures' borders are looked at, and pixels that stereo sees badly there
+AT_BORDER = 0.5  # mean fraction of the pictures' borders that an object on a plane may cover
+HANGING = 0.3  # the same without a plane, where only free space around it tells an object from a facade
 FRAMED = 0.6  # mean fraction of the object's points inside the pictures below which it is no object but the scene
 
 
@@ -140,7 +140,8 @@ def lowest_height(dense: DensePoints, plane: SupportPlane) -> float:
 
 def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: SupportPlane | None) -> _Clusters | None:
     """Label connected voxels, and drop the smallest clusters; None where no cluster is left."""
-    label, count = ndimage.label(occupied, np.ones((3, 3, 3)))
+    label = np.zeros(occupied.shape, np.int32)
+    count = int(ndimage.label(occupied, np.ones((3, 3, 3)), output=label))  # pyright: ignore[reportArgumentType]
     cells = np.argwhere(occupied)
     own = label[tuple(cells.T)] - 1
     size = np.bincount(own, minlength=count)
@@ -218,6 +219,6 @@ def _framed(region: ObjectRegion, cameras: Sequence[Camera], most: float) -> boo
     for camera in cameras:
         pixel, depth = camera.project(points)
         shown.append(float(((depth > 0) & (pixel > 0).all(1) & (pixel < (camera.width, camera.height)).all(1)).mean()))
-        image = projected_voxels(camera.resized(BORDER_PIXELS, BORDER_PIXELS), points, region.step)
+        image = projected_voxels(camera.resized(SMALL, SMALL), points, region.step)[INSET:-INSET, INSET:-INSET]
         border.append(float(np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]).mean()))
     return float(np.mean(shown)) > FRAMED and float(np.mean(border)) < most
