@@ -10,7 +10,7 @@ import numpy as np
 
 from ..datasets.bound import bound_of_cameras, bound_of_points, find_look_at_point
 from ..io.image import DecodedImage, reduce_image
-from ..progress.protocol import Progress
+from ..progress.protocol import Progress, Silent
 from ..scene.dataset import Bound, PointCloud, View
 from ..stereo.depth_bounds import depth_bounds
 from ..stereo.depth_map import DepthMap
@@ -83,14 +83,21 @@ def _reduced(view: View) -> View:
     return replace(view, camera=view.camera.resized(width, height), colour=colour, alpha=None)
 
 
-class _Renamed:
-    """Progress whose phase is "dense points", whatever stereo calls it."""
+class _Renamed(Silent):
+    """Progress of stereo, whose phase is called "dense points"."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
 
-    def __getattr__(self, name: str):
-        return getattr(self._progress, name)
+    @property
+    def cancelled(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._progress.cancelled
 
     def phase(self, name: str, steps: int) -> None:
         self._progress.phase("dense points", steps)
+
+    def step(self, done: int, **metrics: float) -> None:
+        self._progress.step(done, **metrics)
+
+    def message(self, text: str) -> None:
+        self._progress.message(text)

@@ -21,7 +21,7 @@ from .support_plane import SupportPlane
 ROUNDS = 2  # of carving and cutting again
 LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
 AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
-ON = 0.65  # first prior where the object's points are
+ON = 0.87  # first prior where the object's points are
 ELSEWHERE = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
 AGREED = 0.6  # IoU with the other views' silhouette below which a mask has no vote
 DOUBTFUL = 0.75  # IoU below which a finished mask is reported
@@ -83,6 +83,8 @@ class _Work:
     def first(self, ready: list[bool]) -> None:
         """Cut the views that have evidence of their own, with the object's points as a weak prior."""
         chosen = [i for i, one in enumerate(ready) if one]
+        if not chosen:
+            return
         priors = [self._cutout(i).cropped(self._first_prior(self.cameras[i])) for i in chosen]
         sure = [_first_sureness(self._cutout(i), prior) for i, prior in zip(chosen, priors, strict=True)]
         self._cut(chosen, priors, sure, [SEED] * len(chosen), [np.maximum(one, 0) for one in sure])

@@ -115,7 +115,7 @@ def _region(
         return region
     if sphere is not None:  # nothing of it is seen by stereo: colours and given masks have to tell
         return ObjectRegion(sphere, np.asarray(sphere.centre) - sphere.radius, 2 * sphere.radius, np.zeros((1, 1, 1), np.uint8), [])
-    return "nothing stands apart where the cameras look" if plane is not None else "there is no plane that an object stands on"
+    return "nothing stands apart where the cameras look" if plane is not None else "no object stands on a plane or hangs free"
 
 
 def _bound(views: Sequence[View], masks: Sequence[np.ndarray | None], region: ObjectRegion) -> Bound:

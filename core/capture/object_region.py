@@ -14,6 +14,7 @@ from ..datasets.bound import bound_of_cameras
 from ..scene.camera import Camera
 from ..scene.dataset import Bound
 from .dense_points import DensePoints
+from .soft_hull import projected_voxels
 from .support_plane import SupportPlane
 
 VOXEL = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
@@ -28,6 +29,9 @@ STANDING = 4.0  # voxels above the plane below which a cluster stands on it by i
 CENTRAL = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
 QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
 MARGIN = 1.1  # factor of that radius
+SMALL, INSET = 48, 5  # side of the small images in which the pictures' borders are looked at, and pixels that stereo sees badly there
+AT_BORDER = 0.5  # mean fraction of the pictures' borders that an object on a plane may cover
+HANGING = 0.3  # the same without a plane, where only free space around it tells an object from a facade
 FRAMED = 0.6  # mean fraction of the object's points inside the pictures below which it is no object but the scene
 
 
@@ -119,7 +123,7 @@ def find_object_region(
         label[tuple(clusters.cells.T)] = np.where(np.linalg.norm(centres - sphere.centre, axis=1) < sphere.radius, 1, 2)
     bound = sphere or _sphere(corner + (np.argwhere(label == 1) + 0.5) * step, step)
     region = ObjectRegion(bound, corner, step, label, _clutter(clusters, own, corner, step, bound))
-    return region if sphere is not None or _framed(region, cameras) else None
+    return region if sphere is not None or _framed(region, cameras, HANGING if plane is None else AT_BORDER) else None
 
 
 def _above(dense: DensePoints, plane: SupportPlane | None, reach: float) -> np.ndarray:
@@ -136,7 +140,8 @@ def lowest_height(dense: DensePoints, plane: SupportPlane) -> float:
 
 def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: SupportPlane | None) -> _Clusters | None:
     """Label connected voxels, and drop the smallest clusters; None where no cluster is left."""
-    label, count = ndimage.label(occupied, np.ones((3, 3, 3)))
+    label = np.zeros(occupied.shape, np.int32)
+    count = int(ndimage.label(occupied, np.ones((3, 3, 3)), output=label))  # pyright: ignore[reportArgumentType]
     cells = np.argwhere(occupied)
     own = label[tuple(cells.T)] - 1
     size = np.bincount(own, minlength=count)
@@ -207,11 +212,13 @@ def _clutter(clusters: _Clusters, own: np.ndarray, corner: np.ndarray, step: flo
     return [_sphere(corner + (clusters.cells[clusters.label == n] + 0.5) * step, step) for n in numbers]
 
 
-def _framed(region: ObjectRegion, cameras: Sequence[Camera]) -> bool:
-    """Return True where the pictures show most of the object."""
+def _framed(region: ObjectRegion, cameras: Sequence[Camera], most: float) -> bool:
+    """Return True where the pictures show most of the object, and it covers at most a fraction of their borders."""
     points = region.points()
-    shown = []
+    shown, border = [], []
     for camera in cameras:
         pixel, depth = camera.project(points)
         shown.append(float(((depth > 0) & (pixel > 0).all(1) & (pixel < (camera.width, camera.height)).all(1)).mean()))
-    return float(np.mean(shown)) > FRAMED
+        image = projected_voxels(camera.resized(SMALL, SMALL), points, region.step)[INSET:-INSET, INSET:-INSET]
+        border.append(float(np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]).mean()))
+    return float(np.mean(shown)) > FRAMED and float(np.mean(border)) < most

@@ -167,11 +167,11 @@ def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], near:
     """
     counts = []
     for cutout, sure in zip(cutouts, inside, strict=True):
-        far = cv2.distanceTransform((sure <= 0).astype(np.uint8), cv2.DIST_L2, 3)
+        far = np.minimum(cv2.distanceTransform((sure <= 0).astype(np.uint8), cv2.DIST_L2, 3), 1e4)  # huge where nothing is the object
         weight = np.maximum(-sure, 0) / (1 + (far / near) ** 2)
         counts.append((count_colours(cutout.bins, np.maximum(sure, 0)), count_colours(cutout.bins, weight)))
-    shared = [sum(c[k] / max(c[k].sum(), 1) for c in counts) / max(len(counts), 1) for k in (0, 1)]
-    models = []
+    shared = [np.mean([c[k] / max(c[k].sum(), 1) for c in counts], 0) for k in (0, 1)]
+    models: list[tuple[np.ndarray, np.ndarray]] = []
     for own in counts:
         mixed = [SHARED * shared[k] + (1 - SHARED) * own[k] / own[k].sum() if own[k].sum() > 0 else shared[k] for k in (0, 1)]
         models.append((probabilities(mixed[0]), probabilities(mixed[1])))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs for the tests of a capture: textured views from several places, with EXIF where it is asked for."""
+"""Photographs for the tests of a capture, and a scene of a box on a table with its dense points and masks, computed once."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,9 +8,13 @@ from types import ModuleType
 import cv2
 import numpy as np
 import pytest
+from irgspp.core.capture.dense_points import DensePoints, find_dense_points
+from irgspp.core.capture.object_masks import ObjectMasks, cut_out
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.settings.schema import CaptureSettings
 from PIL import Image
 from scripts_folder import scripts_on_path
+from table_scene import TableScene, photographed_table
 
 EXIF_IFD = 0x8769
 SIZE = (96, 128)  # rows and columns
@@ -84,3 +88,20 @@ def writers() -> ModuleType:
     """Writers of RAW files and videos."""
     with scripts_on_path() as script:
         return script("formats.photographs")
+
+
+@pytest.fixture(scope="session")
+def table_scene() -> TableScene:
+    return photographed_table()
+
+
+@pytest.fixture(scope="session")
+def dense(table_scene: TableScene) -> DensePoints:
+    return find_dense_points(table_scene.views, table_scene.points, None, 0, Silent())
+
+
+@pytest.fixture(scope="session")
+def table_masks(table_scene: TableScene) -> ObjectMasks:
+    found = cut_out(table_scene.views, table_scene.points, CaptureSettings(), 0, Silent())
+    assert found is not None
+    return found

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Region of the object that the cameras look at, on a table with other things."""
+
+import numpy as np
+import pytest
+from irgspp.core.capture.dense_points import find_dense_points
+from irgspp.core.capture.object_region import find_object_region
+from irgspp.core.capture.support_plane import find_support_plane
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.dataset import Bound
+from table_scene import CLUTTER, photographed_table
+
+
+@pytest.fixture(scope="module")
+def plane(dense, table_scene):
+    return find_support_plane(dense, [view.camera for view in table_scene.views], 0)
+
+
+def test_region_is_the_box_in_the_middle(dense, plane, table_scene):
+    region = find_object_region(dense, plane, [view.camera for view in table_scene.views])
+    assert region is not None
+    assert np.allclose(region.bound.centre, (0, 0, 0.5), atol=0.08)
+    assert 0.6 < region.bound.radius < 0.85
+    on_box, on_table, on_other = np.array([[0.32, 0, 0.6]]), np.array([[0.7, 0, 0.0]]), np.array([[1.15, 0.35, 0.2]])
+    assert [int(region.labels(place)[0]) for place in (on_box, on_table, on_other)] == [1, 0, 2]
+
+
+def test_other_things_are_reported(dense, plane, table_scene):
+    region = find_object_region(dense, plane, [view.camera for view in table_scene.views])
+    assert region is not None
+    assert len(region.clutter) == 1
+    assert np.linalg.norm(np.array(region.clutter[0].centre) - CLUTTER.centre) < 0.15
+
+
+def test_a_sphere_chooses_another_thing(dense, plane, table_scene):
+    sphere = Bound(CLUTTER.centre, 0.5)
+    region = find_object_region(dense, plane, [view.camera for view in table_scene.views], sphere)
+    assert region is not None
+    assert region.bound == sphere
+    assert np.linalg.norm(region.points().mean(0) - CLUTTER.centre) < 0.15
+
+
+def test_of_two_objects_the_one_looked_at_is_taken():
+    scene = photographed_table(count=10, width=120, target=(1.15, 0.55, 0.2))
+    dense = find_dense_points(scene.views, scene.points, None, 0, Silent())
+    cameras = [view.camera for view in scene.views]
+    region = find_object_region(dense, find_support_plane(dense, cameras, 0), cameras)
+    assert region is not None
+    assert np.linalg.norm(np.array(region.bound.centre) - CLUTTER.centre) < 0.15
