@@ -14,6 +14,7 @@ BT2020, P3 = 9, 12  # colour primaries
 WHITE = 203.0  # cd/m2 of diffuse white in HDR video (ITU-R BT.2408), which becomes 1
 HLG_WHITE = 0.75  # its signal in HLG
 PEAK = 10_000.0  # cd/m2 of PQ's largest signal
+BAND = 256  # rows held as floats at a time
 TO_SRGB = {  # linear colours (rows: red, green, blue) of other primaries in those of sRGB
     BT2020: ((1.660491, -0.587641, -0.072850), (-0.124550, 1.132900, -0.008349), (-0.018151, -0.100579, 1.118730)),
     P3: ((1.224940, -0.224940, 0.0), (-0.042057, 1.042057, 0.0), (-0.019638, -0.078636, 1.098274)),
@@ -41,6 +42,12 @@ def coded_to_srgb(pixels: np.ndarray, transfer: int, primaries: int) -> np.ndarr
     Returns:
         (H, W, 3) uint8.
     """
+    bands = (pixels[i : i + BAND] for i in range(0, len(pixels), BAND))
+    return np.concatenate([_converted(band, transfer, primaries) for band in bands])
+
+
+def _converted(pixels: np.ndarray, transfer: int, primaries: int) -> np.ndarray:
+    """Convert some rows."""
     linear = np.take(_linear_table(transfer, int(np.iinfo(pixels.dtype).max)), pixels)
     if primaries in TO_SRGB:
         linear = linear @ np.asarray(TO_SRGB[primaries], np.float32).T
