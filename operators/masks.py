@@ -10,8 +10,10 @@ from bpy.props import StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.mask_image import open_mask, save_masks
-from ..irgspp_addon.windows import fit_image, open_image_editor
+from ..irgspp_addon.windows import fit_image, in_area, open_image_editor
 from .blocking import SKIP, refuse
+
+BRUSH = "IRGS++ Mask"
 
 
 class IRGSPP_OT_edit_mask(bpy.types.Operator):
@@ -37,10 +39,22 @@ class IRGSPP_OT_edit_mask(bpy.types.Operator):
             area.spaces.active.ui_mode = "PAINT"
             area.spaces.active.show_region_ui = True
             fit_image(area)
-            brush = context.tool_settings.image_paint.brush
-            if brush is not None:
-                brush.blend = "ERASE_ALPHA"
+            self._choose_brush(context, area)
         return {"FINISHED"}
+
+    def _choose_brush(self, context: bpy.types.Context, area: bpy.types.Area) -> None:
+        """Paint with a brush of our own, so that the user's brushes stay as they are."""
+        brush = bpy.data.brushes.get(BRUSH) or bpy.data.brushes.new(BRUSH, mode="TEXTURE_PAINT")
+        brush.blend = "ERASE_ALPHA"
+        if bpy.app.version < (4, 3, 0):
+            context.tool_settings.image_paint.brush = brush
+            return
+        brush.asset_mark()  # from Blender 4.3 on, brushes are assets, and only those can be chosen
+        try:
+            with in_area(area):
+                bpy.ops.brush.asset_activate(asset_library_type="LOCAL", relative_asset_identifier=f"Brush/{BRUSH}")
+        except RuntimeError:  # the list of assets is not complete yet
+            self.report({"WARNING"}, f"Choose the brush {BRUSH} in the asset shelf")
 
 
 class IRGSPP_OT_save_masks(bpy.types.Operator):

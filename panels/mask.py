@@ -33,8 +33,7 @@ class IRGSPP_PT_mask(bpy.types.Panel):
         button(row, "wm.context_set_enum", "Erase", "REMOVE", data_path=BLEND, value="ERASE_ALPHA")
         button(row, "wm.context_set_enum", "Add", "ADD", data_path=BLEND, value="ADD_ALPHA")
         brush = context.tool_settings.image_paint.brush
-        if brush is not None:
-            layout.label(text=BRUSHES.get(brush.blend, "Choose Erase or Add."))
+        layout.label(text=BRUSHES.get(brush.blend, "Press Erase or Add.") if brush is not None else "Choose a brush in the asset shelf.")
         button(layout, "irgspp.save_masks", "Save Masks", "FILE_TICK")
 
 
