@@ -47,7 +47,7 @@ class IRGSPP_OT_mask_brush(bpy.types.Operator):
 
     bl_idname = "irgspp.mask_brush"
     bl_label = "Mask Brush"
-    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+    bl_options = {"REGISTER", "INTERNAL"}  # noqa: RUF012 (Blender wants a plain set)
 
     blend: EnumProperty(
         name="Paint",
@@ -108,7 +108,7 @@ class IRGSPP_OT_show_image(bpy.types.Operator):
 
     bl_idname = "irgspp.show_image"
     bl_label = "Show Image"
-    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+    bl_options = {"REGISTER", "INTERNAL"}  # noqa: RUF012 (Blender wants a plain set)
 
     filepath: StringProperty(name="Image", description="Image file", subtype="FILE_PATH", options=SKIP)
 
