@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from typing import Any
 
 import bpy
 import numpy as np
@@ -34,11 +36,16 @@ def open_image_editor(image: bpy.types.Image) -> bpy.types.Area:
     return area
 
 
-def fit_image(area: bpy.types.Area) -> None:
-    """Fit the view of an Image Editor to its image."""
+def in_area(area: bpy.types.Area) -> AbstractContextManager[Any]:
+    """Return a context override for operators in the main region of an area."""
     window = next(one for one in bpy.context.window_manager.windows if area in one.screen.areas[:])
     region = next(region for region in area.regions if region.type == "WINDOW")
-    with bpy.context.temp_override(window=window, area=area, region=region):
+    return bpy.context.temp_override(window=window, area=area, region=region)
+
+
+def fit_image(area: bpy.types.Area) -> None:
+    """Fit the view of an Image Editor to its image."""
+    with in_area(area):
         bpy.ops.image.view_all(fit_view=True)
 
 

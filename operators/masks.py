@@ -6,12 +6,14 @@
 from pathlib import Path
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import EnumProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.mask_image import open_mask, save_masks
-from ..irgspp_addon.windows import fit_image, open_image_editor
+from ..irgspp_addon.windows import fit_image, in_area, open_image_editor
 from .blocking import SKIP, refuse
+
+BRUSH = "IRGS++ Mask"
 
 
 class IRGSPP_OT_edit_mask(bpy.types.Operator):
@@ -37,9 +39,50 @@ class IRGSPP_OT_edit_mask(bpy.types.Operator):
             area.spaces.active.ui_mode = "PAINT"
             area.spaces.active.show_region_ui = True
             fit_image(area)
-            brush = context.tool_settings.image_paint.brush
-            if brush is not None:
-                brush.blend = "ERASE_ALPHA"
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_mask_brush(bpy.types.Operator):
+    """Paint on the mask with the brush "IRGS++ Mask"."""
+
+    bl_idname = "irgspp.mask_brush"
+    bl_label = "Mask Brush"
+    bl_options = {"REGISTER", "INTERNAL"}  # noqa: RUF012 (Blender wants a plain set)
+
+    blend: EnumProperty(
+        name="Paint",
+        description="What the brush does",
+        items=[
+            ("ERASE_ALPHA", "Erase", "Erase what is not the object", 0),
+            ("ADD_ALPHA", "Add", "Add what is missing of the object", 1),
+        ],
+        options=SKIP,
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True in an Image Editor that is ready for painting; Blender crashes where a brush is chosen before."""
+        area = context.area
+        ready = area is not None and area.type == "IMAGE_EDITOR" and area.spaces.active.ui_mode == "PAINT"
+        if not ready or context.workspace.tools.from_space_image_mode("PAINT") is None:
+            cls.poll_message_set("Set the Image Editor's mode to Paint")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Choose the brush, a brush of our own, so that the user's brushes stay as they are."""
+        brush = bpy.data.brushes.get(BRUSH) or bpy.data.brushes.new(BRUSH, mode="TEXTURE_PAINT")
+        brush.blend = self.blend
+        if bpy.app.version < (4, 3, 0):
+            context.tool_settings.image_paint.brush = brush
+            return {"FINISHED"}
+        if brush.asset_data is None:
+            brush.asset_mark()  # from Blender 4.3 on, brushes are assets, and only those can be chosen
+        try:
+            with in_area(context.area):
+                bpy.ops.brush.asset_activate(asset_library_type="LOCAL", relative_asset_identifier=f"Brush/{BRUSH}")
+        except RuntimeError as error:  # such as that the list of assets is not complete yet
+            return refuse(self, error)
         return {"FINISHED"}
 
 
@@ -65,7 +108,7 @@ class IRGSPP_OT_show_image(bpy.types.Operator):
 
     bl_idname = "irgspp.show_image"
     bl_label = "Show Image"
-    bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
+    bl_options = {"REGISTER", "INTERNAL"}  # noqa: RUF012 (Blender wants a plain set)
 
     filepath: StringProperty(name="Image", description="Image file", subtype="FILE_PATH", options=SKIP)
 
@@ -81,4 +124,4 @@ class IRGSPP_OT_show_image(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (IRGSPP_OT_edit_mask, IRGSPP_OT_save_masks, IRGSPP_OT_show_image)
+CLASSES = (IRGSPP_OT_edit_mask, IRGSPP_OT_mask_brush, IRGSPP_OT_save_masks, IRGSPP_OT_show_image)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What panels show of folders of photographs and captures, looked at every two seconds at most however often panels are drawn."""
+"""Folders of photographs and captures as panels show them, looked at every two seconds at most however often panels are drawn."""
 
 from __future__ import annotations
 

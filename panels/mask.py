@@ -8,8 +8,6 @@ import bpy
 from ..irgspp_addon.importer.mask_image import MASK
 from .sidebar import button, say
 
-BLEND = "tool_settings.image_paint.brush.blend"  # data path of the brush's blending mode
-
 
 class IRGSPP_PT_mask(bpy.types.Panel):
     """Panel that paints and saves the mask of a captured photograph."""
@@ -30,11 +28,10 @@ class IRGSPP_PT_mask(bpy.types.Panel):
         layout = self.layout
         say(layout, context, "The object is opaque, the rest is dim.", icon="INFO")
         row = layout.row(align=True)
-        button(row, "wm.context_set_enum", "Erase", "REMOVE", data_path=BLEND, value="ERASE_ALPHA")
-        button(row, "wm.context_set_enum", "Add", "ADD", data_path=BLEND, value="ADD_ALPHA")
+        button(row, "irgspp.mask_brush", "Erase", "REMOVE", blend="ERASE_ALPHA")
+        button(row, "irgspp.mask_brush", "Add", "ADD", blend="ADD_ALPHA")
         brush = context.tool_settings.image_paint.brush
-        if brush is not None:
-            layout.label(text=BRUSHES.get(brush.blend, "Choose Erase or Add."))
+        layout.label(text=BRUSHES.get(brush.blend if brush else "", "Press Erase or Add, then paint."))
         button(layout, "irgspp.save_masks", "Save Masks", "FILE_TICK")
 
 

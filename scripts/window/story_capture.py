@@ -99,6 +99,11 @@ def look_at_masks() -> Iterator[float]:
     driver.shot("75_mask")
     mask = Path(image[masks.MASK])
     before = mask.read_bytes() if mask.is_file() else b""
+    driver.region("UI", editor).active_panel_category = "IRGS++"
+    editor.tag_redraw()
+    yield 1.0
+    yield from driver.click("irgspp.mask_brush", area=editor, across=0.25)
+    assert bpy.context.tool_settings.image_paint.brush.blend == "ERASE_ALPHA"
     paint_across(driver.region("WINDOW", editor))
     yield 3.0
     driver.shot("76_mask_painted")

@@ -160,6 +160,7 @@ def test_the_panel_of_a_mask_is_in_the_image_editor(settings):
     image[MASK] = "/masks/a.png"
     assert panel.poll(editor)
     drawn = draw(panel)
-    assert [button.values["value"] for button in drawn.buttons("wm.context_set_enum")] == ["ERASE_ALPHA", "ADD_ALPHA"]
+    assert [button.values["blend"] for button in drawn.buttons("irgspp.mask_brush")] == ["ERASE_ALPHA", "ADD_ALPHA"]
     assert drawn.buttons("irgspp.save_masks")[0].live
+    assert not bpy.ops.irgspp.mask_brush.poll()  # no Image Editor here
     assert bpy.ops.irgspp.save_masks() == {"FINISHED"}
