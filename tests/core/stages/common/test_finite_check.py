@@ -29,6 +29,7 @@ SETTINGS = [
     "surface.texture=64",
 ]
 SETTINGS += ["second.points=300", "second.rows=4", "second.iterations=4", "second.pool=2000", "second.radiance_iterations=4"]
+SETTINGS += ["second.normal_iterations=4"]
 FINISHED = {"read", "first stage", "geometry"}  # phases before the second stage
 FAULT = 5  # the iteration in which a value becomes non-finite
 COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
