@@ -48,7 +48,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     Of several processes each begins with its part of the list. The tests in Blender's process come in the middle: with the kernels' cache
     empty, the second process would else compile what the first is compiling.
     """
-    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+    marks = {item: item.get_closest_marker("long") for item in items}
+    items.sort(key=lambda item: 0 if (mark := marks[item]) is None else -mark.kwargs.get("seconds", 30))
     in_blender = [item for item in items if not WITHOUT_KERNELS.isdisjoint(item.path.parents)]
     others = [item for item in items if WITHOUT_KERNELS.isdisjoint(item.path.parents)]
     half = len(items) // 2

@@ -24,7 +24,7 @@ TINY = [
 ]  # fmt: skip
 
 
-@pytest.mark.long
+@pytest.mark.long(seconds=60)
 def test_a_whole_job_runs_and_agrees_with_numba(tmp_path, monkeypatch):
     """In a process of its own, as torch can't remove the emulated GPU again."""
     pytest.importorskip("warp")
