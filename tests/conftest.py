@@ -18,6 +18,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.pop("BLENDER_USER_RESOURCES", None)  # the first process may have chosen one folder already, which the others inherit
 
 
+WITHOUT_KERNELS = {Path(__file__).parent / name for name in ("irgspp_addon", "operators", "panels")}
+
+
 def ring(count: int, size: int = 64, distance: float = 4.0, lowest: float = -0.9, highest: float = 0.9) -> list[Camera]:
     """Cameras on a spiral over the sphere between two heights of the unit sphere, looking at the origin."""
     z, angle = np.linspace(lowest, highest, count), np.arange(count) * 2.399963
@@ -40,8 +43,17 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest tests first: at the end, one process would be at work on them and the others done."""
-    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+    """The longest tests first: at the end, one process would be at work on them and the others done.
+
+    Of several processes each begins with its part of the list. The tests in Blender's process come in the middle: with the kernels' cache
+    empty, the second process would else compile what the first is compiling.
+    """
+    marks = {item: item.get_closest_marker("long") for item in items}
+    items.sort(key=lambda item: 0 if (mark := marks[item]) is None else -mark.kwargs.get("seconds", 30))
+    in_blender = [item for item in items if not WITHOUT_KERNELS.isdisjoint(item.path.parents)]
+    others = [item for item in items if WITHOUT_KERNELS.isdisjoint(item.path.parents)]
+    half = len(items) // 2
+    items[:] = others[:half] + in_blender + others[half:]
 
 
 _ended: list[int] = []  # pytest's exit status, once it is known

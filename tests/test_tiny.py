@@ -4,14 +4,19 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from irgspp.core import pipeline
 from irgspp.core.cli.main import main
+from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import Cancelled
 from irgspp.core.io.exr import read_exr, read_exr_rgb
 from irgspp.core.pipeline import DEMO_DATA, reconstruct
@@ -19,6 +24,7 @@ from irgspp.core.progress.protocol import Silent
 from irgspp.core.run_folder import read_run
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
+from small_scenes import small_scene
 
 TINY = (
     "materials=low-gloss",  # the trial fits take longer than the rest; the demo below runs them
@@ -51,6 +57,21 @@ def run(settings, tmp_path_factory):
     return reconstruct(DEMO_DATA, tmp_path_factory.mktemp("undisturbed") / "run", settings)
 
 
+@pytest.fixture(scope="module")
+def quick(settings):
+    """Return a context in which jobs of this process leave out the Blender scene, which `run` has, and do not read the dataset again."""
+    data = load_dataset(DEMO_DATA, settings.data)
+
+    @contextmanager
+    def patched():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(pipeline, "write_blend", lambda *_: None)
+            patch.setattr(pipeline, "load_dataset", lambda path, *_: {DEMO_DATA: data}[path])
+            yield
+
+    return patched
+
+
 class StopAt(Silent):
     """Progress that cancels the job once the named phase has finished so many steps."""
 
@@ -63,6 +84,25 @@ class StopAt(Silent):
     def step(self, done, **metrics):
         if self.now == self.stop[0] and done >= self.stop[1]:
             self.cancelled = True
+
+
+def stop_and_resume(folder, settings, places, begun):
+    """Cancel a job at each of the places (phase, steps) in turn."""
+    for resume, place in enumerate(places, begun):
+        with pytest.raises(Cancelled):
+            reconstruct(DEMO_DATA, folder, settings, resume=bool(resume), progress=StopAt(*place))
+        assert read_run(folder)["status"] == "cancelled"
+        assert (folder / "checkpoint" / "first_stage.pt").exists()
+        assert (folder / "gaussians.ply").exists() == (place[0] in ("bake", "contact sheet"))
+
+
+@pytest.fixture(scope="module")
+def traced(settings, quick, tmp_path_factory):
+    """A job that was cancelled in the first stage, and twice on its way to the second."""
+    folder = tmp_path_factory.mktemp("stopped") / "run"
+    with quick():
+        stop_and_resume(folder, settings, (("first stage", STOP), ("fuse", 5), ("trace", 1)), 0)
+    return folder
 
 
 def test_job_leaves_a_complete_run_folder(run):
@@ -138,7 +178,15 @@ def test_inspection_from_the_command_line(capsys):
 
 def test_demo_from_the_command_line(tmp_path, capsys):
     """It decides the material class by trial fits."""
-    words = [*TINY, "materials=auto", "first.iterations=8", "first.trial_iterations=4", "first.trial_gaussians=500"]
+    words = [
+        *TINY,
+        "materials=auto",
+        "first.stereo=off",
+        "second.normal_iterations=4",
+        "first.iterations=8",
+        "first.trial_iterations=4",
+        "first.trial_gaussians=500",
+    ]
     assert main(["demo", "-o", str(tmp_path / "demo"), *(part for word in words for part in ("--set", word))]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "demo" / "contact_sheet.png")
     state = read_run(tmp_path / "demo")
@@ -146,21 +194,16 @@ def test_demo_from_the_command_line(tmp_path, capsys):
     assert re.search(r"materials: .*\d dB", (tmp_path / "demo" / "log.txt").read_text())
 
 
-def test_cancelled_job_resumes_to_the_same_result(run, settings, tmp_path):
-    stopped = tmp_path / "run"
-    places = (("first stage", STOP), ("fuse", 5), ("trace", 1), ("second stage", 11), ("paint", 1), ("refine", 7), ("radiance", 9))
-    places += (("bake", 3), ("contact sheet", 2))
-    for resume, place in enumerate(places):
-        with pytest.raises(Cancelled):
-            reconstruct(DEMO_DATA, stopped, settings, resume=bool(resume), progress=StopAt(*place))
-        assert read_run(stopped)["status"] == "cancelled"
-        assert (stopped / "checkpoint" / "first_stage.pt").exists()
-        assert (stopped / "gaussians.ply").exists() == (place[0] in ("bake", "contact sheet"))
-    reconstruct(DEMO_DATA, stopped, settings, resume=True)
+def test_cancelled_job_resumes_to_the_same_result(run, traced, settings, tmp_path, quick):
+    stopped = shutil.copytree(traced, tmp_path / "run")
+    places = (("second stage", 11), ("paint", 1), ("refine", 7), ("radiance", 9), ("bake", 3), ("contact sheet", 2))
+    with quick():
+        stop_and_resume(stopped, settings, places, 1)
+        reconstruct(DEMO_DATA, stopped, settings, resume=True)
     assert_same(stopped, run)
 
 
-def test_job_whose_second_stage_is_finished_early_completes(run, settings, tmp_path):
+def test_job_whose_second_stage_is_finished_early_completes(run, traced, settings, tmp_path, quick):
     class FinishEarly(Silent):
         """Progress that finishes the second stage early, after five steps."""
 
@@ -173,7 +216,9 @@ def test_job_whose_second_stage_is_finished_early_completes(run, settings, tmp_p
                 self.last, self.finish_early = done, done >= 5
                 assert done <= 5
 
-    reconstruct(DEMO_DATA, tmp_path / "run", settings, progress=FinishEarly())
+    shutil.copytree(traced, tmp_path / "run")
+    with quick():
+        reconstruct(DEMO_DATA, tmp_path / "run", settings, resume=True, progress=FinishEarly())
     state = read_run(tmp_path / "run")
     assert state["status"] == "done" and all(phase["finished"] for phase in state["phases"].values())
     assert (tmp_path / "run" / "environment.exr").read_bytes() != (run / "environment.exr").read_bytes()
@@ -212,15 +257,30 @@ def test_killed_job_resumes_to_the_same_result(run, tmp_path):
     assert_same(killed, run)
 
 
-@pytest.mark.long
+def publish(compiled):
+    """Copy compiled kernels that the cache of this process lacks there: each process of the tests would else compile them again."""
+    (folder,) = compiled.glob("kernels-*")
+    for path in sorted(folder.rglob("*.nb[ci]"), key=lambda path: path.suffix):  # .nbc, the code, before .nbi, its index
+        target = Path(os.environ["NUMBA_CACHE_DIR"]) / path.relative_to(folder)
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            part = shutil.copyfile(path, target.with_suffix(f".part{os.getpid()}"))
+            os.replace(part, target)
+
+
+@pytest.mark.long(seconds=120)
 def test_first_run_on_a_machine_is_like_the_later_ones(tmp_path):
-    """Kernels are compiled in the first, read from the cache in the second."""
+    """Kernels are compiled in the first, read from the cache in the second; on stereo's points, with half as many views as the demo's."""
     environment = {**os.environ, "IRGSPP_CACHE": str(tmp_path / "cache")}
     environment.pop("NUMBA_CACHE_DIR", None)  # this process has set it
     for name in ("first", "second"):
-        command = [sys.executable, "-P", "-m", "irgspp", "reconstruct", str(DEMO_DATA), "-o", str(tmp_path / name), "--preset", "draft"]
-        command += [word for text in (*TINY, "first.iterations=4") for word in ("--set", text)]
+        command = [sys.executable, "-P", "-m", "irgspp", "reconstruct", str(small_scene("bowl")), "-o", str(tmp_path / name)]
+        command += ["--preset", "draft"]
+        command += [
+            word for text in (*TINY, "first.iterations=4", "first.stereo=on", "second.normal_iterations=4") for word in ("--set", text)
+        ]
         subprocess.run(command, env=environment, stderr=subprocess.DEVNULL, check=True)
+        publish(tmp_path / "cache")
     assert list((tmp_path / "cache").rglob("*.nbc"))
     assert_same(tmp_path / "second", tmp_path / "first")
 

@@ -33,6 +33,7 @@ SETTINGS = (
     "second.iterations=8",
     "second.pool=1000",
     "second.radiance_iterations=8",
+    "second.normal_iterations=8",
     "surface.voxels=24",
     "surface.triangles=500",
     "surface.texture=64",

@@ -5,6 +5,7 @@ Converting one to numpy, or mixing it with a tensor of the CPU, is an error, as 
 CPU device.
 """
 
+import math
 import os
 import sys
 from pathlib import Path
@@ -25,6 +26,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 from irgspp.core.shading.procedural_lights import sky_light
+from irgspp.core.stages.first import trainer
 from torch.utils import _pytree, backend_registration
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -104,6 +106,7 @@ def emulate() -> None:
     torch.Tensor.new_tensor = lambda like, values: make(values, dtype=like.dtype).to(like.device)
     chosen = devices.ChosenDevice(GPU, "emulated", True, 80 << 30)
     pipeline.write_blend = lambda *_: None  # slow, and independent of the GPU
+    trainer.CHECKPOINT_SECONDS = math.inf  # torch can't save the emulated tensors, and a busy machine takes longer than this
     pipeline.choose_device = devices.choose_device = lambda name: chosen
 
 

@@ -216,8 +216,8 @@ def thinned(points: OrientedPoints, count: int) -> OrientedPoints:
     average = lambda a: np.stack([np.bincount(group, points.support * c) / weight for c in a.T], 1)  # noqa: E731
     normal = average(points.normal)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    arrays = (average(points.position), normal, average(points.colour))
-    return OrientedPoints(*(a.astype(np.float32) for a in arrays), weight.astype(np.int32))
+    position, normal, colour = (a.astype(np.float32) for a in (average(points.position), normal, average(points.colour)))
+    return OrientedPoints(position, normal, colour, weight.astype(np.int32))
 
 
 def _voxels(points: np.ndarray, size: float) -> np.ndarray:

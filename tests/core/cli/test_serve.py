@@ -72,10 +72,15 @@ class Worker:
 
 @pytest.fixture(scope="module")
 def worker(run, tmp_path_factory):
+    """A server for all tests, which ends by the file `stop`."""
     worker = Worker(run, tmp_path_factory.mktemp("session") / "a")
     yield worker
-    worker.process.kill()
-    worker.process.wait()
+    (worker.session / "stop").touch()
+    try:
+        assert worker.end() == 0
+    finally:
+        worker.process.kill()
+        worker.process.wait()
 
 
 def reference(run, light, samples=16, backend="mesh", camera=EYE):
@@ -187,14 +192,12 @@ def test_few_images_are_kept(worker):
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize("how", ["stop", "stdin", "folder"])
+@pytest.mark.parametrize("how", ["stdin", "folder"])  # the third is `stop`, at the end of the fixture `worker`
 def test_it_ends_when_asked(run, tmp_path, how):
     worker = Worker(run, tmp_path / "session")
     assert worker.process.stdin is not None
     worker.answer(worker.ask(samples=4))
-    if how == "stop":
-        (worker.session / "stop").touch()
-    elif how == "stdin":
+    if how == "stdin":
         worker.process.stdin.close()
     else:
         shutil.rmtree(worker.session)

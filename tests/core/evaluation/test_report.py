@@ -37,7 +37,7 @@ class Known:
 
 @pytest.fixture
 def known(demo, monkeypatch):
-    """A renderer that returns the ground truth of the view with the given camera, under the given light."""
+    """A renderer that returns the ground truth of the view with the given camera, under the given light; the dataset is not read again."""
     _, dataset, scene, _, predictions = demo
 
     def at(camera):
@@ -65,6 +65,7 @@ def known(demo, monkeypatch):
     for module in (report, sheet):
         monkeypatch.setattr(module, "render_gbuffer", lambda reconstruction, camera: at(camera).buffers)
     monkeypatch.setattr(report, "open_relighter", lambda *_: KnowingRelighter())
+    monkeypatch.setattr(cases, "load_dataset", lambda path, *_: {demo[0]: dataset}[path])
     known = Known(scene.lights["sky"])
     monkeypatch.setattr(report.Reconstruction, "load", lambda run: known)
     return KnowingRelighter()

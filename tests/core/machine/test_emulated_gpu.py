@@ -9,28 +9,30 @@ from pathlib import Path
 
 import pytest
 from irgspp.core import pipeline
-from irgspp.core.pipeline import DEMO_DATA, reconstruct
+from irgspp.core.pipeline import reconstruct
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
+from small_scenes import small_scene
 
+SCENE = small_scene("bowl")  # it has half as many views as the demo's
 EMULATED = Path(__file__).resolve().parents[2] / "support" / "emulated_gpu.py"
 TINY = [
-    "materials=glossy", "first.gaussians=2000", "first.iterations=80", "first.trial_iterations=10",
-    "first.trial_gaussians=400", "second.points=300", "second.rows=8", "second.views=4", "second.iterations=8",
-    "second.pixels=32", "second.samples=16", "second.pool=2000", "second.radiance_iterations=5", "surface.voxels=48",
-    "surface.triangles=2000", "surface.texture=128",
+    "materials=glossy", "first.gaussians=1500", "first.iterations=40", "first.trial_iterations=4",
+    "first.trial_gaussians=400", "second.points=200", "second.rows=6", "second.views=4", "second.iterations=4",
+    "second.pixels=32", "second.samples=8", "second.pool=1000", "second.radiance_iterations=3", "second.normal_iterations=8",
+    "surface.voxels=40", "surface.triangles=1000", "surface.texture=64",
 ]  # fmt: skip
 
 
-@pytest.mark.long
+@pytest.mark.long(seconds=60)
 def test_a_whole_job_runs_and_agrees_with_numba(tmp_path, monkeypatch):
     """In a process of its own, as torch can't remove the emulated GPU again."""
     pytest.importorskip("warp")
-    words = [sys.executable, str(EMULATED), str(DEMO_DATA), str(tmp_path / "gpu"), *TINY]
+    words = [sys.executable, str(EMULATED), str(SCENE), str(tmp_path / "gpu"), *TINY]
     done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert done.returncode == 0, done.stderr[-3000:]
     monkeypatch.setattr(pipeline, "write_blend", lambda *_: None)
-    reconstruct(DEMO_DATA, tmp_path / "cpu", with_overrides(preset("balanced"), [*TINY, "device=cpu"]))
+    reconstruct(SCENE, tmp_path / "cpu", with_overrides(preset("balanced"), [*TINY, "device=cpu"]))
     states = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("gpu", "cpu")]
     assert [state["computed_on"]["device"] for state in states] == ["emulated:0", "cpu"]
     found, expected = (state["training"]["test_radiance_psnr"] for state in states)

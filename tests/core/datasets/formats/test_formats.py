@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every known format, written from a scene of known geometry: cameras, images, masks, splits, ground truth and lights are read back."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from formats_scene import AXES, axes_light
@@ -29,11 +31,17 @@ LIGHTS = {
 }
 WRONG = 0.25  # smallest mean error of a rotated or mirrored light, as RIGHT is the largest of the right one; measured: 0.31 and more
 TINY = (
-    "materials=low-gloss", "first.iterations=60", "first.gaussians=2000", "first.light_height=8", "surface.voxels=44",
+    "materials=low-gloss", "first.stereo=off", "first.iterations=60", "first.gaussians=2000", "first.light_height=8", "surface.voxels=44",
     "second.points=400", "second.rows=4", "second.iterations=2", "second.pixels=32", "second.samples=8",
     "second.pool=1000", "second.radiance_iterations=4", "second.light_height=8", "surface.triangles=400", "surface.texture=16",
-    "data.holdout=4",
+    "second.normal_iterations=4", "data.holdout=4",
 )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def read(every):
+    """Return a function that reads the dataset of a format, once for all tests."""
+    return cache(lambda name: load_dataset(every[name].path, SEVERAL))
 
 
 @pytest.fixture(params=NAMES)
@@ -45,9 +53,9 @@ def all_frames(parsed):
     return [*parsed.train, *(parsed.test or [])]
 
 
-def test_formats_are_detected_and_described(written):
+def test_formats_are_detected_and_described(written, read):
     name, dataset = written
-    parsed, data = parse_dataset(dataset.path, DataSettings()), load_dataset(dataset.path, SEVERAL)
+    parsed, data = parse_dataset(dataset.path, DataSettings()), read(name)
     assert parsed.format == data.format == name and ["format", name] == describe(data).splitlines()[1].split()
     assert len(all_frames(parsed)) == len(dataset.shots)
     assert len(data.train) >= 14 and len(data.test) >= 2
@@ -68,9 +76,9 @@ def test_cameras_are_the_true_ones(written):
         assert np.allclose((lens.fx, lens.fy, lens.cx, lens.cy), (focal, focal, width / 2, height / 2), rtol=1e-6) and not lens.distorted
 
 
-def test_images_and_masks_are_those_of_their_cameras(written):
+def test_images_and_masks_are_those_of_their_cameras(written, read):
     name, dataset = written
-    data = load_dataset(dataset.path, SEVERAL)
+    data = read(name)
     assert data.has_alpha == (name not in UNMASKED)
     for view in (*data.train, *data.test):
         shot, _ = dataset.shot_of(view.camera.to_world, data.to_world)
@@ -163,10 +171,10 @@ def test_lights_are_turned_as_the_images_show(name, every):
         explained(every[name], seen, data.to_world)
 
 
-def test_the_world_is_turned_as_the_images_show(written):
+def test_the_world_is_turned_as_the_images_show(written, read):
     """In every image, the ball mirrors the scene's own light, rotated by the axes of the file."""
-    _, dataset = written
-    data = load_dataset(dataset.path, SEVERAL)
+    name, dataset = written
+    data = read(name)
     light = rotate_to_frame(axes_light("axes"), data.to_world @ dataset.world)
     explained(dataset, [(v.camera, v.alpha, np.clip(v.colour, 0, 1), light) for v in data.train[::3]], data.to_world)
 

@@ -3,23 +3,46 @@
 
 import math
 import shutil
+from pathlib import Path
 
 import pytest
 import torch
+from irgspp.core import pipeline
 from irgspp.core.cli.main import main
+from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import Cancelled
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
+from irgspp.core.settings.schema import preset
 from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second import radiance_refit, solve
 from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
 from irgspp.core.stages.second.refinement import Refinement
 
-SETTINGS = ["first.iterations=8", "first.gaussians=600", "first.light_height=16", "surface.voxels=32", "surface.texture=64"]
+SETTINGS = [
+    "first.stereo=off",
+    "first.iterations=8",
+    "first.gaussians=600",
+    "first.light_height=16",
+    "surface.voxels=32",
+    "surface.texture=64",
+]
 SETTINGS += ["second.points=300", "second.rows=4", "second.iterations=4", "second.pool=2000", "second.radiance_iterations=4"]
+SETTINGS += ["second.normal_iterations=4"]
+FINISHED = {"read", "first stage", "geometry"}  # phases before the second stage
 FAULT = 5  # the iteration in which a value becomes non-finite
 COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def read_once():
+    """Read the dataset once for all jobs, and leave the Blender scene out of them."""
+    data = load_dataset(DEMO_DATA, preset("draft").data)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "load_dataset", lambda path, *_: {DEMO_DATA: data}[path])
+        patch.setattr(pipeline, "write_blend", lambda *_: None)
+        yield
 
 
 def bad_gradient(trainer: Trainer, name: str) -> None:
@@ -160,6 +183,7 @@ def half_done(tmp_path_factory):
     ],
 )
 def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path, capsys, fault, message):
+    """What a resumed run reads is as before the failure."""
     run = shutil.copytree(half_done, tmp_path / "run")
     with monkeypatch.context() as patch:
         fault(patch)
@@ -169,4 +193,20 @@ def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path
     state = read_run(run)
     assert state["status"] == "failed" and message in state["error"]
     assert (run / "checkpoint" / "first" / "gaussians.ply").exists() and not (run / "gaussians.ply").exists()
+    assert not list((run / "textures").glob("*")) and saved_files(run) == saved_files(half_done)
+    assert {name for name, phase in state["phases"].items() if phase["finished"]} == FINISHED
+
+
+def saved_files(run: Path) -> dict[Path, bytes]:
+    """Return the content of all files of the checkpoint."""
+    folder = run / "checkpoint"
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_failed_second_stage_can_be_resumed(half_done, monkeypatch, tmp_path):
+    run = shutil.copytree(half_done, tmp_path / "run")
+    with monkeypatch.context() as patch:
+        bad_radiance(patch)  # the latest fault of all
+        assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 1
     assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 0
+    assert read_run(run)["status"] == "done"
