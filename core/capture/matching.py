@@ -16,18 +16,32 @@ from .colmap_library import run_call
 from .feature_database import image_name
 from .image_retrieval import similarity
 
+<<<<<<< HEAD
 EXHAUSTIVE = 150  # photographs up to which "auto" matches every pair
 NEIGHBOURS = 10  # next photographs in the order of their names that each one is matched with, where not every pair is
 ALIKE = {"auto": 30, "sequential": 8}  # most similar photographs that each one is matched with too: they close loops
 BLOCK = 100  # pairs after which progress is reported
+=======
+EXHAUSTIVE = 30  # photographs up to which "auto" matches every pair at once
+AFFORDABLE = 150  # photographs up to which "auto" matches every pair where the selected ones register too few
+NEIGHBOURS = {"auto": 2, "sequential": 10}  # next photographs in the order of their names that each one is matched with
+ALIKE = {"auto": 20, "sequential": 8}  # most similar photographs that each one is matched with; all pairs give no better poses
+BLOCK = 20  # pairs after which matches are written
+>>>>>>> work-poses
 
 Pairs = list[tuple[int, int]]
+
+
+def every_pair(count: int) -> Pairs:
+    """Return all pairs (i, j) of so many photographs, i < j."""
+    return list(combinations(range(count), 2))
 
 
 def select_pairs(path: Path, count: int, matching: str, seed: int) -> Pairs:
     """Select the pairs of photographs to match.
 
-    Every pair, or where they are too many: the neighbours in order, those at distances of powers of two, and the most similar ones.
+    Every pair, or where they are too many: the neighbours in order, and the most similar ones; of a sequence, also those at distances of
+    powers of two.
 
     Args:
         path: the database with the features.
@@ -39,8 +53,10 @@ def select_pairs(path: Path, count: int, matching: str, seed: int) -> Pairs:
         Pairs (i, j) of indices, i < j, sorted.
     """
     if matching == "exhaustive" or (matching == "auto" and count <= EXHAUSTIVE):
-        return list(combinations(range(count), 2))
-    steps = {*range(1, NEIGHBOURS + 1), *(1 << k for k in range(count.bit_length()))}
+        return every_pair(count)
+    steps = set(range(1, NEIGHBOURS[matching] + 1))
+    if matching == "sequential":
+        steps |= {1 << k for k in range(count.bit_length())}
     pairs = {(i, i + step) for step in steps for i in range(count - step)}
     alike = similarity(path, count, seed)
     np.fill_diagonal(alike, -2)

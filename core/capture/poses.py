@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from .colmap_library import silence
 from .feature_database import feature_counts, initial_cameras, inlier_counts, open_database, reset_cameras
 from .features import find_features
 from .mapping import Attempt, Freedom, has_plausible_lenses, map_photographs, refine_robustly
-from .matching import match_features, select_pairs
+from .matching import AFFORDABLE, EXHAUSTIVE, Pairs, every_pair, match_features, select_pairs
 from .photograph import LeftOut, Photograph
 from .registration_report import check_count, check_features, check_matches, check_model, explain_left_out, is_panoramic
 from .sparse_model import SparseModel
@@ -103,32 +103,39 @@ def find_poses(photographs: Sequence[Photograph], folder: Path, settings: Captur
 
 
 def _solve(photographs: Sequence[Photograph], folder: Path, settings: CaptureSettings, seed: int, progress: Progress) -> Solution:
-    """Run the mapper, and again with other settings while few photographs are registered; return the best solution."""
-    enough = ENOUGH * len(photographs)
-    best = _search(photographs, folder / "database.db", False, settings, seed, progress)
-    if best.registered >= enough or is_panoramic(best.path):
-        return best
-    progress.message(f"only {best.registered} of {len(photographs)} photographs fit together; trying with weaker matches")
-    best = max(best, _map(photographs, best, True, seed, progress), key=lambda s: s.quality)
-    if best.registered >= enough:
-        return best
-    progress.message(f"only {best.registered} of {len(photographs)} photographs fit together; searching for fainter features")
-    return max(best, _search(photographs, folder / "database_thorough.db", True, settings, seed, progress), key=lambda s: s.quality)
+    """Run the mapper, and again with more matches while few photographs are registered; return the best solution."""
+    count, path, thorough = len(photographs), folder / "database.db", folder / "database_thorough.db"
+    best = _search(photographs, path, settings, seed, progress)
+    attempts: list[tuple[str, Callable[[], Solution]]] = []
+    if settings.matching == "auto" and EXHAUSTIVE < count <= AFFORDABLE:
+        attempts.append(("matching every pair", lambda: _match(photographs, path, every_pair(count), False, seed, progress)))
+    attempts.append(("trying with weaker matches", lambda: _map(photographs, best, True, seed, progress)))
+    attempts.append(("searching for fainter features", lambda: _search(photographs, thorough, settings, seed, progress, thorough=True)))
+    for what, attempt in attempts:
+        if best.registered >= ENOUGH * count or is_panoramic(best.path):
+            break
+        progress.message(f"only {best.registered} of {count} photographs fit together; {what}")
+        best = max(best, attempt(), key=lambda s: s.quality)
+    return best
 
 
 def _search(
-    photographs: Sequence[Photograph], path: Path, thorough: bool, settings: CaptureSettings, seed: int, progress: Progress
+    photographs: Sequence[Photograph], path: Path, settings: CaptureSettings, seed: int, progress: Progress, thorough: bool = False
 ) -> Solution:
-    """Find and match features, and run the mapper."""
+    """Find features, match the selected pairs, and run the mapper."""
     open_database(path, photographs)
     find_features(photographs, path, settings.features, thorough, progress)
-    counts = feature_counts(path, len(photographs))
-    check_features(photographs, counts)
+    check_features(photographs, feature_counts(path, len(photographs)))
     pairs = select_pairs(path, len(photographs), settings.matching, seed)
+    return _match(photographs, path, pairs, thorough, seed, progress)
+
+
+def _match(photographs: Sequence[Photograph], path: Path, pairs: Pairs, lenient: bool, seed: int, progress: Progress) -> Solution:
+    """Match pairs, and run the mapper."""
     match_features(path, pairs, seed, progress)
-    inliers = inlier_counts(path, len(photographs))
+    counts, inliers = feature_counts(path, len(photographs)), inlier_counts(path, len(photographs))
     check_matches(photographs, inliers)
-    return _map(photographs, Solution([], path, Freedom.FULL, counts, inliers), thorough, seed, progress)
+    return _map(photographs, Solution([], path, Freedom.FULL, counts, inliers), lenient, seed, progress)
 
 
 def _map(photographs: Sequence[Photograph], known: Solution, lenient: bool, seed: int, progress: Progress) -> Solution:

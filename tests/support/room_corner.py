@@ -11,12 +11,14 @@ import numpy as np
 from irgspp.core.capture.photograph import Photograph
 from irgspp.core.capture.quarter_turns import camera_turn, turn_lens
 from irgspp.core.datasets.parsed_dataset import Lens
+from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.scene.camera import GL_TO_CV, look_at
 from PIL import Image
 
 LENS = Lens("OPENCV", 360, 270, 330.0, 330.0, 180.0, 135.0, (-0.06, 0.01, 0.0, 0.0, 0.0))
 TEXELS = 256  # per unit of length
 EXTENT = 4  # units
+LINEAR = decode_srgb(np.arange(256, dtype=np.float32) / 255)  # of a texel
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,7 @@ def textures() -> list[np.ndarray]:
 
 
 def render(lens: Lens, to_world: np.ndarray, walls: list[np.ndarray]) -> np.ndarray:
-    """(H, W, 3) uint8; `walls` holds the textures of the planes x = 0, y = 0, z = 0, four samples a pixel."""
+    """(H, W, 3) uint8; `walls` holds the textures of the planes x = 0, y = 0, z = 0; mean of four samples a pixel in linear light."""
     fine = lens.resized(2 * lens.width, 2 * lens.height)
     matrix = np.array([[fine.fx, 0, fine.cx], [0, fine.fy, fine.cy], [0, 0, 1]])
     grid = np.stack(np.meshgrid(np.arange(fine.width) + 0.5, np.arange(fine.height) + 0.5), -1).reshape(-1, 1, 2)
@@ -53,12 +55,12 @@ def render(lens: Lens, to_world: np.ndarray, walls: list[np.ndarray]) -> np.ndar
         along = -to_world[:3, 3] / rays
     along[along <= 0] = np.inf
     first, points = along.argmin(1), to_world[:3, 3] + along.min(1)[:, None] * rays
-    image, shape = np.zeros((fine.height, fine.width, 3), np.uint8), (fine.height, fine.width)
+    image, shape = np.zeros((fine.height, fine.width, 3), np.float32), (fine.height, fine.width)
     for axis, colours in enumerate(walls):
         u, v = (np.delete(points, axis, axis=1).T * TEXELS - 0.5).astype(np.float32).reshape(2, *shape)
-        shown = cv2.remap(colours, u, v, cv2.INTER_LINEAR, None, cv2.BORDER_REFLECT)
+        shown = cv2.remap(LINEAR[colours], u, v, cv2.INTER_LINEAR, None, cv2.BORDER_REFLECT)
         image[first.reshape(shape) == axis] = shown[first.reshape(shape) == axis]
-    return cv2.resize(image, lens.size, interpolation=cv2.INTER_AREA)
+    return np.round(255 * encode_srgb(cv2.resize(image, lens.size, interpolation=cv2.INTER_AREA))).astype(np.uint8)
 
 
 def cameras(count: int) -> list[np.ndarray]:
