@@ -16,18 +16,11 @@ from .colmap_library import run_call
 from .feature_database import image_name
 from .image_retrieval import similarity
 
-<<<<<<< HEAD
-EXHAUSTIVE = 150  # photographs up to which "auto" matches every pair
-NEIGHBOURS = 10  # next photographs in the order of their names that each one is matched with, where not every pair is
-ALIKE = {"auto": 30, "sequential": 8}  # most similar photographs that each one is matched with too: they close loops
-BLOCK = 100  # pairs after which progress is reported
-=======
 EXHAUSTIVE = 30  # photographs up to which "auto" matches every pair at once
 AFFORDABLE = 150  # photographs up to which "auto" matches every pair where the selected ones register too few
 NEIGHBOURS = {"auto": 2, "sequential": 10}  # next photographs in the order of their names that each one is matched with
 ALIKE = {"auto": 20, "sequential": 8}  # most similar photographs that each one is matched with; all pairs give no better poses
-BLOCK = 20  # pairs after which matches are written
->>>>>>> work-poses
+BLOCK = 100  # pairs after which progress is reported
 
 Pairs = list[tuple[int, int]]
 
