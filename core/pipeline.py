@@ -72,9 +72,7 @@ def reconstruct(
             folder.state["computed_on"] = {"device": str(chosen.device), "why": chosen.why}
             recorder = ProgressRecorder(folder, watcher)
             if bare:
-                captured = run / CAPTURE
-                work = lambda: capture(dataset, captured, settings.capture, settings.seed, recorder)  # noqa: E731
-                folder.run_phase("capture", work, recorder)
+                _capture(dataset, folder, settings, recorder)
             data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
             with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays):
                 deadline = None if settings.time is None else began + settings.time - folder.spent
@@ -84,6 +82,15 @@ def reconstruct(
     finally:
         folder.close()
     return run
+
+
+def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress: ProgressRecorder) -> None:
+    """Run the phase that captures photographs without cameras into the run folder."""
+
+    def work() -> None:
+        capture(photographs, folder.path / CAPTURE, settings.capture, settings.seed, progress)
+
+    folder.run_phase("capture", work, progress)
 
 
 def _read(dataset: Path, run: Path, settings: Settings, device: ChosenDevice, progress: Progress) -> tuple[Dataset, MemoryLayout]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0
     """
     watcher = progress or Silent()
     inputs = {"source": str(source.resolve()), "settings": dataclasses.asdict(settings), "seed": seed}
-    lock = _claim(folder)
+    new, lock = not folder.exists(), _claim(folder)
     try:
         before = load_capture(folder / FILE) if (folder / FILE).exists() else {}
         if before.get("status") == "done" and before.get("inputs") == inputs:
@@ -59,6 +60,10 @@ def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0
             return folder
         write_json(folder / FILE, {"format": FORMAT, "status": "running", "inputs": inputs})
         _capture(source, folder, settings, seed, watcher, inputs)
+    except InputError:
+        if new:  # what can't be captured leaves nothing behind
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
     finally:
         lock.release()
     return folder
