@@ -115,17 +115,6 @@ def _is_sound(path: Path, count: int) -> bool:
         return False
 
 
-def count_rows(path: Path, table: str) -> int:
-    """Return the number of rows of a table while COLMAP may be writing to it.
-
-    Args:
-        path: the database file.
-        table: its name, such as `matches`.
-    """
-    with closing(sqlite3.connect(path, timeout=30)) as database:
-        return database.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
-
-
 def feature_counts(path: Path, count: int) -> np.ndarray:
     """Return the number of features (N,) of the photographs.
 
