@@ -126,7 +126,8 @@ def _search(
     open_database(path, photographs)
     find_features(photographs, path, settings.features, thorough, progress)
     check_features(photographs, feature_counts(path, len(photographs)))
-    pairs = select_pairs(path, len(photographs), settings.matching, seed)
+    every = thorough and settings.matching == "auto" and len(photographs) <= AFFORDABLE
+    pairs = every_pair(len(photographs)) if every else select_pairs(path, len(photographs), settings.matching, seed)
     return _match(photographs, path, pairs, thorough, seed, progress)
 
 
@@ -139,8 +140,11 @@ def _match(photographs: Sequence[Photograph], path: Path, pairs: Pairs, lenient:
 
 
 def _map(photographs: Sequence[Photograph], known: Solution, lenient: bool, seed: int, progress: Progress) -> Solution:
-    """Run the mapper; while a lens is impossible, again with fewer of its intrinsics free."""
-    freedoms = list(Freedom)
+    """Run the mapper; while a lens is impossible, again with fewer of its intrinsics free.
+
+    Small models of weak matches fit any distortion, so that a lenient run begins with one coefficient.
+    """
+    freedoms = [Freedom.RADIAL, Freedom.FIXED] if lenient else list(Freedom)
     for freedom in freedoms:
         given = initial_cameras(photographs, radial=freedom is not Freedom.FULL)
         reset_cameras(known.path, given)

