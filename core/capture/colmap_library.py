@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
@@ -17,7 +19,12 @@ Result = TypeVar("Result")
 
 
 def silence() -> None:
-    """Keep COLMAP's log off the terminal and out of files; its errors reach us as exceptions."""
+    """Keep COLMAP's log off the terminal and out of files; its errors reach us as exceptions.
+
+    Its handler of SIGTERM, which prints a stack trace, gives way to the one that Python knows.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM) or signal.SIG_DFL)
     log = pycolmap.logging
     log.logtostderr = log.alsologtostderr = False
     log.stderrthreshold = log.minloglevel = pycolmap.logging.Level.FATAL.value
