@@ -14,7 +14,8 @@ from .support_plane import SupportPlane
 
 REACH = 5.0  # distance from the object's centre up to which surfaces count, radii of the object
 SPACING = 1 / 15  # of the points, radii of the object
-CLEARANCE = 2.0  # spacings that other surfaces keep from the plane and from the object
+CLEARANCE = 2.0  # spacings that other surfaces keep from the plane
+APART = 1.3  # radii of the object within which other points are none: stereo's errors at the object's outline would shadow it
 NEIGHBOURS = 4  # points of the plane whose colours are averaged
 FEWEST = 50  # points, below which there are no surroundings
 
@@ -37,8 +38,7 @@ def near_surfaces(points: OrientedPoints, on_object: np.ndarray, plane: SupportP
         return None
     height = np.full(len(others.position), np.inf) if plane is None else np.abs(plane.height(others.position))
     free = height > CLEARANCE * spacing
-    if on_object.any():
-        free &= KDTree(points.position[on_object]).query(others.position)[0] > CLEARANCE * spacing
+    free &= np.linalg.norm(others.position - centre, axis=1) > APART * bound.radius
     place, normal, colour = _averaged(others.select(free), spacing)
     on_plane = others.select(height <= CLEARANCE * spacing)
     if plane is not None and len(on_plane.position) >= NEIGHBOURS:
