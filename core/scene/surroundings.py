@@ -58,4 +58,4 @@ def load_surroundings(path: Path) -> Surroundings:
             raise InputError(path, f"has a damaged array {name}", "run irgspp capture again")
     if (arrays[2] < 0).any() or (arrays[3] <= 0).any():
         raise InputError(path, "has a negative radiance or spacing", "run irgspp capture again")
-    return Surroundings(*arrays)
+    return Surroundings(*(array.copy() for array in arrays))  # writable, as torch wants them
