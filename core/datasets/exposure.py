@@ -27,6 +27,7 @@ OUTLIER = 0.1  # difference of log colour at which an observation counts half
 OPAQUE = 0.9  # alpha from which a pixel belongs to the object
 # Standard deviation of log gains and of log colour ratios that gloss alone causes (measured against ground truth).
 BRIGHTNESS_NOISE, COLOUR_NOISE = 0.1, 0.07
+EXPLAINED = 0.9  # disagreement about points with gains over that without, below which the gains are real
 SMALLEST = 0.01  # standard deviation of log gains from which the photographs are changed
 
 
@@ -36,7 +37,8 @@ def even_exposures(views: Sequence[View], points: PointCloud | None, choice: Cho
     Args:
         views: photographs.
         points: sparse points of the scene, or None.
-        choice: "off": leave the photographs as they are; "on", "auto": divide by the gains, where they differ by more than noise.
+        choice: "off": leave the photographs as they are; "auto": divide by estimated gains only where points that the estimate did not use
+            agree better with them, which they do not on mirrors; "on": in any case.
         warnings: a line is appended where photographs were changed.
     """
     if choice == "off" or len(views) < FEWEST_VIEWS:
@@ -45,7 +47,10 @@ def even_exposures(views: Sequence[View], points: PointCloud | None, choice: Cho
     if len(known) == len(views):
         gains = np.stack(known)
     elif points is not None:
-        gains = np.exp(shrunk(estimate_log_gains(point_colours(views, points))))
+        logs = point_colours(views, points)
+        if choice != "on" and unexplained(logs) > EXPLAINED:
+            return list(views)
+        gains = np.exp(shrunk(estimate_log_gains(logs)))
     else:
         return list(views)
     if np.log(gains).std(0).max() < SMALLEST:
@@ -123,6 +128,26 @@ def shrunk(log_gains: np.ndarray, expected: np.ndarray | None = None) -> np.ndar
     ratios = log_gains - brightness[:, None]
     brightness = expected + _shrunk(brightness - brightness.mean() - expected, BRIGHTNESS_NOISE)
     return brightness[:, None] + np.stack([_shrunk(one - one.mean(), COLOUR_NOISE) for one in ratios.T], 1)
+
+
+def unexplained(logs: np.ndarray) -> float:
+    """Return the disagreement about points with gains over that without; each half of the points tests the gains of the other.
+
+    Args:
+        logs: (V, P, 3) log colours of points, see `point_colours`.
+    """
+    ratios = []
+    for half in (0, 1):
+        gains, others = shrunk(estimate_log_gains(logs[:, half::2])), logs[:, 1 - half :: 2]
+        ratios.append(_disagreement(others - gains[:, None]) / max(_disagreement(others), 1e-9))
+    return float(np.mean(ratios))
+
+
+def _disagreement(logs: np.ndarray) -> float:
+    """Return the median absolute difference of log colours (V, P, 3) from each point's median; 0 where nothing is known."""
+    logs = logs[:, np.isfinite(logs[..., 0]).sum(0) >= FEWEST_VIEWS]
+    difference = np.abs(logs - np.nanmedian(logs, 0)) if logs.size else np.zeros(0)
+    return float(np.nanmedian(difference)) if difference.size else 0.0
 
 
 def _shrunk(deviation: np.ndarray, noise: float) -> np.ndarray:

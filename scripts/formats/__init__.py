@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from . import (
+    captured,
     glossy_real,
     glossy_synthetic,
     instant_ngp,
@@ -25,6 +26,7 @@ from .source import Source
 
 # Each writes a scene into a folder and returns what to read, and the similarity from the scene's world to the dataset's own frame.
 WRITERS: dict[str, Callable[[Source, Path], tuple[Path, np.ndarray]]] = {
+    "capture": captured.write,
     "tensoir": tensoir.write,
     "nerf-synthetic": nerf_synthetic.write,
     "synthetic4relight": synthetic4relight.write,

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.datasets.exposure import estimate_log_gains, even_exposures, point_colours, shrunk
+from irgspp.core.datasets.exposure import EXPLAINED, estimate_log_gains, even_exposures, point_colours, shrunk, unexplained
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import PointCloud, View
@@ -116,3 +116,12 @@ def test_equal_exposures_change_nothing():
     lines = []
     even = even_exposures(views, points, "auto", lines)
     assert all(a is b for a, b in zip(even, views, strict=True)) and not lines
+
+
+def test_mirrors_are_not_taken_for_exposure():
+    rng = np.random.default_rng(4)
+    logs = np.log(rng.uniform(0.1, 0.6, (COUNT, 1, 1)) * rng.uniform(0.1, 1, (COUNT, 300, 3)))  # every view shows other reflections
+    exposed = np.log(rng.uniform(0.1, 0.6, (1, 300, 3)) * np.exp(0.1 * rng.normal(size=(COUNT, 300, 3)))) + np.log(random_gains())[:, None]
+    assert unexplained(exposed) < 0.75
+    reflections = logs - logs.mean((1, 2), keepdims=True)
+    assert unexplained(reflections) > EXPLAINED
