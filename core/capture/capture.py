@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..datasets.bound import bound_of_cameras, bound_of_points
 from ..datasets.exposure import SMALLEST
 from ..datasets.formats.captured import FILE, FORMAT, SURROUNDINGS, load_capture
 from ..errors import InputError
@@ -90,7 +91,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     found = _masks(model, images, settings, seed, progress)
     gains = exposure_gains(model, [one.view for one in images])
     scale = _metres_per_unit(model, settings, progress)
-    bound = None if found is None else found.bound
+    bound = _scene_bound(model, images) if found is None else found.bound
     plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
     similarity = world_similarity([one.camera for one in images], bound, plane, scale)
     masks: Sequence[np.ndarray | None] = [None] * len(images) if found is None else found.masks
@@ -107,7 +108,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
         "inputs": inputs,
         "source": str(source),
         "error": model.error,
-        "bound": None if bound is None else _bound_in_world(bound, similarity),
+        "bound": None if found is None else _bound_in_world(bound, similarity),
         "plane": plane is not None,
         "metres_per_unit": None if scale is None else 1.0,
         "masked": any(mask is not None for mask in masks),
@@ -163,6 +164,12 @@ def _write_surroundings(found: ObjectMasks | None, similarity: np.ndarray, folde
 def _report_left_out(left_out: list[LeftOut], progress: Progress) -> None:
     for one in left_out:
         progress.message(f"left out {one.name}: {one.reason}")
+
+
+def _scene_bound(model: SparseModel, images: list[UndistortedImage]) -> Bound:
+    """Return the sphere about what the cameras look at, where no object was cut out."""
+    cameras = [one.camera for one in images]
+    return bound_of_points(cameras, model.position) or bound_of_cameras(cameras)
 
 
 def _bound_in_world(bound: Bound, similarity: np.ndarray) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from ..scene.dataset import Bound
 
 
 def world_similarity(
-    cameras: Sequence[Camera], bound: Bound | None, plane: tuple[np.ndarray, float] | None, metres_per_unit: float | None
+    cameras: Sequence[Camera], bound: Bound, plane: tuple[np.ndarray, float] | None, metres_per_unit: float | None
 ) -> np.ndarray:
     """Return the similarity (4, 4) from the model's frame to the world.
 
@@ -22,15 +22,15 @@ def world_similarity(
 
     Args:
         cameras: in the model's frame, in the order of the photographs.
-        bound: bounding sphere of the object in the model's frame, or None.
+        bound: bounding sphere of the object in the model's frame.
         plane: (unit normal (3,) that points to the cameras, offset) of the plane n . x = offset that the object stands on, or None.
         metres_per_unit: size of the model's unit by a marker, or None.
     """
-    centre = np.mean([c.centre for c in cameras], 0) if bound is None else np.asarray(bound.centre)
+    centre = np.asarray(bound.centre)
     up = np.asarray(plane[0], np.float64) if plane else estimate_up(cameras)
     origin = centre - (centre @ up - plane[1]) * up if plane else centre
     rotation = _turned_to_front(rotation_to_z(up / np.linalg.norm(up)), cameras[0].centre - centre)
-    scale = metres_per_unit or (1 / bound.radius if bound is not None else 1.0)
+    scale = metres_per_unit or 1 / bound.radius
     similarity = np.eye(4)
     similarity[:3, :3] = scale * rotation
     similarity[:3, 3] = -scale * rotation @ origin
