@@ -49,12 +49,16 @@ def run_call(call: Callable[[pycolmap.CancellationToken], Result], progress: Pro
     token, reported = pycolmap.CancellationToken(), -1
     with ThreadPoolExecutor(1) as pool:
         future = pool.submit(call, token)
-        while not wait([future], POLL).done:
-            if progress.cancelled:
-                token.cancel()
-            elif (now := done()) != reported:
-                reported = now
-                progress.step(now)
+        try:
+            while not wait([future], POLL).done:
+                if progress.cancelled:
+                    token.cancel()
+                elif (now := done()) != reported:
+                    reported = now
+                    progress.step(now)
+        except BaseException:  # of the receiver, or Ctrl-C: the thread must not go on alone
+            token.cancel()
+            raise
     if token.is_cancelled or progress.cancelled:
         raise Cancelled("cancelled")
     return future.result()

@@ -45,7 +45,7 @@ def test_a_long_call_reports_steps_and_returns_its_result():
         reported.set()
         return 7
 
-    assert run_call(lambda token: reported.wait(20) and "result", count, progress) == "result"
+    assert run_call(lambda token: reported.wait(20) and "result", progress, count) == "result"
     assert seen == [7]
 
 
@@ -58,7 +58,24 @@ def test_a_cancelled_call_is_stopped():
             threading.Event().wait(0.01)
 
     with pytest.raises(Cancelled):
-        run_call(call, lambda: 0, Stopped())
+        run_call(call, Stopped())
+
+
+def test_errors_of_the_receiver_stop_the_call():
+    stopped = threading.Event()
+
+    class Broken(Silent):
+        def step(self, done, **metrics):
+            raise RuntimeError("receiver")
+
+    def call(token):
+        while not token.is_cancelled:
+            threading.Event().wait(0.01)
+        stopped.set()
+
+    with pytest.raises(RuntimeError, match="receiver"):
+        run_call(call, Broken(), lambda: 3)
+    assert stopped.is_set()
 
 
 def test_errors_of_a_call_are_raised():
@@ -66,4 +83,4 @@ def test_errors_of_a_call_are_raised():
         raise ValueError("broken")
 
     with pytest.raises(ValueError, match="broken"):
-        run_call(call, lambda: 0, Silent())
+        run_call(call, Silent())
