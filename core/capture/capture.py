@@ -125,10 +125,8 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
 def _masks(
     model: SparseModel, images: list[UndistortedImage], settings: CaptureSettings, seed: int, progress: Progress
 ) -> ObjectMasks | None:
-    """Cut the object out, unless the settings say not to and no masks are given."""
+    """Cut the object out, unless the settings say not to."""
     given = {one.view.name: one.mask for one in images if one.mask is not None}
-    if settings.masks == "off":
-        return None
     points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
     return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None)
 

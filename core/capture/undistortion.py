@@ -102,9 +102,7 @@ def _undistorted(posed: PosedPhotograph, folder: Path, resolution: int) -> Undis
 def _given_mask(posed: PosedPhotograph, camera: Camera) -> np.ndarray | None:
     if posed.photograph.mask is None:
         return None
-    mask = read_mask(posed.photograph.mask)
-    full = np.clip(cv2.resize(mask, posed.lens.size, interpolation=cv2.INTER_LINEAR), 0, 1) if mask.shape[::-1] != posed.lens.size else mask
-    return reduce_mask(undistort_mask(full, posed.lens), camera.width, camera.height)
+    return reduce_mask(undistort_mask(read_mask(posed.photograph.mask), posed.lens), camera.width, camera.height)
 
 
 def _save(path: Path, colour: np.ndarray, dtype: np.dtype) -> None:

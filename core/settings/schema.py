@@ -27,7 +27,7 @@ class CaptureSettings:
     features: Annotated[int, Range(200, 16384)] = 2000  # longest side of an image in which features are searched, pixels
     frames: Annotated[int, Range(3, 2000)] = 80  # sharp frames taken of each video, at most
     matching: Literal["auto", "exhaustive", "sequential"] = "auto"  # pairs of photographs; auto: above 30 photographs the similar ones
-    masks: Choice = "auto"  # cut the object out; auto: where one stands on a plane, and no masks are given
+    masks: Choice = "auto"  # cut the object out where one stands apart; off: use the photographs whole, and no masks
     resolution: Annotated[int, Range(64, 4096)] = 640  # longest side of an image in which the object is cut out, pixels
     marker: Annotated[float | None, Range(1e-6)] = None  # side of the black square of an ArUco or AprilTag marker, metres
 
@@ -38,7 +38,7 @@ class DataSettings:
 
     resolution: Annotated[int, Range(16, 16384)] = 640  # longest side of an image, pixels; larger images are reduced
     masks: bool = True  # use alpha channels and mask files
-    exposure: Choice = "auto"  # divide photographs by their exposure gains; auto: where they differ by more than noise
+    exposure: Choice = "auto"  # divide photographs by exposure gains; auto: where unused points then agree better
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
     split: Literal["auto", "holdout", "published"] = "auto"  # test views: the dataset's own, every n-th, or the published benchmark's
     centre: tuple[float, float, float] | None = None  # centre of the object's bounding sphere, dataset units; None: estimated

@@ -42,7 +42,7 @@ def sparse_model(folder: Path, gains: np.ndarray | None = None) -> SparseModel:
         pixels = distorted_pixels(points, to_world)
         image = np.full((LENS.height, LENS.width, 3), 90.0) * (1 if gains is None else gains[i] ** (1 / 2.2))
         for x, y in np.floor(pixels).astype(int):
-            image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = 200
+            image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = 180 * (1 if gains is None else gains[i] ** (1 / 2.2))
         path = folder / f"p{i}.png"
         Image.fromarray(image.astype(np.uint8)).save(path)
         photograph = Photograph(f"p{i}", path, path, LENS.width, LENS.height, "lens", exposure=None if gains is None else gains[i] / 100)

@@ -4,7 +4,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from captured_scene import VIEWS, sparse_model
 from irgspp.core.capture.exposures import exposure_gains, stated_log_gains
 from irgspp.core.capture.undistortion import undistort_photographs
@@ -23,7 +22,7 @@ def test_exif_is_taken_where_the_colours_agree(tmp_path):
     np.testing.assert_allclose(stated_log_gains(model), logs - logs.mean(), atol=1e-9)
     found = gains_of(model, tmp_path)
     assert found.shape == (VIEWS, 3)
-    assert np.log(found).mean() == pytest.approx(0, abs=1e-6)
+    np.testing.assert_allclose(np.log(found).mean(1), logs - logs.mean(), atol=0.02)
 
 
 def test_one_photograph_without_exif_leaves_the_colours(tmp_path):
@@ -31,4 +30,6 @@ def test_one_photograph_without_exif_leaves_the_colours(tmp_path):
     bare = replace(model.posed[0], photograph=replace(model.posed[0].photograph, exposure=None))
     model = replace(model, posed=[bare, *model.posed[1:]])
     assert stated_log_gains(model) is None
-    assert gains_of(model, tmp_path).shape == (VIEWS, 3)
+    found = np.log(gains_of(model, tmp_path)).mean(1)
+    assert np.corrcoef(found, np.log(TRUE))[0, 1] > 0.99
+    assert np.abs(found - np.log(TRUE) + np.log(TRUE).mean()).max() < 0.12  # less than the truth by the part that may be noise
