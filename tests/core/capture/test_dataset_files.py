@@ -7,12 +7,13 @@ import numpy as np
 import pycolmap
 import pytest
 from captured_scene import VIEWS, sparse_model
-from irgspp.core.capture.dataset_files import moved_points, write_json, write_masks, write_model, write_transforms
+from irgspp.core.capture.dataset_files import write_json, write_masks, write_model, write_transforms
 from irgspp.core.capture.undistortion import undistort_photographs
 from irgspp.core.datasets.formats.captured import FORMAT, read_captured
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.similarity import moved_points
 from irgspp.core.settings.schema import DataSettings
 
 SIMILARITY = np.array([[0, -2.0, 0, 1], [2, 0, 0, -3], [0, 0, 2, 0.5], [0, 0, 0, 1]])
