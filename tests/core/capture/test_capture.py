@@ -101,7 +101,7 @@ def test_a_finished_capture_is_kept_and_a_stopped_one_goes_on(photographs, true_
 
 
 def test_without_masks_the_whole_scene_is_kept(photographs, true_poses, heard, tmp_path):
-    folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, masks="off"), 0, heard())
+    folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, masks=False), 0, heard())
     data = load_dataset(folder)
     assert not data.has_alpha and data.surroundings is None and not (folder / "masks").exists()
     assert json.loads((folder / "capture.json").read_text())["bound"] is None
@@ -109,7 +109,7 @@ def test_without_masks_the_whole_scene_is_kept(photographs, true_poses, heard, t
 
 def test_a_missing_marker_is_said(photographs, true_poses, heard, tmp_path):
     progress = heard()
-    capture(photographs, tmp_path / "captured", replace(SETTINGS, masks="off", marker=0.05), 0, progress)
+    capture(photographs, tmp_path / "captured", replace(SETTINGS, masks=False, marker=0.05), 0, progress)
     assert any("no marker was found" in line for line in progress.messages)
 
 
