@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..datasets.bound import bound_of_cameras, bound_of_points
-from ..datasets.formats.captured import FILE, FORMAT, SURROUNDINGS, load_capture
+from ..datasets.formats.captured import EXPOSURES, FILE, FORMAT, SURROUNDINGS, load_capture
 from ..errors import InputError
 from ..io.file_lock import FileLock
 from ..io.image import read_image
@@ -105,7 +105,7 @@ def _write(result: CaptureResult, folder: Path, state: dict[str, Any]) -> None:
     write_masks(images, masks, folder)
     write_transforms(images, result.similarity, [mask is not None for mask in masks], folder)
     _write_surroundings(result, folder)
-    write_json(folder / "exposures.json", {one.view.name: gain.tolist() for one, gain in zip(images, result.gains, strict=True)})
+    write_json(folder / EXPOSURES, {one.view.name: gain.tolist() for one, gain in zip(images, result.gains, strict=True)})
     write_contact_sheet(images, masks, set(result.doubtful), folder / "contact_sheet.png")
     write_page(state, folder / "report.html")
     write_json(folder / FILE, state)

@@ -66,7 +66,6 @@ def describe(result: CaptureResult) -> dict[str, Any]:
         "plane": result.found is not None and result.found.plane is not None,
         "metres_per_unit": 1.0 if result.true_size else None,
         "masked": any(mask is not None for mask in result.masks),
-        "gains": {one.view.name: gain.tolist() for one, gain in zip(result.images, result.gains, strict=True)},
         "photographs": _records(result),
         "left_out": [dataclasses.asdict(one) for one in result.left_out],
         "notes": _notes(result),

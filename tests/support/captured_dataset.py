@@ -41,6 +41,7 @@ def write_capture(folder: Path) -> None:
         "notes": ["exposure differs"],
     }
     (folder / "capture.json").write_text(json.dumps(state))
+    (folder / "exposures.json").write_text(json.dumps({f"{i:03d}": [1.0, 1.0, 1.0] for i in range(12)}))
 
 
 if __name__ == "__main__":
