@@ -86,6 +86,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     photographs, left_out = read_photographs(source, folder, settings, progress)
     _report_left_out(left_out, progress)
     model = find_poses(photographs, folder, settings, seed, progress)
+    _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
     found = _masks(model, images, settings, seed, progress)
     gains = exposure_gains(model, [one.view for one in images])
@@ -128,7 +129,7 @@ def _metres_per_unit(model: SparseModel, settings: CaptureSettings, progress: Pr
     if marker is None:
         progress.message("no marker was found in three photographs: the true size is not known; print it larger, or lay it flat and lit")
         return None
-    progress.message(f"marker {marker.name}, found in {marker.photographs} photographs, gives the true size")
+    progress.message(f"marker {marker.name}, found in {marker.photographs} photographs to {marker.error:.2f} pixels, gives the true size")
     return marker.metres_per_unit
 
 
