@@ -15,7 +15,8 @@ import numpy as np
 from ..errors import Cancelled
 from ..progress.protocol import Progress
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def thread_count() -> int:
