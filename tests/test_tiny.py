@@ -35,6 +35,7 @@ TINY = (
     "second.iterations=30",
     "second.pool=10000",
     "second.radiance_iterations=40",
+    "second.normal_iterations=20",
     "surface.voxels=48",
     "surface.triangles=3000",
     "surface.texture=128",
