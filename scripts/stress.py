@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from stresses.case import CASES
 from stresses.runner import examine
 
-GROUPS = ("gaussians", "materials", "lights", "training", "endurance", "surfaces")
+GROUPS = ("gaussians", "materials", "lights", "training", "endurance", "surfaces", "captures")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

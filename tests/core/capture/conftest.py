@@ -14,7 +14,9 @@ from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import CaptureSettings
 from PIL import Image
 from scripts_folder import scripts_on_path
-from table_scene import TableScene, photographed_table
+
+with scripts_on_path() as script:
+    table = script("stresses.table_scene")
 
 EXIF_IFD = 0x8769
 SIZE = (96, 128)  # rows and columns
@@ -91,17 +93,18 @@ def writers() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
-def table_scene() -> TableScene:
-    return photographed_table()
+def table_scene():
+    """Photographs of a box and other things on a table."""
+    return table.photographed_table()
 
 
 @pytest.fixture(scope="session")
-def dense(table_scene: TableScene) -> DensePoints:
+def dense(table_scene) -> DensePoints:
     return find_dense_points(table_scene.views, table_scene.points, None, 0, Silent())
 
 
 @pytest.fixture(scope="session")
-def table_masks(table_scene: TableScene) -> ObjectMasks:
+def table_masks(table_scene) -> ObjectMasks:
     found = cut_out(table_scene.views, table_scene.points, CaptureSettings(), 0, Silent())
     assert found is not None
     return found

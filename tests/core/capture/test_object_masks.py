@@ -9,7 +9,11 @@ from irgspp.core.capture.object_masks import cut_out
 from irgspp.core.errors import Cancelled
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import CaptureSettings
-from table_scene import Solid, photographed_table
+from scripts_folder import scripts_on_path
+
+with scripts_on_path() as script:
+    Solid = script("stresses.table_scene").Solid
+    photographed_table = script("stresses.table_scene").photographed_table
 
 
 class Lines(Silent):

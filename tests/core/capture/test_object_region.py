@@ -8,7 +8,11 @@ from irgspp.core.capture.object_region import find_object_region
 from irgspp.core.capture.support_plane import find_support_plane
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.dataset import Bound
-from table_scene import CLUTTER, photographed_table
+from scripts_folder import scripts_on_path
+
+with scripts_on_path() as script:
+    CLUTTER = script("stresses.table_scene").CLUTTER
+    photographed_table = script("stresses.table_scene").photographed_table
 
 
 @pytest.fixture(scope="module")

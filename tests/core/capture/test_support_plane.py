@@ -5,7 +5,11 @@ import numpy as np
 from irgspp.core.capture.dense_points import find_dense_points
 from irgspp.core.capture.support_plane import find_support_plane
 from irgspp.core.progress.protocol import Silent
-from table_scene import OBJECT, photographed_table
+from scripts_folder import scripts_on_path
+
+with scripts_on_path() as script:
+    OBJECT = script("stresses.table_scene").OBJECT
+    photographed_table = script("stresses.table_scene").photographed_table
 
 
 def test_plane_is_the_table(dense, table_scene):
