@@ -207,7 +207,8 @@ def _view(prepared: PreparedFrame, masks: bool) -> View | InputError:
             raise InputError(frame.mask if frame.mask and masks else frame.image, "is transparent everywhere")
     except InputError as error:
         return error
-    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, frame.lens.distorted, frame.light, frame.gain)
+    about = (frame.lens.distorted, frame.light, frame.gain, frame.light_rotation)
+    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, *about)
 
 
 def _mask(frame: Frame, image: tuple[int, int], size: tuple[int, int]) -> np.ndarray:

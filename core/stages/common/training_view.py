@@ -28,6 +28,7 @@ class TrainingView:
         world_rays: (3, H, W), the same in world axes.
         rotation: (3, 3) world to camera (OpenCV axes).
         pixel_fraction: fraction of the image's pixels that are kept; below 1 where it was cropped.
+        light_rotation: (3, 3) world to the frame of the light; None where the light stands still.
     """
 
     camera: Camera
@@ -38,6 +39,7 @@ class TrainingView:
     world_rays: torch.Tensor
     rotation: torch.Tensor
     pixel_fraction: float = 1.0
+    light_rotation: torch.Tensor | None = None
 
     def to(self, device: torch.device) -> TrainingView:
         """Return the view with its tensors on a device."""
@@ -75,7 +77,9 @@ def make_training_view(view: View, reduction: int = 1, crop: bool = False) -> Tr
         fraction = alpha.numel() / (camera.width * camera.height)
         camera = cropped(camera, columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     rays, rotation = camera_rays(camera), torch.as_tensor(camera.world_to_cv[:3, :3], dtype=torch.float32)
-    return TrainingView(camera, full.contiguous(), alpha, saturated, rays, torch.einsum("ji,jhw->ihw", rotation, rays), rotation, fraction)
+    world_rays = torch.einsum("ji,jhw->ihw", rotation, rays)
+    turned = None if view.light_rotation is None else torch.as_tensor(view.light_rotation, dtype=torch.float32)
+    return TrainingView(camera, full.contiguous(), alpha, saturated, rays, world_rays, rotation, fraction, turned)
 
 
 def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:

@@ -52,7 +52,7 @@ def improve_normals(
         IrgsppError: a value is not finite.
     """
     second, gaussians = settings.second, reconstruction.gaussians
-    if second.shading_normals > 0:
+    if second.shading_normals > 0 and solver.transfer.rotations is None:
         progress.phase("normals", ITERATIONS)
         before = subdivided(surface)
         surface = fit_normals(before, observe_diffuse_shading(before, solver, dataset.train, tracer), report)
