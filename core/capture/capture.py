@@ -31,6 +31,8 @@ from .poses import find_poses
 from .reading import read_photographs
 from .report import write_contact_sheet, write_page
 from .sparse_model import SparseModel
+from .static_background import SeenBackground, light_rotations
+from .turntable import find_turntable
 from .undistortion import UndistortedImage, undistort_photographs
 from .upright import world_similarity
 
@@ -86,10 +88,12 @@ def _claim(folder: Path) -> FileLock:
 def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, progress: Progress, inputs: dict[str, Any]) -> None:
     photographs, left_out = read_photographs(source, folder, settings, progress)
     _report_left_out(left_out, progress)
-    model = find_poses(photographs, folder, settings, seed, progress)
+    turntable = find_turntable(photographs, settings.turntable, progress)
+    model = find_poses(photographs, folder, settings, seed, progress, turntable)
     images = undistort_photographs(model, folder, settings.resolution, progress)
-    found = _masks(model, images, settings, seed, progress)
-    gains = exposure_gains(model, [one.view for one in images])
+    seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)
+    found = _masks(model, images, settings, seed, progress, seen)
+    gains = exposure_gains(model, [one.view for one in images]) if seen is None else seen.gains
     scale = _metres_per_unit(model, settings, progress)
     bound = _scene_bound(model, images) if found is None else found.bound
     plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
@@ -98,7 +102,8 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     doubtful = {} if found is None else dict(found.doubtful)
     write_model(model, images, similarity, folder)
     write_masks(images, masks, folder)
-    write_transforms(images, similarity, [mask is not None for mask in masks], folder)
+    turns = None if turntable is None else light_rotations(images, similarity)
+    write_transforms(images, similarity, [mask is not None for mask in masks], folder, turns)
     _write_surroundings(found, similarity, folder)
     write_json(folder / "exposures.json", {one.view.name: gain.tolist() for one, gain in zip(images, gains, strict=True)})
     write_contact_sheet(images, masks, set(doubtful), folder / "contact_sheet.png")
@@ -113,9 +118,10 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
         "metres_per_unit": None if scale is None else 1.0,
         "masked": any(mask is not None for mask in masks),
         "gains": {one.view.name: gain.tolist() for one, gain in zip(images, gains, strict=True)},
+        "light_rotations": turns,
         "photographs": _records(images, masks, gains, doubtful),
         "left_out": [dataclasses.asdict(one) for one in (*left_out, *model.left_out)],
-        "notes": _notes(found, model, gains),
+        "notes": _notes(found, model, gains, seen),
     }
     write_page(state, folder / "report.html")
     write_json(folder / FILE, state)
@@ -123,12 +129,18 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
 
 
 def _masks(
-    model: SparseModel, images: list[UndistortedImage], settings: CaptureSettings, seed: int, progress: Progress
+    model: SparseModel,
+    images: list[UndistortedImage],
+    settings: CaptureSettings,
+    seed: int,
+    progress: Progress,
+    seen: SeenBackground | None,
 ) -> ObjectMasks | None:
     """Cut the object out, unless the settings say not to."""
     given = {one.view.name: one.mask for one in images if one.mask is not None}
     points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
-    return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None)
+    background = None if seen is None else seen.masks
+    return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None, background=background)
 
 
 def _metres_per_unit(model: SparseModel, settings: CaptureSettings, progress: Progress) -> float | None:
@@ -188,12 +200,15 @@ def _records(
     return records
 
 
-def _notes(found: ObjectMasks | None, model: SparseModel, gains: np.ndarray) -> list[str]:
+def _notes(found: ObjectMasks | None, model: SparseModel, gains: np.ndarray, seen: SeenBackground | None) -> list[str]:
     """Return lines about masks and exposure for the report."""
     notes = [] if found is None else list(found.messages)
     if found is None:
         notes.append("no masks: the whole scene is reconstructed")
+    if seen is not None:
+        notes.append("turntable: the camera was fixed and the object turned, so that the light turns about it")
     if np.log(gains).std(0).max() >= SMALLEST:
         origin = "the points' colours" if stated_log_gains(model) is None else "EXIF, checked by the points' colours"
+        origin = origin if seen is None else "the static background"
         notes.append(f"exposure differs by up to {np.ptp(np.log2(gains.mean(1))):.2f} EV, by {origin}")
     return notes
