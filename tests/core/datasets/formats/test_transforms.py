@@ -50,7 +50,7 @@ def test_rotations_of_the_light_are_read_and_checked(ball_dataset):
     assert train[0].light_rotation is None and np.allclose(train[1].light_rotation, turn)
     for wrong in ([[1, 0], [0, 1]], [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "turned"):
         ball_dataset.edit(path, lambda c, wrong=wrong: c["frames"][1].update(light_rotation=wrong))
-        with pytest.raises(InputError, match="frame 1 .*light_rotation"):
+        with pytest.raises(InputError, match=r"frame 1 .*light_rotation"):
             load_dataset(ball_dataset.folder, ALL)
 
 

@@ -43,7 +43,7 @@ def refinement(reconstruction, views):
 
 
 def test_pixels_are_shaded_by_the_light_of_their_photograph(start, photographs):
-    """With all photographs' light turned by a quarter about +Z, pixels look as under a map that is turned so, but for the sampling's noise."""
+    """With the light of all photographs turned by a quarter about +Z, pixels look as under a map that is turned so, but for noise."""
     first, quarter = start(), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     light = torch.ones(8, 16, 3) * torch.linspace(0.1, 2, 16)[:, None]
     turned = [replace(view, light_rotation=quarter) for view in photographs]
