@@ -62,7 +62,8 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
     lists = join_lists([part.lists for part in parts])
     rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-1]]
     rotations = light_rotations(views)
-    return PixelPool(lists, *rest, None if rotations is None else torch.from_numpy(rotations).to(tracer.device))
+    turned = None if rotations is None else torch.from_numpy(rotations).to(tracer.device)
+    return PixelPool(lists, *rest, rotations=turned)
 
 
 def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:

@@ -114,8 +114,8 @@ class RadianceTransfer:
             return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, texels)))
         out = [samples.colour.new_empty(len(samples.point), size) for size in (texels, texels, 3, 3)]
         for one in self._views(samples):
-            arrays = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness[one.point]))
-            for values, part in zip(out, lobe_rows(*arrays, one.fixed, texels), strict=True):
+            point, view, normal, alpha = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness[one.point]))
+            for values, part in zip(out, lobe_rows(point, view, normal, alpha, one.fixed, texels), strict=True):
                 values[one.sample] = torch.as_tensor(part)
         return tuple(out)
 
@@ -136,8 +136,8 @@ class RadianceTransfer:
             return torch.as_tensor(scaled), torch.as_tensor(added)
         out = samples.colour.new_empty(2, len(samples.point), len(roughness), 3)
         for one in self._views(samples):
-            *arrays, alphas, radiance = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness), light)
-            for values, part in zip(out, lobe_sums(*arrays, alphas, one.fixed, radiance), strict=True):
+            point, view, normal, alphas, radiance = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness), light)
+            for values, part in zip(out, lobe_sums(point, view, normal, alphas, one.fixed, radiance), strict=True):
                 values[one.sample] = torch.as_tensor(part)
         return out[0], out[1]
 
