@@ -75,10 +75,11 @@ def find_turntable(photographs: Sequence[Photograph], choice: Choice, progress: 
         InputError: if `choice` is "on" and the camera evidently moved, or nothing turns.
         Cancelled: if the user stopped the work.
     """
-    if choice == "off" or (choice == "auto" and not _one_size(photographs)):
+    reason = _reason_against(photographs)
+    if choice == "off" or (choice == "auto" and reason):
         return None
-    if not _one_size(photographs):
-        raise InputError("capture.turntable", "the photographs have several sizes or lenses", "a turntable needs one fixed camera")
+    if reason:
+        raise InputError("capture.turntable", reason, "a turntable needs one fixed camera and a turn of the object")
     encoded = np.stack([_read(one, progress) for one in photographs])
     gains, median = background_statistics(encoded)
     still = np.stack([still_pixels(one, gain, median) for one, gain in zip(encoded, gains, strict=True)])
@@ -96,9 +97,12 @@ def find_turntable(photographs: Sequence[Photograph], choice: Choice, progress: 
     return Turntable(np.stack([_closed(~(one & static)) for one in still]), gains)
 
 
-def _one_size(photographs: Sequence[Photograph]) -> bool:
-    """Return True where enough photographs could be of one fixed camera."""
-    return len(photographs) >= FEWEST and len({(one.width, one.height, one.turned, one.lens) for one in photographs}) == 1
+def _reason_against(photographs: Sequence[Photograph]) -> str:
+    """Return the reason why photographs can't be of one fixed camera, empty where there is none."""
+    if len(photographs) < FEWEST:
+        return f"there are {len(photographs)} photographs, fewer than {FEWEST}"
+    alike = len({(one.width, one.height, one.turned, one.lens) for one in photographs}) == 1
+    return "" if alike else "the photographs have several sizes or lenses"
 
 
 def _read(photograph: Photograph, progress: Progress) -> np.ndarray:

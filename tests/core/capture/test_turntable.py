@@ -94,6 +94,8 @@ def test_what_is_no_turntable_is_said(tmp_path):
     photographs = written(tmp_path, images())
     assert find_turntable(photographs, "off", Silent()) is None
     assert find_turntable(photographs[:5], "auto", Silent()) is None
+    with pytest.raises(InputError, match="there are 5 photographs, fewer than 8"):
+        find_turntable(photographs[:5], "on", Silent())
     two_lenses = photographs[:6] + written(tmp_path, images(), "other")[6:]
     assert find_turntable(two_lenses, "auto", Silent()) is None
     with pytest.raises(InputError, match="several sizes or lenses"):
