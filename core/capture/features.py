@@ -69,7 +69,7 @@ def find_features(
                 done += 1
                 progress.step(done)
             if progress.cancelled:
-                raise Cancelled("cancelled")
+                raise Cancelled(f"stopped after features were found in {done} photographs")
 
 
 def _write(database: pycolmap.Database, number: int, found: Found) -> None:

@@ -108,7 +108,7 @@ def _reason_against(photographs: Sequence[Photograph]) -> str:
 def _read(photograph: Photograph, progress: Progress) -> np.ndarray:
     """Read a photograph (h, w, 3) float32, encoded 0..1, reduced to SIDE."""
     if progress.cancelled:
-        raise Cancelled("cancelled")
+        raise Cancelled("stopped while a turntable was looked for")
     with Image.open(photograph.image) as image:
         image.draft("RGB", (SIDE, SIDE))
         colour = np.asarray(image.convert("RGB"))
