@@ -23,7 +23,6 @@ from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
 
 NEAREST = 8  # solver points whose mean roughness and metallic a Gaussian takes
 VIEWS = 4  # samples of each Gaussian, at most
-TURNING_VIEWS = 10  # the same where the light turns: errors of shadows and indirect light differ from photograph to photograph
 BATCH = 4000  # Gaussians traced at a time
 REWEIGHTED = 8  # passes of iteratively reweighted least squares
 AROUND = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
@@ -60,8 +59,7 @@ def assign_materials(
     g, random = reconstruction.gaussians, np.random.default_rng(seed)
     device, position = g.position.device, g.position.T.contiguous().cpu().numpy()
     normal = surface_normals(surface, position)
-    most = VIEWS if solver.transfer.rotations is None else TURNING_VIEWS
-    samples, chosen = sample_views(position, normal, views, tracer.tree, tracer.offset, random, most, least=1, device=device)
+    samples, chosen = sample_views(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, least=1, device=device)
     if not reconstruction.glossy:
         samples = with_colour(samples, own_radiance(g, chosen[samples.point], samples.view))
     _, nearest = KDTree(solver.samples.position.cpu().numpy()).query(samples.position.cpu().numpy(), k=min(NEAREST, len(solver.roughness)))
