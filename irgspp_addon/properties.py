@@ -37,6 +37,11 @@ DEVICES = [
     ("cpu", "CPU", "The processor", 1),
     ("cuda", "CUDA", "An NVIDIA graphics card", 2),
 ]
+TURNTABLE = [
+    ("auto", "Automatic", "Decided by whether a background with texture stays at its place"),
+    ("on", "Yes", "The camera was fixed and the object turned before it"),
+    ("off", "No", "The camera moved around the object"),
+]
 SOURCES = [
     ("textures", "Textures", "The material reads textures through the UV map", 0),
     ("attributes", "Attributes", "The material reads attributes at the mesh's vertices", 1),
@@ -95,6 +100,12 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         soft_max=1.0,
         step=0.1,
         precision=4,
+    )
+    capture_turntable: EnumProperty(
+        name="Turntable",
+        description="The object turns before a fixed camera",
+        items=TURNTABLE,
+        default="auto",
     )
 
     # Reconstruct

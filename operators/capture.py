@@ -6,7 +6,7 @@
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.capture_file import FILE, CaptureSummary, read_capture
@@ -14,9 +14,9 @@ from ..irgspp_addon.importer.dataset_import import checked
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import VIDEOS, beside
+from ..irgspp_addon.properties import TURNTABLE, VIDEOS, beside
 from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
-from .reconstruct import marker_words, set_words
+from .reconstruct import capture_words, set_words
 
 NAMED = 3  # photographs left out that a report names
 
@@ -43,6 +43,7 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
     marker: FloatProperty(
         name="Marker", description="Side of the black square of a printed marker, in metres; 0: no marker", min=0.0, options=SKIP
     )
+    turntable: EnumProperty(name="Turntable", description="The object turns before a fixed camera", items=TURNTABLE, options=SKIP)
     seed: IntProperty(name="Seed", description="Seed of all random numbers", min=0, options=SKIP)
     settings: StringProperty(name="Settings", description="Single settings, as capture.key=value separated by spaces", options=SKIP)
     import_result: BoolProperty(**IMPORT)
@@ -66,6 +67,8 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
         panel, given = scene.irgspp, self.properties.is_property_set
         if not given("marker"):
             self.marker = panel.capture_marker
+        if not given("turntable"):
+            self.turntable = panel.capture_turntable
         if not given("seed"):
             self.seed = panel.seed
         if not given("settings"):
@@ -82,7 +85,8 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
             source, folder = checked(stopped.source), source
         else:
             folder = Path(bpy.path.abspath(self.output)).absolute() if self.output else beside(source, "_capture")
-        words = ["capture", str(source), "-o", str(folder), "--seed", str(self.seed), *marker_words(self.marker), *set_words(self.settings)]
+        words = ["capture", str(source), "-o", str(folder), "--seed", str(self.seed)]
+        words += [*capture_words(self.marker, self.turntable), *set_words(self.settings)]
         data = {**result_import.place_of(scene), "source": str(source), "run": str(folder)}
         on_done = "import_capture" if self.import_result and not self.wait else None
         return jobs.start("capture", f"Find cameras of {source.name}", folder, words, on_done, data)

@@ -110,7 +110,8 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         if (run / "run.json").is_file() and not self.overwrite:
             raise InputError(run, "holds another run", "resume it, overwrite it, or name another folder")
         words += ["--preset", self.preset, "--materials", self.materials, "--device", self.device, "--seed", str(self.seed)]
-        words += marker_words(scene.irgspp.capture_marker) if find_bare_photographs(dataset) else []
+        panel = scene.irgspp
+        words += capture_words(panel.capture_marker, panel.capture_turntable) if find_bare_photographs(dataset) else []
         words += [word for setting in bound_settings(scene, dataset) for word in ("--set", setting)]
         return words + set_words(self.settings) + (["--overwrite"] if self.overwrite else [])
 
@@ -145,9 +146,10 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
             return refuse(self, error)
 
 
-def marker_words(metres: float) -> list[str]:
-    """Return command-line arguments for the size of a marker in metres; none for 0."""
-    return ["--set", f"capture.marker={metres:.6g}"] if metres > 0 else []
+def capture_words(metres: float, turntable: str) -> list[str]:
+    """Return command-line arguments for the size of a marker in metres, 0 for none, and for a turntable: auto, on or off."""
+    words = ["--set", f"capture.marker={metres:.6g}"] if metres > 0 else []
+    return words + (["--set", f"capture.turntable={turntable}"] if turntable != "auto" else [])
 
 
 def set_words(settings: str) -> list[str]:

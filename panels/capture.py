@@ -35,7 +35,9 @@ def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context, da
         say(layout, context, "The cameras of these photographs are not all found yet; Find Cameras goes on.", icon="INFO")
     else:
         return False
-    settings_column(layout).prop(context.scene.irgspp, "capture_marker")
+    settings = settings_column(layout)
+    settings.prop(context.scene.irgspp, "capture_marker")
+    settings.prop(context.scene.irgspp, "capture_turntable")
     column = layout.column()
     column.scale_y = 1.3
     column.enabled = engine.status().usable

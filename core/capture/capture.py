@@ -30,6 +30,8 @@ from .poses import find_poses
 from .reading import read_photographs
 from .report import write_contact_sheet, write_page
 from .sparse_model import SparseModel
+from .static_background import SeenBackground, light_rotations
+from .turntable import find_turntable
 from .undistortion import UndistortedImage, undistort_photographs
 from .upright import world_similarity
 
@@ -85,16 +87,19 @@ def _claim(folder: Path) -> FileLock:
 def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, progress: Progress, inputs: dict[str, Any]) -> None:
     photographs, left_out = read_photographs(source, folder, settings, progress)
     _report_left_out(left_out, progress)
-    model = find_poses(photographs, folder, settings, seed, progress)
+    turntable = find_turntable(photographs, settings.turntable, progress)
+    model = find_poses(photographs, folder, settings, seed, progress, turntable)
     _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
-    found = _masks(model, images, settings, seed, progress)
-    gains = exposure_gains(model, [one.view for one in images])
+    seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)
+    found = _masks(model, images, settings, seed, progress, seen)
+    gains = exposure_gains(model, [one.view for one in images]) if seen is None else seen.gains
     scale = _metres_per_unit(model, settings, progress)
     bound = _scene_bound(model, images) if found is None else found.bound
     plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
     similarity = world_similarity([one.camera for one in images], bound, plane, scale)
-    result = CaptureResult(model, images, found, gains, similarity, scale is not None, [*left_out, *model.left_out])
+    turns = None if turntable is None else light_rotations(images, similarity)
+    result = CaptureResult(model, images, found, gains, similarity, scale is not None, [*left_out, *model.left_out], turns)
     _write(result, folder, {"format": FORMAT, "status": "done", "inputs": inputs, "source": str(source), **describe(result)})
     progress.message(f"capture: {len(images)} photographs, report in {folder / 'report.html'}")
 
@@ -104,7 +109,7 @@ def _write(result: CaptureResult, folder: Path, state: dict[str, Any]) -> None:
     images, masks = result.images, result.masks
     write_model(result.model, images, result.similarity, folder)
     write_masks(images, masks, folder)
-    write_transforms(images, result.similarity, [mask is not None for mask in masks], folder)
+    write_transforms(images, result.similarity, [mask is not None for mask in masks], folder, result.light_rotations)
     _write_surroundings(result, folder)
     write_json(folder / EXPOSURES, {one.view.name: gain.tolist() for one, gain in zip(images, result.gains, strict=True)})
     write_contact_sheet(images, masks, set(result.doubtful), folder / "contact_sheet.png")
@@ -113,12 +118,18 @@ def _write(result: CaptureResult, folder: Path, state: dict[str, Any]) -> None:
 
 
 def _masks(
-    model: SparseModel, images: list[UndistortedImage], settings: CaptureSettings, seed: int, progress: Progress
+    model: SparseModel,
+    images: list[UndistortedImage],
+    settings: CaptureSettings,
+    seed: int,
+    progress: Progress,
+    seen: SeenBackground | None,
 ) -> ObjectMasks | None:
     """Cut the object out, unless the settings say not to."""
     given = {one.view.name: one.mask for one in images if one.mask is not None}
     points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
-    return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None)
+    background = None if seen is None else seen.masks
+    return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None, background=background)
 
 
 def _metres_per_unit(model: SparseModel, settings: CaptureSettings, progress: Progress) -> float | None:

@@ -93,7 +93,13 @@ def write_masks(images: Sequence[UndistortedImage], masks: Sequence[np.ndarray |
             write_atomic(target / f"{one.view.name}.png", data.tobytes())
 
 
-def write_transforms(images: Sequence[UndistortedImage], similarity: np.ndarray, masked: Sequence[bool], folder: Path) -> None:
+def write_transforms(
+    images: Sequence[UndistortedImage],
+    similarity: np.ndarray,
+    masked: Sequence[bool],
+    folder: Path,
+    rotations: dict[str, list[list[float]]] | None = None,
+) -> None:
     """Write transforms.json (nerfstudio's layout) and cameras.json (as in run folders), in the world.
 
     Args:
@@ -101,6 +107,7 @@ def write_transforms(images: Sequence[UndistortedImage], similarity: np.ndarray,
         similarity: (4, 4) from the model's frame to the world.
         masked: V flags of images with a mask file.
         folder: folder of the capture.
+        rotations: rotation from the world to the frame of the light by the view's name; None where the light stands still.
     """
     frames, records = [], []
     for one, has_mask in zip(images, masked, strict=True):
@@ -108,7 +115,8 @@ def write_transforms(images: Sequence[UndistortedImage], similarity: np.ndarray,
         pose, file = camera.to_world.tolist(), one.image.relative_to(folder).as_posix()
         lens = {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
         mask = {"mask_path": f"masks/{one.view.name}.png"} if has_mask else {}
-        frames.append({"file_path": file, **mask, **lens, "transform_matrix": pose})
+        light = {} if rotations is None else {"light_rotation": rotations[one.view.name]}
+        frames.append({"file_path": file, **mask, **lens, "transform_matrix": pose, **light})
         sizes = {"width": camera.width, "height": camera.height}
         focal = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
         records.append({"name": one.view.name, "split": "train", **sizes, **focal, "to_world": pose, "picture": file})

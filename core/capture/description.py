@@ -31,6 +31,7 @@ class CaptureResult:
         similarity: (4, 4) from the model's frame to the world.
         true_size: True where a unit of the world is a metre.
         left_out: photographs that were not used.
+        light_rotations: rotation from the world to the frame of the light by the view's name, of a turntable; else None.
     """
 
     model: SparseModel
@@ -40,6 +41,7 @@ class CaptureResult:
     similarity: np.ndarray
     true_size: bool
     left_out: list[LeftOut]
+    light_rotations: dict[str, list[list[float]]] | None = None
 
     @property
     def masks(self) -> Sequence[np.ndarray | None]:
@@ -66,6 +68,7 @@ def describe(result: CaptureResult) -> dict[str, Any]:
         "plane": result.found is not None and result.found.plane is not None,
         "metres_per_unit": 1.0 if result.true_size else None,
         "masked": any(mask is not None for mask in result.masks),
+        "light_rotations": result.light_rotations,
         "photographs": _records(result),
         "left_out": [dataclasses.asdict(one) for one in result.left_out],
         "notes": _notes(result),
@@ -86,7 +89,10 @@ def _records(result: CaptureResult) -> list[dict[str, Any]]:
 def _notes(result: CaptureResult) -> list[str]:
     """Return lines about masks and exposure for the page."""
     notes = ["no masks: the whole scene is reconstructed"] if result.found is None else list(result.found.messages)
+    if result.light_rotations is not None:
+        notes.append("turntable: the camera was fixed and the object turned, so that the light turns about it")
     if np.log(result.gains).std(0).max() >= SMALLEST:
         origin = "the points' colours" if stated_log_gains(result.model) is None else "EXIF, checked by the points' colours"
+        origin = origin if result.light_rotations is None else "the static background"
         notes.append(f"exposure differs by up to {np.ptp(np.log2(result.gains.mean(1))):.2f} EV, by {origin}")
     return notes

@@ -17,7 +17,8 @@ from ..io.image import read_image
 from ..machine.thread_pool import thread_count
 from ..progress.protocol import Progress
 from .photograph import Photograph
-from .quarter_turns import stored_size
+from .quarter_turns import stored_size, turn_pixels
+from .turntable import Turntable
 
 Found = tuple[np.ndarray, pycolmap.FeatureDescriptors]
 
@@ -36,7 +37,9 @@ def extraction_options(thorough: bool) -> pycolmap.FeatureExtractionOptions:
     return options
 
 
-def find_features(photographs: Sequence[Photograph], path: Path, longest: int, thorough: bool, progress: Progress) -> None:
+def find_features(
+    photographs: Sequence[Photograph], path: Path, longest: int, thorough: bool, progress: Progress, turntable: Turntable | None = None
+) -> None:
     """Write the features of all photographs that have none yet into the database, each in one transaction.
 
     Args:
@@ -45,6 +48,7 @@ def find_features(photographs: Sequence[Photograph], path: Path, longest: int, t
         longest: longest side in pixels of the image in which features are searched.
         thorough: see `extraction_options`.
         progress: receiver; it may cancel.
+        turntable: static background of the photographs, whose features are left out; None where the camera moved.
 
     Raises:
         Cancelled: if the user stopped the job; features found so far are kept.
@@ -60,7 +64,8 @@ def find_features(photographs: Sequence[Photograph], path: Path, longest: int, t
                 i = waiting.pop(0)
                 running[pool.submit(_extract, photographs[i], longest, options)] = i
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                _write(database, running.pop(future) + 1, future.result())
+                i, found = running.pop(future), future.result()
+                _write(database, i + 1, found if turntable is None else _moving(found, photographs[i], i, turntable))
                 done += 1
                 progress.step(done)
             if progress.cancelled:
@@ -71,6 +76,14 @@ def _write(database: pycolmap.Database, number: int, found: Found) -> None:
     with pycolmap.DatabaseTransaction(database):
         database.write_keypoints(number, found[0])
         database.write_descriptors(number, found[1])
+
+
+def _moving(found: Found, photograph: Photograph, number: int, turntable: Turntable) -> Found:
+    """Return the features of a photograph that lie on what moves before a fixed camera."""
+    table, descriptors = found
+    upright = turn_pixels(table[:, :2], *stored_size(photograph), photograph.turned)
+    kept = turntable.moving_features(number, upright / (photograph.width, photograph.height))
+    return table[kept], pycolmap.FeatureDescriptors(descriptors.type, descriptors.data[kept])
 
 
 def _extract(photograph: Photograph, longest: int, options: pycolmap.FeatureExtractionOptions) -> Found:

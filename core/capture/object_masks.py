@@ -55,6 +55,7 @@ def cut_out(
     progress: Progress,
     sphere: Bound | None = None,
     given: dict[str, np.ndarray] | None = None,
+    background: dict[str, np.ndarray] | None = None,
 ) -> ObjectMasks | None:
     """Cut the object that the cameras look at out of all views.
 
@@ -66,6 +67,7 @@ def cut_out(
         progress: receives the phases "dense points" and "cut out the object" and messages, and may cancel.
         sphere: about the object, if a person gave it.
         given: masks (H, W) 0..1 of a person by the view's name, for some or all views; they are followed but for a band at their edge.
+        background: (H, W) bool by the view's name, True where the static background of a turntable is seen.
 
     Returns:
         The masks; None, with a message that says why, where there is no object to cut out.
@@ -73,7 +75,7 @@ def cut_out(
     Raises:
         Cancelled: the user stopped the work.
     """
-    given = given or {}
+    given, background = given or {}, background or {}
     if not settings.masks or len(views) < FEWEST:
         return None
     cameras = [view.camera for view in views]
@@ -85,7 +87,8 @@ def cut_out(
         return None
     lowest = 0.0 if plane is None else lowest_height(dense, plane)
     maps = dict(zip(dense.chosen, dense.maps, strict=True))
-    jobs = [(view, maps.get(i), region, plane, lowest, given.get(view.name)) for i, view in enumerate(views)]
+    of_view = [(given.get(view.name), background.get(view.name)) for view in views]
+    jobs = [(view, maps.get(i), region, plane, lowest, *of_view[i]) for i, view in enumerate(views)]
     cutouts = list(run_jobs(prepare_cutout, jobs))
     names, mapped = [view.name for view in views], [i in maps for i in range(len(views))]
     masks, doubtful = consistent_masks(cutouts, cameras, [view.colour for view in views], names, mapped, region, plane, progress)

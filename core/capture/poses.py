@@ -25,6 +25,7 @@ from .matching import AFFORDABLE, EXHAUSTIVE, Pairs, every_pair, match_features,
 from .photograph import LeftOut, Photograph
 from .registration_report import check_count, check_features, check_matches, check_model, explain_left_out, is_panoramic
 from .sparse_model import SparseModel
+from .turntable import Turntable
 from .upright_model import sparse_model, turn_upright
 
 MODEL = "distorted/sparse/0"
@@ -62,7 +63,14 @@ class Solution:
         return self.registered, -self.models[0].compute_mean_reprojection_error() if self.models else 0.0
 
 
-def find_poses(photographs: Sequence[Photograph], folder: Path, settings: CaptureSettings, seed: int, progress: Progress) -> SparseModel:
+def find_poses(
+    photographs: Sequence[Photograph],
+    folder: Path,
+    settings: CaptureSettings,
+    seed: int,
+    progress: Progress,
+    turntable: Turntable | None = None,
+) -> SparseModel:
     """Find the poses, lenses and sparse points of photographs; what an earlier call finished is read back.
 
     The model of the upright copies is written to `distorted/sparse/0` of the folder, in COLMAP's format.
@@ -73,6 +81,7 @@ def find_poses(photographs: Sequence[Photograph], folder: Path, settings: Captur
         settings: of the capture.
         seed: of all random choices.
         progress: receiver; it may cancel.
+        turntable: static background before which the object turns, or None: the poses are then those about the object at rest.
 
     Returns:
         The sparse model, with the reasons of photographs that have no pose.
@@ -84,14 +93,14 @@ def find_poses(photographs: Sequence[Photograph], folder: Path, settings: Captur
     check_count(photographs)
     silence()
     folder.mkdir(parents=True, exist_ok=True)
-    key = _fingerprint(photographs, settings, seed)
+    key = _fingerprint(photographs, settings, seed, turntable is not None)
     state = _read_state(folder, key)
     if "left_out" in state and (found := _read_back(folder, photographs, [LeftOut(**one) for one in state["left_out"]])) is not None:
         return found
     if not state:
         _forget(folder)
         write_atomic(folder / STATE, json.dumps({"key": key}).encode())
-    solution = _solve(photographs, folder, settings, seed, progress)
+    solution = _solve(photographs, folder, settings, seed, progress, turntable)
     model = check_model(photographs, solution.models[0] if solution.models else None, is_panoramic(solution.path))
     left_out = explain_left_out(photographs, solution.models, solution.counts, solution.inliers)
     refine_robustly(model, solution.freedom)
@@ -100,15 +109,18 @@ def find_poses(photographs: Sequence[Photograph], folder: Path, settings: Captur
     return sparse_model(upright, photographs, left_out)
 
 
-def _solve(photographs: Sequence[Photograph], folder: Path, settings: CaptureSettings, seed: int, progress: Progress) -> Solution:
+def _solve(
+    photographs: Sequence[Photograph], folder: Path, settings: CaptureSettings, seed: int, progress: Progress, turntable: Turntable | None
+) -> Solution:
     """Run the mapper, and again with more matches while few photographs are registered; return the best solution."""
     count, path, thorough = len(photographs), folder / "database.db", folder / "database_thorough.db"
-    best = _search(photographs, path, settings, seed, progress)
+    best = _search(photographs, path, settings, seed, progress, turntable)
     attempts: list[tuple[str, Callable[[], Solution]]] = []
     if settings.matching == "auto" and EXHAUSTIVE < count <= AFFORDABLE:
         attempts.append(("matching every pair", lambda: _match(photographs, path, every_pair(count), False, seed, progress)))
     attempts.append(("trying with weaker matches", lambda: _map(photographs, best, True, seed, progress)))
-    attempts.append(("searching for fainter features", lambda: _search(photographs, thorough, settings, seed, progress, thorough=True)))
+    fainter = lambda: _search(photographs, thorough, settings, seed, progress, turntable, thorough=True)  # noqa: E731
+    attempts.append(("searching for fainter features", fainter))
     for what, attempt in attempts:
         if best.registered >= ENOUGH * count or is_panoramic(best.path):
             break
@@ -118,11 +130,17 @@ def _solve(photographs: Sequence[Photograph], folder: Path, settings: CaptureSet
 
 
 def _search(
-    photographs: Sequence[Photograph], path: Path, settings: CaptureSettings, seed: int, progress: Progress, thorough: bool = False
+    photographs: Sequence[Photograph],
+    path: Path,
+    settings: CaptureSettings,
+    seed: int,
+    progress: Progress,
+    turntable: Turntable | None,
+    thorough: bool = False,
 ) -> Solution:
     """Find features, match the selected pairs, and run the mapper."""
     open_database(path, photographs)
-    find_features(photographs, path, settings.features, thorough, progress)
+    find_features(photographs, path, settings.features, thorough, progress, turntable)
     check_features(photographs, feature_counts(path, len(photographs)))
     every = thorough and settings.matching == "auto" and len(photographs) <= AFFORDABLE
     pairs = every_pair(len(photographs)) if every else select_pairs(path, len(photographs), settings.matching, seed)
@@ -154,9 +172,10 @@ def _map(photographs: Sequence[Photograph], known: Solution, lenient: bool, seed
     return Solution(models, known.path, freedom, known.counts, known.inliers)
 
 
-def _fingerprint(photographs: Sequence[Photograph], settings: CaptureSettings, seed: int) -> str:
+def _fingerprint(photographs: Sequence[Photograph], settings: CaptureSettings, seed: int, turntable: bool) -> str:
     """Return a digest of everything that the result depends on."""
-    digest = hashlib.sha256(repr((FORMAT, pycolmap.__version__, seed, settings.features, settings.matching)).encode())
+    chosen = (settings.features, settings.matching) + ((True,) if turntable else ())
+    digest = hashlib.sha256(repr((FORMAT, pycolmap.__version__, seed, *chosen)).encode())
     for one in photographs:
         values = one.name, one.image.name, one.width, one.height, one.lens, one.focal, one.turned
         digest.update(repr(values).encode() + hashlib.sha256(one.image.read_bytes()).digest())

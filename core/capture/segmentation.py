@@ -74,6 +74,7 @@ def prepare_cutout(
     plane: SupportPlane | None,
     lowest: float,
     given: np.ndarray | None = None,
+    background: np.ndarray | None = None,
 ) -> Cutout | None:
     """Crop a view around the object and set its seeds.
 
@@ -84,6 +85,7 @@ def prepare_cutout(
         plane: on which the object stands, or None.
         lowest: height above the plane below which points belong to it, world units.
         given: (H, W) 0..1 mask of a person, or None.
+        background: (H, W) bool, True where a static background is seen, or None.
 
     Returns:
         The crop, None where the view does not show the object's bound.
@@ -97,6 +99,8 @@ def prepare_cutout(
         found = _depth_seeds(depth_map, region, plane, lowest)
         found = cv2.resize(found, (view.camera.width, view.camera.height), interpolation=cv2.INTER_NEAREST)[crop]
         seed = np.where(seed == 0, found, seed)
+    if background is not None:
+        seed = np.where(background[crop], -1, seed).astype(np.int8)
     colour = np.ascontiguousarray(view.colour[crop])
     sure = None if given is None else _sureness(given)[crop]
     return Cutout(box, colour, lab_bins(colour), seed, _edge_weight(colour), sure)

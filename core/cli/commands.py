@@ -65,6 +65,8 @@ def capture(args: argparse.Namespace, terminal: Terminal) -> int:
     settings = with_overrides(Settings(), args.set).capture
     if args.marker is not None:
         settings = dataclasses.replace(settings, marker=args.marker)
+    if args.turntable is not None:
+        settings = dataclasses.replace(settings, turntable=args.turntable)
     from ..capture.capture import capture
 
     folder = capture(args.photographs, args.folder, settings, args.seed, terminal)

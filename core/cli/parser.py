@@ -45,6 +45,8 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("-o", dest="folder", metavar="DATASET", type=Path, required=True, help="folder to write")
     side = "side of the black square of an ArUco or AprilTag marker in the photographs, such as 5cm: the object gets its true size"
     one.add_argument("--marker", type=_length, metavar="SIZE", help=side)
+    fixed = "the object turns before a fixed camera (default: auto, where a background with texture stays at its place)"
+    one.add_argument("--turntable", choices=("auto", "on", "off"), help=fixed)
     one.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every random number generator (default: 0)")
     _set_option(one)
 

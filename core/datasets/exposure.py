@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..io.srgb import decode_srgb, encode_srgb
-from ..scene.dataset import PointCloud, View
+from ..scene.dataset import PointCloud, View, light_rotations
 from ..settings.schema import Choice
 
 POINTS = 8000  # at most, with which gains are estimated
@@ -46,6 +46,8 @@ def even_exposures(views: Sequence[View], points: PointCloud | None, choice: Cho
     known = [view.gain for view in views if view.gain is not None]
     if len(known) == len(views):
         gains = np.stack(known)
+    elif choice != "on" and light_rotations(views) is not None:  # shading that changes with the turns would be taken for gains
+        return list(views)
     elif points is not None:
         logs = point_colours(views, points)
         if choice != "on" and unexplained(logs) > EXPLAINED:

@@ -204,7 +204,8 @@ def _view(prepared: PreparedFrame, masks: bool, mask_error: float = 0.0) -> View
         return error
     error = mask_error * max(size) if masks and frame.mask is not None else 0.0  # an alpha channel may hide the colours beside the object
     about = (frame.lens.distorted, frame.light, frame.gain, error)
-    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, *about)
+    turned = frame.light_rotation
+    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, *about, light_rotation=turned)
 
 
 def _mask(frame: Frame, image: tuple[int, int], size: tuple[int, int]) -> np.ndarray:

@@ -103,6 +103,7 @@ class Frame:
         far: if the mask file is a depth map, the fraction of its range from which on there is background; else None.
         light: name of the light that it was taken under, if it is not the dataset's own.
         gain: linear exposure gain (3,) of its colours that the dataset states, relative to the other photographs; else None.
+        light_rotation: (3, 3) float64 rotation from the world to the frame of the light that the dataset states; None: identity.
     """
 
     listed: str
@@ -113,6 +114,7 @@ class Frame:
     far: float | None = None
     light: str | None = None
     gain: np.ndarray | None = None
+    light_rotation: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

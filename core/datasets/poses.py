@@ -35,6 +35,32 @@ def parse_pose(where: str, entry: dict[str, Any]) -> np.ndarray:
     return rigid_pose(where, matrix, "transform_matrix")
 
 
+def parse_light_rotation(where: object, value: Any) -> np.ndarray | None:
+    """Parse the rotation of the light of a frame.
+
+    Args:
+        where: file and frame, for messages.
+        value: three rows of three numbers, world to the frame of the light; None where the file states none.
+
+    Returns:
+        (3, 3) float64, exactly a rotation, or None.
+
+    Raises:
+        InputError: if it is not a rotation.
+    """
+    if value is None:
+        return None
+    try:
+        rotation = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(where, "light_rotation is not a matrix of numbers") from error
+    if rotation.shape != (3, 3):
+        raise InputError(where, f"light_rotation has shape {rotation.shape}, not 3x3")
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    return rigid_pose(where, pose, "light_rotation")[:3, :3]
+
+
 def rigid_pose(where: object, matrix: np.ndarray, name: str) -> np.ndarray:
     """Check that a matrix is a rotation and a translation, and make its rotation exact.
 

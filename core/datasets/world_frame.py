@@ -50,9 +50,16 @@ def transform_world(parsed: ParsedDataset, to_world: np.ndarray) -> ParsedDatase
         parsed: the dataset, in its own frame and without a bound.
         to_world: (4, 4) similarity from its frame to the world.
     """
+    axes = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
+
+    def rotated(rotation: np.ndarray | None) -> np.ndarray | None:
+        """Return a rotation of the light (3, 3) in the world's axes."""
+        return None if rotation is None else axes @ rotation @ axes.T
 
     def placed(frames: list[Frame]) -> list[Frame]:
-        return [replace(f, to_world=approximate_camera(f).moved(to_world).to_world) for f in frames]
+        return [
+            replace(f, to_world=approximate_camera(f).moved(to_world).to_world, light_rotation=rotated(f.light_rotation)) for f in frames
+        ]
 
     points = parsed.points
     if points is not None:

@@ -194,7 +194,7 @@ def radiance_psnr(reconstruction: Reconstruction, views: Sequence[View]) -> floa
     """
     values = []
     for view in views:
-        rgba = render_gbuffer(reconstruction, view.camera).image
+        rgba = render_gbuffer(reconstruction, view.camera, view.light_rotation).image
         alpha = 1.0 if view.alpha is None else view.alpha[..., None]
         values.append(metrics.psnr(metrics.on_black(rgba), np.clip(view.colour, 0, 1) * alpha))
     return float(np.mean(values))

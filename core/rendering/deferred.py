@@ -14,7 +14,7 @@ import torch
 from ..io.srgb import encode_srgb
 from ..kernels.rasterize import COLOUR, EXTRA, NORMAL
 from ..machine.backend import by_warp
-from ..shading.environment_lookup import lookup
+from ..shading.environment_lookup import lookup, to_light_frame
 from ..shading.split_sum import specular_light, specular_radiance
 
 ALPHA_FLOOR = 1e-4  # smallest opacity that sums are divided by
@@ -71,7 +71,9 @@ def splat_radiance(image: torch.Tensor) -> torch.Tensor:
     return image[COLOUR] / image[-1:].clamp_min(ALPHA_FLOOR)
 
 
-def reflective_radiance(image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:
+def reflective_radiance(
+    image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None = None
+) -> torch.Tensor:
     """Add the split-sum reflection of the light to the diffuse SH radiance: (1 - m) C_sh + S (Ref-Gaussian, in linear light).
 
     Pixels of opacity up to REFLECTING keep their SH radiance.
@@ -80,13 +82,15 @@ def reflective_radiance(image: torch.Tensor, rays: torch.Tensor, stack: torch.Te
         image: (13, H, W) sums of `rasterize`.
         rays: (3, H, W) world directions of any length.
         stack: (L, h, w, 3) prefiltered light of `specular_light`.
+        light_rotation: (3, 3) world to the frame of the light, None where it stands still.
 
     Returns:
         (3, H, W) linear radiance with straight alpha.
     """
     all_pixels = by_warp(image)
     p = surface_pixels(image, rays, all_pixels=all_pixels)
-    light = specular_radiance(p.view, p.normal, p.albedo, p.roughness, p.metallic, stack)
+    view, normal = to_light_frame(p.view, light_rotation), to_light_frame(p.normal, light_rotation)
+    light = specular_radiance(view, normal, p.albedo, p.roughness, p.metallic, stack)
     shaded = (1 - p.metallic[:, None]) * p.colour + light
     base = splat_radiance(image)
     if all_pixels:
@@ -94,35 +98,45 @@ def reflective_radiance(image: torch.Tensor, rays: torch.Tensor, stack: torch.Te
     return base.flatten(1).index_copy(1, p.index, shaded.T).view_as(base)
 
 
-def radiance(image: torch.Tensor, rays: torch.Tensor, light: torch.Tensor | None) -> torch.Tensor:
+def radiance(
+    image: torch.Tensor, rays: torch.Tensor, light: torch.Tensor | None, light_rotation: torch.Tensor | None = None
+) -> torch.Tensor:
     """Return the radiance of an image before compositing, with or without reflections.
 
     Args:
         image: (13, H, W) sums of `rasterize`.
         rays: (3, H, W) world directions of any length.
         light: (h, w, 3) linear lat-long map to reflect, or None: the SH hold the full radiance.
+        light_rotation: (3, 3) world to the frame of the light, None where it stands still.
 
     Returns:
         (3, H, W) linear radiance with straight alpha.
     """
-    return splat_radiance(image) if light is None else reflective_radiance(image, rays, specular_light(light))
+    return splat_radiance(image) if light is None else reflective_radiance(image, rays, specular_light(light), light_rotation)
 
 
-def background_radiance(background: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
-    """Look a background up along rays.
+def background_radiance(background: torch.Tensor, rays: torch.Tensor, light_rotation: torch.Tensor | None = None) -> torch.Tensor:
+    """Look a background up along rays; it stands still in the frame of the light.
 
     Args:
         background: (h, w, 3) linear lat-long map.
         rays: (3, H, W) world directions of any length.
+        light_rotation: (3, 3) world to the frame of the light, None where it stands still.
 
     Returns:
         (3, H, W) linear radiance.
     """
     direction = torch.nn.functional.normalize(rays.flatten(1), dim=0).T
-    return lookup(background, direction).T.view_as(rays)
+    return lookup(background, to_light_frame(direction, light_rotation)).T.view_as(rays)
 
 
-def composite(straight: torch.Tensor, alpha: torch.Tensor, rays: torch.Tensor, background: torch.Tensor | None) -> torch.Tensor:
+def composite(
+    straight: torch.Tensor,
+    alpha: torch.Tensor,
+    rays: torch.Tensor,
+    background: torch.Tensor | None,
+    light_rotation: torch.Tensor | None = None,
+) -> torch.Tensor:
     """Composite an image over black or over the learned background, and encode it as sRGB.
 
     Args:
@@ -131,10 +145,11 @@ def composite(straight: torch.Tensor, alpha: torch.Tensor, rays: torch.Tensor, b
         rays: (3, H, W) world directions of any length.
         background: (h, w, 3) linear lat-long map, composited in linear light; None where masks separate the object from its background:
             the encoded image is composited over black.
+        light_rotation: (3, 3) world to the frame of the light, None where it stands still.
 
     Returns:
         (3, H, W) sRGB-encoded image.
     """
     if background is None:
         return encode_srgb(straight) * alpha
-    return encode_srgb(straight * alpha + background_radiance(background, rays) * (1 - alpha))
+    return encode_srgb(straight * alpha + background_radiance(background, rays, light_rotation) * (1 - alpha))

@@ -34,28 +34,30 @@ def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.T
     return image, torch.from_numpy(camera.rays()).to(image.device).permute(2, 0, 1)
 
 
-def render_gbuffer(reconstruction: Reconstruction, camera: Camera) -> GBuffer:
+def render_gbuffer(reconstruction: Reconstruction, camera: Camera, light_rotation: np.ndarray | None = None) -> GBuffer:
     """Render the G-buffer of a camera.
 
     Args:
         reconstruction: Gaussians, light and background.
         camera: the camera.
+        light_rotation: (3, 3) world to the frame of the light, None where it stands still.
 
     Returns:
         Layers (H, W) divided by opacity; the radiance of a glossy reconstruction includes reflections of the light it was fitted with.
     """
     mirrored, fitted = reconstruction.mirrored(), reconstruction.reflections
     image, rays = rasterize_view(reconstruction, camera, None if fitted is None else fitted.material)
+    turned = None if light_rotation is None else torch.as_tensor(light_rotation, dtype=torch.float32).to(image.device)
     with torch.no_grad():
         reflecting = image if fitted is None else torch.cat([image[:EXTRA], image[EXTRA + len(fitted.material) :]])
-        linear = radiance(reflecting, rays, None if mirrored is None else mirrored.environment)
+        linear = radiance(reflecting, rays, None if mirrored is None else mirrored.environment, turned)
         alpha = image[-1]
         mean = torch.where(alpha > ALPHA_FLOOR, image[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
         normal = torch.nn.functional.normalize(mean[3:6], dim=0)
         images = (alpha, mean[-1], normal, linear * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
         behind = None
         if reconstruction.background is not None:
-            behind = background_radiance(reconstruction.background, rays).permute(1, 2, 0).contiguous().cpu().numpy()
+            behind = background_radiance(reconstruction.background, rays, turned).permute(1, 2, 0).contiguous().cpu().numpy()
         layers = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().cpu().numpy() for p in images]
     return GBuffer(camera, *layers, background=behind)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,6 +28,8 @@ class View:
         light: name of the light that the image was taken under, if it is not the dataset's own; else None.
         gain: linear exposure gain (3,) of the file's colours that the dataset states, relative to the other photographs; else None.
         mask_error: distance in pixels by which the edge of `alpha` may be wrong; `colour` then holds the photograph on both sides of it.
+        light_rotation: (3, 3) float64 rotation from the world to the frame of the light, where the light turns relative to the object
+            (on a turntable); None where it stands still.
     """
 
     name: str
@@ -38,6 +41,14 @@ class View:
     light: str | None = None
     gain: np.ndarray | None = None
     mask_error: float = 0.0
+    light_rotation: np.ndarray | None = None
+
+
+def light_rotations(views: Sequence[View]) -> np.ndarray | None:
+    """Return the rotations (V, 3, 3) float32 from the world to the frame of the light; None where it stands still in all views."""
+    if all(view.light_rotation is None for view in views):
+        return None
+    return np.stack([np.eye(3) if view.light_rotation is None else view.light_rotation for view in views]).astype(np.float32)
 
 
 @dataclass(frozen=True)

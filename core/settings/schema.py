@@ -29,6 +29,7 @@ class CaptureSettings:
     matching: Literal["auto", "exhaustive", "sequential"] = "auto"  # pairs of photographs; auto: above 30 photographs the similar ones
     masks: bool = True  # cut the object out where one stands apart; off: use the photographs whole, and no masks
     resolution: Annotated[int, Range(64, 4096)] = 640  # longest side of an image in which the object is cut out, pixels
+    turntable: Choice = "auto"  # the object turns before a fixed camera; auto: where a background with texture stays at its pixels
     marker: Annotated[float | None, Range(1e-6)] = None  # side of the black square of an ArUco or AprilTag marker, metres
 
 

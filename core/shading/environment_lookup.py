@@ -34,6 +34,29 @@ def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor
     return 0.5 - torch.atan2(y, x) / (2 * math.pi), polar / math.pi
 
 
+def to_light_frame(direction: torch.Tensor, rotation: torch.Tensor | None) -> torch.Tensor:
+    """Rotate world directions into the frame of a light that has turned relative to the object.
+
+    All light that moves is looked up this way: normal and view are rotated into the light's frame and shading is done there; rays that
+    the object may block are rotated back by `from_light_frame`.
+
+    Args:
+        direction: (P, 3) world.
+        rotation: world to light's frame, (3, 3) or one of each direction (P, 3, 3); None where the light stands still.
+
+    Returns:
+        (P, 3) in the light's frame; `direction` itself without a rotation.
+    """
+    if rotation is None:
+        return direction
+    return direction @ rotation.T if rotation.ndim == 2 else torch.einsum("pij,pj->pi", rotation, direction)
+
+
+def from_light_frame(direction: torch.Tensor, rotation: torch.Tensor | None) -> torch.Tensor:
+    """Rotate directions from the light's frame to the world; the inverse of `to_light_frame`, with the same arguments."""
+    return to_light_frame(direction, None if rotation is None else rotation.mT)
+
+
 def texel_directions(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
     """Return the unit directions of the texel centres, (H, W, 3).
 

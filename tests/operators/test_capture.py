@@ -81,11 +81,12 @@ def test_a_script_gets_cameras_points_and_sphere(photos):
 
 def test_the_panels_choices_are_taken_where_none_are_given(photos, monkeypatch):
     settings = bpy.context.scene.irgspp
-    settings.dataset, settings.capture_marker, settings.seed = str(photos), 0.08, 5
+    settings.dataset, settings.capture_marker, settings.capture_turntable, settings.seed = str(photos), 0.08, "on", 5
     settings.overrides = "first.iterations=9 capture.masks=off"
     bpy.ops.irgspp.capture(wait=True, import_result=False)
     (job,) = jobs.all_jobs()
-    assert job.arguments[4:] == ["--seed", "5", "--set", "capture.marker=0.08", "--set", "capture.masks=off"]
+    told = ["capture.marker=0.08", "capture.turntable=on", "capture.masks=off"]
+    assert job.arguments[4:] == ["--seed", "5", *[word for one in told for word in ("--set", one)]]
     assert not cameras()
 
 

@@ -51,7 +51,8 @@ def write_capture(folder, **values):
 def test_photographs_without_cameras_offer_to_find_them(settings, photos):
     settings.dataset = str(photos)
     drawn = draw(dataset.IRGSPP_PT_dataset)
-    assert "Photographs without cameras: 3 files" in drawn.words and "capture_marker" in drawn.properties
+    assert "Photographs without cameras: 3 files" in drawn.words
+    assert {"capture_marker", "capture_turntable"} <= set(drawn.properties)
     (button,) = drawn.buttons("irgspp.capture")
     assert (button.text, button.values, button.live) == ("Find Cameras", {"directory": str(photos)}, engine.status().usable)
     assert not drawn.buttons("irgspp.import_dataset") and not drawn.buttons("irgspp.inspect_dataset")

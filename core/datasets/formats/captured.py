@@ -15,6 +15,7 @@ from ...scene.dataset import Bound
 from ...scene.surroundings import load_surroundings
 from ...settings.schema import DataSettings
 from ..parsed_dataset import Frame, ParsedDataset
+from ..poses import parse_light_rotation
 from .colmap import read_frames
 
 FILE, EXPOSURES, SURROUNDINGS = "capture.json", "exposures.json", "surroundings.npz"
@@ -45,6 +46,7 @@ def read_captured(folder: Path, settings: DataSettings) -> ParsedDataset:
     frames, points, _, warnings = read_frames(folder / "sparse" / "0", settings.resolution)
     bound = state.get("bound")
     try:
+        frames = [_with_light(frame, state.get("light_rotations"), file) for frame in frames]
         sphere = None if bound is None else _bound(bound)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise InputError(file, f"is broken ({error!r})", "run irgspp capture again") from error
@@ -87,6 +89,14 @@ def _gain(value: object, name: str) -> np.ndarray:
     if gain.shape != (3,) or not np.isfinite(gain).all() or gain.min() <= 0:
         raise ValueError(f"gain of {name}")
     return gain
+
+
+def _with_light(frame: Frame, rotations: dict[str, Any] | None, file: Path) -> Frame:
+    """Return a frame with the rotation of its light, from capture.json."""
+    if rotations is None:
+        return frame
+    name = Path(frame.listed).stem
+    return replace(frame, light_rotation=parse_light_rotation(f"{file}, {name}", rotations[name]))
 
 
 def _bound(value: dict[str, Any]) -> Bound:

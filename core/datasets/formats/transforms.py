@@ -18,7 +18,7 @@ from ...scene.dataset import PointCloud
 from ...settings.schema import DataSettings
 from ..intrinsics import Size, parse_lens, parse_side
 from ..parsed_dataset import Frame, ParsedDataset, find_image, find_mask
-from ..poses import parse_pose
+from ..poses import parse_light_rotation, parse_pose
 from ..sparse_points import read_points
 
 NERFSTUDIO_KEYS = ("camera_model", "ply_file_path", "applied_transform", "orientation_override", "train_filenames")
@@ -181,7 +181,9 @@ def parse_frames(file: Path, content: dict[str, Any], images: list[Path | None],
     for index, (entry, image) in enumerate(zip(content["frames"], images, strict=True)):
         where = f"{file}, frame {index} ({entry['file_path'][:80]})"
         lens = parse_lens(where, {**shared, **entry}, size)
-        frames.append(Frame(entry["file_path"], image, _mask(file, entry, image), lens, parse_pose(where, entry)))
+        rotation = parse_light_rotation(where, entry.get("light_rotation"))
+        pose, mask = parse_pose(where, entry), _mask(file, entry, image)
+        frames.append(Frame(entry["file_path"], image, mask, lens, pose, light_rotation=rotation))
     return frames
 
 

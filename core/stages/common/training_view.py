@@ -33,6 +33,7 @@ class TrainingView:
         band: (H, W) bool, pixels at the mask's edge where it may be wrong (see `mask_band`); None where the mask is exact.
         background: (3, H, W) linear radiance beside the object in the band; None without.
         pixel_fraction: fraction of the image's pixels that are kept; below 1 where it was cropped.
+        light_rotation: (3, 3) world to the frame of the light; None where the light stands still.
     """
 
     camera: Camera
@@ -45,6 +46,7 @@ class TrainingView:
     band: torch.Tensor | None = None
     background: torch.Tensor | None = None
     pixel_fraction: float = 1.0
+    light_rotation: torch.Tensor | None = None
 
     def to(self, device: torch.device) -> TrainingView:
         """Return the view with its tensors on a device."""
@@ -100,7 +102,9 @@ def make_training_view(view: View, reduction: int = 1, crop: bool = False) -> Tr
     alpha, band = (layers[name][0] if name in layers else None for name in ("alpha", "band"))
     rays, rotation = camera_rays(camera), torch.as_tensor(camera.world_to_cv[:3, :3], dtype=torch.float32)
     geometry = (rays, torch.einsum("ji,jhw->ihw", rotation, rays), rotation)
-    return TrainingView(camera, layers["image"], alpha, layers["saturated"], *geometry, band, layers.get("background"), fraction)
+    turned = None if view.light_rotation is None else torch.as_tensor(view.light_rotation, dtype=torch.float32)
+    more = (band, layers.get("background"), fraction, turned)
+    return TrainingView(camera, layers["image"], alpha, layers["saturated"], *geometry, *more)
 
 
 def _layers(view: View) -> dict[str, torch.Tensor]:

@@ -9,12 +9,15 @@ that no regulariser leaves.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from scipy.spatial import KDTree
 
 from ...kernels.reference.harmonics import sh_basis
+from ...rendering.turning_light import most_facing_radiance
+from ...scene.dataset import View, light_rotations
 from ...scene.gaussians import ALBEDO, METALLIC, Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...shading.environment_lookup import lookup
@@ -34,7 +37,7 @@ def facing_radiance(gaussians: Gaussians) -> torch.Tensor:
     return ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0).T
 
 
-def estimate_light_albedo(reconstruction: Reconstruction, seed: int) -> Reconstruction:
+def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequence[View] = ()) -> Reconstruction:
     """Estimate the albedo, and the light unless reflections have determined it, from the diffuse radiance.
 
     The overall scale between light and albedo is ambiguous: a fitted light is scaled so that the median albedo is 0.5.
@@ -42,13 +45,15 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int) -> Reconstr
     Args:
         reconstruction: result of the first stage, on the CPU; its light is kept where it is `glossy`. It is modified.
         seed: of the selection of Gaussians that the light is fitted to.
+        views: training views. Where the light turns between them, each surfel is taken as the camera that it faces most shows it.
 
     Returns:
         The same reconstruction; unchanged where no surfel is opaque.
     """
     g = reconstruction.gaussians
     # Initial normals face outward, and training turns them by less than 90 degrees.
-    normal, seen = g.normals().T, facing_radiance(g)
+    turning = light_rotations(views) is not None
+    seen, normal = most_facing_radiance(g, views) if turning else (facing_radiance(g), g.normals().T)
     diffuse_weight = 1 - g.materials()[METALLIC]
     solid = torch.nonzero(g.opacity.sigmoid() > 0.5)[:, 0]
     if not len(solid):

@@ -96,7 +96,7 @@ def train(
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
     result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, material_class.glossy, background)
-    return estimate_light_albedo(result.to("cpu"), settings.seed), trainer.settings.iterations / settings.first.iterations
+    return estimate_light_albedo(result.to("cpu"), settings.seed, dataset.train), trainer.settings.iterations / settings.first.iterations
 
 
 def _scale_to_deadline(trainer: Trainer, deadline: float, progress: Progress) -> None:

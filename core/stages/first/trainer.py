@@ -112,9 +112,9 @@ class Trainer:
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
         extra = g.materials() if self.material_class.glossy else g.position.new_zeros(0, g.count)
         sums, statistics = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, view.camera, radius, degree)
-        straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.glossy else None)
+        straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.glossy else None, view.light_rotation)
         background = None if self.masked else self.background.exp()
-        image = composite(straight, sums[-1], view.world_rays, background)
+        image = composite(straight, sums[-1], view.world_rays, background, view.light_rotation)
         return view.completed(image, straight, sums[-1]), sums, statistics
 
     def step(self) -> float:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -68,7 +69,8 @@ def assign_materials(
     for begin in range(0, len(albedo), BATCH):
         part = slice(begin, begin + BATCH)
         batch = samples.part(begin, min(begin + BATCH, len(albedo)))
-        transfer = trace_radiance_transfer(batch.position, batch.normal, tracer, solver.transfer.height, 1, seed, solver.transfer.bounces)
+        options = (solver.transfer.height, 1, seed, solver.transfer.bounces)
+        transfer = trace_radiance_transfer(batch.position, batch.normal, tracer, *options, rotations=solver.transfer.rotations)
         albedo[part] = fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part])
         step(min(1.0, (begin + BATCH) / len(albedo)))
     metal = metallic > 0
@@ -115,7 +117,7 @@ def with_colour(samples: MultiViewSamples, colour: torch.Tensor) -> MultiViewSam
         samples: K samples.
         colour: (K, 3) linear radiance.
     """
-    return MultiViewSamples(samples.position, samples.normal, samples.point, samples.view, colour, samples.saturated)
+    return replace(samples, colour=colour)
 
 
 def fitted_albedo(
@@ -135,7 +137,7 @@ def fitted_albedo(
     """
     scaled, added, rest_scaled, rest_added = transfer.rows(samples, roughness)
     point, metal = samples.point, metallic[samples.point][:, None]
-    irradiance = (transfer.irradiance @ light + transfer.indirect)[point]
+    irradiance = transfer.diffuse_rows(samples).irradiance(light)
     n_v = (samples.normal[point] * samples.view).sum(1).clamp_min(1e-3)
     diffuse = diffuse_fraction(n_v, roughness[point])[:, None]
     factor, rest = view_terms(metal, diffuse, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)

@@ -93,6 +93,7 @@ class LightMaterialSolver:
         self._start = torch.nn.functional.pad(samples.lengths.cumsum(0), (1, 0))
         self._rows = mean.new_empty(len(samples.point), len(self.light))
         self._neighbours, self._similarity = neighbourhood(samples.position, mean)
+        self._diffuse = transfer.diffuse_rows(samples)
         self._trace_lobes()
 
     def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
@@ -127,8 +128,7 @@ class LightMaterialSolver:
 
     def _model(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate c and d of y = a c + d, (K, 3) each."""
-        point, metal = self.samples.point, self.metallic[self.samples.point][:, None]
-        irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[point]
+        metal, irradiance = self.metallic[self.samples.point][:, None], self._diffuse.irradiance(self.light)
         specular = self.scaled @ self.light + self.scaled_own
         return (1 - metal) * self.diffuse_fraction * irradiance + metal * specular, self.rest @ self.light + self.rest_own
 
@@ -168,8 +168,12 @@ class LightMaterialSolver:
         point, albedo = self.samples.point, self.albedo[self.samples.point, channel]
         metal = self.metallic[point]
         root = weight.sqrt()
-        views = (root, weight * factor / total.sqrt()[point], albedo * (1 - metal) * self.diffuse_fraction[:, 0], albedo * metal)
-        matrices = (self.transfer.irradiance, self.scaled, self.rest, self._rows)
+        diffuse, specular, scaled = albedo * (1 - metal) * self.diffuse_fraction[:, 0], albedo * metal, self.scaled
+        if self.transfer.rotations is not None:  # the irradiance is that of the sample, not of its point
+            scaled = (diffuse[:, None] * self._diffuse.rows).addcmul_(specular[:, None], scaled)
+            diffuse, specular = torch.zeros_like(diffuse), torch.ones_like(specular)
+        views = (root, weight * factor / total.sqrt()[point], diffuse, specular)
+        matrices = (self.transfer.irradiance, scaled, self.rest, self._rows)
         start, root_weight, coupling_weight, *factors = self.transfer.arrays(self._start, *(v.contiguous() for v in views))
         *transport, rows = self.transfer.arrays(*matrices)
         coupling = jacobian(start, root_weight, coupling_weight, (factors[0], factors[1]), (transport[0], transport[1], transport[2]), rows)
@@ -205,7 +209,7 @@ class LightMaterialSolver:
         """Return the robust error (P, metallic values, roughness knots), summed over the samples of each point."""
         samples = self.samples
         scaled, added = self.transfer.sums(samples, knots, self.light)
-        irradiance = (self.transfer.irradiance @ self.light + self.transfer.indirect)[samples.point]
+        irradiance = self._diffuse.irradiance(self.light)
         weight = self.robust_weight * self.derivative**2
         cost = metallic_values.new_empty(len(samples.position), len(metallic_values), len(knots))
         for j, knot in enumerate(knots):

@@ -14,7 +14,7 @@ import torch
 
 from ...io.srgb import decode_srgb
 from ...kernels.trace import Tree, transmittance
-from ...scene.dataset import View
+from ...scene.dataset import View, light_rotations
 from ..common.mask_band import narrowest_mask
 from ..common.training_view import SATURATED
 
@@ -34,6 +34,7 @@ class MultiViewSamples:
         view: (K, 3) unit, towards the camera.
         colour: (K, 3) linear radiance.
         saturated: (K, 3) bool, where the radiance is only a lower bound.
+        image: (K,) int64 number of the sample's view; None where the light is the same in all views.
     """
 
     position: torch.Tensor
@@ -42,6 +43,7 @@ class MultiViewSamples:
     view: torch.Tensor
     colour: torch.Tensor
     saturated: torch.Tensor
+    image: torch.Tensor | None = None
 
     @property
     def lengths(self) -> torch.Tensor:
@@ -58,9 +60,9 @@ class MultiViewSamples:
         first, last = (int(k) for k in torch.searchsorted(self.point, torch.tensor([begin, end], device=self.point.device)))
         rows = slice(first, last)
         point = self.point[rows] - begin
-        return MultiViewSamples(
-            self.position[begin:end], self.normal[begin:end], point, self.view[rows], self.colour[rows], self.saturated[rows]
-        )
+        image = None if self.image is None else self.image[rows]
+        of_points = (self.position[begin:end], self.normal[begin:end])
+        return MultiViewSamples(*of_points, point, self.view[rows], self.colour[rows], self.saturated[rows], image)
 
     def sums(self, values: torch.Tensor) -> torch.Tensor:
         """Sum values (K, ...) of samples over each point, always in the same order: (P, ...)."""
@@ -97,6 +99,7 @@ def sample_views(
     device = torch.device(device)
     found = [_sample_view(position, normal, view, tree, offset, device) for view in views]
     point, direction, colour, saturated = (np.concatenate(part) for part in zip(*found, strict=True))
+    image = np.repeat(np.arange(len(views)), [len(part[0]) for part in found])
     shuffled = random.permutation(len(point))
     order = shuffled[np.argsort(point[shuffled], kind="stable")]
     count = np.bincount(point, minlength=len(position))
@@ -105,7 +108,9 @@ def sample_views(
     chosen = np.flatnonzero(count >= least)
     number = np.full(len(position), -1)
     number[chosen] = np.arange(len(chosen))
-    parts = (position[chosen], normal[chosen], number[point[kept]], direction[kept], colour[kept], saturated[kept])
+    parts = [position[chosen], normal[chosen], number[point[kept]], direction[kept], colour[kept], saturated[kept]]
+    if light_rotations(views) is not None:
+        parts.append(image[kept])
     tensors = (torch.from_numpy(np.ascontiguousarray(part)).to(device) for part in parts)
     return MultiViewSamples(*tensors), torch.from_numpy(chosen).to(device)
 

@@ -34,6 +34,8 @@ def improve_normals(
 ) -> tuple[Reconstruction, Surface]:
     """Turn the surface's normals so that they explain the shading under the solved light, and the surfels after them.
 
+    Where the light turns relative to the object, only the surfels turn, to the surface's normals.
+
     Args:
         reconstruction: with aligned normals.
         surface: fused from the first stage's depth.
@@ -52,7 +54,7 @@ def improve_normals(
         IrgsppError: a value is not finite.
     """
     second, gaussians = settings.second, reconstruction.gaussians
-    if second.shading_normals > 0:
+    if second.shading_normals > 0 and solver.transfer.rotations is None:  # the mean over views that it explains is of one light
         progress.phase("normals", ITERATIONS)
         before = subdivided(surface)
         surface = fit_normals(before, observe_diffuse_shading(before, solver, dataset.train, tracer), report)

@@ -11,7 +11,7 @@ import torch
 
 from ...kernels.trace import HitLists, Lists, hit_lists
 from ...rendering.secondary_rays import SecondaryTracer
-from ...scene.dataset import View
+from ...scene.dataset import View, light_rotations
 from ..common.mask_band import narrowest_mask
 from ..common.training_view import SATURATED
 
@@ -31,6 +31,7 @@ class PixelPool:
         saturated: (B, 3) bool, where the colour is a lower bound.
         number: (B,) index of the pixel's view.
         place: (B,) flat index of the pixel in its view.
+        rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
     """
 
     lists: Lists
@@ -41,6 +42,7 @@ class PixelPool:
     saturated: torch.Tensor
     number: torch.Tensor
     place: torch.Tensor
+    rotations: torch.Tensor | None = None
 
     @property
     def count(self) -> int:
@@ -59,8 +61,10 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
     """
     parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random) for number, view in enumerate(views)]
     lists = join_lists([part.lists for part in parts])
-    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:]]
-    return PixelPool(lists, *rest)
+    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-1]]
+    rotations = light_rotations(views)
+    turned = None if rotations is None else torch.from_numpy(rotations).to(tracer.device)
+    return PixelPool(lists, *rest, rotations=turned)
 
 
 def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:

@@ -73,6 +73,6 @@ def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, view: Tr
     extra = g.position.new_zeros(0, g.count) if light is None else g.materials()
     geometry = (g.position.detach(), g.quaternion.detach(), g.log_scale.detach(), g.opacity.detach())
     sums, _ = rasterize(*geometry, g.sh, extra, view.camera, reconstruction.bound.radius)
-    straight = radiance(sums, view.world_rays, None if light is None else light.exp())
-    image = composite(straight, sums[-1], view.world_rays, reconstruction.background)
+    straight = radiance(sums, view.world_rays, None if light is None else light.exp(), view.light_rotation)
+    image = composite(straight, sums[-1], view.world_rays, reconstruction.background, view.light_rotation)
     return photometric_loss(view.bounded(view.completed(image, straight, sums[-1])), view.image)

@@ -22,7 +22,7 @@ from ...scene.camera import Camera
 from ...scene.gaussians import METALLIC, Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...settings.schema import SecondStageSettings
-from ...shading.environment_lookup import lookup
+from ...shading.environment_lookup import from_light_frame, lookup, to_light_frame
 from ...shading.rendering_equation import reflect_light
 from ...shading.sampling import LightDistribution, Samples, draw
 from ..common.finite_check import check_due, require_finite
@@ -165,11 +165,17 @@ class Refinement:
         return torch.where(self.pool.saturated[pixels] & (difference > 0), 0.0, difference)
 
     def _shade(self, pixels: torch.Tensor, counts: tuple[int, int, int], light: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Estimate the linear radiance (B, 3) of pixels by the rendering equation, with `counts` samples of each strategy."""
-        view, (normal, albedo, roughness, metallic) = self.pool.view[pixels], self._materials(pixels)
+        """Estimate the linear radiance (B, 3) of pixels by the rendering equation, with `counts` samples of each strategy.
+
+        A light that turns relative to the object is sampled and reflected in its own frame, that of the pixel's view.
+        """
+        normal, albedo, roughness, metallic = self._materials(pixels)
+        rotation = None if self.pool.rotations is None else self.pool.rotations[self.pool.number[pixels]]
+        origin = self.tracer.above(self.pool.point[pixels], normal.detach())
+        view, normal = to_light_frame(self.pool.view[pixels], rotation), to_light_frame(normal, rotation)
         distribution = LightDistribution(light.detach())
         samples = draw(view, normal.detach(), roughness.detach(), counts, distribution, generator, self.settings.sampling)
-        incoming = self._incoming(self.pool.point[pixels], normal.detach(), samples, light)
+        incoming = self._incoming(origin, normal.detach(), samples, light, rotation)
         diffuse, specular = reflect_light(view, normal, albedo, roughness, metallic, samples, incoming, conserving=True)
         return diffuse + specular
 
@@ -179,23 +185,29 @@ class Refinement:
         albedo, roughness, metallic = (at[:, 3:] / self.pool.opacity[pixels, None]).split([3, 1, 1], 1)
         return torch.nn.functional.normalize(at[:, :3], dim=1), albedo, roughness[:, 0], metallic[:, 0]
 
-    def _incoming(self, point: torch.Tensor, normal: torch.Tensor, samples: Samples, light: torch.Tensor) -> torch.Tensor:
-        """Return the incoming radiance (B, N, 3) of samples, V L + indirect; 0 below the horizon."""
+    def _incoming(
+        self, origin: torch.Tensor, normal: torch.Tensor, samples: Samples, light: torch.Tensor, rotation: torch.Tensor | None
+    ) -> torch.Tensor:
+        """Return the incoming radiance (B, N, 3) of samples, V L + indirect; 0 below the horizon.
+
+        Normals and samples are in the frame of the light; `rotation` (B, 3, 3) leads there from the world, that of the origins (B, 3).
+        """
         direction = samples.direction
         if by_warp(direction):  # all rays, those below with zero direction: the host would wait for their number
             facing = direction @ normal[..., None] > 0
             ray = torch.where(facing, direction, 0.0).view(-1, 3)
-            origin = self.tracer.above(point, normal)[:, None].expand_as(direction).reshape(-1, 3)
-            return torch.where(facing, self._trace(origin, ray, light).view_as(direction), 0.0)
+            turned = None if rotation is None else rotation.repeat_interleave(direction.shape[1], 0)
+            starts = origin[:, None].expand_as(direction).reshape(-1, 3)
+            return torch.where(facing, self._trace(starts, ray, light, turned).view_as(direction), 0.0)
         above = torch.nonzero((direction @ normal[..., None])[..., 0].flatten() > 0)[:, 0]
-        ray = direction.view(-1, 3)[above]
-        origin = self.tracer.above(point, normal)[above // direction.shape[1]]
-        radiance = self._trace(origin.contiguous(), ray.contiguous(), light)
+        ray, pixel = direction.view(-1, 3)[above], above // direction.shape[1]
+        turned = None if rotation is None else rotation[pixel]
+        radiance = self._trace(origin[pixel].contiguous(), ray.contiguous(), light, turned)
         return torch.zeros(direction.numel() // 3, 3).index_copy(0, above, radiance).view_as(direction)
 
-    def _trace(self, origin: torch.Tensor, ray: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
-        """Return V L + indirect (R, 3) along rays (R, 3)."""
-        visible, indirect = self.tracer.look(origin, ray)
+    def _trace(self, origin: torch.Tensor, ray: torch.Tensor, light: torch.Tensor, rotation: torch.Tensor | None) -> torch.Tensor:
+        """Return V L + indirect (R, 3) along rays (R, 3) in the frame of the light, to which `rotation` (R, 3, 3) leads from the world."""
+        visible, indirect = self.tracer.look(origin, from_light_frame(ray, rotation).contiguous())
         return lookup(light, ray) * visible[:, None] + (indirect if self.settings.indirect else 0.0)
 
     def _smoothness(self) -> torch.Tensor:

@@ -17,8 +17,9 @@ from scipy.spatial import KDTree
 from ...errors import Cancelled, IrgsppError
 from ...progress.protocol import Progress
 from ...rendering.secondary_rays import SecondaryTracer
+from ...rendering.turning_light import mean_over_lights
 from ...scene.camera import Camera
-from ...scene.dataset import Dataset
+from ...scene.dataset import Dataset, light_rotations
 from ...scene.reconstruction import Reconstruction
 from ...scene.surface import Surface
 from ...settings.schema import Settings
@@ -211,7 +212,9 @@ def solve_light_materials(
     """
     second, random = settings.second, np.random.default_rng(settings.seed)
     near = dataset.surroundings if second.surroundings and second.indirect else None  # shadows without their light would be wrong
-    tracer = SecondaryTracer(reconstruction, near)
+    tracer = SecondaryTracer(mean_over_lights(reconstruction, dataset.train), near)
+    turns = light_rotations(dataset.train)
+    rotations = None if turns is None else torch.from_numpy(turns).to(tracer.device)
     position, normal = surface.samples(second.points, random)
     samples, _ = sample_views(position, normal, dataset.train, tracer.tree, tracer.offset, random, second.views, device=tracer.device)
     if len(samples.position) < LEAST_POINTS:
@@ -221,7 +224,8 @@ def solve_light_materials(
         )
     progress.phase("trace", len(samples.position))
     options = (second.rows, SIDE, settings.seed, second.indirect)
-    transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, lambda done: _report_step(progress, done))
+    step = lambda done: _report_step(progress, done)  # noqa: E731
+    transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, step, rotations)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal.
     metallic_values = METALLIC_VALUES if dataset.has_alpha or reconstruction.glossy else METALLIC_VALUES[:1]

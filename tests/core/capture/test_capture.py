@@ -39,7 +39,7 @@ def true_poses(table_scene, monkeypatch):
     """Replace structure from motion by the true cameras; returns the names that it was asked for."""
     asked = []
 
-    def find_poses(photographs, folder, settings, seed, progress):
+    def find_poses(photographs, folder, settings, seed, progress, turntable=None):
         asked.append([one.name for one in photographs])
         cameras = {view.name: view.camera for view in table_scene.views}
         posed, tracks, points = [], [], table_scene.points.position.astype(np.float64)
@@ -162,5 +162,8 @@ def test_bad_input_of_the_command(photographs, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
     assert main(["capture", str(photographs), "-o", str(tmp_path / "out"), "--marker", "5"]) == 2
     assert "is not a length such as 50mm" in capsys.readouterr().err
+    assert main(["capture", str(photographs), "-o", str(tmp_path / "out"), "--turntable", "on"]) == 2
+    assert "of the pixels stay the same over the photographs: the camera moved" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
     assert main(["capture", str(tmp_path / "none"), "-o", str(tmp_path / "other")]) == 2
     assert sorted(p.name for p in two.iterdir()) == ["view00.png", "view01.png"]

@@ -8,6 +8,7 @@ import pycolmap
 import pytest
 from captured_scene import VIEWS, sparse_model
 from irgspp.core.capture.dataset_files import write_json, write_masks, write_model, write_transforms
+from irgspp.core.capture.static_background import light_rotations
 from irgspp.core.capture.undistortion import undistort_photographs
 from irgspp.core.datasets.formats.captured import FORMAT, read_captured
 from irgspp.core.datasets.load import load_dataset
@@ -49,6 +50,21 @@ def test_reader_finds_cameras_points_masks_and_gains_in_the_world(captured):
     np.testing.assert_allclose(parsed.points.position, moved_points(model.position, SIMILARITY), atol=1e-5)
 
 
+def test_turns_of_the_light_are_kept(captured):
+    folder, _, images = captured
+    turns = light_rotations(images, SIMILARITY)
+    assert all(frame.light_rotation is None for frame in read_captured(folder, DataSettings()).train)
+    write_json(folder / "capture.json", {**STATE, "light_rotations": turns})
+    write_transforms(images, SIMILARITY, [False] * VIEWS, folder, turns)
+    listed = json.loads((folder / "transforms.json").read_text())["frames"]
+    for frame, entry, one in zip(read_captured(folder, DataSettings()).train, listed, images, strict=True):
+        np.testing.assert_allclose(frame.light_rotation, turns[one.view.name], atol=1e-9)
+        assert entry["light_rotation"] == turns[one.view.name]
+        # What the camera sees of the light does not change.
+        seen = frame.light_rotation @ frame.to_world[:3, :3]
+        np.testing.assert_allclose(seen, images[0].camera.moved(SIMILARITY).to_world[:3, :3], atol=1e-6)
+
+
 def test_colmap_model_reprojects(captured):
     folder, model, _ = captured
     reconstruction = pycolmap.Reconstruction(folder / "sparse" / "0")
@@ -88,6 +104,8 @@ def test_dataset_loads_with_even_exposure(captured):
         ({**STATE, "status": "running"}, "not finished; run irgspp capture again"),
         ({**STATE, "format": "other"}, "not a file of irgspp capture"),
         ({**STATE, "bound": {"centre": [0, 0, 0], "radius": -1}}, "is broken"),
+        ({**STATE, "light_rotations": {"p0": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}}, "is broken"),
+        ({**STATE, "light_rotations": {name: [[1, 0, 0], [0, 2, 0], [0, 0, 1]] for name in GAINS}}, "light_rotation is not rigid"),
         ([1, 2], "not a file of irgspp capture"),
     ],
 )

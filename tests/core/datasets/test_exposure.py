@@ -111,6 +111,15 @@ def test_stated_gains_have_precedence():
         np.testing.assert_allclose(decode_srgb(even[i].colour), expected, rtol=1e-4, atol=1e-6)
 
 
+def test_shading_of_a_turning_light_is_not_taken_for_exposure():
+    from dataclasses import replace
+
+    views, points = scene(random_gains(spread=0.5))
+    turning = [replace(view, light_rotation=np.eye(3)) for view in views]
+    assert even_exposures(turning, points, "auto", [])[0] is turning[0]
+    assert even_exposures(turning, points, "on", [])[0] is not turning[0]
+
+
 def test_equal_exposures_change_nothing():
     views, points = scene(np.ones((6, 3)))
     lines = []

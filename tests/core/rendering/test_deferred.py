@@ -4,7 +4,8 @@
 import pytest
 import torch
 from irgspp.core.io.srgb import encode_srgb
-from irgspp.core.rendering.deferred import composite, radiance, reflective_radiance, splat_radiance, surface_pixels
+from irgspp.core.rendering.deferred import background_radiance, composite, radiance, reflective_radiance, splat_radiance, surface_pixels
+from irgspp.core.shading.environment_lookup import rotate
 from irgspp.core.shading.split_sum import specular_light
 
 LIGHT = torch.tensor([0.5, 1.0, 2.0])
@@ -45,6 +46,19 @@ def test_mirror_looks_the_right_way():
     down, _ = image((1, 1, 1), 0.0, 1.0, normal=(0.0, 0.0, -1.0))
     assert reflective_radiance(up, rays, stack).min() > 0.9
     assert reflective_radiance(down, -rays, stack).max() < 0.1
+
+
+def test_reflections_and_background_turn_with_the_light():
+    """A quarter turn of the light about +Z is a quarter turn of its map; no rotation changes no bit."""
+    random = torch.Generator().manual_seed(0)
+    light, quarter = torch.rand(16, 32, 3, generator=random) + 0.1, torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    sums, rays = image((1, 1, 1), 0.1, 1.0, normal=(0.6, 0.0, 0.8))
+    rolled = torch.from_numpy(rotate(light.numpy(), -90.0)).float()
+    for shown in (radiance, lambda sums, rays, light, *turn: background_radiance(light, rays + 0.5, *turn)):
+        turned = shown(sums, rays, light, quarter)
+        assert torch.allclose(turned, shown(sums, rays, rolled), atol=1e-5)
+        assert not torch.allclose(turned, shown(sums, rays, light), atol=0.01)
+        assert torch.equal(shown(sums, rays, light, None), shown(sums, rays, light))
 
 
 @pytest.mark.parametrize("alpha", [0.02, 0.5, 1.0])

@@ -65,7 +65,7 @@ OLD = {
 # Settings that came later, with their defaults.
 ADDED = {"first.stereo", "first.stereo_margin", "second.shading_normals", "second.normal_iterations"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings"} | {
-    f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "marker")
+    f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")
 }
 CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "second.indirect=off"]
 CHANGED += ["skip.background=off", "skip.cache_hits=on", "skip.cache_rays=off"]

@@ -43,6 +43,17 @@ def test_nerf_synthetic_without_extensions_and_with_its_own_test_split(ball_data
     assert data.train[0].camera.fx == pytest.approx(ball_dataset.focal) and data.train[0].camera.cx == ball_dataset.size[0] / 2
 
 
+def test_rotations_of_the_light_are_read_and_checked(ball_dataset):
+    path, turn = ball_dataset.transforms(), [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    ball_dataset.edit(path, lambda c: c["frames"][1].update(light_rotation=turn))
+    train = load_dataset(ball_dataset.folder, ALL).train
+    assert train[0].light_rotation is None and np.allclose(train[1].light_rotation, turn)
+    for wrong in ([[1, 0], [0, 1]], [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "turned"):
+        ball_dataset.edit(path, lambda c, wrong=wrong: c["frames"][1].update(light_rotation=wrong))
+        with pytest.raises(InputError, match=r"frame 1 .*light_rotation"):
+            load_dataset(ball_dataset.folder, ALL)
+
+
 def test_every_eighth_view_is_held_out(ball_dataset):
     ball_dataset.transforms()
     data = load_dataset(ball_dataset.folder)

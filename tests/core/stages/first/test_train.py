@@ -201,6 +201,19 @@ def test_a_hopeless_material_class_is_given_up_and_others_go_on(sphere_dataset, 
     assert set(steps.values()) == {10}
 
 
+def test_a_turning_light_needs_more_evidence_of_gloss(sphere_dataset, camera_ring, monkeypatch):
+    dataset = sphere_dataset(camera_ring(12, 32))
+    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
+    turning = replace(dataset, train=[replace(view, light_rotation=np.eye(3)) for view in dataset.train])
+    monkeypatch.setattr(Trainer, "step", lambda self: 0.0)
+    chosen = settings("first.trial_iterations=10", "first.trial_gaussians=100")
+    for psnr, found in ((31.0, ("glossy", "low-gloss")), (32.0, ("glossy", "glossy"))):
+        scores = {"low-gloss": 30.0, "glossy": psnr, "metal": 20.0}
+        monkeypatch.setattr(Trainer, "test", lambda self, scores=scores: scores[self.material_class.name])
+        selected = [select_material_class(data, chosen, start, Silent())[0].name for data in (dataset, turning)]
+        assert tuple(selected) == found
+
+
 def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camera_ring, monkeypatch):
     dataset, memory = sphere_dataset(camera_ring(9, 32)), Memory()
     chosen = settings("materials=low-gloss", "first.iterations=20")
