@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from ..errors import Cancelled, InputError
+from ..errors import InputError
 from ..io.srgb import decode_srgb
 from ..progress.protocol import Progress
 from ..relight.mesh_query import MeshQuery
@@ -17,21 +19,24 @@ from ..relight.relighter import Relighter, RelightSettings
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 from ..scene.reconstruction import Reconstruction
-from ..settings.schema import Choice
+from ..settings.schema import Choice, Settings
 from ..surface.bake import Texels, colour_byte
+from ..surface.texturing import stoppable
+from .alignment import displacement
 from .candidates import Candidates, TexelView, add_candidates
 from .combination import combine
 from .depth_map import DepthMap, depth_map
 from .evidence import Evidence
 from .levelling import level
-from .mesh_texels import MeshTexels, mesh_texels
-from .photographs import Photograph
+from .mesh_texels import mesh_texels
+from .photographs import Photograph, find_photographs
 from .sharpness import relative_blur
-from .vertex_shading import VertexShading
+from .vertex_shading import VertexShading, ViewShading
 
 FEWEST_VIEWS = 3  # photographs from which albedo can be told from what one of them shows by chance
 HELD_BACK = 8  # one photograph in so many is held back as evidence
 MOST_HELD = 3  # photographs held back at most
+ALIGNED = 1024  # largest side of the texture to which photographs are aligned, texels
 DEPTH_SIDE = 1600  # longest side of the depth maps that decide visibility, pixels
 CERTAIN = 0.3  # weight of the best photograph, as a fraction of that of one straight above with the scene's usual pixels, that suffices
 
@@ -69,17 +74,40 @@ class AlbedoDetail:
     Args:
         mesh: with materials and baked textures.
         reconstruction: solved light and materials.
-        progress: may cancel.
+
+    Attributes:
+        candidates: of the texels.
     """
 
-    def __init__(self, mesh: Mesh, reconstruction: Reconstruction, progress: Progress) -> None:
-        self._mesh, self._progress = mesh, progress
+    def __init__(self, mesh: Mesh, reconstruction: Reconstruction) -> None:
+        self._mesh = mesh
         texture = mesh.textures["albedo"]
-        self._texels: MeshTexels = mesh_texels(mesh, len(texture))
         self._albedo = decode_srgb(np.arange(256, dtype=np.float32) / 255)[texture].astype(np.float32)
         self._shading = VertexShading(*_lit(mesh, reconstruction))
-        self._blur: dict[str, float] = {}
+        self._shaded: dict[str, tuple[ViewShading, float]] = {}
+        self._shift: dict[str, np.ndarray] = {}
+        self._rough: tuple[np.ndarray, np.ndarray] | None = None  # texture to which photographs are aligned
+        self._texels = mesh_texels(mesh, len(texture))
         self.candidates = Candidates.empty(len(self._texels.index))
+
+    def align(self, photographs: Sequence[Photograph], step: Callable[[int], None]) -> None:
+        """Find the displacement of each photograph against a texture that is made of all of them at a lower resolution.
+
+        Args:
+            photographs: those that the texture is made from.
+            step: called with the number of photographs done; may raise.
+        """
+        size = min(self._texels.size, ALIGNED)
+        texels = mesh_texels(self._mesh, size)
+        candidates = Candidates.empty(len(texels.index))
+        for number, photograph in enumerate(photographs):
+            view = self._view(photograph)
+            if view is not None:
+                add_candidates(view, self._mesh, texels, candidates)
+            step(number + 1)
+        self._rough = np.zeros((size * size, 3), np.float32), np.zeros(size * size, bool)
+        self._rough[0][texels.index] = combine(candidates)
+        self._rough[1][texels.index] = candidates.weight.max(1) > 0
 
     @property
     def plain(self) -> np.ndarray:
@@ -96,20 +124,49 @@ class AlbedoDetail:
         Raises:
             InputError: if the file is gone or damaged.
         """
-        decoded = photograph.decode()
-        shading = self._shading.seen_by(decoded.camera)
-        correction = level(decoded, self._mesh, self._albedo, shading)
-        if correction is None:
+        view = self._view(photograph)
+        if view is None:
             return False
-        view = TexelView(decoded, self._depth(decoded.camera, decoded.lens.size), correction, shading, relative_blur(decoded))
         add_candidates(view, self._mesh, self._texels, candidates)
         return True
+
+    def _view(self, photograph: Photograph) -> TexelView | None:
+        """Return a photograph ready to be sampled; None where too little of the object is seen in it."""
+        decoded = photograph.decode()
+        if photograph.name not in self._shaded:
+            self._shaded[photograph.name] = self._shading.seen_by(decoded.camera), relative_blur(decoded)
+        shading, blur = self._shaded[photograph.name]
+        correction = level(decoded, self._mesh, self._albedo, shading)
+        if correction is None:
+            return None
+        view = TexelView(decoded, self._depth(decoded.camera, decoded.lens.size), correction, shading, blur)
+        if self._rough is None:
+            return view
+        if photograph.name not in self._shift:
+            albedo, known = self._rough
+            size = math.isqrt(len(known))
+            images = albedo.reshape(size, size, 3), known.reshape(size, size)
+            self._shift[photograph.name] = displacement(decoded, self._mesh, *images, shading, correction)
+        return replace(view, shift=self._shift[photograph.name])
 
     def _depth(self, camera: Camera, full: tuple[int, int]) -> DepthMap:
         """Return the depth of the mesh at a resolution between that of the camera and of the photograph."""
         longest = max(camera.width, camera.height)
         scale = min(max(full), max(DEPTH_SIDE, longest)) / longest
         return depth_map(self._mesh.vertices, self._mesh.faces, camera.resized(round(camera.width * scale), round(camera.height * scale)))
+
+    def add_all(self, photographs: Sequence[Photograph], step: Callable[[int], None]) -> int:
+        """Sample photographs one after another; return how many could be used.
+
+        Args:
+            photographs: on the disk.
+            step: called with the number of photographs done; may raise.
+        """
+        used = 0
+        for number, photograph in enumerate(photographs):
+            used += self.add(photograph, self.candidates)
+            step(number + 1)
+        return used
 
     def held_back(self, photographs: Sequence[Photograph], albedo: np.ndarray) -> Evidence:
         """Compare an albedo with photographs that it was not made from.
@@ -149,7 +206,9 @@ class AlbedoDetail:
         seen = np.isfinite(finest)
         texel = float(np.median(self._texels.side[self._texels.face])) if len(seen) else None
         ratio = evidence.ratio if evidence.texels else None
-        return DetailReport(applied, why, photographs, ratio, texel, float(np.median(finest[seen])) if seen.any() else None, float(seen.mean()))
+        return DetailReport(
+            applied, why, photographs, ratio, texel, float(np.median(finest[seen])) if seen.any() else None, float(seen.mean())
+        )
 
 
 def detailed(
@@ -169,19 +228,22 @@ def detailed(
     """
     if choice == "off":
         return mesh, DetailReport(False, "turned off")
+    photographs = _readable(photographs, progress)
     if len(photographs) < FEWEST_VIEWS:
         return mesh, DetailReport(False, f"only {len(photographs)} full-size photographs")
-    progress.phase("detail", len(photographs) + 1)
-    work = AlbedoDetail(mesh, reconstruction, progress)
+    progress.phase("detail", 2 * len(photographs))
+    step = stoppable(progress)
     every = max(HELD_BACK, -(-len(photographs) // MOST_HELD))
     held = list(photographs[every // 2 :: every]) or [photographs[0]]
     others = [one for one in photographs if one not in held]
-    used = _add_all(work, others, progress, 0)
+    work = AlbedoDetail(mesh, reconstruction)
+    work.align(others, step)
+    used = work.add_all(others, lambda done: step(len(others) + done))
     albedo = combine(work.candidates)
     evidence = work.held_back(held, albedo)
     applied = choice == "on" or evidence.convincing
     if applied:
-        used += _add_all(work, held, progress, len(others))
+        used += work.add_all(held, lambda done: step(2 * len(others) + done))
         albedo = combine(work.candidates)
     why = f"held-back photographs differ from the texture by {evidence.ratio:.2f} of the difference without detail"
     report = work.report(used, evidence, applied, why)
@@ -189,18 +251,40 @@ def detailed(
     return (work.textured(albedo) if applied else mesh), report
 
 
-def _add_all(work: AlbedoDetail, photographs: Sequence[Photograph], progress: Progress, before: int) -> int:
-    """Sample photographs one after another; return how many could be used."""
-    used = 0
-    for number, photograph in enumerate(photographs):
+def detailed_by_dataset(
+    mesh: Mesh, reconstruction: Reconstruction, dataset: Path, cameras: dict[str, Camera], settings: Settings, progress: Progress
+) -> tuple[Mesh, DetailReport]:
+    """Give the albedo texture of a run's mesh the detail of the photographs of its dataset.
+
+    Args:
+        mesh: with materials and baked textures.
+        reconstruction: solved light and materials.
+        dataset: with cameras, that the run was made from.
+        cameras: training cameras of the run by name.
+        settings: of the run.
+        progress: receives steps, warnings and the result; may cancel.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    if settings.surface.albedo_detail == "off":
+        return mesh, DetailReport(False, "turned off")
+    photographs, missing = find_photographs(dataset, settings.data, cameras)
+    if missing:
+        progress.message(f"warning: {missing}; the texture takes no detail from them")
+    return detailed(mesh, reconstruction, photographs, settings.surface.albedo_detail, progress)
+
+
+def _readable(photographs: Sequence[Photograph], progress: Progress) -> list[Photograph]:
+    """Return the photographs that are on the disk as they were, with a warning about each other one."""
+    good = []
+    for one in photographs:
         try:
-            used += work.add(photograph, work.candidates)
+            one.check()
+            good.append(one)
         except InputError as error:
             progress.message(f"warning: {error}; its detail is left out")
-        progress.step(before + number + 1)
-        if progress.cancelled:
-            raise Cancelled("stopped while taking detail from photographs")
-    return used
+    return good
 
 
 def _line(report: DetailReport) -> str:

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -14,7 +13,7 @@ from ..datasets.load import full_size_frames, view_of
 from ..datasets.parsed_dataset import Lens
 from ..datasets.prepared_frames import PreparedFrame
 from ..errors import InputError
-from ..io.image import read_image, to_unit_range
+from ..io.image import image_size, read_image
 from ..io.srgb import decode_srgb
 from ..scene.camera import Camera
 from ..settings.schema import DataSettings
@@ -43,6 +42,23 @@ class DecodedPhotograph:
     reduced: np.ndarray
     alpha: np.ndarray | None
 
+    def undistorted(self, camera: Camera) -> np.ndarray:
+        """Return the photograph as a pinhole camera of its pose sees it, (H, W, 3) float32 linear.
+
+        Args:
+            camera: with the pose of the photograph.
+        """
+        scale = self.lens.width / camera.width
+        level = min(max(int(np.log2(max(scale, 1.0)) + 0.25), 0), len(self.levels) - 1)
+        codes = self.levels[level]
+        x, y = np.meshgrid(
+            (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx, (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+        )
+        u, v = lens_pixels(self.lens, x, y)
+        ratio = codes.shape[1] / self.lens.width, codes.shape[0] / self.lens.height
+        maps = (u * ratio[0] - 0.5).astype(np.float32), (v * ratio[1] - 0.5).astype(np.float32)
+        return self.linear[cv2.remap(codes, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)]
+
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
@@ -59,6 +75,16 @@ class Photograph:
     lens: Lens
     working: PreparedFrame
     masks: bool
+
+    def check(self) -> None:
+        """Check by its header that the file is there and of the same size as before.
+
+        Raises:
+            InputError: if it is not.
+        """
+        path = self.working.frame.image
+        if path is None or image_size(path) != self.lens.size:
+            raise InputError(path or self.name, f"is not of {self.lens.width}x{self.lens.height} pixels as before")
 
     def decode(self) -> DecodedPhotograph:
         """Read the file.
@@ -100,6 +126,25 @@ def find_photographs(dataset: Path, settings: DataSettings, cameras: dict[str, C
     return known, f"{dataset}: {missing} of {len(cameras)} photographs of the run are gone or have other cameras since"
 
 
+def lens_pixels(lens: Lens, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixel coordinates at which a lens shows the directions (x, y, 1) of its camera, OpenCV's axes.
+
+    Args:
+        lens: the lens.
+        x: (...,) tangent to the right.
+        y: (...,) tangent downwards.
+    """
+    if lens.distorted:
+        directions = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 1, 3)
+        coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
+        if lens.fisheye:
+            points, _ = cv2.fisheye.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
+        else:
+            points, _ = cv2.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
+        x, y = points.reshape(*x.shape, 2)[..., 0], points.reshape(*y.shape, 2)[..., 1]
+    return x * lens.fx + lens.cx, y * lens.fy + lens.cy
+
+
 def _same_camera(a: Camera, b: Camera) -> bool:
     """Return True for two cameras of equal size and pose."""
     scale = max(float(np.linalg.norm(b.centre)), 1e-9)
@@ -132,11 +177,3 @@ def _halved(codes: np.ndarray, size: tuple[int, int], linear: np.ndarray) -> np.
     small = cv2.resize(linear[codes], size, interpolation=cv2.INTER_AREA)
     middle = (linear[1:] + linear[:-1]) / 2
     return np.searchsorted(middle, small.ravel()).reshape(small.shape).astype(codes.dtype)
-
-
-def working_lens(photograph: Photograph) -> Lens:
-    """Return the lens of a photograph at the working resolution, without distortion."""
-    return replace(photograph.working.lens, distortion=(), fisheye=False)
-
-
-__all__ = ["DecodedPhotograph", "Photograph", "find_photographs", "to_unit_range"]

@@ -85,7 +85,9 @@ class VertexShading:
         mesh, count = self._mesh, len(index)
         width = max(1, math.isqrt(max(count - 1, 0)) + 1)
         camera = Camera(width, width, 1.0, 1.0, 0.0, 0.0, np.eye(4))
-        point, normal, towards = (torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in (mesh.vertices[index], mesh.normals[index], view))
+        point, normal, towards = (
+            torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in (mesh.vertices[index], mesh.normals[index], view)
+        )
         materials = [torch.from_numpy(np.ascontiguousarray(a[index], np.float32)) for a in (mesh.albedo, mesh.roughness, mesh.metallic)]
         ones = torch.ones(count)
         origin = point + CLEARANCE * self._radius * normal

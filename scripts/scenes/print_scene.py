@@ -18,7 +18,8 @@ RADIUS, HEIGHT, ROUNDNESS = 0.72, 0.95, 0.32  # radius, half height, and exponen
 ENGRAVED = (0.10, 0.24)  # band of the engraved letters, fractions of the print's height from its upper edge
 DEPTH = 0.012  # of the engraving
 GROUND, PAPER, INKS = (46, 92, 104), (226, 214, 188), ((24, 22, 26), (150, 32, 28), (28, 58, 128), (196, 132, 24), (32, 104, 52))
-WORDS = "photographs in, a relightable object out; albedo, roughness, metallic and normal of every texel; light and shadow apart. ".split()
+WORDS = ["photographs", "in,", "a", "relightable", "object", "out;", "albedo,", "roughness,", "metallic", "and", "normal", "of", "every"]
+WORDS += ["texel;", "light", "and", "shadow", "apart."]
 SEED = 3
 
 
