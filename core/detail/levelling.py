@@ -14,7 +14,7 @@ from .depth_map import depth_map
 from .photographs import DecodedPhotograph
 from .vertex_shading import ViewShading
 
-WIDTH = 0.016  # standard deviation of the low-pass filter, as a fraction of the image's longest side
+WIDTH = 0.05  # standard deviation of the low-pass filter, as a fraction of the image's longest side: wider than the Gaussians' blur
 OPAQUE = 0.9  # alpha from which a pixel belongs to the object
 CLIPPED = 0.97  # linear value from which a pixel may be clipped
 DARKEST = 0.05  # fraction of the median shading below which a pixel's albedo is noise
