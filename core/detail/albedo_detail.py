@@ -36,6 +36,7 @@ from .vertex_shading import VertexShading, ViewShading
 FEWEST_VIEWS = 3  # photographs from which albedo can be told from what one of them shows by chance
 HELD_BACK = 8  # one photograph in so many is held back as evidence
 MOST_HELD = 3  # photographs held back at most
+CHUNK = 1 << 20  # texels that are encoded at a time
 ALIGNED = 1024  # largest side of the texture to which photographs are aligned, texels
 DEPTH_SIDE = 1600  # longest side of the depth maps that decide visibility, pixels
 CERTAIN = 0.3  # weight of the best photograph, as a fraction of that of one straight above with the scene's usual pixels, that suffices
@@ -77,6 +78,7 @@ class AlbedoDetail:
 
     Attributes:
         candidates: of the texels.
+        failed: lines about files that can't be read, by photograph.
     """
 
     def __init__(self, mesh: Mesh, reconstruction: Reconstruction) -> None:
@@ -86,6 +88,7 @@ class AlbedoDetail:
         self._shading = VertexShading(*_lit(mesh, reconstruction))
         self._shaded: dict[str, tuple[ViewShading, float]] = {}
         self._shift: dict[str, np.ndarray] = {}
+        self.failed: dict[str, str] = {}
         self._rough: tuple[np.ndarray, np.ndarray] | None = None  # texture to which photographs are aligned
         self._texels = mesh_texels(mesh, len(texture))
         self.candidates = Candidates.empty(len(self._texels.index))
@@ -115,14 +118,11 @@ class AlbedoDetail:
         return self._albedo.reshape(-1, 3)[self._texels.index]
 
     def add(self, photograph: Photograph, candidates: Candidates) -> bool:
-        """Sample a photograph; return False where too little of the object is seen in it.
+        """Sample a photograph; return False where it can't be read or too little of the object is seen in it.
 
         Args:
             photograph: on the disk.
             candidates: that receive the samples.
-
-        Raises:
-            InputError: if the file is gone or damaged.
         """
         view = self._view(photograph)
         if view is None:
@@ -131,8 +131,12 @@ class AlbedoDetail:
         return True
 
     def _view(self, photograph: Photograph) -> TexelView | None:
-        """Return a photograph ready to be sampled; None where too little of the object is seen in it."""
-        decoded = photograph.decode()
+        """Return a photograph ready to be sampled; None where it can't be read or too little of the object is seen in it."""
+        try:
+            decoded = photograph.decode()
+        except InputError as error:
+            self.failed[photograph.name] = str(error)
+            return None
         if photograph.name not in self._shaded:
             self._shaded[photograph.name] = self._shading.seen_by(decoded.camera), relative_blur(decoded)
         shading, blur = self._shaded[photograph.name]
@@ -186,12 +190,16 @@ class AlbedoDetail:
         """Return the mesh with albedo (P, 3) in its texture; texels that no photograph sees well keep the working solution."""
         best = self.candidates.weight.max(1)
         usual = np.median(best[best > 0]) if (best > 0).any() else 1.0
-        certain = np.clip(best / (CERTAIN * usual), 0, 1)[:, None]
-        mixed = certain * np.clip(albedo, 0, 1) + (1 - certain) * self.plain
-        size = self._texels.size
         index = self._texels.index
+        colours = np.empty((len(index), 3), np.uint8)
+        for begin in range(0, len(index), CHUNK):
+            part = slice(begin, begin + CHUNK)
+            certain = np.clip(best[part] / (CERTAIN * usual), 0, 1)[:, None]
+            plain = self._albedo.reshape(-1, 3)[index[part]]
+            colours[part] = colour_byte(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain)
+        size = self._texels.size
         grid = Texels(size, index // size, index % size, self._texels.face, np.empty((0, 3)))
-        return replace(self._mesh, textures={**self._mesh.textures, "albedo": grid.image(colour_byte(mixed))})
+        return replace(self._mesh, textures={**self._mesh.textures, "albedo": grid.image(colours)})
 
     def report(self, photographs: int, evidence: Evidence, applied: bool, why: str) -> DetailReport:
         """Describe what was done.
@@ -245,6 +253,8 @@ def detailed(
     if applied:
         used += work.add_all(held, lambda done: step(2 * len(others) + done))
         albedo = combine(work.candidates)
+    for line in work.failed.values():
+        progress.message(f"warning: {line}; its detail is left out")
     why = f"held-back photographs differ from the texture by {evidence.ratio:.2f} of the difference without detail"
     report = work.report(used, evidence, applied, why)
     progress.message(_line(report))

@@ -98,6 +98,18 @@ def test_missing_and_changed_photographs_are_named_in_one_line_each(written, tmp
     assert len([line for line in progress.lines if "8 of 10 photographs" in line]) == 1
 
 
+def test_a_damaged_photograph_is_left_out_with_a_line(written, tmp_path):
+    folder = tmp_path / "damaged"
+    shutil.copytree(written.folder, folder)
+    file = folder / "train" / "r_2.png"
+    file.write_bytes(file.read_bytes()[:3000])
+    progress = Messages()
+    photographs = [replace_folder(one, folder) for one in written.photographs()]
+    mesh, report = detailed(written.mesh, written.reconstruction, photographs, "auto", progress)
+    assert report.photographs == 9 and psnr(linear(mesh), written.truth) > 30
+    assert len([line for line in progress.lines if "r_2.png" in line and "left out" in line]) == 1
+
+
 def test_off_reads_nothing(written, tmp_path):
     settings = with_overrides(Settings(), ["surface.albedo_detail=off"])
     mesh, report = detailed_by_dataset(written.mesh, written.reconstruction, tmp_path / "gone", {}, settings, Silent())
