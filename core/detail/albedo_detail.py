@@ -50,7 +50,8 @@ class DetailReport:
         applied: the texture holds detail of the photographs.
         why: reason, in one line.
         photographs: number that the texture was made from.
-        error_ratio: error on held-back photographs with detail over that without, or None.
+        correlation: of the texture's fine detail with that of held-back photographs, or None.
+        correlation_before: the same without the detail of photographs.
         texel: side of a texel on the surface, world units, median.
         pixel: size of the finest pixel on the surface, world units, median over the texels that some photograph sees; or None.
         seen: fraction of the texels that some photograph sees.
@@ -59,7 +60,8 @@ class DetailReport:
     applied: bool
     why: str
     photographs: int = 0
-    error_ratio: float | None = None
+    correlation: float | None = None
+    correlation_before: float | None = None
     texel: float | None = None
     pixel: float | None = None
     seen: float = 0.0
@@ -179,7 +181,7 @@ class AlbedoDetail:
             photographs: held back.
             albedo: (P, 3) linear, with detail.
         """
-        evidence, plain = Evidence(), self.plain
+        evidence, plain = Evidence(self._texels), self.plain
         for photograph in photographs:
             held = Candidates.empty(len(self._texels.index), 1)
             if self.add(photograph, held):
@@ -213,10 +215,9 @@ class AlbedoDetail:
         finest = self.candidates.finest
         seen = np.isfinite(finest)
         texel = float(np.median(self._texels.side[self._texels.face])) if len(seen) else None
-        ratio = evidence.ratio if evidence.texels else None
-        return DetailReport(
-            applied, why, photographs, ratio, texel, float(np.median(finest[seen])) if seen.any() else None, float(seen.mean())
-        )
+        new, old = evidence.correlations if evidence.compared else (None, None)
+        pixel = float(np.median(finest[seen])) if seen.any() else None
+        return DetailReport(applied, why, photographs, new, old, texel, pixel, float(seen.mean()))
 
 
 def detailed(
@@ -255,7 +256,8 @@ def detailed(
         albedo = combine(work.candidates)
     for line in work.failed.values():
         progress.message(f"warning: {line}; its detail is left out")
-    why = f"held-back photographs differ from the texture by {evidence.ratio:.2f} of the difference without detail"
+    new, old = evidence.correlations
+    why = f"fine detail of held-back photographs has the correlation {new:.2f} with it, {old:.2f} with the texture of the Gaussians"
     report = work.report(used, evidence, applied, why)
     progress.message(_line(report))
     return (work.textured(albedo) if applied else mesh), report

@@ -22,7 +22,7 @@ from .mesh_texels import MeshTexels
 from .photographs import DecodedPhotograph
 from .vertex_shading import ViewShading
 
-KEPT = 6  # candidates of a texel
+KEPT = 5  # candidates of a texel
 LARGEST = 2.0  # albedo that the greatest code stands for: noise and leftover gloss may exceed 1
 CODES = 65535 / LARGEST
 FACING = 0.2  # least cosine between normal and view

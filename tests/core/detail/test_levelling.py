@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 import pytest
 from irgspp.core.detail.albedo_detail import AlbedoDetail
-from irgspp.core.detail.candidates import Candidates
+from irgspp.core.detail.candidates import CODES, Candidates
 from irgspp.core.detail.depth_map import depth_map
 from irgspp.core.detail.evidence import Evidence
 from irgspp.core.detail.levelling import edge_weight, smooth_ratio
+from irgspp.core.detail.mesh_texels import mesh_texels
 from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.detail.sharpness import relative_blur
 from irgspp.core.scene.camera import Camera, look_at
@@ -73,16 +74,20 @@ def test_undistorted_photographs_match_their_pinhole_cameras(written, fisheye):
     assert np.abs(image - expected).max() < 0.03
 
 
-def test_evidence_needs_texels_and_a_smaller_error():
-    held = Candidates(np.full((1000, 1, 3), 16000, np.uint16), np.ones((1000, 1), np.float32), np.ones(1000, np.float32))
-    seen, other = np.full((1000, 3), 16000 / 65535 * 2), np.full((1000, 3), 0.3)
-    for new, old, good in ((seen, other, True), (other, seen, False), (other, other, False)):
-        evidence = Evidence()
+def test_evidence_is_fine_detail_that_held_back_photographs_share(written):
+    texels, random = mesh_texels(written.mesh, 64), np.random.default_rng(0)
+    count = len(texels.index)
+    truth, noise, flat = 0.2 + 0.4 * random.random((count, 3)), 0.2 + 0.4 * random.random((count, 3)), np.full((count, 3), 0.4)
+    colour, finest = np.round(0.7 * truth * CODES).astype(np.uint16)[:, None], np.full(count, 0.05, np.float32)
+    held = Candidates(colour, np.ones((count, 1), np.float32), finest)
+    for new, old, good in ((truth, flat, True), (noise, flat, False), (flat, truth, False), (truth, truth, False)):
+        evidence = Evidence(texels)
         evidence.add(held, new.astype(np.float32), old.astype(np.float32))
         assert evidence.convincing == good
-    few = Evidence()
-    few.add(Candidates(held.colour[:50], held.weight[:50], held.finest[:50]), seen[:50], other[:50])
-    assert not few.convincing
+    few = Evidence(texels)
+    weight = held.weight * (np.arange(count) < 50)[:, None]
+    few.add(Candidates(held.colour, weight, held.finest), truth.astype(np.float32), flat.astype(np.float32))
+    assert few.compared == 50 and not few.convincing
 
 
 def test_parts_behind_the_camera_are_left_out():
