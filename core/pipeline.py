@@ -71,13 +71,13 @@ def reconstruct(
     try:
         with folder.job():
             folder.state["computed_on"] = {"device": str(chosen.device), "why": chosen.why}
-            recorder = ProgressRecorder(folder, watcher)
+            recorder, earlier = ProgressRecorder(folder, watcher), folder.spent
             if bare:
                 _capture(dataset, folder, settings, recorder)
             data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
             with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays):
-                deadline = None if settings.time is None else began + settings.time - folder.spent
-                folder.record("read", time.monotonic() - began - folder.seconds("capture"), peak_memory(), finished=True)
+                deadline = None if settings.time is None else began + settings.time - earlier
+                folder.record("read", time.monotonic() - began - (folder.spent - earlier), peak_memory(), finished=True)
                 results = PhaseResults(folder, chosen.device)
                 Job(data, folder, settings, recorder, results, deadline, memory.resident).run()
     finally:

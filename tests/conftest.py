@@ -19,6 +19,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 WITHOUT_KERNELS = {Path(__file__).parent / name for name in ("irgspp_addon", "operators", "panels")}
+WITH_ENGINE = {Path(__file__).parent / name for name in ("operators", "irgspp_addon/jobs/test_engine_jobs.py")}
 
 
 def ring(count: int, size: int = 64, distance: float = 4.0, lowest: float = -0.9, highest: float = 0.9) -> list[Camera]:
@@ -42,15 +43,27 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_sphere_run(tmp_path_factory.mktemp("runs") / "sphere")
 
 
+@pytest.fixture(scope="session")
+def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """For tests in Blender's process, a captured dataset; it must not be changed."""
+    from blender_side import in_engine
+
+    folder = tmp_path_factory.mktemp("captured") / "photos_capture"
+    in_engine(Path(__file__).parent / "support" / "captured_dataset.py", folder)
+    return folder
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest tests first: at the end, one process would be at work on them and the others done.
 
     Of several processes each begins with its part of the list. The tests in Blender's process come in the middle: with the kernels' cache
-    empty, the second process would else compile what the first is compiling.
+    empty, the second process would else compile what the first is compiling. For the same reason those of them come last that run jobs of
+    the engine.
     """
     marks = {item: item.get_closest_marker("long") for item in items}
     items.sort(key=lambda item: 0 if (mark := marks[item]) is None else -mark.kwargs.get("seconds", 30))
     in_blender = [item for item in items if not WITHOUT_KERNELS.isdisjoint(item.path.parents)]
+    in_blender.sort(key=lambda item: not WITH_ENGINE.isdisjoint((item.path, *item.path.parents)))
     others = [item for item in items if WITHOUT_KERNELS.isdisjoint(item.path.parents)]
     half = len(items) // 2
     items[:] = others[:half] + in_blender + others[half:]

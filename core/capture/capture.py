@@ -5,24 +5,23 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..datasets.bound import bound_of_cameras, bound_of_points
-from ..datasets.exposure import SMALLEST
-from ..datasets.formats.captured import FILE, FORMAT, SURROUNDINGS, load_capture
+from ..datasets.formats.captured import EXPOSURES, FILE, FORMAT, SURROUNDINGS, load_capture
 from ..errors import InputError
 from ..io.file_lock import FileLock
 from ..io.image import read_image
 from ..progress.protocol import Progress, Silent
 from ..scene.dataset import Bound, PointCloud
-from ..scene.surroundings import Surroundings, save_surroundings
+from ..scene.surroundings import save_surroundings
 from ..settings.schema import CaptureSettings
-from .dataset_files import moved_points, write_json, write_masks, write_model, write_transforms
-from .exposures import exposure_gains, stated_log_gains
+from .dataset_files import write_json, write_masks, write_model, write_transforms
+from .description import CaptureResult, describe
+from .exposures import exposure_gains
 from .marker import find_marker_scale
 from .near_surfaces import near_surfaces
 from .object_masks import ObjectMasks, cut_out
@@ -87,6 +86,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     photographs, left_out = read_photographs(source, folder, settings, progress)
     _report_left_out(left_out, progress)
     model = find_poses(photographs, folder, settings, seed, progress)
+    _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
     found = _masks(model, images, settings, seed, progress)
     gains = exposure_gains(model, [one.view for one in images])
@@ -94,32 +94,22 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     bound = _scene_bound(model, images) if found is None else found.bound
     plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
     similarity = world_similarity([one.camera for one in images], bound, plane, scale)
-    masks: Sequence[np.ndarray | None] = [None] * len(images) if found is None else found.masks
-    doubtful = {} if found is None else dict(found.doubtful)
-    write_model(model, images, similarity, folder)
+    result = CaptureResult(model, images, found, gains, similarity, scale is not None, [*left_out, *model.left_out])
+    _write(result, folder, {"format": FORMAT, "status": "done", "inputs": inputs, "source": str(source), **describe(result)})
+    progress.message(f"capture: {len(images)} photographs, report in {folder / 'report.html'}")
+
+
+def _write(result: CaptureResult, folder: Path, state: dict[str, Any]) -> None:
+    """Write the dataset's files, and last capture.json, whose content `state` says that they are complete."""
+    images, masks = result.images, result.masks
+    write_model(result.model, images, result.similarity, folder)
     write_masks(images, masks, folder)
-    write_transforms(images, similarity, [mask is not None for mask in masks], folder)
-    _write_surroundings(found, similarity, folder)
-    write_json(folder / "exposures.json", {one.view.name: gain.tolist() for one, gain in zip(images, gains, strict=True)})
-    write_contact_sheet(images, masks, set(doubtful), folder / "contact_sheet.png")
-    state = {
-        "format": FORMAT,
-        "status": "done",
-        "inputs": inputs,
-        "source": str(source),
-        "error": model.error,
-        "bound": None if found is None else _bound_in_world(bound, similarity),
-        "plane": plane is not None,
-        "metres_per_unit": None if scale is None else 1.0,
-        "masked": any(mask is not None for mask in masks),
-        "gains": {one.view.name: gain.tolist() for one, gain in zip(images, gains, strict=True)},
-        "photographs": _records(images, masks, gains, doubtful),
-        "left_out": [dataclasses.asdict(one) for one in (*left_out, *model.left_out)],
-        "notes": _notes(found, model, gains),
-    }
+    write_transforms(images, result.similarity, [mask is not None for mask in masks], folder)
+    _write_surroundings(result, folder)
+    write_json(folder / EXPOSURES, {one.view.name: gain.tolist() for one, gain in zip(images, result.gains, strict=True)})
+    write_contact_sheet(images, masks, set(result.doubtful), folder / "contact_sheet.png")
     write_page(state, folder / "report.html")
     write_json(folder / FILE, state)
-    progress.message(f"capture: {len(images)} photographs, report in {folder / 'report.html'}")
 
 
 def _masks(
@@ -139,7 +129,7 @@ def _metres_per_unit(model: SparseModel, settings: CaptureSettings, progress: Pr
     if marker is None:
         progress.message("no marker was found in three photographs: the true size is not known; print it larger, or lay it flat and lit")
         return None
-    progress.message(f"marker {marker.name}, found in {marker.photographs} photographs, gives the true size")
+    progress.message(f"marker {marker.name}, found in {marker.photographs} photographs to {marker.error:.2f} pixels, gives the true size")
     return marker.metres_per_unit
 
 
@@ -147,16 +137,13 @@ def _eight_bits(colour: np.ndarray) -> np.ndarray:
     return colour if colour.dtype == np.uint8 else (colour >> 8).astype(np.uint8)
 
 
-def _write_surroundings(found: ObjectMasks | None, similarity: np.ndarray, folder: Path) -> None:
+def _write_surroundings(result: CaptureResult, folder: Path) -> None:
     """Write the surfaces around the object, in the world; without masks they are part of the scene."""
-    path = folder / SURROUNDINGS
+    path, found = folder / SURROUNDINGS, result.found
     path.unlink(missing_ok=True)
     around = None if found is None else near_surfaces(found.points, found.on_object, found.plane, found.bound)
     if around is not None:
-        scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
-        normal = around.normal @ (similarity[:3, :3] / scale).T
-        moved = Surroundings(moved_points(around.position, similarity), normal, around.radiance, scale * around.spacing)
-        save_surroundings(moved, path)
+        save_surroundings(around.moved(result.similarity), path)
 
 
 def _report_left_out(left_out: list[LeftOut], progress: Progress) -> None:
@@ -168,32 +155,3 @@ def _scene_bound(model: SparseModel, images: list[UndistortedImage]) -> Bound:
     """Return the sphere about what the cameras look at, where no object was cut out."""
     cameras = [one.camera for one in images]
     return bound_of_points(cameras, model.position) or bound_of_cameras(cameras)
-
-
-def _bound_in_world(bound: Bound, similarity: np.ndarray) -> dict[str, Any]:
-    centre = moved_points(np.array([bound.centre], np.float64), similarity)[0]
-    return {"centre": centre.tolist(), "radius": bound.radius * float(np.cbrt(np.linalg.det(similarity[:3, :3])))}
-
-
-def _records(
-    images: list[UndistortedImage], masks: Sequence[np.ndarray | None], gains: np.ndarray, doubtful: dict[str, str]
-) -> list[dict[str, Any]]:
-    """Return a record of each photograph for capture.json: name, source, exposure in EV, what is known of the mask."""
-    records = []
-    for one, mask, gain in zip(images, masks, gains, strict=True):
-        name = one.view.name
-        kind = doubtful.get(name, "none" if mask is None else "given" if one.mask is not None else "found")
-        source = str(one.posed.photograph.source)
-        records.append({"name": name, "source": source, "ev": float(np.log2(gain.mean())), "mask": kind})
-    return records
-
-
-def _notes(found: ObjectMasks | None, model: SparseModel, gains: np.ndarray) -> list[str]:
-    """Return lines about masks and exposure for the report."""
-    notes = [] if found is None else list(found.messages)
-    if found is None:
-        notes.append("no masks: the whole scene is reconstructed")
-    if np.log(gains).std(0).max() >= SMALLEST:
-        origin = "the points' colours" if stated_log_gains(model) is None else "EXIF, checked by the points' colours"
-        notes.append(f"exposure differs by up to {np.ptp(np.log2(gains.mean(1))):.2f} EV, by {origin}")
-    return notes

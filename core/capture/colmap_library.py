@@ -32,12 +32,15 @@ def silence() -> None:
         log.set_log_destination(level, "")
 
 
-def run_call(call: Callable[[pycolmap.CancellationToken], Result], progress: Progress, done: Callable[[], int] = lambda: -1) -> Result:
+def run_call(
+    call: Callable[[pycolmap.CancellationToken], Result], progress: Progress, stopped: str, done: Callable[[], int] = lambda: -1
+) -> Result:
     """Run a long call of COLMAP in a thread, report its steps, and stop it when the user cancels.
 
     Args:
         call: called with the token that stops it.
         progress: receiver.
+        stopped: what was stopped, for the error's line.
         done: returns the number of finished steps; -1 where it is not known.
 
     Returns:
@@ -60,5 +63,5 @@ def run_call(call: Callable[[pycolmap.CancellationToken], Result], progress: Pro
             token.cancel()
             raise
     if token.is_cancelled or progress.cancelled:
-        raise Cancelled("cancelled")
+        raise Cancelled(stopped)
     return future.result()

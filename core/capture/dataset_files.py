@@ -16,6 +16,7 @@ import pycolmap
 from ..errors import InputError
 from ..io.atomic import write_atomic
 from ..scene.camera import Camera
+from ..scene.similarity import moved_points
 from .sparse_model import SparseModel
 from .undistortion import UndistortedImage, undistorted_pixels
 
@@ -48,11 +49,6 @@ def write_model(model: SparseModel, images: Sequence[UndistortedImage], similari
     for place, colour, seen in zip(moved_points(model.position, similarity), model.colour, elements, strict=True):
         reconstruction.add_point3D(place, pycolmap.Track(seen), colour)
     _write_folder(reconstruction, folder / MODEL)
-
-
-def moved_points(points: np.ndarray, similarity: np.ndarray) -> np.ndarray:
-    """Return points (P, 3) after a similarity (4, 4)."""
-    return points @ similarity[:3, :3].T + similarity[:3, 3]
 
 
 def _camera_number(reconstruction: pycolmap.Reconstruction, numbers: dict[tuple[float, ...], int], camera: Camera) -> int:

@@ -64,7 +64,7 @@ def find_features(photographs: Sequence[Photograph], path: Path, longest: int, t
                 done += 1
                 progress.step(done)
             if progress.cancelled:
-                raise Cancelled("cancelled")
+                raise Cancelled(f"stopped after features were found in {done} photographs")
 
 
 def _write(database: pycolmap.Database, number: int, found: Found) -> None:

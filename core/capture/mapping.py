@@ -78,7 +78,7 @@ def map_photographs(path: Path, count: int, attempt: Attempt, seed: int, progres
             shutil.rmtree(folder, ignore_errors=True)
 
     pycolmap.set_random_seed(seed)
-    models = run_call(call, progress, lambda: registered[0])
+    models = run_call(call, progress, "stopped while poses were searched", lambda: registered[0])
     progress.step(count)
     return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
 

@@ -29,21 +29,17 @@ SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0
 
 @dataclass(frozen=True, eq=False)
 class MarkerScale:
-    """Marker in the frame of a sparse model, and the scale that follows.
+    """Marker that photographs show, and the scale of the sparse model that follows.
 
     Attributes:
         name: dictionary and id, for the user.
         metres_per_unit: of the model's frame.
-        corners: (4, 3) float64 in OpenCV's corner order.
-        normal: (3,) unit normal of its plane, on the side of the cameras.
         photographs: number of photographs that agree.
         error: median reprojection error of the corners, pixels.
     """
 
     name: str
     metres_per_unit: float
-    corners: np.ndarray
-    normal: np.ndarray
     photographs: int
     error: float
 
@@ -102,11 +98,9 @@ def find_marker_scale(model: SparseModel, side: float, read: Read) -> MarkerScal
         return None
     (name, number), (corners, agreeing) = max(fits, key=lambda f: len(f[1][1]))
     error = np.concatenate([v.focal * np.linalg.norm(v.project(corners) - v.corners, axis=1) for v in agreeing])
-    normal = np.cross(corners[3] - corners[0], corners[1] - corners[0])
-    normal /= np.linalg.norm(normal)
     length = np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean()
     shown = f"{name.removeprefix('DICT_').removesuffix('_1000')} id {number}"
-    return MarkerScale(shown, side / float(length), corners, normal, len(agreeing), float(np.median(error)))
+    return MarkerScale(shown, side / float(length), len(agreeing), float(np.median(error)))
 
 
 def _view(posed: PosedPhotograph, found: Detection) -> _View:

@@ -93,4 +93,4 @@ def _match_chunk(path: Path, pairs: Pairs, seed: int, done: int, progress: Progr
     def call(token: pycolmap.CancellationToken) -> None:
         pycolmap.match_image_pairs(path, matching, pairing, verification, pycolmap.Device.cpu, token)
 
-    run_call(call, progress, lambda: done)
+    run_call(call, progress, "stopped while photographs were matched", lambda: done)

@@ -61,7 +61,7 @@ def cut_out(
     Args:
         views: undistorted photographs of about 640 pixels a side; their alpha is not used.
         points: sparse points, or None.
-        settings: `masks` "off" cuts nothing out.
+        settings: without `masks`, nothing is cut out.
         seed: of the random numbers.
         progress: receives the phases "dense points" and "cut out the object" and messages, and may cancel.
         sphere: about the object, if a person gave it.
@@ -74,7 +74,7 @@ def cut_out(
         Cancelled: the user stopped the work.
     """
     given = given or {}
-    if settings.masks == "off" or len(views) < FEWEST:
+    if not settings.masks or len(views) < FEWEST:
         return None
     cameras = [view.camera for view in views]
     dense = find_dense_points(views, points, sphere, seed, progress)

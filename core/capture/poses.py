@@ -97,8 +97,6 @@ def find_poses(photographs: Sequence[Photograph], folder: Path, settings: Captur
     refine_robustly(model, solution.freedom)
     upright = turn_upright(model, photographs)
     _write(folder, upright, key, left_out)
-    for one in left_out:
-        progress.message(f"{one.name}: {one.reason}")
     return sparse_model(upright, photographs, left_out)
 
 

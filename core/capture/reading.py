@@ -150,7 +150,7 @@ class Reading:
             if self._steps % WRITE_EVERY == 0:
                 self._record.write()
             if self._progress.cancelled:
-                raise Cancelled(f"stopped after {self._steps} photographs were read; the same command goes on from there")
+                raise Cancelled(f"stopped after {self._steps} photographs were read")
         return prepared
 
     def _note(self, result: Prepared) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +11,10 @@ import numpy as np
 
 from ..datasets.parsed_dataset import Lens
 from ..datasets.undistort import pinhole, undistort, undistort_mask
-from ..errors import Cancelled, InputError
+from ..errors import InputError
 from ..io.atomic import write_atomic
 from ..io.image import DecodedImage, read_image, read_mask, reduce_image, reduce_mask, to_unit_range
+from ..machine.thread_pool import run_reported
 from ..progress.protocol import Progress
 from ..scene.camera import Camera
 from ..scene.dataset import View
@@ -59,15 +59,8 @@ def undistort_photographs(model: SparseModel, folder: Path, resolution: int, pro
     target = folder / "images"
     target.mkdir(exist_ok=True)
     progress.phase("undistort photographs", len(model.posed))
-    done: list[UndistortedImage] = []
-    with ThreadPoolExecutor(THREADS) as pool:
-        for one in pool.map(lambda posed: _undistorted(posed, target, resolution), model.posed):
-            done.append(one)
-            progress.step(len(done))
-            if progress.cancelled:
-                pool.shutdown(cancel_futures=True)
-                raise Cancelled("stopped while photographs were undistorted")
-    return done
+    work = lambda posed: _undistorted(posed, target, resolution)  # noqa: E731
+    return run_reported(work, model.posed, THREADS, progress, "stopped while photographs were undistorted")
 
 
 def undistorted_pixels(pixels: np.ndarray, lens: Lens) -> np.ndarray:

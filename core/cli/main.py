@@ -44,8 +44,8 @@ def _run(args: argparse.Namespace, words: list[str], terminal: Terminal | JobRec
         return args.command(args, terminal)
     except Cancelled as error:
         _print_error(terminal, f"cancelled: {error}")
-        if args.resumable:
-            _print_error(terminal, f"resume with: {resume_line(words)}")
+        if args.resumable or args.repeatable:
+            _print_error(terminal, f"resume with: {resume_line(words, () if args.repeatable else ('--resume',))}")
         return error.exit_status
     except IrgsppError as error:
         _print_error(terminal, str(error))
@@ -79,8 +79,13 @@ def _keep_traceback(args: argparse.Namespace) -> Path | None:
     return log
 
 
-def resume_line(words: Sequence[str]) -> str:
-    """Return the command line that resumes a stopped `reconstruct` or `demo`."""
+def resume_line(words: Sequence[str], options: Sequence[str] = ("--resume",)) -> str:
+    """Return the command line that resumes a stopped command.
+
+    Args:
+        words: of the stopped command.
+        options: that make the command go on; none where it does so by itself.
+    """
     kept = [word for word in words if word not in ("--resume", "--overwrite")]
     join = subprocess.list2cmdline if sys.platform == "win32" else shlex.join
-    return join(["irgspp", *kept, "--resume"])
+    return join(["irgspp", *kept, *options])

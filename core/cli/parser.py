@@ -39,6 +39,7 @@ def parser() -> argparse.ArgumentParser:
         "capture",
         commands.capture,
         "photographs without cameras, or a video, to a dataset: cameras, masks, exposures, true size",
+        repeatable=True,
     )
     one.add_argument("photographs", metavar="PHOTOS", type=Path, help="folder of photographs and videos, or a video")
     one.add_argument("-o", dest="folder", metavar="DATASET", type=Path, required=True, help="folder to write")
@@ -114,9 +115,10 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def _command(subparsers, name: str, function, text: str, resumable: bool = False) -> argparse.ArgumentParser:
+def _command(subparsers, name: str, function, text: str, resumable: bool = False, repeatable: bool = False) -> argparse.ArgumentParser:
+    """Add a command; with `resumable`, --resume makes it go on after a stop, with `repeatable`, the same words do."""
     one = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-    one.set_defaults(command=function, resumable=resumable)
+    one.set_defaults(command=function, resumable=resumable, repeatable=repeatable)
     return one
 
 

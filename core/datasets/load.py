@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import Cancelled, InputError
+from ..errors import InputError
 from ..io.image import DecodedImage, on_black, read_depth_mask, read_image, read_mask, reduce_image, reduce_mask
 from ..io.safe_paths import inside
+from ..machine.thread_pool import run_reported
 from ..progress.protocol import Progress, Silent
 from ..scene.camera import Camera
 from ..scene.dataset import Dataset, View
@@ -191,15 +191,7 @@ def _report_missing_images(parsed: ParsedDataset, warnings: list[str]) -> None:
 def _decode(prepared: list[PreparedFrame], settings: DataSettings, progress: Progress) -> list[View | InputError]:
     """Decode the views in order; the error takes the place of a view that can't be used."""
     progress.phase("read images", len(prepared))
-    views = []
-    with ThreadPoolExecutor(decoding_threads()) as pool:
-        for view in pool.map(lambda one: _view(one, settings.masks), prepared):
-            views.append(view)
-            progress.step(len(views))
-            if progress.cancelled:
-                pool.shutdown(cancel_futures=True)
-                raise Cancelled("stopped while reading images")
-    return views
+    return run_reported(lambda one: _view(one, settings.masks), prepared, decoding_threads(), progress, "stopped while reading images")
 
 
 def _view(prepared: PreparedFrame, masks: bool) -> View | InputError:

@@ -5,12 +5,18 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+from ..errors import Cancelled
+from ..progress.protocol import Progress
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def thread_count() -> int:
@@ -78,6 +84,33 @@ def run_ranges(kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], *a
     if len(calls) == 1:
         return [kernel(*calls[0], *args)]
     return [future.result() for future in [_executor(thread_count()).submit(kernel, *call, *args) for call in calls]]
+
+
+def run_reported(function: Callable[[Item], Result], items: Iterable[Item], threads: int, progress: Progress, stopped: str) -> list[Result]:
+    """Call a function for every item on threads of their own, report each finished item as a step, and stop when the user cancels.
+
+    Args:
+        function: called with one item.
+        items: in the order of the results.
+        threads: number of threads, which for large images memory limits.
+        progress: receives the steps, and cancels.
+        stopped: what was stopped, for the error's line.
+
+    Returns:
+        The results in the order of the items.
+
+    Raises:
+        Cancelled: if the user stopped the work; items that have not begun are dropped.
+    """
+    done: list[Result] = []
+    with ThreadPoolExecutor(threads) as pool:
+        for result in pool.map(function, items):
+            done.append(result)
+            progress.step(len(done))
+            if progress.cancelled:
+                pool.shutdown(cancel_futures=True)
+                raise Cancelled(stopped)
+    return done
 
 
 def run_jobs(function: Callable[..., Any], jobs: Sequence[Sequence[Any]]) -> Iterator[Any]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
+from .similarity import moved_points, scale_of
 from .surroundings import Surroundings
 
 
@@ -43,6 +44,11 @@ class Bound:
 
     centre: tuple[float, float, float]
     radius: float
+
+    def moved(self, similarity: np.ndarray) -> Bound:
+        """Return the sphere after a similarity (4, 4) of the world."""
+        x, y, z = moved_points(np.array([self.centre], np.float64), similarity)[0].tolist()
+        return Bound((x, y, z), self.radius * scale_of(similarity))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..io.atomic import write_atomic
 from ..io.npz import read_arrays
+from .similarity import moved_points, scale_of
 
 ARRAYS = {"position": (3,), "normal": (3,), "radiance": (3,), "spacing": ()}
 
@@ -31,6 +32,12 @@ class Surroundings:
     normal: np.ndarray
     radiance: np.ndarray
     spacing: np.ndarray
+
+    def moved(self, similarity: np.ndarray) -> Surroundings:
+        """Return the surroundings after a similarity (4, 4) of the world: distances scale with it, radiance stays."""
+        scale = scale_of(similarity)
+        position, normal = moved_points(self.position, similarity), self.normal @ (similarity[:3, :3] / scale).T
+        return Surroundings(*(a.astype(np.float32) for a in (position, normal, self.radiance, scale * self.spacing)))
 
 
 def save_surroundings(surroundings: Surroundings, path: Path) -> None:

@@ -27,7 +27,7 @@ class CaptureSettings:
     features: Annotated[int, Range(200, 16384)] = 2000  # longest side of an image in which features are searched, pixels
     frames: Annotated[int, Range(3, 2000)] = 80  # sharp frames taken of each video, at most
     matching: Literal["auto", "exhaustive", "sequential"] = "auto"  # pairs of photographs; auto: above 30 photographs the similar ones
-    masks: Choice = "auto"  # cut the object out where one stands apart; off: use the photographs whole, and no masks
+    masks: bool = True  # cut the object out where one stands apart; off: use the photographs whole, and no masks
     resolution: Annotated[int, Range(64, 4096)] = 640  # longest side of an image in which the object is cut out, pixels
     marker: Annotated[float | None, Range(1e-6)] = None  # side of the black square of an ArUco or AprilTag marker, metres
 

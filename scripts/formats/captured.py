@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from irgspp.core.datasets.formats.captured import FILE, FORMAT
+from irgspp.core.datasets.formats.captured import EXPOSURES, FILE, FORMAT
 
 from .colmap_files import write_model
 from .source import Source, save_json, save_png
@@ -33,5 +33,6 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
     write_model(folder / "sparse" / "0", "PINHOLE", source.size, lens, {name: shot.pose for name, shot in shots.items()}, source.points)
     gains = {name.removesuffix(".png"): [1.0, 1.0, 1.0] for name in shots}
     bound = {"centre": [0.0, 0.0, 0.0], "radius": RADIUS}
-    save_json(folder / FILE, {"format": FORMAT, "status": "done", "bound": bound, "gains": gains})
+    save_json(folder / FILE, {"format": FORMAT, "status": "done", "bound": bound})
+    save_json(folder / EXPOSURES, gains)
     return folder, np.eye(4)

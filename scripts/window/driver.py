@@ -84,6 +84,16 @@ def time_calls(owner: object, name: str, label: str) -> None:
     setattr(owner, name, takes[method.__code__.co_argcount])
 
 
+def time_callbacks() -> None:
+    """Time what blocks Blender: every panel's drawing, every operator's start, the polling of jobs, and the live image."""
+    for cls in extension_module("panels.registration").CLASSES:
+        for name in ("draw", "invoke"):
+            if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
+                time_calls(cls, name, f"{cls.__name__}.{name}")
+    time_calls(extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
+    time_calls(extension_module("irgspp_addon.relight.live_image"), "beat", "relight.live_image.beat")
+
+
 def extension_module(name: str) -> ModuleType:
     """Return a loaded module of the extension by its name below the extension, such as `irgspp_addon.jobs.queue`."""
     return sys.modules[f"{MODULE}.{name}"]

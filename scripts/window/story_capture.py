@@ -26,7 +26,7 @@ def story() -> Iterator[float]:
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
     driver.view3d().spaces[0].overlay.show_relationship_lines = False
-    time_callbacks()
+    driver.time_callbacks()
     bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.press_button("irgspp.check_engine")
@@ -35,14 +35,6 @@ def story() -> Iterator[float]:
     yield from look_at_masks()
     yield from reconstruct()
     shutil.rmtree(work, ignore_errors=True)
-
-
-def time_callbacks() -> None:
-    """Time what blocks Blender: every panel's drawing and the polling of jobs."""
-    driver.time_calls(driver.extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
-    for cls in driver.extension_module("panels.registration").CLASSES:
-        if issubclass(cls, bpy.types.Panel) and "draw" in vars(cls):
-            driver.time_calls(cls, "draw", f"{cls.__name__}.draw")
 
 
 def find_cameras(photographs: Path) -> Iterator[float]:

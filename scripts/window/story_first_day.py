@@ -27,7 +27,7 @@ def story() -> Iterator[float]:
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
     driver.view3d().spaces[0].overlay.show_relationship_lines = False
-    time_callbacks()
+    driver.time_callbacks()
     yield from driver.open_sidebar("IRGS++")
     yield from set_up_engine()
     yield from look_at(photographs)
@@ -36,16 +36,6 @@ def story() -> Iterator[float]:
     yield from relight(photographs / "envs" / "sunset.exr")
     yield from see_jobs()
     shutil.rmtree(work, ignore_errors=True)
-
-
-def time_callbacks() -> None:
-    """Time every panel's drawing, every operator's start, and the polling of jobs."""
-    for cls in driver.extension_module("panels.registration").CLASSES:
-        for name in ("draw", "invoke"):
-            if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
-                driver.time_calls(cls, name, f"{cls.__name__}.{name}")
-    driver.time_calls(driver.extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
-    driver.time_calls(driver.extension_module("irgspp_addon.relight.live_image"), "beat", "relight.live_image.beat")
 
 
 def set_up_engine() -> Iterator[float]:

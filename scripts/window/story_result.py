@@ -23,7 +23,7 @@ def story() -> Iterator[float]:
     for name in ("Cube", "Light"):
         bpy.data.objects.remove(bpy.data.objects[name])
     browsing.open_panels("IRGSPP_PT_bake", "IRGSPP_PT_export", "IRGSPP_PT_relight_files")
-    time_callbacks()
+    driver.time_callbacks()
     bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.press_button("irgspp.check_engine")
@@ -37,15 +37,6 @@ def story() -> Iterator[float]:
     yield from rendered_shading()
     yield from demo_and_cancel()
     shutil.rmtree(work, ignore_errors=True)
-
-
-def time_callbacks() -> None:
-    """Time what blocks Blender while jobs and previews run."""
-    driver.time_calls(driver.extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
-    driver.time_calls(driver.extension_module("irgspp_addon.relight.live_image"), "beat", "relight.live_image.beat")
-    for cls in driver.extension_module("panels.registration").CLASSES:
-        if issubclass(cls, bpy.types.Panel) and "draw" in vars(cls):
-            driver.time_calls(cls, "draw", f"{cls.__name__}.draw")
 
 
 def demo_and_cancel() -> Iterator[float]:

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from blender_side import ENGINE, ROOT, in_engine
-from captured_dataset import CENTRE, RADIUS
+from captured_dataset import CENTRE, RADIUS, write_state
 from engine_jobs import registry as registry
 from engine_jobs import until
 from irgspp.core.errors import IrgsppError
@@ -20,13 +20,6 @@ from irgspp.panels import registration
 from mathutils import Matrix
 
 SUPPORT = ROOT / "tests" / "support"
-
-
-@pytest.fixture(scope="session")
-def captured(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("captured") / "photos_capture"
-    in_engine(SUPPORT / "captured_dataset.py", folder)
-    return folder
 
 
 @pytest.fixture(scope="session")
@@ -131,9 +124,7 @@ def test_a_stopped_capture_goes_on(photos):
 
 def test_the_folder_of_a_stopped_capture_leads_to_its_photographs(photos, tmp_path):
     folder = tmp_path / "elsewhere"
-    folder.mkdir()
-    state = {"format": "irgspp-capture", "status": "running", "inputs": {"source": str(photos)}}
-    (folder / "capture.json").write_text(json.dumps(state))
+    write_state(folder, status="running", inputs={"source": str(photos)})
     bpy.ops.irgspp.capture(directory=str(folder), wait=True, import_result=False)
     assert jobs.all_jobs()[0].arguments[1:4] == [str(photos), "-o", str(folder.resolve())]
 

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The dataset's panel for photographs without cameras, for what a capture found, and the panel in which masks are painted."""
 
-import json
 import time
 from types import SimpleNamespace
 
 import bpy
 import irgspp
 import pytest
+from captured_dataset import write_state
 from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.importer.mask_image import MASK
 from irgspp.irgspp_addon.importer.object_sphere import BOUND
@@ -17,6 +17,8 @@ from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.irgspp_addon.properties import show_jobs
 from irgspp.panels import capture_state, dataset, mask, reconstruct, run_state
 from recording_layout import draw
+
+FOUND = [{"name": f"{i}", "mask": "found"} for i in range(8)]
 
 
 @pytest.fixture
@@ -41,16 +43,7 @@ def photos(tmp_path):
 
 
 def write_capture(folder, **values):
-    state = {
-        "format": "irgspp-capture",
-        "status": "done",
-        "inputs": {"source": "/photos"},
-        "metres_per_unit": None,
-        "photographs": [{"name": f"{i}", "mask": "found"} for i in range(8)],
-        "left_out": [],
-    }
-    folder.mkdir(exist_ok=True)
-    (folder / "capture.json").write_text(json.dumps(state | values))
+    write_state(folder, **{"inputs": {"source": "/photos"}, "photographs": FOUND, "left_out": []} | values)
     capture_state.forget()
     return folder
 

@@ -26,6 +26,17 @@ def write_capture(folder: Path) -> None:
         Image.fromarray(mask).save(folder / "masks" / f"{name}.png")
     Image.new("RGB", (60, 20), (90, 20, 10)).save(folder / "contact_sheet.png")
     (folder / "report.html").write_text("<html></html>")
+    (folder / "exposures.json").write_text(json.dumps({f"{i:03d}": [1.0, 1.0, 1.0] for i in range(12)}))
+    write_state(folder)
+
+
+def write_state(folder: Path, **values: object) -> None:
+    """Write capture.json alone into a folder, which is made where it is missing.
+
+    Args:
+        folder: of the dataset.
+        **values: entries that differ from those of the finished dataset.
+    """
     kinds = {"000": "found", "001": "touches the border"}
     state = {
         "format": "irgspp-capture",
@@ -40,7 +51,8 @@ def write_capture(folder: Path) -> None:
         "left_out": [{"name": "IMG_7.jpg", "reason": "blurred"}, {"name": "IMG_9.jpg", "reason": "shows something else"}],
         "notes": ["exposure differs"],
     }
-    (folder / "capture.json").write_text(json.dumps(state))
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "capture.json").write_text(json.dumps(state | values))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from ...settings.schema import DataSettings
 from ..parsed_dataset import Frame, ParsedDataset
 from .colmap import read_frames
 
-FILE, SURROUNDINGS = "capture.json", "surroundings.npz"
+FILE, EXPOSURES, SURROUNDINGS = "capture.json", "exposures.json", "surroundings.npz"
 FORMAT = "irgspp-capture"  # value of "format" in the file
 
 
@@ -31,7 +31,7 @@ def read_captured(folder: Path, settings: DataSettings) -> ParsedDataset:
     """Read a captured dataset; its frame is the world.
 
     Args:
-        folder: folder with capture.json.
+        folder: folder with capture.json and exposures.json.
         settings: settings of the dataset.
 
     Raises:
@@ -42,13 +42,12 @@ def read_captured(folder: Path, settings: DataSettings) -> ParsedDataset:
     if state.get("status") != "done":
         raise InputError(file, "the capture was not finished", "run irgspp capture again with the same folder; it goes on where it stopped")
     frames, points, _, warnings = read_frames(folder / "sparse" / "0", settings.resolution)
-    gains = state.get("gains")
     bound = state.get("bound")
     try:
-        frames = [_with_gain(frame, gains) for frame in frames]
         sphere = None if bound is None else _bound(bound)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise InputError(file, f"is broken ({error!r})", "run irgspp capture again") from error
+    frames = _with_gains(frames, folder / EXPOSURES)
     around = load_surroundings(folder / SURROUNDINGS) if (folder / SURROUNDINGS).is_file() else None
     return ParsedDataset(file, folder, "capture", frames, None, np.eye(4), points, sphere, surroundings=around, warnings=warnings)
 
@@ -59,22 +58,33 @@ def load_capture(file: Path) -> dict[str, Any]:
     Raises:
         InputError: if the file is damaged or of another program.
     """
-    try:
-        state = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(file, f"can't be read ({error})", "run irgspp capture again") from error
+    state = _load_json(file)
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise InputError(file, f"is not a file of irgspp capture (no format {FORMAT!r})")
     return state
 
 
-def _with_gain(frame: Frame, gains: dict[str, list[float]] | None) -> Frame:
-    if gains is None:
-        return frame
-    gain = np.array(gains[Path(frame.listed).stem], np.float64)
+def _load_json(file: Path) -> Any:
+    try:
+        return json.loads(file.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(file, f"can't be read ({error})", "run irgspp capture again") from error
+
+
+def _with_gains(frames: list[Frame], file: Path) -> list[Frame]:
+    """Return the frames with their linear exposure gains, (3,) each, from exposures.json."""
+    gains = _load_json(file)
+    try:
+        return [replace(frame, gain=_gain(gains[Path(frame.listed).stem], frame.listed)) for frame in frames]
+    except (TypeError, ValueError, KeyError) as error:
+        raise InputError(file, f"is broken ({error!r})", "run irgspp capture again") from error
+
+
+def _gain(value: object, name: str) -> np.ndarray:
+    gain = np.array(value, np.float64)
     if gain.shape != (3,) or not np.isfinite(gain).all() or gain.min() <= 0:
-        raise ValueError(f"gain of {frame.listed}")
-    return replace(frame, gain=gain)
+        raise ValueError(f"gain of {name}")
+    return gain
 
 
 def _bound(value: dict[str, Any]) -> Bound:

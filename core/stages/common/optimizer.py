@@ -9,6 +9,7 @@ import torch
 
 from ...errors import IrgsppError
 from ...scene.gaussians import Gaussians
+from .adam import Adam
 from .finite_check import check_due
 
 ROWS = {"sh_dc": ("sh", slice(0, 1)), "sh_rest": ("sh", slice(1, None)), "albedo": ("material", slice(0, 3))}
@@ -67,7 +68,7 @@ class GaussianOptimizer:
         """Replace the parameters by a copy of these Gaussians, with fresh moments."""
         self.leaves = {k: v.detach().clone(memory_format=torch.contiguous_format).requires_grad_() for k, v in gaussians.tensors().items()}
         groups = [{"params": [self._view(name)], "name": name, "lr": rate.start} for name, rate in self.rates.items()]
-        self.adam = torch.optim.Adam(groups, eps=1e-15, fused=True)
+        self.adam = Adam(groups, eps=1e-15, fused=True)
 
     def _view(self, name: str) -> torch.Tensor:
         """Return the tensor of a group, or the rows of a leaf that belong to it."""

@@ -19,6 +19,7 @@ from ...scene.gaussians import ALBEDO, METALLIC, Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...shading.environment_lookup import lookup
 from ...shading.split_sum import diffuse_light
+from ..common.adam import Adam
 
 LIGHT_HEIGHT = 16  # rows of the fitted light map
 STEPS = 200
@@ -79,7 +80,7 @@ def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor)
     similarity = torch.exp(-10 * (seen[:, None] - seen[neighbours]).abs().sum(-1))
     log_light = torch.full((LIGHT_HEIGHT, 2 * LIGHT_HEIGHT, 3), math.log(2 * float(seen.mean()) + 1e-3), requires_grad=True)
     log_albedo = torch.full_like(seen, math.log(0.5)).requires_grad_()
-    adam = torch.optim.Adam([{"params": [log_light], "lr": 0.1}, {"params": [log_albedo], "lr": 0.0}], fused=True)
+    adam = Adam([{"params": [log_light], "lr": 0.1}, {"params": [log_albedo], "lr": 0.0}], fused=True)
     for step in range(STEPS):
         adam.param_groups[0]["lr"] = 0.1 * 0.1 ** (step / STEPS)
         adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else 0.05 * 0.1 ** (step / STEPS)

@@ -52,7 +52,7 @@ def observe_diffuse_shading(
     materials = torch.stack([solver.roughness, solver.metallic, openness], 1)
     index, weight = _nearest_points(surface, solver)
     around = (materials.cpu().numpy()[index] * weight[..., None]).sum(1)
-    irradiance = sum(harmonics[index[:, k]] * weight[:, k, None, None] for k in range(index.shape[1]))
+    irradiance = np.asarray(sum(harmonics[index[:, k]] * weight[:, k, None, None] for k in range(index.shape[1])))
     at = torch.from_numpy(around.astype(np.float32)).to(tracer.device)[seen]
     log_radiance, precision = mean_diffuse_radiance(samples, solver, at)
     values, certain = np.zeros((len(vertices), 3)), np.zeros(len(vertices))

@@ -173,8 +173,8 @@ class _System:
             return np.concatenate([first[:, None], others], 1).ravel()
 
         shape = (4 * count, 4 * count)
-        matrix = LinearOperator(shape, matvec=product, dtype=float)
-        preconditioner = LinearOperator(shape, matvec=lambda flat: flat / diagonal, dtype=float)
+        matrix = LinearOperator(shape, matvec=product, dtype=float)  # type: ignore[call-arg]  # of the subclass that scipy chooses
+        preconditioner = LinearOperator(shape, matvec=lambda flat: flat / diagonal, dtype=float)  # type: ignore[call-arg]
         return cg(matrix, self.downhill.ravel(), rtol=TOLERANCE, maxiter=iterations, M=preconditioner)[0].reshape(count, 4)
 
 
@@ -197,10 +197,10 @@ def _linearised(
     # The derivative by the slope of the displacement: through the normalisation, then within the tangent plane.
     slope = slope - normals[:, None] * (slope * normals[:, None]).sum(-1, keepdims=True)
     slope = (slope - surface.normals[:, None] * (slope * surface.normals[:, None]).sum(-1, keepdims=True)) / -length[:, None]
-    rows = [sum(sparse.diags(slope[:, c, k]) @ operators.gradient[k] for k in range(3)).tocsr() for c in range(3)]
+    rows = [sparse.csr_matrix(sum(sparse.diags(slope[:, c, k]) @ operators.gradient[k] for k in range(3))) for c in range(3)]
     coupling = [(row.T @ weight).tocsr() for row in rows]
     smooth = operators.difference.T @ sparse.diags(albedo_weights(log_albedo, operators)) @ operators.difference
-    first = sum(matrix @ residual[:, c] for c, matrix in enumerate(coupling)) - ties @ displacement
+    first = np.asarray(sum(matrix @ residual[:, c] for c, matrix in enumerate(coupling))) - ties @ displacement
     downhill = np.concatenate([first[:, None], weight @ residual - smooth @ log_albedo], 1)
     own = ties + sum(matrix @ row for matrix, row in zip(coupling, rows, strict=True))
     return _System(own.tocsr(), coupling, (smooth + weight).tocsr(), downhill)

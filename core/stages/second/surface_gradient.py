@@ -40,7 +40,7 @@ class SurfaceGradient:
         difference = sparse.csr_matrix((np.r_[ones, -ones], (np.r_[row, row], edges.T.ravel())), shape=(len(edges), count))
         around = sparse.csr_matrix((np.r_[ones, ones], (edges.T.ravel(), edges[:, ::-1].T.ravel())), shape=(count, count))
         average = sparse.diags(1 / np.maximum(np.asarray(around.sum(1)).ravel(), 1)) @ around
-        return cls(_gradient(surface, length), difference, edges, average.tocsr(), length)
+        return cls(_gradient(surface, length), difference, edges, sparse.csr_matrix(average), length)
 
     def slope(self, values: np.ndarray) -> np.ndarray:
         """Return the gradient (V, 3) of values (V,)."""
@@ -56,7 +56,7 @@ def _gradient(surface: Surface, length: float) -> tuple[sparse.csr_matrix, spars
     normal = cross / area[:, None]
     # The hat function of a corner rises across the opposite edge by 1 over the triangle's height (area times that is the edge).
     rise = [np.cross(normal, edge) * length for edge in (c - b, a - c, b - a)]
-    total = sum(np.bincount(faces[:, k], area, len(vertices)) for k in range(3))
+    total = np.asarray(sum(np.bincount(faces[:, k], area, len(vertices)) for k in range(3)))
     row = np.concatenate([faces[:, k] for k in range(3) for _ in range(3)])
     column = np.concatenate([faces[:, k] for _ in range(3) for k in range(3)])
     value = np.concatenate(3 * rise) / np.maximum(total[row], 1e-30)[:, None]

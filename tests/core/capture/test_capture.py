@@ -10,6 +10,7 @@ from irgspp.core.capture import capture as module
 from irgspp.core.capture.capture import capture
 from irgspp.core.capture.marker import MarkerScale
 from irgspp.core.capture.mask_consistency import overlap
+from irgspp.core.capture.photograph import LeftOut
 from irgspp.core.capture.source import needs_capture, posed_dataset
 from irgspp.core.capture.sparse_model import PosedPhotograph, SparseModel
 from irgspp.core.cli.main import main
@@ -21,6 +22,7 @@ from irgspp.core.settings.schema import CaptureSettings
 from PIL import Image
 
 SETTINGS = CaptureSettings()
+LEFT_OUT = [LeftOut("stray", "matches no other photograph")]
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,9 @@ def true_poses(table_scene, monkeypatch):
             tracks.append((inside, np.full(len(inside), i), pixels[inside]))
         point, photograph, pixel = (np.concatenate(part) for part in zip(*tracks, strict=True))
         colour = np.full((len(points), 3), 128, np.uint8)
-        return SparseModel(posed, points, colour, point.astype(np.int32), photograph.astype(np.int32), pixel.astype(np.float32), 0.2, [])
+        return SparseModel(
+            posed, points, colour, point.astype(np.int32), photograph.astype(np.int32), pixel.astype(np.float32), 0.2, LEFT_OUT
+        )
 
     monkeypatch.setattr(module, "find_poses", find_poses)
     return asked
@@ -62,7 +66,7 @@ def known_points(dense, monkeypatch):
 
 
 def test_a_folder_becomes_a_dataset(photographs, table_scene, true_poses, known_points, heard, tmp_path, monkeypatch):
-    marker = MarkerScale("4X4 id 7", 0.2, np.zeros((4, 3)), np.array([0, 0, 1.0]), 5, 0.1)
+    marker = MarkerScale("4X4 id 7", 0.2, 5, 0.1)
     monkeypatch.setattr(module, "find_marker_scale", lambda model, side, read: marker)
     progress = heard()
     folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, marker=0.05), 0, progress)
@@ -87,21 +91,23 @@ def test_a_folder_becomes_a_dataset(photographs, table_scene, true_poses, known_
 
 
 def test_a_finished_capture_is_kept_and_a_stopped_one_goes_on(photographs, true_poses, known_points, heard, tmp_path):
+    second = heard()
     with pytest.raises(Cancelled):
         capture(photographs, tmp_path / "captured", SETTINGS, 0, heard(steps=3))
     with pytest.raises(InputError, match="not finished"):
         load_dataset(tmp_path / "captured")
-    capture(photographs, tmp_path / "captured", SETTINGS, 0, heard())
+    capture(photographs, tmp_path / "captured", SETTINGS, 0, second)
     written = {file: file.stat().st_mtime_ns for file in (tmp_path / "captured").rglob("*") if file.is_file()}
     asked = len(true_poses)
     progress = heard()
     capture(photographs, tmp_path / "captured", SETTINGS, 0, progress)
     assert len(true_poses) == asked and "finished before" in progress.messages[-1]
+    assert "left out stray: matches no other photograph" in second.messages
     assert {file: file.stat().st_mtime_ns for file in written} == written
 
 
 def test_without_masks_the_whole_scene_is_kept(photographs, true_poses, heard, tmp_path):
-    folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, masks="off"), 0, heard())
+    folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, masks=False), 0, heard())
     data = load_dataset(folder)
     assert not data.has_alpha and data.surroundings is None and not (folder / "masks").exists()
     assert json.loads((folder / "capture.json").read_text())["bound"] is None
@@ -109,7 +115,7 @@ def test_without_masks_the_whole_scene_is_kept(photographs, true_poses, heard, t
 
 def test_a_missing_marker_is_said(photographs, true_poses, heard, tmp_path):
     progress = heard()
-    capture(photographs, tmp_path / "captured", replace(SETTINGS, masks="off", marker=0.05), 0, progress)
+    capture(photographs, tmp_path / "captured", replace(SETTINGS, masks=False, marker=0.05), 0, progress)
     assert any("no marker was found" in line for line in progress.messages)
 
 

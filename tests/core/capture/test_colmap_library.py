@@ -45,7 +45,7 @@ def test_a_long_call_reports_steps_and_returns_its_result():
         reported.set()
         return 7
 
-    assert run_call(lambda token: reported.wait(20) and "result", progress, count) == "result"
+    assert run_call(lambda token: reported.wait(20) and "result", progress, "stopped", count) == "result"
     assert seen == [7]
 
 
@@ -57,8 +57,8 @@ def test_a_cancelled_call_is_stopped():
         while not token.is_cancelled:
             threading.Event().wait(0.01)
 
-    with pytest.raises(Cancelled):
-        run_call(call, Stopped())
+    with pytest.raises(Cancelled, match="stopped while waiting"):
+        run_call(call, Stopped(), "stopped while waiting")
 
 
 def test_errors_of_the_receiver_stop_the_call():
@@ -74,7 +74,7 @@ def test_errors_of_the_receiver_stop_the_call():
         stopped.set()
 
     with pytest.raises(RuntimeError, match="receiver"):
-        run_call(call, Broken(), lambda: 3)
+        run_call(call, Broken(), "stopped", lambda: 3)
     assert stopped.is_set()
 
 
@@ -83,4 +83,4 @@ def test_errors_of_a_call_are_raised():
         raise ValueError("broken")
 
     with pytest.raises(ValueError, match="broken"):
-        run_call(call, Silent())
+        run_call(call, Silent(), "stopped")

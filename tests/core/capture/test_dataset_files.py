@@ -7,17 +7,18 @@ import numpy as np
 import pycolmap
 import pytest
 from captured_scene import VIEWS, sparse_model
-from irgspp.core.capture.dataset_files import moved_points, write_json, write_masks, write_model, write_transforms
+from irgspp.core.capture.dataset_files import write_json, write_masks, write_model, write_transforms
 from irgspp.core.capture.undistortion import undistort_photographs
 from irgspp.core.datasets.formats.captured import FORMAT, read_captured
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.similarity import moved_points
 from irgspp.core.settings.schema import DataSettings
 
 SIMILARITY = np.array([[0, -2.0, 0, 1], [2, 0, 0, -3], [0, 0, 2, 0.5], [0, 0, 0, 1]])
 GAINS = {f"p{i}": [1 + 0.1 * i] * 3 for i in range(VIEWS)}
-STATE = {"format": FORMAT, "status": "done", "bound": {"centre": [1, -3, 0.5], "radius": 1.5}, "gains": GAINS}
+STATE = {"format": FORMAT, "status": "done", "bound": {"centre": [1, -3, 0.5], "radius": 1.5}}
 
 
 @pytest.fixture
@@ -31,6 +32,7 @@ def captured(tmp_path):
     write_masks(images, masks, tmp_path)
     write_transforms(images, SIMILARITY, [one is not None for one in masks], tmp_path)
     write_json(tmp_path / "capture.json", STATE)
+    write_json(tmp_path / "exposures.json", GAINS)
     return tmp_path, model, images
 
 
@@ -85,8 +87,6 @@ def test_dataset_loads_with_even_exposure(captured):
     [
         ({**STATE, "status": "running"}, "not finished; run irgspp capture again"),
         ({**STATE, "format": "other"}, "not a file of irgspp capture"),
-        ({**STATE, "gains": {"p0": [1, 1, 1]}}, "is broken"),
-        ({**STATE, "gains": {name: [0, 1, 1] for name in GAINS}}, "is broken"),
         ({**STATE, "bound": {"centre": [0, 0, 0], "radius": -1}}, "is broken"),
         ([1, 2], "not a file of irgspp capture"),
     ],
@@ -95,6 +95,24 @@ def test_damaged_capture_json(captured, state, message):
     folder, _, _ = captured
     write_json(folder / "capture.json", state)
     with pytest.raises(InputError, match=message):
+        read_captured(folder, DataSettings())
+
+
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        (None, "can't be read"),
+        ({"p0": [1, 1, 1]}, "is broken"),
+        ({name: [0, 1, 1] for name in GAINS}, "is broken"),
+        ({name: [1, 1] for name in GAINS}, "is broken"),
+        ({name: "bright" for name in GAINS}, "is broken"),
+        ([1, 2], "is broken"),
+    ],
+)
+def test_damaged_exposures(captured, gains, message):
+    folder, _, _ = captured
+    (folder / "exposures.json").unlink() if gains is None else write_json(folder / "exposures.json", gains)
+    with pytest.raises(InputError, match=rf"exposures\.json: {message}.*run irgspp capture again"):
         read_captured(folder, DataSettings())
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scale by a marker on the floor of a room's corner, with exact cameras: its side, corners and normal, and markers that must not count."""
+"""Scale by a marker on the floor of a room's corner, with exact cameras, and markers that must not count."""
 
 import cv2
 import numpy as np
@@ -45,17 +45,12 @@ def marked(request, tmp_path_factory):
     return request.param, take(tmp_path_factory.mktemp("marked"), cameras(5), [*walls, with_marker(floor, *request.param)], turned)
 
 
-def test_side_corners_and_normal_are_true(marked):
+def test_scale_is_true(marked):
     (name, number), shots = marked
     found = find_marker_scale(exact_model(shots), 0.1, read)
     assert found is not None and found.photographs >= 4 and found.name.endswith(f"id {number}")
     assert found.name.split()[0] in name
     assert abs(found.metres_per_unit * SIDE / 0.1 - 1) < 0.003 and found.error < 0.3
-    corners = np.array([[x, y, 0] for x in (CORNER[0], CORNER[0] + SIDE) for y in (CORNER[1], CORNER[1] + SIDE)])
-    corners[:, :2] = corners[:, 1::-1]  # rows of the floor's texture are y, columns x
-    nearest = np.linalg.norm(found.corners[:, None] - corners, axis=2).min(1)
-    assert nearest.max() < 0.01
-    np.testing.assert_allclose(found.normal, (0, 0, 1), atol=0.02)
 
 
 def test_no_marker_is_none(tmp_path):

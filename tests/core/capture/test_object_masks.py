@@ -75,7 +75,7 @@ def test_a_facade_is_not_cut_out():
 
 
 def test_off_cuts_nothing_out(table_scene):
-    assert cut_out(table_scene.views, table_scene.points, CaptureSettings(masks="off"), 0, Silent()) is None
+    assert cut_out(table_scene.views, table_scene.points, CaptureSettings(masks=False), 0, Silent()) is None
 
 
 def test_cancelling_stops_the_cut(table_scene, known_points):

@@ -110,9 +110,8 @@ def test_points_have_the_colours_of_the_photographs(solved):
 
 
 def test_a_photograph_of_something_else_is_left_out_with_its_reason(solved):
-    model, progress = solved
-    assert [one.name for one in model.left_out] == ["stray"]
-    assert "match" in model.left_out[0].reason and any("stray" in line for line in progress.messages)
+    model, _ = solved
+    assert [one.name for one in model.left_out] == ["stray"] and "match" in model.left_out[0].reason
 
 
 def test_the_model_is_written_for_the_upright_copies(solved, folder, shots):
@@ -144,7 +143,7 @@ def test_cancelled_and_continued_gives_the_same(solved, folder, shots, tmp_path,
     if phase != "find features":
         shutil.copy(folder / "database.db", tmp_path)
         (tmp_path / "poses.json").write_text(json.dumps({"key": json.loads((folder / "poses.json").read_text())["key"]}))
-    with pytest.raises(Cancelled):
+    with pytest.raises(Cancelled, match="stopped after features were found in 3" if phase == "find features" else "stopped while"):
         find_poses(photographs, tmp_path, SETTINGS, 0, Steps(phase, 3))
     assert not (tmp_path / MODEL).exists()
     if phase != "match photographs":

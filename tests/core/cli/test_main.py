@@ -104,6 +104,18 @@ def test_cancel_prints_the_line_that_resumes(job, tmp_path, capsys):
     assert resume_line(["demo", "--resume"]).split() == ["irgspp", "demo", "--resume"]
 
 
+def test_cancelled_capture_prints_the_same_line(monkeypatch, tmp_path, capsys):
+    def stopped(*_):
+        raise Cancelled("stopped while photographs were matched")
+
+    monkeypatch.setattr("irgspp.core.capture.capture.capture", stopped)
+    words = ["capture", "my photos", "-o", str(tmp_path / "captured"), "--seed", "3"]
+    assert main(words) == 130
+    cancelled, line = capsys.readouterr().err.splitlines()
+    assert cancelled == "irgspp: cancelled: stopped while photographs were matched"
+    assert shlex.split(line.partition("resume with: ")[2]) == ["irgspp", *words]
+
+
 def test_unexpected_error_keeps_its_traceback_in_the_log(job, tmp_path, capsys):
     RunFolder.open(tmp_path / "run", Settings(), "photos").log("began")
     job.error = ZeroDivisionError("division\nby zero")

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from irgspp.core.machine.thread_pool import balanced_ranges, even_ranges, run_jobs, run_ranges, thread_count
+from irgspp.core.errors import Cancelled
+from irgspp.core.machine.thread_pool import balanced_ranges, even_ranges, run_jobs, run_ranges, run_reported, thread_count
+from irgspp.core.progress.protocol import Silent
 
 
 def covers(ranges, count):
@@ -93,3 +95,37 @@ def test_a_failed_job_raises_its_error(monkeypatch):
     monkeypatch.setenv("IRGSPP_THREADS", "2")
     with pytest.raises(ZeroDivisionError):
         list(run_jobs(lambda i: 1 // (i - 3), [(i,) for i in range(10)]))
+
+
+class Steps(Silent):
+    """Progress that keeps the steps, and cancels at one of them."""
+
+    def __init__(self, stop=None):
+        self.steps, self._stop = [], stop
+
+    def step(self, done, **metrics):
+        self.steps.append(done)
+        self.cancelled = done == self._stop
+
+
+def test_reported_items_are_steps_in_order():
+    progress = Steps()
+    assert run_reported(lambda i: i * i, range(20), 3, progress, "stopped") == [i * i for i in range(20)]
+    assert progress.steps == list(range(1, 21))
+
+
+def test_cancelled_items_are_dropped():
+    begun = []
+
+    def work(i):
+        begun.append(i)
+        time.sleep(0.01)
+
+    with pytest.raises(Cancelled, match="stopped while counting"):
+        run_reported(work, range(200), 2, Steps(2), "stopped while counting")
+    assert len(begun) < 50
+
+
+def test_error_of_an_item_is_raised():
+    with pytest.raises(ZeroDivisionError):
+        run_reported(lambda i: 1 // i, [1, 0, 2], 2, Silent(), "stopped")

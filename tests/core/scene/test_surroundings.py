@@ -35,6 +35,18 @@ def test_damaged_files_are_refused(tmp_path, changes):
         load_surroundings(tmp_path / "around.npz")
 
 
+def test_surroundings_move_with_a_similarity_of_the_world():
+    """Turned by a quarter about Z, doubled and shifted."""
+    similarity = np.array([[0, -2.0, 0, 1], [2, 0, 0, -3], [0, 0, 2, 0.5], [0, 0, 0, 1]])
+    here, there = points(), points().moved(similarity)
+    x, y, z = here.position.T
+    np.testing.assert_allclose(there.position, np.stack([1 - 2 * y, 2 * x - 3, 2 * z + 0.5], -1), rtol=1e-6)
+    np.testing.assert_allclose(there.normal, here.normal[:, (1, 0, 2)] * (-1, 1, 1), rtol=1e-6)
+    np.testing.assert_allclose(there.spacing, 0.2, rtol=1e-6)
+    np.testing.assert_array_equal(there.radiance, here.radiance)
+    assert {array.dtype for array in vars(there).values()} == {np.dtype(np.float32)}
+
+
 def test_truncated_file(tmp_path):
     save_surroundings(points(), tmp_path / "around.npz")
     (tmp_path / "around.npz").write_bytes((tmp_path / "around.npz").read_bytes()[:200])

@@ -87,7 +87,16 @@ def install(tmp_path, registry, monkeypatch):
     return start
 
 
-def test_installation_from_wheels_and_removal(install, wheels):
+@pytest.fixture
+def other_pip(tmp_path, monkeypatch):
+    """Install with the pip of another Python, which takes half as long as an environment with one of its own."""
+    probe = f"print('3\\n11\\n{sys.executable}\\nFalse\\nTrue')"
+    script = tmp_path / "install.py"
+    script.write_text(Path(install_engine.__file__).read_text().replace("PROBE = (", f"PROBE = {probe!r} or ("))
+    monkeypatch.setattr(managed, "INSTALLER", script)
+
+
+def test_installation_from_wheels_and_removal(install, wheels, request):
     assert engine.status().state == "missing"
     job = queue.wait(install(wheels), PATIENCE)
     assert job.state == "done", job.log_tail()
@@ -101,6 +110,7 @@ def test_installation_from_wheels_and_removal(install, wheels):
     version = subprocess.run([python, "-c", "import tinydep; print(tinydep.DEP)"], capture_output=True, text=True, check=True).stdout
     assert version.strip() == "34"  # the locked one
     # Installed anew for another device, in place of the old one.
+    request.getfixturevalue("other_pip")
     assert queue.wait(install(wheels, "cuda"), PATIENCE).state == "done"
     assert "tinycuda" in engine.status().text and managed.marker()["device"] == "cuda"
     managed.remove()
@@ -110,7 +120,7 @@ def test_installation_from_wheels_and_removal(install, wheels):
     until(lambda: not list(managed.folder().parent.glob("engine.*")))
 
 
-def test_missing_library_is_named_and_no_file_is_left(install, wheels):
+def test_missing_library_is_named_and_no_file_is_left(install, other_pip, wheels):
     for version in ("3.4", "9.9"):
         (wheels / f"tinydep-{version}-py3-none-any.whl").unlink()
     job = queue.wait(install(wheels), PATIENCE)
@@ -129,7 +139,7 @@ def test_missing_library_is_named_and_no_file_is_left(install, wheels):
         (lambda lines: [line for line in lines if "tinydep" not in line], "not one of the known files"),
     ],
 )
-def test_unknown_files_are_rejected(install, wheels, change, words):
+def test_unknown_files_are_rejected(install, other_pip, wheels, change, words):
     job = queue.wait(install(wheels, change=change), PATIENCE)
     assert job.state == "failed" and words in job.error and "\n" not in job.error
     assert not list(managed.folder().parent.glob("engine*"))
@@ -157,7 +167,7 @@ def test_every_locked_version_has_known_files():
     assert not {install_engine.plain(pin.split("==")[0]) for pin in more} & {install_engine.plain(pin.split("==")[0]) for pin in locked}
 
 
-def test_engine_that_does_not_work_is_not_put_in_place(install, wheels, tmp_path):
+def test_engine_that_does_not_work_is_not_put_in_place(install, other_pip, wheels, tmp_path):
     managed.python().parent.mkdir(parents=True)
     managed.python().write_text("an older engine")
     (tmp_path / "launcher.py").write_text("raise SystemExit('irgspp: no torch')")
@@ -200,12 +210,7 @@ def test_no_python_that_can_make_environments(monkeypatch):
     assert install_engine.base_python() == (sys.executable, (3, 12), False)
 
 
-def test_installing_with_the_pip_of_another_python(install, wheels, tmp_path, monkeypatch):
-    """Blender's Python may have pip but not ensurepip."""
-    probe = f"print('3\\n11\\n{sys.executable}\\nFalse\\nTrue')"
-    script = tmp_path / "install.py"
-    script.write_text(Path(install_engine.__file__).read_text().replace("PROBE = (", f"PROBE = {probe!r} or ("))
-    monkeypatch.setattr(managed, "INSTALLER", script)
+def test_installing_with_the_pip_of_another_python(install, other_pip, wheels):
     job = queue.wait(install(wheels), PATIENCE)
     assert job.state == "done", job.log_tail()
     assert json.loads(job.output())["irgspp"] == VERSION

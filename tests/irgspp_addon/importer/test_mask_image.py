@@ -15,13 +15,6 @@ from irgspp.irgspp_addon.importer.mask_image import DIM, is_captured_camera, ope
 from irgspp.irgspp_addon.importer.ownership import KEY
 
 
-@pytest.fixture(scope="session")
-def captured(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("captured") / "photos_capture"
-    in_engine(ROOT / "tests" / "support" / "captured_dataset.py", folder)
-    return folder
-
-
 @pytest.fixture
 def folder(captured, tmp_path):
     bpy.ops.wm.read_homefile(use_empty=True)
