@@ -15,12 +15,12 @@ import numpy as np
 from .candidates import CODES, Candidates
 from .mesh_texels import MeshTexels
 
-BETTER = 0.03  # correlation with detail above that without, from which the detail is used
+BETTER = 0.02  # correlation with detail above that without, from which the detail is used
 LEAST = 0.15  # least correlation that is not chance
 FEWEST = 500  # texels that the held-back photographs must show
 FLOOR = 0.02  # albedo added inside the logarithm
-FINE = 4.0  # standard deviation of the high-pass filter, in pixels of the photographs on the surface
-WIDTHS = 1.5, 24.0  # least and greatest standard deviation of that filter, texels
+FINE = 1.5  # standard deviation of the high-pass filter, in pixels of the photographs on the surface
+WIDTHS = 1.5, 16.0  # least and greatest standard deviation of that filter, texels
 
 
 @dataclass
