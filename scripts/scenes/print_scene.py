@@ -118,9 +118,11 @@ def _jar(columns: int, rows: int) -> bpy.types.Object:
     same = np.where(np.arange(columns + 1) == columns, 0, np.arange(columns + 1))
     shared = (np.arange(rows)[:, None] * columns + same).ravel()
     mesh = bpy.data.meshes.new("jar")
-    mesh.from_pydata(points[:, :-1].reshape(-1, 3).tolist(), [], shared[quads].tolist())
+    lids = np.arange(columns)[::-1], (rows - 1) * columns + np.arange(columns)  # over the tiny holes at the poles
+    mesh.from_pydata(points[:, :-1].reshape(-1, 3).tolist(), [], [*shared[quads].tolist(), *(lid.tolist() for lid in lids)])
     uvs = np.stack(np.broadcast_arrays(u[None], v[:, None]), -1).reshape(-1, 2)
-    mesh.uv_layers.new().data.foreach_set("uv", uvs[quads].astype(np.float32).ravel())
+    loops = np.concatenate([uvs[quads].reshape(-1, 2), np.repeat([[0.5, 0.0], [0.5, 1.0]], columns, 0)])
+    mesh.uv_layers.new().data.foreach_set("uv", loops.astype(np.float32).ravel())
     jar = bpy.data.objects.new("jar", mesh)
     bpy.context.scene.collection.objects.link(jar)
     return jar
