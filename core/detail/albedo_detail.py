@@ -33,6 +33,7 @@ from .photographs import Photograph, find_photographs
 from .sharpness import relative_blur
 from .vertex_shading import VertexShading, ViewShading
 
+FINER = 1.25  # size of a photograph over that at the working resolution, from which it may hold detail that the Gaussians don't
 FEWEST_VIEWS = 3  # photographs from which albedo can be told from what one of them shows by chance
 HELD_BACK = 8  # one photograph in so many is held back as evidence
 MOST_HELD = 3  # photographs held back at most
@@ -229,7 +230,8 @@ def detailed(
         mesh: with materials and baked textures.
         reconstruction: solved light and materials.
         photographs: full-size photographs.
-        choice: "off": leave the texture as it is; "auto": where held-back photographs agree better with it; "on": in any case.
+        choice: "off": leave the texture as it is; "auto": where the photographs are larger than the working resolution and held-back ones
+            agree better with it; "on": in any case.
         progress: receives steps, warnings and the result; may cancel.
 
     Raises:
@@ -240,6 +242,9 @@ def detailed(
     photographs = _readable(photographs, progress)
     if len(photographs) < FEWEST_VIEWS:
         return mesh, DetailReport(False, f"only {len(photographs)} full-size photographs")
+    if choice == "auto" and np.median([one.finer for one in photographs]) < FINER:
+        # Relief that the Gaussians shade would become albedo, and nothing be gained.
+        return mesh, DetailReport(False, "the photographs are not larger than the working resolution (data.resolution)")
     progress.phase("detail", 2 * len(photographs))
     step = stoppable(progress)
     every = max(HELD_BACK, -(-len(photographs) // MOST_HELD))

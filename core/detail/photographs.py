@@ -76,6 +76,11 @@ class Photograph:
     working: PreparedFrame
     masks: bool
 
+    @property
+    def finer(self) -> float:
+        """Size of the file over that at the working resolution."""
+        return self.lens.width / self.working.lens.width
+
     def check(self) -> None:
         """Check by its header that the file is there and of the same size as before.
 

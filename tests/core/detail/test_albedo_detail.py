@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irgspp.core.detail.albedo_detail import detailed, detailed_by_dataset
+from irgspp.core.detail.photographs import Photograph
 from irgspp.core.errors import Cancelled
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.progress.protocol import Silent
@@ -66,6 +67,13 @@ def test_the_density_is_reported(written, result):
     assert report.pixel == pytest.approx(2 / (1.4 * 240), rel=0.1)  # the nearest point of the sphere is 2 away
     assert report.texel == pytest.approx(np.sqrt(2) * np.pi / 512, rel=0.4)
     assert 0.5 < report.seen < 1
+
+
+def test_photographs_of_the_working_resolution_are_left_alone(written, monkeypatch):
+    monkeypatch.setattr(Photograph, "check", lambda photograph: None)  # the files are larger
+    small = [replace(one, lens=one.working.lens) for one in written.photographs()]
+    mesh, report = detailed(written.mesh, written.reconstruction, small, "auto", Silent())
+    assert mesh is written.mesh and not report.applied and "not larger" in report.why
 
 
 def test_photographs_of_something_else_change_nothing(written, tmp_path):
