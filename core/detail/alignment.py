@@ -45,7 +45,7 @@ def displacement(
     inside &= cv2.resize(level.inside, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR) > 0
     # The same values outside, so that nothing there draws the flow.
     shown, seen = (np.where(inside, np.sqrt(np.clip(image, 0, 1)), 0.5).astype(np.float32) for image in (shown, seen))
-    search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     flow = search.calc(*((255 * image).astype(np.uint8) for image in (shown, seen)), None)
     scale = working.width / camera.width
     weight = inside * _confidence(shown) * (np.linalg.norm(flow, axis=-1) * scale < FARTHEST)
@@ -61,8 +61,9 @@ def displacement(
 
 def _differences(shown: np.ndarray, seen: np.ndarray, inside: np.ndarray, flow: np.ndarray) -> tuple[float, float]:
     """Return the mean absolute difference of two images (H, W) inside, before and after the second is displaced by `flow` (H, W, 2)."""
-    column, row = np.meshgrid(np.arange(shown.shape[1], dtype=np.float32), np.arange(shown.shape[0], dtype=np.float32))
-    moved = cv2.remap(seen, column + flow[..., 0], row + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    row, column = np.indices(shown.shape)
+    maps = [(place + flow[..., axis]).astype(np.float32) for axis, place in enumerate((column, row))]
+    moved = cv2.remap(seen, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return float(np.abs(seen - shown)[inside].sum()), float(np.abs(moved - shown)[inside].sum())
 
 

@@ -114,7 +114,7 @@ def _bilinear(image: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 def _bicubic(codes: np.ndarray, linear: np.ndarray, u: np.ndarray, v: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return bicubic samples (P, 3) of a photograph, and the largest code (P,) of the four nearest pixels."""
-    padded = cv2.copyMakeBorder(codes, 3, 3, 3, 3, cv2.BORDER_REPLICATE)
+    padded = np.asarray(cv2.copyMakeBorder(codes, 3, 3, 3, 3, cv2.BORDER_REPLICATE))
     x, y = u * codes.shape[1] / size[0] - 0.5, v * codes.shape[0] / size[1] - 0.5
     x, y = np.clip(x, -1, codes.shape[1]), np.clip(y, -1, codes.shape[0])
     column, row = np.floor(x).astype(int), np.floor(y).astype(int)
@@ -123,7 +123,7 @@ def _bicubic(codes: np.ndarray, linear: np.ndarray, u: np.ndarray, v: np.ndarray
         for j in range(-1, 3):
             code = padded[row + i + 3, column + j + 3]
             weight = _catmull_rom(y - row - i) * _catmull_rom(x - column - j)
-            total += weight[:, None] * linear[code].astype(np.float64)
+            total += weight[:, None] * linear.take(code).astype(np.float64)
             if i in (0, 1) and j in (0, 1):
                 most = np.maximum(most, code.max(-1))
     return total, most

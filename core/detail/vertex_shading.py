@@ -85,13 +85,11 @@ class VertexShading:
         mesh, count = self._mesh, len(index)
         width = max(1, math.isqrt(max(count - 1, 0)) + 1)
         camera = Camera(width, width, 1.0, 1.0, 0.0, 0.0, np.eye(4))
-        point, normal, towards = (
-            torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in (mesh.vertices[index], mesh.normals[index], view)
-        )
-        materials = [torch.from_numpy(np.ascontiguousarray(a[index], np.float32)) for a in (mesh.albedo, mesh.roughness, mesh.metallic)]
-        ones = torch.ones(count)
-        origin = point + CLEARANCE * self._radius * normal
-        return PrimaryHits(camera, torch.arange(count), -towards, towards, point, ones, normal, *materials, ones, ones[None], origin)
+        arrays = mesh.vertices[index], mesh.normals[index], view, mesh.albedo[index], mesh.roughness[index], mesh.metallic[index]
+        point, normal, towards, albedo, rough, metal = (torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in arrays)
+        ones, origin = torch.ones(count), point + CLEARANCE * self._radius * normal
+        pixel = torch.arange(count)
+        return PrimaryHits(camera, pixel, -towards, towards, point, ones, normal, albedo, rough, metal, ones, ones[None], origin)
 
     def _smoothed(self, layers: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Average layers (2, V, 3) over neighbouring vertices that are `known` (V,), also across UV seams."""
