@@ -46,7 +46,8 @@ def displacement(
     # The same values outside, so that nothing there draws the flow.
     shown, seen = (np.where(inside, np.sqrt(np.clip(image, 0, 1)), 0.5).astype(np.float32) for image in (shown, seen))
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    flow = search.calc(*((255 * image).astype(np.uint8) for image in (shown, seen)), None)
+    before, after = ((255 * image).astype(np.uint8) for image in (shown, seen))
+    flow = search.calc(before, after, np.zeros((*before.shape, 2), np.float32))
     scale = working.width / camera.width
     weight = inside * _confidence(shown) * (np.linalg.norm(flow, axis=-1) * scale < FARTHEST)
     sigma = SMOOTH * max(camera.width, camera.height)

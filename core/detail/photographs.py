@@ -57,7 +57,8 @@ class DecodedPhotograph:
         u, v = lens_pixels(self.lens, x, y)
         ratio = codes.shape[1] / self.lens.width, codes.shape[0] / self.lens.height
         maps = (u * ratio[0] - 0.5).astype(np.float32), (v * ratio[1] - 0.5).astype(np.float32)
-        return self.linear.take(cv2.remap(codes, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        moved = np.asarray(cv2.remap(codes, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        return self.linear[moved.astype(np.intp)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,7 +123,7 @@ def _bicubic(codes: np.ndarray, linear: np.ndarray, u: np.ndarray, v: np.ndarray
         for j in range(-1, 3):
             code = padded[row + i + 3, column + j + 3]
             weight = _catmull_rom(y - row - i) * _catmull_rom(x - column - j)
-            total += weight[:, None] * linear.take(code).astype(np.float64)
+            total += weight[:, None] * linear[code.astype(np.intp)].astype(np.float64)
             if i in (0, 1) and j in (0, 1):
                 most = np.maximum(most, code.max(-1))
     return total, most
