@@ -13,12 +13,14 @@ from ..errors import Cancelled
 from ..machine.thread_pool import run_jobs
 from ..progress.protocol import Progress
 from ..scene.camera import Camera
+from .background_evidence import background_evidence, plane_differences
 from .object_region import ObjectRegion
-from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cut, learn_colours
+from .plane_texture import PlaneTexture, plane_texture
+from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cropped_camera, cut, learn_colours
 from .soft_hull import projected_voxels, silhouettes, soft_hull
 from .support_plane import SupportPlane
 
-ROUNDS = 2  # of carving and cutting again
+ROUNDS = 1  # of carving and cutting again
 LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
 AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
 ON = 0.87  # first prior where the object's points are
@@ -30,6 +32,7 @@ DOUBTFUL = 0.75  # IoU below which a finished mask is reported
 def consistent_masks(
     cutouts: Sequence[Cutout | None],
     cameras: Sequence[Camera],
+    colours: Sequence[np.ndarray],
     names: Sequence[str],
     mapped: Sequence[bool],
     region: ObjectRegion,
@@ -41,6 +44,7 @@ def consistent_masks(
     Args:
         cutouts: the views' crops with their seeds; None for a view that does not show the object.
         cameras: of the views.
+        colours: (H, W, 3) float32 sRGB-encoded photographs.
         names: of the views.
         mapped: True for the views with a depth map: the others are cut once the hull is known.
         region: of the object.
@@ -53,7 +57,7 @@ def consistent_masks(
     Raises:
         Cancelled: the user stopped the work.
     """
-    work = _Work(cutouts, cameras, names, region, plane, progress)
+    work = _Work(cutouts, cameras, colours, names, region, plane, progress)
     progress.phase("cut out the object", (ROUNDS + 1) * len(cutouts))
     work.first([cutout is not None and (known or cutout.given is not None) for cutout, known in zip(cutouts, mapped, strict=True)])
     for _ in range(ROUNDS):
@@ -68,16 +72,18 @@ class _Work:
         self,
         cutouts: Sequence[Cutout | None],
         cameras: Sequence[Camera],
+        colours: Sequence[np.ndarray],
         names: Sequence[str],
         region: ObjectRegion,
         plane: SupportPlane | None,
         progress: Progress,
     ) -> None:
-        self.cutouts, self.cameras, self.names = list(cutouts), cameras, names
+        self.cutouts, self.cameras, self.colours, self.names = list(cutouts), cameras, colours, names
         self.region, self.plane, self.progress = region, plane, progress
         self.masks: list[np.ndarray | None] = [None] * len(cutouts)
         self.agreement = np.ones(len(cutouts))
         self.refused: set[int] = set()
+        self.texture: PlaneTexture | None = None
         self.done = 0
 
     def first(self, ready: list[bool]) -> None:
@@ -99,7 +105,8 @@ class _Work:
         chosen = [i for i, cutout in enumerate(self.cutouts) if cutout is not None]
         priors = [self._cutout(i).cropped(found[i]) for i in chosen]
         seeds = [LATER_SEED if self.agreement[i] >= AGREED else 0.0 for i in chosen]
-        self._cut(chosen, priors, [2 * prior - 1 for prior in priors], seeds, priors)
+        evidence = self._plane_evidence(chosen, priors)
+        self._cut(chosen, priors, [2 * prior - 1 for prior in priors], seeds, priors, evidence)
         self._compare(found)
 
     def doubtful(self) -> list[tuple[str, str]]:
@@ -131,14 +138,35 @@ class _Work:
         distance = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 5)
         return np.where(on, ON, 0.5 * np.clip(1 - distance / max(AROUND * radius, 1), 0, 1)).astype(np.float32)
 
+    def _plane_evidence(self, chosen: list[int], priors: list[np.ndarray]) -> Sequence[np.ndarray | None]:
+        """Return the evidence (h, w) that pixels of the chosen views show the support plane; None for each without a plane."""
+        if self.plane is None:
+            return [None] * len(chosen)
+        if self.texture is None:
+            self.texture = plane_texture(self.colours, self.cameras, self.masks, self.plane, self.region.bound)
+        jobs = []
+        for i, prior in zip(chosen, priors, strict=True):
+            cutout = self._cutout(i)
+            jobs.append((self.texture, cutout.colour, cropped_camera(self.cameras[i], cutout.box), prior))
+        return background_evidence(list(run_jobs(plane_differences, jobs)), priors)
+
     def _cut(
-        self, chosen: list[int], priors: list[np.ndarray], sure: list[np.ndarray], seeds: list[float], starts: list[np.ndarray]
+        self,
+        chosen: list[int],
+        priors: list[np.ndarray],
+        sure: list[np.ndarray],
+        seeds: list[float],
+        starts: list[np.ndarray],
+        evidence: Sequence[np.ndarray | None] = (),
     ) -> None:
-        """Learn the colours of the chosen views and cut them; for each a prior, what is sure, the seeds' cost and the start."""
+        """Learn the colours of the chosen views and cut them.
+
+        Lists hold for each of them a prior, what is sure, the seeds' cost, the start, and the evidence of the plane; none: no evidence.
+        """
         cutouts = [self._cutout(i) for i in chosen]
         near = NEAR * float(np.median([max(camera.width, camera.height) for camera in self.cameras])) / 640
         models = learn_colours(cutouts, sure, near)
-        jobs = list(zip(cutouts, models, priors, seeds, starts, strict=True))
+        jobs = list(zip(cutouts, models, priors, seeds, starts, evidence or [None] * len(chosen), strict=True))
         for i, cutout, crop in zip(chosen, cutouts, run_jobs(cut, jobs), strict=False):
             self.masks[i] = cutout.full(crop, (self.cameras[i].height, self.cameras[i].width))
             self.done += 1

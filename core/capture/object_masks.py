@@ -88,7 +88,7 @@ def cut_out(
     jobs = [(view, maps.get(i), region, plane, lowest, given.get(view.name)) for i, view in enumerate(views)]
     cutouts = list(run_jobs(prepare_cutout, jobs))
     names, mapped = [view.name for view in views], [i in maps for i in range(len(views))]
-    masks, doubtful = consistent_masks(cutouts, cameras, names, mapped, region, plane, progress)
+    masks, doubtful = consistent_masks(cutouts, cameras, [view.colour for view in views], names, mapped, region, plane, progress)
     masks = [None if one is None or one.max() < 0.5 else soft_edges(view.colour, one) for view, one in zip(views, masks, strict=True)]
     if sum(mask is not None for mask in masks) < FEWEST:
         progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")

@@ -25,6 +25,8 @@ GIVEN = 4.0  # the same against a person's mask
 LOOSE_EDGE = 8.0  # pixels around the edge of a person's mask over which this cost grows: drawn edges are not exact
 COLOUR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
 MOST = 2.5  # largest log-likelihood ratio of a colour
+PLANE = 0.6  # factor of the log-likelihood ratio of the support plane's texture
+COLOUR_TOO = 0.2  # COLOUR where that texture is known: it tells object and table apart, also where their colours are alike
 SHARED = 0.5  # weight of the colours of all views against those of the view itself
 PRIOR = 2.5  # cost of cutting against the other views, nats
 INSIDE = 0.4  # factor of it inside their silhouette: a visual hull fills hollows, so that it tells more of the outside
@@ -178,7 +180,14 @@ def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], near:
     return models
 
 
-def cut(cutout: Cutout, model: tuple[np.ndarray, np.ndarray], prior: np.ndarray, seeds: float, start: np.ndarray) -> np.ndarray:
+def cut(
+    cutout: Cutout,
+    model: tuple[np.ndarray, np.ndarray],
+    prior: np.ndarray,
+    seeds: float,
+    start: np.ndarray,
+    plane: np.ndarray | None = None,
+) -> np.ndarray:
     """Cut the object out of a view.
 
     Args:
@@ -187,12 +196,16 @@ def cut(cutout: Cutout, model: tuple[np.ndarray, np.ndarray], prior: np.ndarray,
         prior: (h, w) 0..1, how surely other evidence says that a pixel is the object.
         seeds: cost of cutting against a seed, nats.
         start: (h, w) 0..1 where the iterations begin.
+        plane: (h, w) log-likelihood ratio of the support plane to the object (`background_evidence`), 0 where unknown; None without.
 
     Returns:
         The mask (h, w) float32, nearly binary.
     """
     ratio = np.log(model[1] / model[0]).astype(np.float32)
-    cost = COLOUR * np.clip(ratio, -MOST, MOST)[cutout.bins] - np.float32(seeds) * cutout.seed
+    cost = COLOUR * np.clip(ratio, -MOST, MOST)[cutout.bins]
+    if plane is not None:
+        cost = np.where(plane != 0, COLOUR_TOO / COLOUR, 1) * cost + PLANE * plane
+    cost = (cost - seeds * cutout.seed).astype(np.float32)
     cost += PRIOR * np.where(prior > 0.5, INSIDE, 1) * (1 - 2 * prior)
     if cutout.given is not None:
         cost -= GIVEN * cutout.given

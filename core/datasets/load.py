@@ -55,7 +55,8 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     if np.ptp(centres, axis=0).max() <= 1e-6 * np.abs(centres).max():
         raise InputError(parsed.source, "has all cameras at one place", "depth needs photographs taken from different places")
     prepared, prepared_test = prepare_frames(train, settings, warnings), prepare_frames(test, settings, warnings)
-    images = _decode([*prepared, *prepared_test], settings, progress)
+    mask_error = parsed.mask_error if settings.mask_error is None else settings.mask_error
+    images = _decode([*prepared, *prepared_test], settings, progress, mask_error)
     count = len(prepared)
     views, test_views = _usable(images[:count], MINIMUM_VIEWS, warnings), _usable(images[count:], 0, warnings)
     views, test_views = _normalise_alpha(views, test_views, warnings)
@@ -188,13 +189,15 @@ def _report_missing_images(parsed: ParsedDataset, warnings: list[str]) -> None:
             warnings.append(f"{parsed.source.name}: {what}; left out")
 
 
-def _decode(prepared: list[PreparedFrame], settings: DataSettings, progress: Progress) -> list[View | InputError]:
+def _decode(prepared: list[PreparedFrame], settings: DataSettings, progress: Progress, mask_error: float = 0.0) -> list[View | InputError]:
     """Decode the views in order; the error takes the place of a view that can't be used."""
     progress.phase("read images", len(prepared))
-    return run_reported(lambda one: _view(one, settings.masks), prepared, decoding_threads(), progress, "stopped while reading images")
+    return run_reported(
+        lambda one: _view(one, settings.masks, mask_error), prepared, decoding_threads(), progress, "stopped while reading images"
+    )
 
 
-def _view(prepared: PreparedFrame, masks: bool) -> View | InputError:
+def _view(prepared: PreparedFrame, masks: bool, mask_error: float = 0.0) -> View | InputError:
     """Decode a view, or return the error that makes it unusable; without `masks`, alpha is composited over black and mask files ignored."""
     frame, size = prepared.frame, prepared.lens.size
     try:
@@ -202,18 +205,19 @@ def _view(prepared: PreparedFrame, masks: bool) -> View | InputError:
         if min(size) < SMALLEST_SIDE:
             what = f"would be used at {size[0]}x{size[1]} pixels"
             raise InputError(frame.image, what, f"at least {SMALLEST_SIDE} pixels a side are needed; raise data.resolution")
-        return view_of(prepared, read_image(frame.image), masks)
+        return view_of(prepared, read_image(frame.image), masks, mask_error)
     except InputError as error:
         return error
 
 
-def view_of(prepared: PreparedFrame, image: DecodedImage, masks: bool) -> View:
+def view_of(prepared: PreparedFrame, image: DecodedImage, masks: bool, mask_error: float = 0.0) -> View:
     """Return the view of a decoded image: reduced, undistorted and masked.
 
     Args:
         prepared: its frame.
         image: as it was read.
         masks: use its mask file or alpha channel; False: composite alpha over black and ignore mask files.
+        mask_error: error of mask files, as a fraction of the longest side.
 
     Raises:
         InputError: if the mask is damaged or leaves nothing.
@@ -229,7 +233,9 @@ def view_of(prepared: PreparedFrame, image: DecodedImage, masks: bool) -> View:
         image = undistort(image if masks else on_black(image), prepared.lens)
     if image.alpha is not None and image.alpha.max() < 0.5:
         raise InputError(frame.mask if frame.mask and masks else frame.image, "is transparent everywhere")
-    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, frame.lens.distorted, frame.light, frame.gain)
+    error = mask_error * max(size) if masks and frame.mask is not None else 0.0  # an alpha channel may hide the colours beside the object
+    about = (frame.lens.distorted, frame.light, frame.gain, error)
+    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, *about)
 
 
 def _mask(frame: Frame, image: tuple[int, int], size: tuple[int, int]) -> np.ndarray:

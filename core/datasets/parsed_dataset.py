@@ -130,6 +130,7 @@ class ParsedDataset:
         published: names (`listed`) of the test views of the dataset's paper, if that is another split than `test`; else empty.
         novel: frames of the same object under other lights, each with its `light`; relit images are compared with them.
         surroundings: near surfaces that shadow and light the object, in the world, or None.
+        mask_error: distance by which the edges of mask files may be wrong, in longest sides of an image.
         warnings: warnings for the user, one line each.
     """
 
@@ -144,6 +145,7 @@ class ParsedDataset:
     published: frozenset[str] = frozenset()
     novel: list[Frame] = field(default_factory=list)
     surroundings: Surroundings | None = None
+    mask_error: float = 0.0
     warnings: list[str] = field(default_factory=list)
 
     def split(self, settings: DataSettings) -> tuple[list[Frame], list[Frame]]:

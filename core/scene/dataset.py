@@ -26,6 +26,7 @@ class View:
         distorted: the file has a lens distortion, which was removed from `colour` and `camera`.
         light: name of the light that the image was taken under, if it is not the dataset's own; else None.
         gain: linear exposure gain (3,) of the file's colours that the dataset states, relative to the other photographs; else None.
+        mask_error: distance in pixels by which the edge of `alpha` may be wrong; `colour` then holds the photograph on both sides of it.
     """
 
     name: str
@@ -36,6 +37,7 @@ class View:
     distorted: bool = False
     light: str | None = None
     gain: np.ndarray | None = None
+    mask_error: float = 0.0
 
 
 @dataclass(frozen=True)

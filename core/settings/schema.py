@@ -38,6 +38,8 @@ class DataSettings:
 
     resolution: Annotated[int, Range(16, 16384)] = 640  # longest side of an image, pixels; larger images are reduced
     masks: bool = True  # use alpha channels and mask files
+    # Distance by which the edges of mask files may be wrong, in longest sides of an image; None: 0.003 for captures, 0 else.
+    mask_error: Annotated[float | None, Range(0, 0.05)] = None
     exposure: Choice = "auto"  # divide photographs by exposure gains; auto: where unused points then agree better
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
     split: Literal["auto", "holdout", "published"] = "auto"  # test views: the dataset's own, every n-th, or the published benchmark's

@@ -18,6 +18,7 @@ from ..parsed_dataset import Frame, ParsedDataset
 from .colmap import read_frames
 
 FILE, EXPOSURES, SURROUNDINGS = "capture.json", "exposures.json", "surroundings.npz"
+MASK_ERROR = 0.003  # distance by which masks that were found may be wrong, in longest sides of an image; measured on captures with truth
 FORMAT = "irgspp-capture"  # value of "format" in the file
 
 
@@ -49,7 +50,8 @@ def read_captured(folder: Path, settings: DataSettings) -> ParsedDataset:
         raise InputError(file, f"is broken ({error!r})", "run irgspp capture again") from error
     frames = _with_gains(frames, folder / EXPOSURES)
     around = load_surroundings(folder / SURROUNDINGS) if (folder / SURROUNDINGS).is_file() else None
-    return ParsedDataset(file, folder, "capture", frames, None, np.eye(4), points, sphere, surroundings=around, warnings=warnings)
+    about = {"surroundings": around, "mask_error": MASK_ERROR, "warnings": warnings}
+    return ParsedDataset(file, folder, "capture", frames, None, np.eye(4), points, sphere, **about)
 
 
 def load_capture(file: Path) -> dict[str, Any]:

@@ -7,11 +7,14 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 
+from ...io.srgb import encode_srgb
 from ...scene.camera import Camera
 from ...scene.dataset import View
 from .losses import camera_rays
+from .mask_band import find_mask_band
 
 MARGIN = 12  # pixels around the object: SSIM's window reaches 5 pixels, and what is rendered beyond the mask's edge must count
+LEANING = 0.2  # weight of the mask's loss in the band where the mask may be wrong: what colours leave open stays as the mask says
 SATURATED = 0.996  # encoded value from which a pixel is a lower bound of the radiance
 
 
@@ -21,12 +24,14 @@ class TrainingView:
 
     Attributes:
         camera: pinhole camera.
-        image: (3, H, W) sRGB-encoded, on black where there is a mask.
+        image: (3, H, W) sRGB-encoded; on black where there is a mask, but for its band.
         alpha: (H, W), or None without a mask.
         saturated: (3, H, W) bool, values that are lower bounds.
         rays: (3, H, W) in camera axes (z = 1).
         world_rays: (3, H, W), the same in world axes.
         rotation: (3, 3) world to camera (OpenCV axes).
+        band: (H, W) bool, pixels at the mask's edge where it may be wrong (see `mask_band`); None where the mask is exact.
+        background: (3, H, W) linear radiance beside the object in the band; None without.
         pixel_fraction: fraction of the image's pixels that are kept; below 1 where it was cropped.
     """
 
@@ -37,6 +42,8 @@ class TrainingView:
     rays: torch.Tensor
     world_rays: torch.Tensor
     rotation: torch.Tensor
+    band: torch.Tensor | None = None
+    background: torch.Tensor | None = None
     pixel_fraction: float = 1.0
 
     def to(self, device: torch.device) -> TrainingView:
@@ -45,8 +52,27 @@ class TrainingView:
 
     def bounded(self, rendered: torch.Tensor) -> torch.Tensor:
         """Clip a rendered image (3, H, W) at saturated pixels: a clipped highlight is a lower bound, not a value."""
-        limit = 1.0 if self.alpha is None else self.alpha
+        limit = torch.ones(()) if self.alpha is None else self.alpha
+        limit = limit if self.band is None else limit.masked_fill(self.band, 1.0)
         return torch.where(self.saturated, torch.minimum(rendered, rendered.new_ones(()) * limit), rendered)
+
+    def completed(self, image: torch.Tensor, straight: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+        """Composite a rendered image (3, H, W) over the photograph's background in the mask's band.
+
+        Args:
+            image: sRGB-encoded, as the rest of the photograph expects it.
+            straight: (3, H, W) linear radiance with straight alpha.
+            alpha: (H, W) opacity.
+        """
+        if self.band is None or self.background is None:
+            return image
+        return torch.where(self.band, encode_srgb(straight * alpha + self.background * (1 - alpha)), image)
+
+    def mask_difference(self, alpha: torch.Tensor) -> torch.Tensor:
+        """Return the mean absolute difference of a rendered opacity (H, W) from the mask, weighted by LEANING in its band."""
+        assert self.alpha is not None
+        difference = (alpha - self.alpha).abs()
+        return (difference if self.band is None else torch.where(self.band, LEANING * difference, difference)).mean()
 
 
 def make_training_view(view: View, reduction: int = 1, crop: bool = False) -> TrainingView:
@@ -57,25 +83,42 @@ def make_training_view(view: View, reduction: int = 1, crop: bool = False) -> Tr
         reduction: the image is averaged over reduction x reduction pixels; a remainder at the border is cut off.
         crop: crop to the object's box in the mask, with a margin, as everything around is black.
     """
-    colour = torch.from_numpy(view.colour).permute(2, 0, 1).clamp(0, 1)
-    alpha = None if view.alpha is None else torch.from_numpy(view.alpha)
-    full = colour if alpha is None else colour * alpha
-    saturated = (colour >= SATURATED) & (torch.ones(()) if alpha is None else alpha > 0.5).bool()
-    camera = view.camera
+    camera, layers = view.camera, _layers(view)
     if reduction > 1:
         height, width = camera.height // reduction, camera.width // reduction
-        average = lambda t: torch.nn.functional.avg_pool2d(t, reduction)[..., :height, :width].contiguous()  # noqa: E731
-        full, saturated = average(full), average(saturated.float()) > 0.5
-        alpha = None if alpha is None else average(alpha[None])[0]
+        for name, layer in layers.items():
+            average = torch.nn.functional.avg_pool2d(layer.float(), reduction)[..., :height, :width]
+            layers[name] = average > 0.5 if layer.dtype == torch.bool else average
         camera = cropped(camera, 0, 0, width * reduction, height * reduction).resized(width, height)
     fraction = 1.0
-    if crop and alpha is not None:
-        rows, columns = object_box(alpha)
-        full, saturated, alpha = (t[..., rows, columns].contiguous() for t in (full, saturated, alpha))
-        fraction = alpha.numel() / (camera.width * camera.height)
+    if crop and "alpha" in layers:
+        rows, columns = object_box(layers["alpha"][0])
+        layers = {name: layer[..., rows, columns] for name, layer in layers.items()}
+        fraction = layers["alpha"].numel() / (camera.width * camera.height)
         camera = cropped(camera, columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+    layers = {name: layer.contiguous() for name, layer in layers.items()}
+    alpha, band = (layers[name][0] if name in layers else None for name in ("alpha", "band"))
     rays, rotation = camera_rays(camera), torch.as_tensor(camera.world_to_cv[:3, :3], dtype=torch.float32)
-    return TrainingView(camera, full.contiguous(), alpha, saturated, rays, torch.einsum("ji,jhw->ihw", rotation, rays), rotation, fraction)
+    geometry = (rays, torch.einsum("ji,jhw->ihw", rotation, rays), rotation)
+    return TrainingView(camera, layers["image"], alpha, layers["saturated"], *geometry, band, layers.get("background"), fraction)
+
+
+def _layers(view: View) -> dict[str, torch.Tensor]:
+    """Return the image layers (C, H, W) of a view that `TrainingView` describes; those that it does not have are missing."""
+    colour = torch.from_numpy(view.colour).permute(2, 0, 1).clamp(0, 1)
+    if view.alpha is None:
+        return {"image": colour, "saturated": colour >= SATURATED}
+    alpha, band = torch.from_numpy(view.alpha)[None], find_mask_band(view)
+    if band is None:
+        return {"image": colour * alpha, "saturated": (colour >= SATURATED) & (alpha > 0.5), "alpha": alpha}
+    pixels = torch.from_numpy(band.pixels)[None]
+    return {
+        "image": torch.where(pixels, colour, colour * alpha),
+        "saturated": (colour >= SATURATED) & (pixels | (alpha > 0.5)),
+        "alpha": alpha,
+        "band": pixels,
+        "background": torch.from_numpy(band.background).permute(2, 0, 1),
+    }
 
 
 def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:

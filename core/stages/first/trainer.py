@@ -114,7 +114,8 @@ class Trainer:
         sums, statistics = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, view.camera, radius, degree)
         straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.glossy else None)
         background = None if self.masked else self.background.exp()
-        return composite(straight, sums[-1], view.world_rays, background), sums, statistics
+        image = composite(straight, sums[-1], view.world_rays, background)
+        return view.completed(image, straight, sums[-1]), sums, statistics
 
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
@@ -122,7 +123,7 @@ class Trainer:
         image, sums, statistics = self.render(view, self._degree())
         loss = photometric_loss(view.bounded(image), view.image)
         if view.alpha is not None:
-            loss = loss + self.settings.mask_weight * (sums[-1] - view.alpha).abs().mean()
+            loss = loss + self.settings.mask_weight * view.mask_difference(sums[-1])
         loss = loss + self.settings.normal_weight * normal_consistency(sums, view.rays, view.rotation)
         loss = loss * view.pixel_fraction  # the losses are means over pixels, and 0 at those that were cropped away
         if self.material_class.glossy:

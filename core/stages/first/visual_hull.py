@@ -17,6 +17,7 @@ from ...kernels.cpu.jit import kernel
 from ...machine.thread_pool import even_ranges, run_ranges, thread_count
 from ...scene.camera import Camera
 from ...scene.dataset import Bound, View
+from ..common.mask_band import widest_mask
 
 GRID = 96  # cells along the longest side of the hull
 UNSEEN = 2.0  # alpha of a cell that no view has seen yet
@@ -144,8 +145,7 @@ def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, c
     shape = np.maximum(np.ceil((high - low) / step).astype(int) + 1, 3)
     inside = np.full(shape, UNSEEN, np.float32)
     for view in views:
-        assert view.alpha is not None
-        arrays = (low.astype(np.float32), np.float32(step), shape, _projection(view), view.alpha)
+        arrays = (low.astype(np.float32), np.float32(step), shape, _projection(view), widest_mask(view))
         run_ranges(carve_range, even_ranges(shape[0], thread_count()), *arrays, inside)
     x, y, z = ((low[i] + step * np.arange(shape[i]) - bound.centre[i]) ** 2 for i in range(3))
     # The corners of the box lie outside the bound and often outside every image, where nothing carves them.

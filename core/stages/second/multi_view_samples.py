@@ -15,6 +15,7 @@ import torch
 from ...io.srgb import decode_srgb
 from ...kernels.trace import Tree, transmittance
 from ...scene.dataset import View
+from ..common.mask_band import narrowest_mask
 from ..common.training_view import SATURATED
 
 FACING = 0.15  # least cosine between normal and view direction; grazing views see the silhouette rather than the point
@@ -120,7 +121,8 @@ def _sample_view(position, normal, view: View, tree: Tree, offset: float, device
     inside = (local[:, 2] > 0) & (place >= 0).all(1) & (place < (camera.height - 1, camera.width - 1)).all(1)
     index = np.flatnonzero(inside & ((direction * normal).sum(1) > FACING))
     if view.alpha is not None:
-        index = index[np.min([view.alpha[at] for at, _ in _bilinear(place[index])], axis=0) > INSIDE]
+        mask = narrowest_mask(view)
+        index = index[np.min([mask[at] for at, _ in _bilinear(place[index])], axis=0) > INSIDE]
     rays = position[index] + offset * normal[index], direction[index]
     origin, towards = (torch.from_numpy(a.astype(np.float32)).to(device) for a in rays)
     index = index[transmittance(tree, origin, towards).cpu().numpy() > VISIBLE]

@@ -67,7 +67,7 @@ def fit_rendered_normals(
         difference = (sums[3:6] - goals[index].to(device) * alpha).abs().sum(0)
         loss = (difference * weight * (alpha > OPAQUE)).sum()
         if prepared[index].alpha is not None:
-            loss = loss + OUTLINES * (alpha - prepared[index].alpha.to(device)).abs().sum()
+            loss = loss + OUTLINES * prepared[index].to(device).mask_difference(alpha) * alpha.numel()
         loss = loss / weight.sum().clamp_min(1)
         if check_due(loss, done + 1):
             require_finite({"the normals' loss": loss}, f"at iteration {done + 1}")

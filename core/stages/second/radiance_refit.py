@@ -75,4 +75,4 @@ def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, view: Tr
     sums, _ = rasterize(*geometry, g.sh, extra, view.camera, reconstruction.bound.radius)
     straight = radiance(sums, view.world_rays, None if light is None else light.exp())
     image = composite(straight, sums[-1], view.world_rays, reconstruction.background)
-    return photometric_loss(view.bounded(image), view.image)
+    return photometric_loss(view.bounded(view.completed(image, straight, sums[-1])), view.image)

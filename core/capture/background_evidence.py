@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Evidence that pixels show the support plane: how well they agree with its texture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from ..scene.camera import Camera
+from .plane_texture import PlaneTexture
+
+LOCAL = 0.02  # sigma of the window in which a photograph's own brightness of the plane is measured, in the image's longest sides
+COARSE = 4  # factor by which images are reduced for that
+WIDER = 4.0  # factor of that window where nothing of the plane is near
+LARGEST_RATIO = 4.0  # of that brightness to the texture's
+BINS, WIDEST = 32, 0.8  # of the histograms of differences, and the largest difference, encoded
+SURE = 0.1  # prior below which a pixel counts as the background, and above 1 - SURE as the object
+SHARED = 0.5  # weight of the histograms of all views against those of the view itself
+FEWEST = 200  # pixels of each kind, without which there is no evidence
+FLOOR = 3e-3  # probability of a bin that nothing fell into
+MOST = 4.0  # largest log-likelihood ratio
+
+
+def plane_differences(texture: PlaneTexture, colour: np.ndarray, camera: Camera, prior: np.ndarray) -> np.ndarray:
+    """Return how much pixels differ from the plane's texture: (H, W) float32 encoded, NaN where the texture is not known.
+
+    The plane shines and lies in shadow differently in each photograph, so the texture is first brought to the photograph's brightness
+    around each pixel, measured outside the object.
+
+    Args:
+        texture: of the plane.
+        colour: (H, W, 3) float32 sRGB-encoded photograph.
+        camera: of the photograph.
+        prior: (H, W) 0..1, how surely a pixel is the object.
+    """
+    plane, known = texture.seen_by(camera)
+    difference = np.abs(colour - plane * _ratio(colour, plane, (known & (prior < SURE)).astype(np.float32))).max(-1)
+    return np.where(known, difference, np.nan).astype(np.float32)
+
+
+def _ratio(colour: np.ndarray, plane: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """Return the photograph's brightness over the texture's (H, W, 3), averaged around each pixel over what is `outside`."""
+    height, width = outside.shape
+    small = max(width // COARSE, 1), max(height // COARSE, 1)
+    shown = [cv2.resize(image * outside[..., None], small, interpolation=cv2.INTER_AREA) for image in (colour, plane)]
+    size, weight = LOCAL * max(small), cv2.resize(outside, small, interpolation=cv2.INTER_AREA)
+    near, wide = (np.divide(*(cv2.GaussianBlur(image, (0, 0), sigma) + 1e-4 for image in shown)) for sigma in (size, WIDER * size))
+    trust = np.minimum(1, 20 * cv2.GaussianBlur(weight, (0, 0), size))[..., None]
+    ratio = np.clip(trust * near + (1 - trust) * wide, 1 / LARGEST_RATIO, LARGEST_RATIO)
+    return cv2.resize(ratio, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def background_evidence(differences: Sequence[np.ndarray], priors: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return the log-likelihood ratio (H, W) of background to object for the differences of each view; 0 where nothing is known.
+
+    How much the plane and the object differ from the texture is learned from the pixels that are sure already. An object of the table's
+    colours gives no evidence.
+
+    Args:
+        differences: (H, W) of each view, as of `plane_differences`.
+        priors: (H, W) 0..1 of each view, how surely a pixel is the object.
+    """
+    counts = [[_histogram(one[kind]) for kind in (prior < SURE, prior > 1 - SURE)] for one, prior in zip(differences, priors, strict=True)]
+    shared = np.sum(counts, 0, np.float64) if counts else np.zeros((2, BINS))
+    if shared.sum(1).min() < FEWEST:
+        return [np.zeros(one.shape, np.float32) for one in differences]
+    result = []
+    for one, own in zip(differences, counts, strict=True):
+        background, inside = (_probability(own[k], shared[k]) for k in (0, 1))
+        ratio = np.clip(np.log(background / inside), -MOST, MOST).astype(np.float32)
+        result.append(np.where(np.isnan(one), np.float32(0), ratio[_bins(np.nan_to_num(one))]))
+    return result
+
+
+def _bins(difference: np.ndarray) -> np.ndarray:
+    return np.minimum(difference * (BINS / WIDEST), BINS - 1).astype(np.int64)
+
+
+def _histogram(difference: np.ndarray) -> np.ndarray:
+    """Return the counts (BINS,) of differences (N,) that are known."""
+    return np.bincount(_bins(difference[~np.isnan(difference)]), minlength=BINS).astype(np.float64)
+
+
+def _probability(own: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Return the probability (BINS,) of each bin from a view's own counts and those of all views."""
+    mixed = shared / shared.sum()
+    if own.sum() >= FEWEST:
+        mixed = SHARED * mixed + (1 - SHARED) * own / own.sum()
+    return gaussian_filter1d(mixed, 1.0, mode="nearest") + FLOOR

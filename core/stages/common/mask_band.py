@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Band at the edge of a mask that may be wrong: there the colours decide what is the object, and the mask only leans towards itself.
+
+In the band a photograph is compared with the rendered object over the background, as in matting. The background is unknown behind the
+object, so it is continued from the pixels beside the band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ...io.srgb import decode_srgb
+from ...scene.dataset import View
+
+INSIDE = 0.5  # opacity from which a mask says that a pixel is the object
+NEAR = 1.0  # sigma of the window from which the background is continued, in widths of the band; doubled until it reaches all of the band
+DOUBLED = 6  # times at most
+LEAST = 1e-2  # weight of the pixels in a window from which their mean counts
+
+
+@dataclass(frozen=True, eq=False)
+class MaskBand:
+    """Band at the edge of a view's mask.
+
+    Attributes:
+        pixels: (H, W) bool, True in the band.
+        background: (H, W, 3) float32 linear radiance beside the object, 0 outside the band.
+    """
+
+    pixels: np.ndarray
+    background: np.ndarray
+
+
+def widest_mask(view: View) -> np.ndarray:
+    """Return the largest mask (H, W) float32 that the error of a view's mask allows."""
+    return _changed(view, cv2.dilate)
+
+
+def narrowest_mask(view: View) -> np.ndarray:
+    """Return the smallest mask (H, W) float32 that the error of a view's mask allows."""
+    return _changed(view, cv2.erode)
+
+
+def find_mask_band(view: View) -> MaskBand | None:
+    """Return the band of a view's mask; None without a mask, or where it is exact."""
+    if view.alpha is None or round(view.mask_error) < 1:
+        return None
+    outside = widest_mask(view) < INSIDE
+    band = ~outside & (narrowest_mask(view) < INSIDE)
+    background = _continued(decode_srgb(view.colour), outside, NEAR * 2 * view.mask_error)
+    return MaskBand(band, np.where(band[..., None], background, 0).astype(np.float32))
+
+
+def _changed(view: View, change) -> np.ndarray:
+    """Return the mask dilated or eroded by its error."""
+    assert view.alpha is not None
+    side = 2 * round(view.mask_error) + 1
+    return view.alpha if side == 1 else change(view.alpha, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+
+
+def _continued(colour: np.ndarray, known: np.ndarray, sigma: float) -> np.ndarray:
+    """Continue colours (H, W, 3) from the known pixels (H, W) into the others by means over windows, the narrowest that reach."""
+    result, missing = np.where(known[..., None], colour, 0).astype(np.float32), ~known
+    source, weight = result.copy(), known.astype(np.float32)
+    for _ in range(DOUBLED):
+        near = cv2.GaussianBlur(weight, (0, 0), sigma)
+        found = missing & (near > LEAST)
+        result[found] = cv2.GaussianBlur(source, (0, 0), sigma)[found] / near[found, None]
+        missing &= ~found
+        sigma *= 2
+    return result

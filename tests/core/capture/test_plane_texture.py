@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Texture of the support plane, and the evidence that pixels show it, against a table whose pattern is known."""
+
+import numpy as np
+import pytest
+from irgspp.core.capture.background_evidence import background_evidence, plane_differences
+from irgspp.core.capture.plane_texture import plane_texture
+from irgspp.core.capture.support_plane import SupportPlane
+from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import Bound
+
+WIDTH, HEIGHT = 120, 90
+PLANE = SupportPlane(np.array([0.0, 0, 1]), 0.0, 0.001, np.zeros((0, 3)))
+BOUND = Bound((0.0, 0.0, 0.3), 0.4)
+
+
+def pattern(x, y):
+    """Encoded colours (..., 3) of the table at world places."""
+    wave = np.sin(9 * x + 4 * y) * np.cos(3 * x - 7 * y)
+    return np.stack([0.5 + 0.3 * wave, 0.45 + 0.2 * np.sin(5 * y), 0.3 + 0.1 * wave], -1)
+
+
+def cameras(count=10):
+    around = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    eyes = [(2.2 * np.cos(a), 2.2 * np.sin(a), 1.2 + 0.3 * np.sin(3 * a)) for a in around]
+    return [Camera(WIDTH, HEIGHT, 110.0, 110.0, 60.0, 45.0, look_at(eye, (0, 0, 0.2))) for eye in eyes]
+
+
+def on_table(camera):
+    """Places (H, W) x and y where the rays meet the table."""
+    rays = camera.rays()
+    far = -camera.centre[2] / np.minimum(rays[..., 2], -1e-3)
+    place = camera.centre + far[..., None] * rays
+    return place[..., 0], place[..., 1]
+
+
+def photographs(cams, object_colour=None, gains=1.0):
+    """Photographs (H, W, 3) and masks (H, W) of a ball of one colour, or of the table's own pattern, on the table."""
+    colours, masks = [], []
+    for camera, gain in zip(cams, np.broadcast_to(gains, len(cams)), strict=True):
+        rays, to = camera.rays(), np.array([0, 0, 0.25]) - camera.centre
+        along = (rays @ to) ** 2 / (rays * rays).sum(-1)
+        mask = (to @ to - along < 0.25**2).astype(np.float32)
+        colour = pattern(*on_table(camera))
+        if object_colour is not None:
+            colour = np.where(mask[..., None] > 0, object_colour, colour)
+        colours.append(np.clip(gain * colour, 0, 1).astype(np.float32))
+        masks.append(mask)
+    return colours, masks
+
+
+def behind(texture, camera, mask):
+    """Largest difference of the texture from the pattern behind the object, and the known share there."""
+    seen, known = texture.seen_by(camera)
+    there = (mask > 0) & known
+    return np.abs(seen - pattern(*on_table(camera)))[there].mean(), there.sum() / mask.sum()
+
+
+def test_table_behind_the_object_is_what_other_views_show():
+    cams = cameras()
+    colours, masks = photographs(cams, np.array([0.9, 0.1, 0.1]))
+    texture = plane_texture(colours, cams, masks, PLANE, BOUND)
+    error, share = behind(texture, cams[0], masks[0])
+    assert error < 0.02 and share > 0.5
+
+
+def test_thing_that_stands_in_few_views_and_exposure_do_not_count():
+    cams = cameras()
+    colours, masks = photographs(cams, np.array([0.9, 0.1, 0.1]), np.where(np.arange(10) % 3 == 0, 0.7, 1.0))
+    for colour in colours[:2]:
+        colour[30:50, 10:40] = 0.95  # somebody's hand
+    texture = plane_texture(colours, cams, masks, PLANE, BOUND)
+    seen, known = texture.seen_by(cams[4])
+    truth = pattern(*on_table(cams[4]))
+    gain = np.median(seen[known] / truth[known])
+    assert np.abs(seen / gain - truth)[known].mean() < 0.03
+
+
+def test_nothing_above_the_horizon_is_known():
+    cams = cameras()
+    level = Camera(WIDTH, HEIGHT, 110.0, 110.0, 60.0, 45.0, look_at((2.2, 0, 0.2), (0, 0, 0.2)))
+    colours, masks = photographs(cams, np.array([0.9, 0.1, 0.1]))
+    _, known = plane_texture(colours, cams, masks, PLANE, BOUND).seen_by(level)
+    assert not known[: HEIGHT // 2].any() and known[HEIGHT // 2 + 4 :].any()
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.6])
+def test_evidence_tells_the_object_from_the_table_also_where_a_prior_is_wrong(gain):
+    cams = cameras()
+    colours, masks = photographs(cams, np.array([0.5, 0.45, 0.3]), [gain, *[1.0] * 9])
+    texture = plane_texture(colours, cams, masks, PLANE, BOUND)
+    priors = [np.roll(mask, 4, 1) for mask in masks]
+    evidence = background_evidence([plane_differences(texture, *one) for one in zip(colours, cams, priors, strict=True)], priors)
+    known = evidence[0] != 0
+    assert np.median(evidence[0][known & (masks[0] > 0)]) < -1 and np.median(evidence[0][known & (masks[0] == 0)]) > 1
+    right = (evidence[0] > 0) == (masks[0] == 0)
+    assert right[known].mean() > 0.9
+
+
+def test_an_object_like_the_table_gives_no_evidence():
+    cams = cameras()
+    colours, masks = photographs(cams)
+    texture = plane_texture(colours, cams, masks, PLANE, BOUND)
+    evidence = background_evidence([plane_differences(texture, *one) for one in zip(colours, cams, masks, strict=True)], masks)
+    assert np.abs(np.concatenate([e[m > 0] for e, m in zip(evidence, masks, strict=True)])).mean() < 0.5
+
+
+def test_without_an_object_yet_there_is_no_evidence():
+    cams = cameras(4)
+    colours, masks = photographs(cams)
+    texture = plane_texture(colours, cams, masks, PLANE, BOUND)
+    nothing = [np.zeros_like(mask) for mask in masks]
+    evidence = background_evidence([plane_differences(texture, *one) for one in zip(colours, cams, nothing, strict=True)], nothing)
+    assert not np.any(evidence)
