@@ -14,6 +14,7 @@ from .capture.source import FOLDER as CAPTURE
 from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
 from .datasets.load import load_dataset
+from .detail.albedo_detail import detailed_by_dataset
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
@@ -147,10 +148,13 @@ class Job:
         solved.save(self.folder.path)
 
     def surface(self) -> None:
-        """Unwrap the surface and bake the Gaussians' materials onto it."""
+        """Unwrap the surface, bake the Gaussians' materials onto it, and add the photographs' detail to its albedo."""
         solved = self.results.reconstruction
         samples, views = solved.surface_samples(), GBufferCache(solved, [view.camera for view in self.data.train])
         mesh = textured_mesh(self.results.surface, views, samples, self.settings.surface, self.progress)
+        cameras = {view.name: view.camera for view in self.data.train}
+        mesh, report = detailed_by_dataset(mesh, solved, self.data.path, cameras, self.settings, self.progress)
+        self.folder.state["albedo_detail"] = report.state()
         save_mesh_files(mesh, self.folder.path)
 
     def scene(self) -> None:

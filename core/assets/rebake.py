@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..capture.source import posed_dataset
+from ..detail.albedo_detail import DetailReport, detailed_by_dataset
 from ..errors import InputError, IrgsppError
 from ..io.file_lock import FileLock
 from ..machine.devices import best
@@ -25,7 +27,7 @@ from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
 from ..scene.textures import save_textures
 from ..settings import overrides
-from ..settings.schema import SurfaceSettings
+from ..settings.schema import Settings, SurfaceSettings
 from ..surface.extraction import extract_geometry
 from ..surface.meshing import Triangles, vertex_normals
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
@@ -63,9 +65,11 @@ def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: i
         raise InputError(run, "is not a finished run", "finish the reconstruction first")
     folder = RunFolder(run, state, _lock(run))
     try:
-        mesh = _mesh(run, surface, triangles, edited, progress)
+        mesh, reconstruction = _mesh(run, surface, triangles, edited, progress)
+        mesh, report = _detailed(mesh, reconstruction, run, dataclasses.replace(settings, surface=surface), str(state["dataset"]), progress)
         _replace(run, mesh)
         state["baked"] = {"texture": surface.texture, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
+        state["albedo_detail"] = report.state()
         folder.write()
         folder.log(f"baked again: {surface.texture} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
         _renew_blend(run, settings.export.material, progress)
@@ -83,8 +87,23 @@ def _lock(run: Path) -> FileLock:
         raise InputError(run, f"is not writable ({error.strerror})", "check the folder's permissions") from error
 
 
-def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: Path | None, progress: Progress) -> Mesh:
-    """Return the old, new or edited mesh with its textures baked again."""
+def _detailed(
+    mesh: Mesh, reconstruction: Reconstruction, run: Path, settings: Settings, dataset: str, progress: Progress
+) -> tuple[Mesh, DetailReport]:
+    """Add the detail of the run's photographs to the albedo, where they are still on the disk."""
+    cameras = {placed.name: placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"}
+    try:
+        posed = posed_dataset(Path(dataset), run)
+    except InputError as error:
+        progress.message(f"warning: {error}; the texture takes no detail from its photographs")
+        return mesh, DetailReport(False, "the photographs are gone")
+    return detailed_by_dataset(mesh, reconstruction, posed, cameras, settings, progress)
+
+
+def _mesh(
+    run: Path, settings: SurfaceSettings, triangles: int | None, edited: Path | None, progress: Progress
+) -> tuple[Mesh, Reconstruction]:
+    """Return the old, new or edited mesh with its textures baked again, and the run's reconstruction."""
     given = load_edited_mesh(edited) if edited else None
     reconstruction = Reconstruction.load(run).to(best())
     if given is not None and edited is not None:
@@ -95,17 +114,19 @@ def _mesh(run: Path, settings: SurfaceSettings, triangles: int | None, edited: P
         # The masks themselves may be gone; the Gaussians were fitted to them.
         masks = [view.alpha for view in views] if reconstruction.background is None else None
         surface = extract_geometry(views, samples, reconstruction.bound, settings, progress, masks)
-        return textured_mesh(surface, views, samples, settings, progress)
+        return textured_mesh(surface, views, samples, settings, progress), reconstruction
     voxel = make_grid(views, samples, reconstruction.bound, settings.voxels).voxel
     if given is None:
         mesh = load_mesh_ply(run / "mesh.ply")
         progress.phase("bake", len(views))
         textures = baked_textures(mesh, views, samples, voxel, settings, stoppable(progress))
-        return dataclasses.replace(mesh, textures=textures)
+        return dataclasses.replace(mesh, textures=textures), reconstruction
     normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
     if given.uvs is None:
-        return textured_mesh(Surface(given.vertices, normals, given.faces, voxel), views, samples, settings, progress)
-    return mesh_with_materials(given.vertices, normals, given.uvs, given.faces, views, samples, voxel, settings, progress)
+        surface = Surface(given.vertices, normals, given.faces, voxel)
+        return textured_mesh(surface, views, samples, settings, progress), reconstruction
+    arrays = given.vertices, normals, given.uvs, given.faces
+    return mesh_with_materials(*arrays, views, samples, voxel, settings, progress), reconstruction
 
 
 def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:

@@ -94,9 +94,10 @@ def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
 def settings_of(args: argparse.Namespace) -> Settings:
     """Return the settings that the options give; those of the run itself for `--resume` without options."""
     chosen = {name: getattr(args, name) for name in ("materials", "device", "seed", "time") if getattr(args, name) is not None}
-    if args.resume and not chosen and not args.set and args.preset is None and (args.run / "run.json").exists():
+    if args.resume and not chosen and not args.set and args.preset is None and args.texture is None and (args.run / "run.json").exists():
         return from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), args.set)
+    texture = [] if args.texture is None else [f"surface.texture={args.texture}"]
+    return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), [*texture, *args.set])
 
 
 def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -60,6 +60,8 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument(
         "--materials", choices=("auto", "low-gloss", "glossy"), help="material class of the object (default: auto, by trial fits)"
     )
+    texture = "texture size, texels along a side: 1k, 2k, 4k, 8k or a number (default: by the preset)"
+    one.add_argument("--texture", type=_texels, metavar="SIZE", help=texture)
     one.add_argument("--device", choices=("auto", "cpu", "cuda"), help="device to compute on (default: auto)")
     one.add_argument("--seed", type=int, metavar="N", help="seed of every random number generator (default: 0)")
     budget = "approximate time budget, such as 90s, 5m or 1h: schedules are shortened to fit, or lengthened as far as that helps"
@@ -96,7 +98,7 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(subparsers, "bake", commands.bake, "bake a run again: other texture size, other triangles, or an edited mesh")
     _run_argument(one)
-    one.add_argument("--size", type=int, metavar="N", help="texture size, texels along a side (default: as before)")
+    one.add_argument("--size", type=_texels, metavar="N", help="texture size, texels along a side, such as 4k (default: as before)")
     one.add_argument("--triangles", type=int, metavar="N", help="make a new mesh of at most N triangles")
     one.add_argument(
         "--mesh", metavar="FILE", type=Path, help="PLY in the coordinates of the run's mesh.ply that replaces the mesh; its UVs are kept"
@@ -135,6 +137,13 @@ def _positive(text: str) -> int:
     if int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text} must be at least 1")
     return int(text)
+
+
+def _texels(text: str) -> int:
+    match = re.fullmatch(r"(\d+)(k?)", text.lower())
+    if match is None or int(match[1]) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a texture size such as 2k or 2048")
+    return int(match[1]) * (1024 if match[2] else 1)
 
 
 def _count(text: str) -> int:

@@ -126,6 +126,21 @@ def full_size_views(dataset: Dataset, settings: DataSettings) -> Iterator[tuple[
             yield split, view
 
 
+def full_size_frames(path: Path, settings: DataSettings, resolution: int = FULL_SIZE) -> list[PreparedFrame]:
+    """Return the training frames of a dataset whose images are on the disk, with their lenses at full size; none is decoded.
+
+    Args:
+        path: the dataset, as for `load_dataset`.
+        settings: the settings that it was loaded with.
+        resolution: longest side of the images, pixels.
+
+    Raises:
+        InputError: if the dataset is missing or damaged.
+    """
+    train, _ = _parse_dataset(path, settings).split(settings)
+    return prepare_frames(_with_image(train), replace(settings, resolution=resolution), [])
+
+
 def load_novel_views(dataset: Dataset, settings: DataSettings, progress: Progress = Silent()) -> list[View]:  # noqa: B008 (immutable)
     """Load the views of a dataset's object under other lights (each view's `light`), with which relit images are compared.
 
@@ -190,18 +205,34 @@ def _view(prepared: PreparedFrame, masks: bool, mask_error: float = 0.0) -> View
         if min(size) < SMALLEST_SIDE:
             what = f"would be used at {size[0]}x{size[1]} pixels"
             raise InputError(frame.image, what, f"at least {SMALLEST_SIDE} pixels a side are needed; raise data.resolution")
-        image = read_image(frame.image)
-        if frame.mask is not None and masks:  # a mask file replaces an alpha channel, and keeps the colour around the object
-            mask = undistort_mask(_mask(frame, image.size, size), prepared.lens)
-            opaque = reduce_image(DecodedImage(image.colour, None), *size)
-            image = DecodedImage(undistort(opaque, prepared.lens).colour, mask)
-        else:
-            image = reduce_image(image, *size)
-            image = undistort(image if masks else on_black(image), prepared.lens)
-        if image.alpha is not None and image.alpha.max() < 0.5:
-            raise InputError(frame.mask if frame.mask and masks else frame.image, "is transparent everywhere")
+        return view_of(prepared, read_image(frame.image), masks, mask_error)
     except InputError as error:
         return error
+
+
+def view_of(prepared: PreparedFrame, image: DecodedImage, masks: bool, mask_error: float = 0.0) -> View:
+    """Return the view of a decoded image: reduced, undistorted and masked.
+
+    Args:
+        prepared: its frame.
+        image: as it was read.
+        masks: use its mask file or alpha channel; False: composite alpha over black and ignore mask files.
+        mask_error: error of mask files, as a fraction of the longest side.
+
+    Raises:
+        InputError: if the mask is damaged or leaves nothing.
+    """
+    frame, size = prepared.frame, prepared.lens.size
+    assert frame.image is not None
+    if frame.mask is not None and masks:  # a mask file replaces an alpha channel, and keeps the colour around the object
+        mask = undistort_mask(_mask(frame, image.size, size), prepared.lens)
+        opaque = reduce_image(DecodedImage(image.colour, None), *size)
+        image = DecodedImage(undistort(opaque, prepared.lens).colour, mask)
+    else:
+        image = reduce_image(image, *size)
+        image = undistort(image if masks else on_black(image), prepared.lens)
+    if image.alpha is not None and image.alpha.max() < 0.5:
+        raise InputError(frame.mask if frame.mask and masks else frame.image, "is transparent everywhere")
     error = mask_error * max(size) if masks and frame.mask is not None else 0.0  # an alpha channel may hide the colours beside the object
     about = (frame.lens.distorted, frame.light, frame.gain, error)
     turned = frame.light_rotation

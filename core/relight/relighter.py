@@ -26,7 +26,7 @@ from ..shading.sampling import Samples, draw
 from .adaptive_sampling import PILOT, ROUNDS, estimate_noise
 from .denoise import Guides, denoised
 from .direct_light import add_light_samples
-from .estimate import estimate_reflected_light
+from .estimate import Estimate, estimate_reflected_light
 from .indirect_light import SecondaryRays, SecondaryScene, ShadingPoints, gather, trace_samples
 from .mesh_query import MeshQuery
 from .prepared_light import PreparedLight
@@ -157,6 +157,10 @@ class Relighter:
         settings = dataclasses.replace(self.settings, albedo_scale=(r, g, b))
         return Relighter(self.reconstruction, self.query, settings, self.mesh)
 
+    def sampled(self, samples: int) -> Relighter:
+        """Return the relighter with another number of samples per pixel."""
+        return Relighter(self.reconstruction, self.query, dataclasses.replace(self.settings, samples=samples), self.mesh)
+
     def surface(self, camera: Camera) -> PrimaryHits:
         """Return the surface that a camera sees, to be lit by `relit` under one or several lights."""
         surface = primary_hits(self.reconstruction, camera, self._scale)
@@ -175,6 +179,20 @@ class Relighter:
             (H, W, 4) linear premultiplied RGBA, on the CPU.
         """
         return self._relit(surface, light.to(self.device)).cpu()
+
+    def reflected(self, surface: PrimaryHits, light: PreparedLight) -> Estimate:
+        """Estimate the diffuse and specular light that points reflect, not denoised; nothing where the light is black.
+
+        Args:
+            surface: P points.
+            light: from `prepare`.
+        """
+        if light.distribution is None:
+            black = torch.zeros_like(surface.albedo)
+            return Estimate(black, black, black, black, sum(self.counts))
+        with torch.no_grad():
+            sums = self._sums(surface, self.counts, light)
+            return estimate_reflected_light(sums, sum(self.counts), surface, light, self.settings.conserving)
 
     def _relit(self, surface: PrimaryHits, light: PreparedLight) -> torch.Tensor:
         """Render as `relit`, on the device."""

@@ -103,6 +103,7 @@ class SurfaceSettings:
     normal_averages: Annotated[int, Range(0, 100)] = 5  # passes that average vertex normals with their neighbours
     fragment: Annotated[float, Range(0, 1)] = 0.03  # components below this fraction of the largest one's area are removed
     detail: Annotated[float, Range(0, 1)] = 1.0  # fraction of the detail of the views' normals, above their noise, in the normal map
+    albedo_detail: Choice = "auto"  # albedo from full-size photographs; auto: where they are larger and held-back ones agree better
     triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # largest number after decimation
     texture: Annotated[int, Range(16, 16384)] = 1024  # texels along a side of each texture
 

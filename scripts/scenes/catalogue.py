@@ -10,6 +10,7 @@ import bpy
 
 from .bowl_scene import build_bowl_scene
 from .demo_scene import build_demo_scene
+from .print_scene import build_print_scene
 from .relief_scene import build_relief_scene
 
 SCENES: dict[str, Callable[[], list[bpy.types.Object]]] = {
@@ -18,4 +19,5 @@ SCENES: dict[str, Callable[[], list[bpy.types.Object]]] = {
     "glossy": partial(build_demo_scene, "glossy"),
     "bowl": build_bowl_scene,
     "relief": build_relief_scene,
+    "print": build_print_scene,
 }

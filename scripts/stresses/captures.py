@@ -27,7 +27,7 @@ from .case import Measured, group
 from .table_scene import TableScene, photographed_table
 
 case = group("captures")
-BRIEF = with_overrides(preset("draft"), ["first.gaussians=2000", "first.iterations=240", "first.stereo=off", "materials=low-gloss"])
+BRIEF = with_overrides(preset("draft"), ["first.gaussians=2000", "first.iterations=240", "materials=low-gloss"])
 BOUND = Bound((0.0, 0.0, 0.5), 0.75)
 DISTANCE = 3.6  # of the cameras to the object
 PASSER_BY = (0.75, 0.55, 0.45)  # encoded colour

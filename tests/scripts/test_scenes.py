@@ -20,8 +20,9 @@ import json, sys
 sys.path.insert(0, sys.argv[1])
 import bpy  # before bmesh
 import bmesh, numpy as np
-from scenes import catalogue, cycles_ground_truth, relief_scene
-builders = {**catalogue.SCENES, "relief": lambda: relief_scene.build_relief_scene(5)}
+from scenes import catalogue, cycles_ground_truth, print_scene, relief_scene
+smaller = {"relief": lambda: relief_scene.build_relief_scene(5), "print": lambda: print_scene.build_print_scene(128, 64)}
+builders = {**catalogue.SCENES, **smaller}
 shapes = {}
 for name, build in builders.items():
     things = build()
@@ -49,9 +50,9 @@ def shapes(tmp_path_factory):
 
 
 def test_built_in_scenes_fit_the_cameras_and_their_surfaces_are_closed(shapes):
-    assert {"demo", "low-gloss", "glossy", *NAMES} == set(shapes)
+    assert {"demo", "low-gloss", "glossy", "print", *NAMES} == set(shapes)
     assert all(shape["radius"] < 1.3 for shape in shapes.values())
-    for name in NAMES:
+    for name in (*NAMES, "print"):
         assert shapes[name]["open"] == 0 and shapes[name]["volume"] > 0.3, name
     assert shapes["bowl"]["things"] == 4 and shapes["relief"]["things"] == 1
 

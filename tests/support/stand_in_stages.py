@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from irgspp.core import pipeline
+from irgspp.core.detail.albedo_detail import DetailReport
 from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound, Dataset, View
@@ -68,6 +69,7 @@ class Stages:
         monkeypatch.setattr(pipeline, "extract_geometry", self.extract)
         monkeypatch.setattr(pipeline, "solve_second_stage", self.second_stage)
         monkeypatch.setattr(pipeline, "textured_mesh", self.texture)
+        monkeypatch.setattr(pipeline, "detailed_by_dataset", lambda mesh, *_: (mesh, DetailReport(False, "stand-in")))
         monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
         monkeypatch.setattr(Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
         monkeypatch.setattr(pipeline, "save_mesh_files", lambda mesh, run: (run / "mesh.ply").write_text("mesh"))

@@ -64,7 +64,7 @@ OLD = {
 }
 # Settings that came later, with their defaults.
 ADDED = {"first.stereo", "first.stereo_margin", "second.shading_normals", "second.normal_iterations"}
-ADDED |= {"data.exposure", "data.mask_error", "second.surroundings"} | {
+ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")
 }
 CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "second.indirect=off"]

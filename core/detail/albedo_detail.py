@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Albedo detail: the albedo texture of a mesh from full-size photographs, with the low frequencies of the working solution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..io.srgb import decode_srgb
+from ..progress.protocol import Progress
+from ..relight.mesh_query import MeshQuery
+from ..relight.prepared_light import prepare_light
+from ..relight.relighter import Relighter, RelightSettings
+from ..scene.camera import Camera
+from ..scene.mesh import Mesh
+from ..scene.reconstruction import Reconstruction
+from ..settings.schema import Choice, Settings
+from ..surface.bake import Texels, colour_byte
+from ..surface.texturing import stoppable
+from .alignment import displacement
+from .candidates import Candidates, TexelView, add_candidates
+from .combination import combine
+from .depth_map import DepthMap, depth_map
+from .evidence import Evidence
+from .levelling import level
+from .mesh_texels import mesh_texels
+from .photographs import Photograph, find_photographs
+from .report import DetailReport
+from .sharpness import relative_blur
+from .vertex_shading import VertexShading, ViewShading
+
+FINER = 1.25  # size of a photograph over that at the working resolution, from which it may hold detail that the Gaussians don't
+FEWEST_VIEWS = 3  # photographs from which albedo can be told from what one of them shows by chance
+HELD_BACK = 8  # one photograph in so many is held back as evidence
+MOST_HELD = 3  # photographs held back at most
+CHUNK = 1 << 20  # texels that are encoded at a time
+ALIGNED = 1024  # largest side of the texture to which photographs are aligned, texels
+DEPTH_SIDE = 1600  # longest side of the depth maps that decide visibility, pixels
+CERTAIN = 0.3  # weight of the best photograph, as a fraction of that of one straight above with the scene's usual pixels, that suffices
+
+
+class AlbedoDetail:
+    """Accumulation of photographs into the albedo texture of one mesh.
+
+    Args:
+        mesh: with materials and baked textures.
+        reconstruction: solved light and materials.
+
+    Attributes:
+        candidates: of the texels.
+        failed: lines about files that can't be read, by photograph.
+    """
+
+    def __init__(self, mesh: Mesh, reconstruction: Reconstruction) -> None:
+        self._mesh = mesh
+        texture = mesh.textures["albedo"]
+        self._albedo = decode_srgb(np.arange(256, dtype=np.float32) / 255)[texture].astype(np.float32)
+        self._shading = VertexShading(*_lit(mesh, reconstruction))
+        self._shaded: dict[str, tuple[ViewShading, float]] = {}
+        self._shift: dict[str, np.ndarray] = {}
+        self.failed: dict[str, str] = {}
+        self._rough: tuple[np.ndarray, np.ndarray] | None = None  # texture to which photographs are aligned
+        self._texels = mesh_texels(mesh, len(texture))
+        self.candidates = Candidates.empty(len(self._texels.index))
+
+    def align(self, photographs: Sequence[Photograph], step: Callable[[int], None]) -> None:
+        """Find the displacement of each photograph against a texture that is made of all of them at a lower resolution.
+
+        Args:
+            photographs: those that the texture is made from.
+            step: called with the number of photographs done; may raise.
+        """
+        size = min(self._texels.size, ALIGNED)
+        texels = mesh_texels(self._mesh, size)
+        candidates = Candidates.empty(len(texels.index))
+        for number, photograph in enumerate(photographs):
+            view = self._view(photograph)
+            if view is not None:
+                add_candidates(view, self._mesh, texels, candidates)
+            step(number + 1)
+        self._rough = np.zeros((size * size, 3), np.float32), np.zeros(size * size, bool)
+        self._rough[0][texels.index] = combine(candidates)
+        self._rough[1][texels.index] = candidates.weight.max(1) > 0
+
+    @property
+    def plain(self) -> np.ndarray:
+        """Albedo (P, 3) of the working solution at the texels."""
+        return self._albedo.reshape(-1, 3)[self._texels.index]
+
+    def add(self, photograph: Photograph, candidates: Candidates) -> bool:
+        """Sample a photograph; return False where it can't be read or too little of the object is seen in it.
+
+        Args:
+            photograph: on the disk.
+            candidates: that receive the samples.
+        """
+        view = self._view(photograph)
+        if view is None:
+            return False
+        add_candidates(view, self._mesh, self._texels, candidates)
+        return True
+
+    def _view(self, photograph: Photograph) -> TexelView | None:
+        """Return a photograph ready to be sampled; None where it can't be read or too little of the object is seen in it."""
+        try:
+            decoded = photograph.decode()
+        except InputError as error:
+            self.failed[photograph.name] = str(error)
+            return None
+        if photograph.name not in self._shaded:
+            self._shaded[photograph.name] = self._shading.seen_by(decoded.camera), relative_blur(decoded)
+        shading, blur = self._shaded[photograph.name]
+        correction = level(decoded, self._mesh, self._albedo, shading)
+        if correction is None:
+            return None
+        view = TexelView(decoded, self._depth(decoded.camera, decoded.lens.size), correction, shading, blur)
+        if self._rough is None:
+            return view
+        if photograph.name not in self._shift:
+            albedo, known = self._rough
+            size = math.isqrt(len(known))
+            images = albedo.reshape(size, size, 3), known.reshape(size, size)
+            self._shift[photograph.name] = displacement(decoded, self._mesh, *images, shading, correction)
+        return replace(view, shift=self._shift[photograph.name])
+
+    def _depth(self, camera: Camera, full: tuple[int, int]) -> DepthMap:
+        """Return the depth of the mesh at a resolution between that of the camera and of the photograph."""
+        longest = max(camera.width, camera.height)
+        scale = min(max(full), max(DEPTH_SIDE, longest)) / longest
+        return depth_map(self._mesh.vertices, self._mesh.faces, camera.resized(round(camera.width * scale), round(camera.height * scale)))
+
+    def add_all(self, photographs: Sequence[Photograph], step: Callable[[int], None]) -> int:
+        """Sample photographs one after another; return how many could be used.
+
+        Args:
+            photographs: on the disk.
+            step: called with the number of photographs done; may raise.
+        """
+        used = 0
+        for number, photograph in enumerate(photographs):
+            used += self.add(photograph, self.candidates)
+            step(number + 1)
+        return used
+
+    def held_back(self, photographs: Sequence[Photograph], albedo: np.ndarray) -> Evidence:
+        """Compare an albedo with photographs that it was not made from.
+
+        Args:
+            photographs: held back.
+            albedo: (P, 3) linear, with detail.
+        """
+        evidence, plain = Evidence(self._texels), self.plain
+        for photograph in photographs:
+            held = Candidates.empty(len(self._texels.index), 1)
+            if self.add(photograph, held):
+                evidence.add(held, albedo, plain)
+        return evidence
+
+    def textured(self, albedo: np.ndarray) -> Mesh:
+        """Return the mesh with albedo (P, 3) in its texture; texels that no photograph sees well keep the working solution."""
+        best = self.candidates.weight.max(1)
+        usual = np.median(best[best > 0]) if (best > 0).any() else 1.0
+        index = self._texels.index
+        colours = np.empty((len(index), 3), np.uint8)
+        for begin in range(0, len(index), CHUNK):
+            part = slice(begin, begin + CHUNK)
+            certain = np.clip(best[part] / (CERTAIN * usual), 0, 1)[:, None]
+            plain = self._albedo.reshape(-1, 3)[index[part]]
+            colours[part] = colour_byte(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain)
+        size = self._texels.size
+        grid = Texels(size, index // size, index % size, self._texels.face, np.empty((0, 3)))
+        return replace(self._mesh, textures={**self._mesh.textures, "albedo": grid.image(colours)})
+
+    def report(self, photographs: int, evidence: Evidence, applied: bool, why: str) -> DetailReport:
+        """Describe what was done.
+
+        Args:
+            photographs: number that the texture was made from.
+            evidence: of the held-back ones.
+            applied: the texture holds the detail.
+            why: reason, in one line.
+        """
+        finest = self.candidates.finest
+        seen = np.isfinite(finest)
+        texel = float(np.median(self._texels.side[self._texels.face])) if len(seen) else None
+        new, old = evidence.correlations if evidence.compared else (None, None)
+        pixel = float(np.median(finest[seen])) if seen.any() else None
+        return DetailReport(applied, why, photographs, new, old, texel, pixel, float(seen.mean()))
+
+
+def detailed(
+    mesh: Mesh, reconstruction: Reconstruction, photographs: Sequence[Photograph], choice: Choice, progress: Progress
+) -> tuple[Mesh, DetailReport]:
+    """Give the albedo texture of a mesh the detail of full-size photographs.
+
+    Args:
+        mesh: with materials and baked textures.
+        reconstruction: solved light and materials.
+        photographs: full-size photographs.
+        choice: "off": leave the texture as it is; "auto": where the photographs are larger than the working resolution and held-back ones
+            agree better with it; "on": in any case.
+        progress: receives steps, warnings and the result; may cancel.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    if choice == "off":
+        return mesh, DetailReport(False, "turned off")
+    photographs = _readable(photographs, progress)
+    if len(photographs) < FEWEST_VIEWS:
+        return mesh, DetailReport(False, f"only {len(photographs)} full-size photographs")
+    if choice == "auto" and np.median([one.finer for one in photographs]) < FINER:
+        # Relief that the Gaussians shade would become albedo, and nothing be gained.
+        return mesh, DetailReport(False, "the photographs are not larger than the working resolution (data.resolution)")
+    progress.phase("detail", 2 * len(photographs))
+    step = stoppable(progress)
+    every = max(HELD_BACK, -(-len(photographs) // MOST_HELD))
+    held = list(photographs[every // 2 :: every]) or [photographs[0]]
+    others = [one for one in photographs if one not in held]
+    work = AlbedoDetail(mesh, reconstruction)
+    work.align(others, step)
+    used = work.add_all(others, lambda done: step(len(others) + done))
+    albedo = combine(work.candidates)
+    evidence = work.held_back(held, albedo)
+    applied = choice == "on" or evidence.convincing
+    if applied:
+        used += work.add_all(held, lambda done: step(2 * len(others) + done))
+        albedo = combine(work.candidates)
+    for line in work.failed.values():
+        progress.message(f"warning: {line}; its detail is left out")
+    new, old = evidence.correlations
+    why = f"fine detail of held-back photographs has the correlation {new:.2f} with it, {old:.2f} with the texture of the Gaussians"
+    report = work.report(used, evidence, applied, why)
+    progress.message(report.line())
+    return (work.textured(albedo) if applied else mesh), report
+
+
+def detailed_by_dataset(
+    mesh: Mesh, reconstruction: Reconstruction, dataset: Path, cameras: dict[str, Camera], settings: Settings, progress: Progress
+) -> tuple[Mesh, DetailReport]:
+    """Give the albedo texture of a run's mesh the detail of the photographs of its dataset.
+
+    Args:
+        mesh: with materials and baked textures.
+        reconstruction: solved light and materials.
+        dataset: with cameras, that the run was made from.
+        cameras: training cameras of the run by name.
+        settings: of the run.
+        progress: receives steps, warnings and the result; may cancel.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    if settings.surface.albedo_detail == "off":
+        return mesh, DetailReport(False, "turned off")
+    photographs, missing = find_photographs(dataset, settings.data, cameras)
+    if missing:
+        progress.message(f"warning: {missing}; the texture takes no detail from them")
+    return detailed(mesh, reconstruction, photographs, settings.surface.albedo_detail, progress)
+
+
+def _readable(photographs: Sequence[Photograph], progress: Progress) -> list[Photograph]:
+    """Return the photographs that are on the disk as they were, with a warning about each other one."""
+    good = []
+    for one in photographs:
+        try:
+            one.check()
+            good.append(one)
+        except InputError as error:
+            progress.message(f"warning: {error}; its detail is left out")
+    return good
+
+
+def _lit(mesh: Mesh, reconstruction: Reconstruction) -> tuple:
+    """Return the arguments of `VertexShading`."""
+    radius = reconstruction.bound.radius
+    reconstruction = reconstruction.to("cpu")
+    relighter = Relighter(reconstruction, MeshQuery(mesh, radius), RelightSettings(denoise="off"))
+    return mesh, relighter, prepare_light(reconstruction.environment_map()), radius

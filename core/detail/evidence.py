@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Evidence for the detail: photographs that it was not made from, compared with the new and the old texture.
+
+What counts is the correlation of fine detail. The mean difference of colours would prefer a blurred texture to a sharp one as soon as
+pose, mesh or shading are slightly wrong. Noise, or highlights of other photographs, correlate with nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from .candidates import CODES, Candidates
+from .mesh_texels import MeshTexels
+
+BETTER = 0.02  # correlation with detail above that without, from which the detail is used
+LEAST = 0.15  # least correlation that is not chance
+FEWEST = 500  # texels that the held-back photographs must show
+FLOOR = 0.02  # albedo added inside the logarithm
+FINE = 1.5  # standard deviation of the high-pass filter, in pixels of the photographs on the surface
+WIDTHS = 1.5, 16.0  # least and greatest standard deviation of that filter, texels
+
+
+@dataclass
+class Evidence:
+    """Agreement of two textures with held-back photographs.
+
+    Attributes:
+        texels: of the textures.
+        sums: (2, 3) sums of products of fine detail over the compared texels, for the new and the old texture: with the photograph, with
+            itself, and the photograph with itself.
+        compared: number of compared texels.
+    """
+
+    texels: MeshTexels
+    sums: np.ndarray = field(default_factory=lambda: np.zeros((2, 3)))
+    compared: int = 0
+
+    def add(self, held: Candidates, detailed: np.ndarray, plain: np.ndarray) -> None:
+        """Compare with one photograph.
+
+        Args:
+            held: its samples, one candidate per texel.
+            detailed: (P, 3) linear albedo with detail, 0 where no other photograph shows the texel.
+            plain: (P, 3) linear albedo of the working solution.
+        """
+        known = np.flatnonzero((held.weight[:, 0] > 0) & (detailed.max(-1) > 0))
+        if not len(known):
+            return
+        pixel = float(np.median(held.finest[known]) / np.median(self.texels.side[self.texels.face[known]]))
+        sigma = float(np.clip(FINE * pixel, *WIDTHS))
+        values = held.colour[known, 0, 1] / np.float32(CODES), detailed[known, 1], plain[known, 1]
+        seen, new, old = (fine_detail(self.texels, known, np.log(np.clip(value, 0, 1) + FLOOR), sigma) for value in values)
+        for row, texture in enumerate((new, old)):
+            self.sums[row] += (texture * seen).sum(), (texture * texture).sum(), (seen * seen).sum()
+        self.compared += len(known)
+
+    @property
+    def correlations(self) -> tuple[float, float]:
+        """Correlation of the photographs' fine detail with that of the new and of the old texture."""
+        new, old = (float(both / np.sqrt(max(own * seen, 1e-30))) for both, own, seen in self.sums)
+        return new, old
+
+    @property
+    def convincing(self) -> bool:
+        """True where the detail explains photographs that it was not made from better than the working solution does."""
+        new, old = self.correlations
+        return self.compared >= FEWEST and new > max(old + BETTER, LEAST)
+
+
+def fine_detail(texels: MeshTexels, known: np.ndarray, values: np.ndarray, sigma: float) -> np.ndarray:
+    """Return values (K,) at texels without their low frequencies, by a Gaussian filter in the texture.
+
+    Args:
+        texels: all texels.
+        known: (K,) indices of those with a value.
+        values: (K,).
+        sigma: standard deviation of the filter, texels.
+    """
+    images = np.zeros((texels.size * texels.size, 2), np.float32)
+    index = texels.index[known]
+    images[index, 0], images[index, 1] = values, 1
+    smooth = cv2.GaussianBlur(images.reshape(texels.size, texels.size, 2), (0, 0), sigma).reshape(-1, 2)[index]
+    return (values - smooth[:, 0] / np.maximum(smooth[:, 1], 1e-6)).astype(np.float64)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Levelling of a photograph: an exposure gain, and a smooth factor that gives its albedo the low frequencies of the working solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from ..scene.mesh import Mesh
+from .depth_map import depth_map
+from .photographs import DecodedPhotograph
+from .vertex_shading import ViewShading
+
+WIDTH = 0.05  # standard deviation of the low-pass filter, as a fraction of the image's longest side: wider than the Gaussians' blur
+OPAQUE = 0.9  # alpha from which a pixel belongs to the object
+CLIPPED = 0.97  # linear value from which a pixel may be clipped
+DARKEST = 0.05  # fraction of the median shading below which a pixel's albedo is noise
+STRONGEST = 4.0  # largest factor, and the inverse of the least
+LEAST = 200  # pixels from which a photograph can be levelled
+EDGE = 2.0  # pixels of the working resolution from a depth or mask edge, within which a photograph and the mesh may not match
+STEP = 0.02  # relative difference of neighbouring depths beyond the slope that counts as an edge
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Correction of one photograph at the working resolution.
+
+    Attributes:
+        gain: (3,) linear exposure gain of the photograph relative to the solution.
+        factor: (h, w, 3) float32 smooth factor of its albedo.
+        inside: (h, w) float32 weight in 0..1, 0 at edges of the depth and of the mask.
+    """
+
+    gain: np.ndarray
+    factor: np.ndarray
+    inside: np.ndarray
+
+
+def level(photograph: DecodedPhotograph, mesh: Mesh, albedo: np.ndarray, shading: ViewShading) -> Level | None:
+    """Fit the correction of a photograph.
+
+    Args:
+        photograph: decoded.
+        mesh: with UVs.
+        albedo: (S, S, 3) float32 linear texture of the working solution.
+        shading: of the mesh's vertices towards the photograph's camera.
+
+    Returns:
+        The correction, or None where too little of the object is seen.
+    """
+    view = depth_map(mesh.vertices, mesh.faces, photograph.camera)
+    row, column = np.nonzero(view.triangle >= 0)
+    values = np.concatenate([shading.factor, shading.gloss, mesh.uvs], -1)
+    at = view.interpolate(values, mesh.faces, row, column)
+    factor, gloss, solution = at[:, :3], at[:, 3:6], _looked_up(albedo, at[:, 6:])
+    seen = photograph.reduced[row, column]
+    inside = edge_weight(view.inverse, photograph.alpha)
+    usable = (inside[row, column] > 0) & (seen.max(-1) < CLIPPED) & (factor.min(-1) > DARKEST * max(float(np.median(factor)), 1e-9))
+    if usable.sum() < LEAST:
+        return None
+    expected = solution * factor + gloss
+    gain = np.median(seen[usable] / np.maximum(expected[usable], 1e-4), axis=0)
+    gain = np.clip(gain, 1e-2, 1e2)
+    observed = np.clip((seen / gain - gloss) / np.maximum(factor, 1e-6), 0, 2)
+    images = np.zeros((*view.triangle.shape, 7), np.float32)
+    chosen = row[usable], column[usable]
+    images[chosen] = np.concatenate([solution[usable], observed[usable], np.ones((int(usable.sum()), 1))], -1)
+    return Level(gain, smooth_ratio(images, WIDTH * max(view.triangle.shape)), inside)
+
+
+def smooth_ratio(images: np.ndarray, sigma: float) -> np.ndarray:
+    """Return the ratio of two low-passed images, (h, w, 3) float32 within 1 / STRONGEST..STRONGEST.
+
+    Args:
+        images: (h, w, 7) numerator, denominator, and their common mask, 0 outside.
+        sigma: standard deviation of the filter, pixels.
+    """
+    smooth = cv2.GaussianBlur(images, (0, 0), sigma)
+    # Far from all known pixels the ratio of the whole image takes over.
+    mean = images.reshape(-1, 7).mean(0) * 1e-3
+    ratio = (smooth[..., :3] + mean[:3]) / np.maximum(smooth[..., 3:6] + mean[3:6], 1e-9)
+    return np.clip(ratio, 1 / STRONGEST, STRONGEST).astype(np.float32)
+
+
+def edge_weight(inverse: np.ndarray, alpha: np.ndarray | None) -> np.ndarray:
+    """Return a weight (h, w) float32 in 0..1 that falls to 0 at edges of the depth and of the mask.
+
+    Args:
+        inverse: (h, w) 1 / depth, 0 where nothing is.
+        alpha: (h, w) mask, or None.
+    """
+    inside = inverse > 0
+    if alpha is not None:
+        inside &= alpha > OPAQUE
+    # On a plane, 1 / depth is linear in the image: its second difference is 0 there, and large at a step.
+    near = np.maximum(inverse, 1e-12)
+    for axis in (0, 1):
+        before, after = np.roll(near, 1, axis), np.roll(near, -1, axis)
+        inside &= np.abs(before + after - 2 * near) < STEP * near
+    inside[[0, -1]], inside[:, [0, -1]] = False, False
+    distance = np.asarray(ndimage.distance_transform_edt(inside))
+    return np.clip((distance - 0.5) / EDGE - 0.5, 0, 1).astype(np.float32)
+
+
+def _looked_up(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Return the nearest texels (P, 3) of a texture at UVs (P, 2)."""
+    size = len(texture)
+    column = np.clip((uv[:, 0] * size).astype(int), 0, size - 1)
+    row = np.clip(((1 - uv[:, 1]) * size).astype(int), 0, size - 1)
+    return texture[row, column]

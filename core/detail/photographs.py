@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Full-size photographs of a run: found again on the disk, and decoded one at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ..datasets.load import full_size_frames, view_of
+from ..datasets.parsed_dataset import Lens
+from ..datasets.prepared_frames import PreparedFrame
+from ..errors import InputError
+from ..io.image import image_size, read_image
+from ..io.srgb import decode_srgb
+from ..scene.camera import Camera
+from ..settings.schema import DataSettings
+
+LEVELS = 3  # of the pyramid of a photograph, each half the size of the one before
+SAME_PLACE = 1e-4  # difference of two poses' entries, as a fraction of the camera's distance from the origin, that rounding explains
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedPhotograph:
+    """Photograph in memory.
+
+    Attributes:
+        lens: lens of the file, with its distortion.
+        levels: (H, W, 3) uint8 or uint16 in the file's own pixels, sRGB-encoded, and the same at a half and a quarter of the size.
+        linear: (256,) or (65536,) float32 linear value of each code.
+        camera: pinhole camera of the working resolution.
+        reduced: (h, w, 3) float32 linear, undistorted, at the working resolution.
+        alpha: (h, w) float32 mask at the working resolution, or None.
+    """
+
+    lens: Lens
+    levels: tuple[np.ndarray, ...]
+    linear: np.ndarray
+    camera: Camera
+    reduced: np.ndarray
+    alpha: np.ndarray | None
+
+    def undistorted(self, camera: Camera) -> np.ndarray:
+        """Return the photograph as a pinhole camera of its pose sees it, (H, W, 3) float32 linear.
+
+        Args:
+            camera: with the pose of the photograph.
+        """
+        scale = self.lens.width / camera.width
+        level = min(max(int(np.log2(max(scale, 1.0)) + 0.25), 0), len(self.levels) - 1)
+        codes = self.levels[level]
+        x, y = np.meshgrid(
+            (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx, (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+        )
+        u, v = lens_pixels(self.lens, x, y)
+        ratio = codes.shape[1] / self.lens.width, codes.shape[0] / self.lens.height
+        maps = (u * ratio[0] - 0.5).astype(np.float32), (v * ratio[1] - 0.5).astype(np.float32)
+        moved = np.asarray(cv2.remap(codes, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        return self.linear[moved.astype(np.intp)]
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """Photograph on the disk.
+
+    Attributes:
+        name: of its view.
+        lens: lens of the file at its full size.
+        working: the frame at the working resolution.
+        masks: use alpha channels and mask files.
+    """
+
+    name: str
+    lens: Lens
+    working: PreparedFrame
+    masks: bool
+
+    @property
+    def finer(self) -> float:
+        """Size of the file over that at the working resolution."""
+        return self.lens.width / self.working.lens.width
+
+    def check(self) -> None:
+        """Check by its header that the file is there and of the same size as before.
+
+        Raises:
+            InputError: if it is not.
+        """
+        path = self.working.frame.image
+        if path is None or image_size(path) != self.lens.size:
+            raise InputError(path or self.name, f"is not of {self.lens.width}x{self.lens.height} pixels as before")
+
+    def decode(self) -> DecodedPhotograph:
+        """Read the file.
+
+        Raises:
+            InputError: if it is gone, damaged or of another size than before.
+        """
+        path = self.working.frame.image
+        if path is None:
+            raise InputError(self.name, "has no image")
+        image = read_image(path)
+        if image.size != self.lens.size:
+            raise InputError(path, f"is {image.size[0]}x{image.size[1]} but was {self.lens.width}x{self.lens.height}")
+        view = view_of(self.working, image, self.masks)
+        codes, linear = _codes(image.colour)
+        return DecodedPhotograph(self.lens, _pyramid(codes, linear), linear, view.camera, decode_srgb(view.colour), view.alpha)
+
+
+def find_photographs(dataset: Path, settings: DataSettings, cameras: dict[str, Camera]) -> tuple[list[Photograph], str]:
+    """Find the full-size photographs of a run's training views.
+
+    Args:
+        dataset: that the run was made from.
+        settings: that it was read with.
+        cameras: training cameras of the run by name.
+
+    Returns:
+        The photographs in the order of the dataset, and a line about those that are missing; the line is empty where none is.
+    """
+    try:
+        pairs = zip(full_size_frames(dataset, settings), full_size_frames(dataset, settings, settings.resolution), strict=True)
+        found = [Photograph(full.name, full.lens, working, settings.masks) for full, working in pairs]
+    except InputError as error:
+        return [], str(error)
+    known = [one for one in found if one.name in cameras and _same_camera(one.working.camera, cameras[one.name])]
+    missing = len(cameras) - len(known)
+    if not missing:
+        return known, ""
+    return known, f"{dataset}: {missing} of {len(cameras)} photographs of the run are gone or have other cameras since"
+
+
+def lens_pixels(lens: Lens, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixel coordinates at which a lens shows the directions (x, y, 1) of its camera, OpenCV's axes.
+
+    Args:
+        lens: the lens.
+        x: (...,) tangent to the right.
+        y: (...,) tangent downwards.
+    """
+    if lens.distorted:
+        directions = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 1, 3)
+        coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
+        if lens.fisheye:
+            points, _ = cv2.fisheye.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
+        else:
+            points, _ = cv2.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
+        x, y = points.reshape(*x.shape, 2)[..., 0], points.reshape(*y.shape, 2)[..., 1]
+    return x * lens.fx + lens.cx, y * lens.fy + lens.cy
+
+
+def _same_camera(a: Camera, b: Camera) -> bool:
+    """Return True for two cameras of equal size and pose."""
+    scale = max(float(np.linalg.norm(b.centre)), 1e-9)
+    same_pose = np.abs(a.to_world - b.to_world).max() <= SAME_PLACE * max(scale, 1.0)
+    return (a.width, a.height) == (b.width, b.height) and bool(same_pose) and abs(a.fx - b.fx) <= 1e-3 * b.fx
+
+
+def _codes(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return integer codes (H, W, 3) of encoded colours and the linear value (N,) of each code; floats become 16-bit codes."""
+    if colour.dtype.kind == "u":
+        most = int(np.iinfo(colour.dtype).max)
+        return np.ascontiguousarray(colour), decode_srgb(np.arange(most + 1) / most).astype(np.float32)
+    scale = max(1.0, float(colour.max()))
+    codes = np.round(np.clip(colour / scale, 0, 1) * 65535).astype(np.uint16)
+    return codes, decode_srgb(np.arange(65536) / 65535 * scale).astype(np.float32)
+
+
+def _pyramid(codes: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the photograph and its reductions by area averaging in linear light, encoded with the same codes."""
+    levels = [codes]
+    for _ in range(LEVELS - 1):
+        height, width = levels[-1].shape[:2]
+        size = max(1, width // 2), max(1, height // 2)
+        levels.append(_halved(levels[-1], size, linear))
+    return tuple(levels)
+
+
+def _halved(codes: np.ndarray, size: tuple[int, int], linear: np.ndarray) -> np.ndarray:
+    """Return codes (H, W, 3) averaged in linear light to a size (width, height)."""
+    small = cv2.resize(linear[codes], size, interpolation=cv2.INTER_AREA)
+    middle = (linear[1:] + linear[:-1]) / 2
+    return np.searchsorted(middle, small.ravel()).reshape(small.shape).astype(codes.dtype)
