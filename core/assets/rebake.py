@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from ..capture.source import posed_dataset
-from ..detail.albedo_detail import DetailReport, detailed_by_dataset
+from ..detail.albedo_detail import detailed_by_dataset
+from ..detail.report import DetailReport
 from ..errors import InputError, IrgsppError
 from ..io.file_lock import FileLock
 from ..machine.devices import best

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from irgspp.core import pipeline
-from irgspp.core.detail.albedo_detail import DetailReport
+from irgspp.core.detail.report import DetailReport
 from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound, Dataset, View
