@@ -233,9 +233,7 @@ def detailed(
         albedo = combine(work.candidates)
     for line in work.failed.values():
         progress.message(f"warning: {line}; its detail is left out")
-    new, old = evidence.correlations
-    why = f"fine detail of held-back photographs has the correlation {new:.2f} with it, {old:.2f} with the texture of the Gaussians"
-    report = work.report(used, evidence, applied, why)
+    report = work.report(used, evidence, applied, evidence.reason)
     progress.message(report.line())
     return (work.textured(albedo) if applied else mesh), report
 

@@ -70,7 +70,7 @@ def pattern(uv: np.ndarray) -> np.ndarray:
     checks = 1 / (1 + np.exp(-6 * np.sin(2 * np.pi * 24 * u) * np.sin(2 * np.pi * 12 * v)))
     mixed = np.where(np.sin(2 * np.pi * 3 * u) > 0, stripes, checks)[..., None]
     slow = 0.35 + 0.15 * np.stack([np.sin(2 * np.pi * u), np.cos(2 * np.pi * u), np.sin(3 * v)], -1)
-    return slow * (0.35 + 0.9 * mixed)
+    return slow * (0.35 + mixed * [0.95, 0.8, 0.3])  # a coloured ink
 
 
 def light_map() -> np.ndarray:

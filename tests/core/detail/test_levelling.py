@@ -94,3 +94,19 @@ def test_parts_behind_the_camera_are_left_out():
     vertices = np.array([[0, 0, 1], [1, 0, 1], [0, 1, -1]], np.float32)
     camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0, np.eye(4))
     assert (depth_map(vertices, np.array([[0, 1, 2]]), camera).triangle == -1).all()
+
+
+@pytest.mark.parametrize(("strength", "colour", "painted"), [(0.05, 0.0, False), (0.05, 0.5, True), (0.4, 0.0, True)])
+def test_weak_detail_without_colour_may_be_shading(written, strength, colour, painted):
+    """All photographs agree about it, as they do about the shading of relief under a light that stands still."""
+    texels = mesh_texels(written.mesh, 128)
+    count, random = len(texels.index), np.random.default_rng(3)
+    noise = random.normal(size=(2, count))
+    albedo = 0.3 * np.exp(strength * noise[0])[:, None] * np.exp(strength * colour * noise[1][:, None] * [1, 0, -1])
+    held = Candidates.empty(count, 1)
+    held.colour[:, 0] = np.clip(albedo * CODES, 0, CODES)
+    held.weight[:], held.finest[:] = 1, np.median(texels.side)
+    evidence = Evidence(texels)
+    evidence.add(held, albedo.astype(np.float32), np.full((count, 3), 0.3, np.float32))
+    assert evidence.correlations[0] > 0.9 and evidence.painted is painted and evidence.convincing is painted
+    assert ("shading of relief" in evidence.reason) is not painted
