@@ -14,7 +14,7 @@ from .losses import camera_rays
 from .mask_band import find_mask_band
 
 MARGIN = 12  # pixels around the object: SSIM's window reaches 5 pixels, and what is rendered beyond the mask's edge must count
-LEANING = 0.2  # weight of the mask's loss in the band where the mask may be wrong: what colours leave open stays as the mask says
+LEANING = 0.7  # weight of the mask where it may be wrong, against 1 elsewhere; with less, surfels paint what lies beside the object
 SATURATED = 0.996  # encoded value from which a pixel is a lower bound of the radiance
 
 
