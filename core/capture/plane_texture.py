@@ -65,13 +65,14 @@ def plane_texture(
         bound: sphere about the object.
     """
     frame, side = _frame(cameras, plane, bound)
-    used = [i for i, mask in enumerate(masks) if mask is not None]
-    free = {i: _free(masks[i]) for i in used}
-    pictures = {i: np.round(255 * np.clip(colours[i], 0, 1)).astype(np.uint8) for i in used}
+    jobs = [
+        (np.round(255 * np.clip(colour, 0, 1)).astype(np.uint8), _free(mask), camera, frame, side)
+        for colour, mask, camera in zip(colours, masks, cameras, strict=True)
+        if mask is not None
+    ]
     mean = weight = np.zeros((side, side), np.float32)
     for turn in range(ROUNDS):
         total, sum_of_weights = np.zeros((side, side, 3), np.float32), np.full((side, side), 1e-6, np.float32)
-        jobs = [(pictures[i], free[i], cameras[i], frame, side) for i in used]
         for colour, seen in chain.from_iterable(run_jobs(_on_plane, jobs[k : k + AT_ONCE]) for k in range(0, len(jobs), AT_ONCE)):
             if turn > 0:
                 colour = colour * _gain(mean, colour, seen * (weight > FEWEST))
