@@ -87,7 +87,7 @@ class Evidence:
 
     @property
     def reason(self) -> str:
-        """What the decision rests on, in one line."""
+        """Reason for the decision, in one line."""
         new, old = self.correlations
         agreement = (
             f"fine detail of held-back photographs has the correlation {new:.2f} with it, {old:.2f} with the texture of the Gaussians"
