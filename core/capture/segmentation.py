@@ -26,7 +26,7 @@ LOOSE_EDGE = 8.0  # pixels around the edge of a person's mask over which this co
 COLOUR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
 MOST = 2.5  # largest log-likelihood ratio of a colour
 PLANE = 0.6  # factor of the log-likelihood ratio of the support plane's texture
-COLOUR_TOO = 0.2  # COLOUR where that texture is known: it tells object and table apart, also where their colours are alike
+COLOUR_WITH_PLANE = 0.2  # COLOUR where that texture is known, which tells object and table apart even where their colours are alike
 SHARED = 0.5  # weight of the colours of all views against those of the view itself
 PRIOR = 2.5  # cost of cutting against the other views, nats
 INSIDE = 0.4  # factor of it inside their silhouette: a visual hull fills hollows, so that it tells more of the outside
@@ -208,7 +208,7 @@ def cut(
     ratio = np.log(model[1] / model[0]).astype(np.float32)
     cost = COLOUR * np.clip(ratio, -MOST, MOST)[cutout.bins]
     if plane is not None:
-        cost = np.where(plane != 0, COLOUR_TOO / COLOUR, 1) * cost + PLANE * plane
+        cost = np.where(plane != 0, COLOUR_WITH_PLANE / COLOUR, 1) * cost + PLANE * plane
     cost = (cost - seeds * cutout.seed).astype(np.float32)
     cost += PRIOR * np.where(prior > 0.5, INSIDE, 1) * (1 - 2 * prior)
     if cutout.given is not None:

@@ -121,3 +121,10 @@ def start(seen, transfer, seed=0):
     """Return a light-material solver at its initial state."""
     count = len(seen.position)
     return LightMaterialSolver(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), seed)
+
+
+def solved(seen, transfer, seed=0):
+    """Return a light-material solver that has run to its end."""
+    solver = start(seen, transfer, seed)
+    solver.run()
+    return solver

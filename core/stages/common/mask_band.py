@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Band at the edge of a mask that may be wrong: there the colours decide what is the object, and the mask only leans towards itself.
+"""Band at the edge of a mask that may be wrong: there the colours decide what is the object, and the mask counts less.
 
 In the band a photograph is compared with the rendered object over the background, as in matting. The background is unknown behind the
 object, so it is continued from the pixels beside the band.

@@ -14,7 +14,7 @@ from .losses import camera_rays
 from .mask_band import find_mask_band
 
 MARGIN = 12  # pixels around the object: SSIM's window reaches 5 pixels, and what is rendered beyond the mask's edge must count
-LEANING = 0.7  # weight of the mask where it may be wrong, against 1 elsewhere; with less, surfels paint what lies beside the object
+BAND_WEIGHT = 0.7  # weight of the mask where it may be wrong, against 1 elsewhere; with less, surfels paint what lies beside the object
 SATURATED = 0.996  # encoded value from which a pixel is a lower bound of the radiance
 
 
@@ -71,10 +71,10 @@ class TrainingView:
         return torch.where(self.band, encode_srgb(straight * alpha + self.background * (1 - alpha)), image)
 
     def mask_difference(self, alpha: torch.Tensor) -> torch.Tensor:
-        """Return the mean absolute difference of a rendered opacity (H, W) from the mask, weighted by LEANING in its band."""
+        """Return the mean absolute difference of a rendered opacity (H, W) from the mask, weighted by BAND_WEIGHT in its band."""
         assert self.alpha is not None
         difference = (alpha - self.alpha).abs()
-        return (difference if self.band is None else torch.where(self.band, LEANING * difference, difference)).mean()
+        return (difference if self.band is None else torch.where(self.band, BAND_WEIGHT * difference, difference)).mean()
 
 
 def make_training_view(view: View, reduction: int = 1, crop: bool = False) -> TrainingView:

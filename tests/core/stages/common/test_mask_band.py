@@ -11,7 +11,7 @@ from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import View
 from irgspp.core.stages.common.mask_band import find_mask_band, narrowest_mask, widest_mask
-from irgspp.core.stages.common.training_view import LEANING, make_training_view
+from irgspp.core.stages.common.training_view import BAND_WEIGHT, make_training_view
 
 HEIGHT, WIDTH, EDGE = 40, 60, 30.5  # the object covers the columns left of EDGE
 OBJECT, BACKGROUND = np.array([0.6, 0.2, 0.1]), np.array([0.05, 0.1, 0.4])  # linear
@@ -63,12 +63,12 @@ def test_true_outline_is_the_best_whatever_the_mask_says(camera_ring, shift):
     assert error(torch.from_numpy(coverage())) < 1e-3 < 0.01 < error(torch.from_numpy(one.alpha))
 
 
-def test_mask_leans_in_its_band_and_holds_elsewhere(camera_ring):
+def test_mask_counts_less_in_its_band_than_elsewhere(camera_ring):
     prepared = make_training_view(view(camera_ring))
     inside, outside = prepared.alpha.clone(), prepared.alpha.clone()
     inside[:, 30], outside[:, 40] = 0, 1
     weight = float(prepared.alpha[0, 30])
-    assert float(prepared.mask_difference(inside)) == pytest.approx(LEANING * weight / WIDTH)
+    assert float(prepared.mask_difference(inside)) == pytest.approx(BAND_WEIGHT * weight / WIDTH)
     assert float(prepared.mask_difference(outside)) == pytest.approx(1 / WIDTH)
 
 

@@ -13,19 +13,13 @@ import torch
 from irgspp.core.stages.second import light_material_solver as module
 from irgspp.core.stages.second.light_material_solver import STEPS, LightMaterialSolver
 from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
-from sphere_on_floor import HEIGHT, TEXELS, make, start
+from sphere_on_floor import HEIGHT, TEXELS, make, solved, start
 
 
 @pytest.fixture(scope="module")
 def scene():
     """Radiance transfer, multi-view samples and ground truth."""
     return make()
-
-
-def solved(seen, transfer, seed=0):
-    solver = start(seen, transfer, seed)
-    solver.run()
-    return solver
 
 
 @pytest.fixture(scope="module")

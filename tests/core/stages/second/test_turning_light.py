@@ -14,7 +14,7 @@ from irgspp.core.shading.environment_lookup import from_light_frame, to_light_fr
 from irgspp.core.stages.second.gaussian_materials import fitted_albedo
 from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
 from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
-from sphere_on_floor import GLOW, HEIGHT, TEXELS, blocked, known_materials, rendered, soft_light, start, surface, transport, unit
+from sphere_on_floor import GLOW, HEIGHT, TEXELS, blocked, known_materials, rendered, soft_light, solved, surface, transport, unit
 
 VIEWS = 12
 
@@ -72,12 +72,6 @@ def albedo_error(solver, truth):
     """Return the median relative error of the albedo, up to one factor per colour."""
     scale = (truth[1] / solver.albedo).median(0).values
     return float((solver.albedo * scale / truth[1] - 1).abs().median())
-
-
-def solved(seen, transfer):
-    solver = start(seen, transfer)
-    solver.run()
-    return solver
 
 
 @pytest.fixture(scope="module")
