@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels of the tab "IRGS++" in the 3D View's sidebar, from photographs to a relit object, and of masks in the Image Editor's."""
+"""Panels: the tab "IRGS++" of the 3D View's sidebar, masks in the Image Editor's, and the render engine's in the Render tab."""
 
-from . import dataset, engine, jobs, mask, reconstruct, relight, result
+from . import dataset, engine, jobs, mask, reconstruct, relight, render_properties, result
 
-CLASSES = (*engine.CLASSES, *dataset.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *relight.CLASSES, *jobs.CLASSES, *mask.CLASSES)
+SIDEBAR = (*engine.CLASSES, *dataset.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *relight.CLASSES, *jobs.CLASSES)
+CLASSES = (*SIDEBAR, *mask.CLASSES, *render_properties.CLASSES)

@@ -25,6 +25,8 @@ SCALE = 0.5  # scale of the rendered image in large 3D Views, along each side
 LARGE = 700  # longer side of a large 3D View in pixels
 # Panels of features that the engine does not have: stereo, Freestyle, Grease Pencil, motion blur, simplification of scenes
 EXCLUDED = {"RENDER_PT_stereoscopy", "RENDER_PT_freestyle", "RENDER_PT_gpencil", "RENDER_PT_simplify", "RENDER_PT_motion_blur"}
+# Panels of EEVEE that apply as well: nodes of the World, material slots and nodes of the material
+SHARED = {"EEVEE_WORLD_PT_surface", "EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface"}
 
 
 class IRGSPP_RenderEngine(bpy.types.RenderEngine):
@@ -246,13 +248,15 @@ def _viewport_settings(scene: bpy.types.Scene) -> dict[str, Any]:
 
 
 def compatible_panels() -> list[type]:
-    """Return Blender's panels that apply to this engine: those common to all engines, without those of EEVEE, Cycles or Workbench."""
+    """Return Blender's panels that apply to this engine: those common to all engines, and the nodes of World and material."""
     return [panel for panel in bpy.types.Panel.__subclasses__() if _is_compatible(panel)]
 
 
 def _is_compatible(panel: type) -> bool:
     engines = getattr(panel, "COMPAT_ENGINES", None)
-    return isinstance(engines, set) and "BLENDER_RENDER" in engines and panel.__name__ not in EXCLUDED
+    if not isinstance(engines, set) or panel.__name__ in EXCLUDED:
+        return False
+    return "BLENDER_RENDER" in engines or panel.__name__ in SHARED
 
 
 def register() -> None:
