@@ -63,3 +63,18 @@ def enlarged(image: np.ndarray, width: int, height: int) -> np.ndarray:
     rows = np.arange(height - 1, -1, -1) * len(image) // height
     columns = np.arange(width) * image.shape[1] // width
     return np.ascontiguousarray(image[rows][:, columns], np.float32).reshape(-1)
+
+
+def show_selected(scene: bpy.types.Scene) -> None:
+    """Frame the selected objects in the 3D Views of a scene, and switch views in Solid shading to Material Preview."""
+    for window in bpy.context.window_manager.windows if bpy.context.window_manager else ():
+        for area in window.screen.areas if window.scene == scene else ():
+            if area.type != "VIEW_3D":
+                continue
+            space = area.spaces.active
+            if space.shading.type == "SOLID":
+                space.shading.type = "MATERIAL"
+            if space.region_3d.view_perspective == "CAMERA":
+                space.region_3d.view_perspective = "PERSP"
+            with in_area(area):
+                bpy.ops.view3d.view_selected(use_all_regions=False)

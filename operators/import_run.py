@@ -9,8 +9,11 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon.importer.arrangement import arrange
+from ..irgspp_addon.importer.run_frame import run_object
 from ..irgspp_addon.importer.scene_builder import import_run, show_as_photographed
 from ..irgspp_addon.properties import SOURCES
+from ..irgspp_addon.windows import show_selected
 from .blocking import refuse
 from .placed_import import PlacedImport
 
@@ -30,6 +33,24 @@ class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
         description="Light the scene with the recovered light and look through the first camera, without tone mapping",
         default=False,
     )
+    arrange: BoolProperty(
+        name="Arrange View",
+        description="At the first import: frame the object in Material Preview, hide the cameras and the untouched default cube and light, "
+        "and replace the untouched default World by the recovered light",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Import as a button does, which also arranges the view.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
+        if not self.properties.is_property_set("arrange"):
+            self.arrange = True
+        return super().invoke(context, event)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import the run."""
@@ -44,8 +65,13 @@ class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
             raise InputError("run", "none is chosen", "choose the folder of a finished run")
         chosen = any(self.properties.is_property_set(name) for name in ("up_axis", "scale", "recentre"))
         placement = self.placement() if chosen else None
-        imported = import_run(Path(bpy.path.abspath(self.directory)), self.material, self.pack, placement, context.scene)
+        run = Path(bpy.path.abspath(self.directory))
+        is_new = run_object(context.scene, run) is None
+        imported = import_run(run, self.material, self.pack, placement, context.scene)
         select(context, imported.mesh)
+        if self.arrange and is_new:
+            arrange(context.scene, context.view_layer, imported.world)
+            show_selected(context.scene)
         if self.as_photographed:
             show_as_photographed(context.scene, imported)
 

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operator that looks through the camera of a photograph at the photograph's resolution, so that scene and photograph align."""
+"""Operators that look through the cameras of photographs, one after the other, and that show or hide these cameras."""
 
 # pyright: reportInvalidTypeForm=false
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon.importer.arrangement import cameras_in, is_imported_camera, show_alone, show_cameras
 from ..irgspp_addon.importer.cameras import look_through
+from ..irgspp_addon.importer.scene_builder import run_of
 from .blocking import refuse
 
 
@@ -23,21 +25,71 @@ class IRGSPP_OT_look_through(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Look through the camera."""
         try:
-            look_through(context.scene, self._camera(context))
+            _look(context, self._camera(context))
         except IrgsppError as error:
             return refuse(self, error)
-        space = context.space_data
-        if space is not None and space.type == "VIEW_3D":
-            space.region_3d.view_perspective = "CAMERA"
         return {"FINISHED"}
 
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object:
         placed = context.scene.objects.get(self.camera) if self.camera else context.object
-        if placed is None or not is_imported(placed):
+        if placed is None or not is_imported_camera(placed):
             raise InputError(self.camera or "look_through", "is not a camera of an imported dataset or run", "select one, or give camera=")
         return placed
 
 
-def is_imported(thing: bpy.types.Object | None) -> bool:
-    """Return True for a camera that an import has made: it stores the size of its photograph."""
-    return thing is not None and thing.type == "CAMERA" and "width" in thing.data
+class IRGSPP_OT_step_photograph(bpy.types.Operator):
+    """Look through the camera of the next or previous photograph."""
+
+    bl_idname = "irgspp.step_photograph"
+    bl_label = "Next Photograph"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
+
+    step: IntProperty(name="Step", description="Photographs to go on by; negative: back", default=1, options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return True where the scene has imported cameras."""
+        cls.poll_message_set("The scene has no imported cameras")
+        return any(is_imported_camera(thing) for thing in context.scene.objects)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Look through the camera."""
+        cameras = cameras_to_step(context)
+        present = cameras.index(context.scene.camera) if context.scene.camera in cameras else (-1 if self.step > 0 else 0)
+        _look(context, cameras[(present + self.step) % len(cameras)])
+        return {"FINISHED"}
+
+
+class IRGSPP_OT_show_cameras(bpy.types.Operator):
+    """Show or hide the imported cameras in the 3D View."""
+
+    bl_idname = "irgspp.show_cameras"
+    bl_label = "Show Cameras"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
+
+    show: BoolProperty(name="Show", description="Show the cameras; otherwise hide them", default=True, options={"SKIP_SAVE"})
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Show or hide the cameras."""
+        show_cameras(context.scene, self.show)
+        return {"FINISHED"}
+
+
+def cameras_to_step(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Return the cameras that the steps go through: those of the present camera's or the active object's run, else all."""
+    cameras = cameras_in(context.scene)
+    present = context.scene.camera if is_imported_camera(context.scene.camera) else context.object
+    run = run_of(present)
+    return [camera for camera in cameras if run_of(camera) == run] or cameras
+
+
+def _look(context: bpy.types.Context, camera: bpy.types.Object) -> None:
+    """Look through a camera, also in the 3D View that the button is in."""
+    show_alone(context.scene, camera)
+    look_through(context.scene, camera)
+    space = context.space_data
+    if space is not None and space.type == "VIEW_3D":
+        space.region_3d.view_perspective = "CAMERA"
+
+
+CLASSES = (IRGSPP_OT_look_through, IRGSPP_OT_step_photograph, IRGSPP_OT_show_cameras)

@@ -14,7 +14,7 @@ from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.mask_image import is_captured_camera
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
-from ..operators.look_through import is_imported
+from ..irgspp_addon.importer.arrangement import is_imported_camera
 from .capture import draw_capture, draw_find_cameras
 from .capture_state import capture_of
 from .run_state import resolved
@@ -45,7 +45,7 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
         draw_inspection(layout, context, last_inspection(dataset))
         draw_summary(layout, context, settings.inspected)
         draw_capture(layout, context, dataset, capture)
-        if is_imported(context.object):
+        if is_imported_camera(context.object):
             button(layout, "irgspp.look_through", f"Look Through {context.object.name}", "VIEW_CAMERA", camera=context.object.name)
             if is_captured_camera(context.object):
                 button(layout, "irgspp.edit_mask", "Edit Mask", "BRUSH_DATA", camera=context.object.name)

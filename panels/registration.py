@@ -21,12 +21,11 @@ from ..irgspp_addon.relight import render_engine
 from ..irgspp_addon.relight import session as relight_session
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
-from ..operators import import_dataset, masks
+from ..operators import import_dataset, light, look_through, masks
 from ..operators import jobs as job_operators
 from ..operators import relight as relight_operators
 from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
-from ..operators.look_through import IRGSPP_OT_look_through
 from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
 from . import CLASSES as PANELS
 from . import images
@@ -46,7 +45,8 @@ CLASSES = (
     job_operators.IRGSPP_OT_job_forget,
     job_operators.IRGSPP_OT_job_log,
     IRGSPP_OT_import_run,
-    IRGSPP_OT_look_through,
+    *look_through.CLASSES,
+    *light.CLASSES,
     *import_dataset.CLASSES,
     *capture_operators.CLASSES,
     *masks.CLASSES,

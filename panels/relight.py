@@ -6,9 +6,11 @@ from __future__ import annotations
 import bpy
 
 from ..irgspp_addon.importer.run_frame import ALBEDO_SCALE
+from ..irgspp_addon.importer.scene_builder import recovered_light
 from ..irgspp_addon.relight import preview
 from ..irgspp_addon.relight.live_image import follower_of
 from ..irgspp_addon.relight.render_engine import ENGINE
+from ..irgspp_addon.world.light_controls import UP, light_controls
 from .job_card import draw_last
 from .result import object_of_run, shown_run
 from .run_state import run_state
@@ -27,9 +29,7 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
         if not can_relight(context):
             say(layout, context, "Needs a finished reconstruction.", icon="INFO")
             return
-        row = layout.row()
-        row.enabled = settings.use_world
-        row.template_ID(context.scene, "world", new="world.new")
+        draw_light(layout, context)
         column = settings_column(layout)
         for name in ("use_world", "relight_eye", "preview_resolution", "relight_samples", "relight_denoise", "relight_backend"):
             column.prop(settings, name)
@@ -73,6 +73,32 @@ class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
 def can_relight(context: bpy.types.Context) -> bool:
     """Return True where there is a finished run."""
     return run_state(shown_run(context)).status == "done"
+
+
+def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the World, its image or colour, rotation and strength, and the buttons that choose another light.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
+    column, world = layout.column(), context.scene.world
+    column.enabled = context.scene.irgspp.use_world
+    column.template_ID(context.scene, "world", new="world.new")
+    row = column.row(align=True)
+    button(row, "irgspp.open_hdri", "Open HDRI", "FILE_IMAGE")
+    light = recovered_light(shown_run(context))
+    if light is not None and light != world:
+        button(row, "irgspp.use_recovered_light", "Recovered Light", "LIGHT_SUN", run=str(shown_run(context)))
+    controls, rows = light_controls(world), settings_column(column)
+    if controls.image is not None:
+        say(rows, context, controls.image.name, icon="IMAGE_DATA")
+    if controls.rotation is not None:
+        rows.prop(controls.rotation, "default_value", index=UP, text="Rotation")
+    if controls.colour is not None:
+        rows.prop(controls.colour, "default_value", text="Colour")
+    if controls.strength is not None:
+        rows.prop(controls.strength, "default_value", text="Strength")
 
 
 def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

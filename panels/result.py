@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 
+from ..irgspp_addon.importer.arrangement import cameras_shown, is_imported_camera
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.ownership import KEY, folder_of
 from ..irgspp_addon.importer.scene_builder import RUN, find_roots, run_of
@@ -34,6 +35,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
             return
         thing = object_of_run(context.scene, run)
         draw_object(layout, context, run, thing)
+        draw_cameras(layout, context)
         draw_quality(layout, context, state)
 
 
@@ -132,6 +134,23 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
         material=settings.source,
         pack=settings.pack,
     )
+
+
+def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the switch that shows the cameras, and the buttons that look through them one after the other.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
+    if not any(is_imported_camera(thing) for thing in context.scene.objects):
+        return
+    row, shown = layout.row(align=True), cameras_shown(context.scene)
+    button(row, "irgspp.step_photograph", "", "TRIA_LEFT", step=-1)
+    through = context.scene.camera if is_imported_camera(context.scene.camera) else None
+    button(row, "irgspp.step_photograph", through.name if through else "Photographs", step=1)
+    button(row, "irgspp.step_photograph", "", "TRIA_RIGHT", step=1)
+    button(layout, "irgspp.show_cameras", "Hide Cameras" if shown else "Show Cameras", "CAMERA_DATA", show=not shown)
 
 
 def texture_text(thing: bpy.types.Object) -> str:

@@ -151,6 +151,11 @@ def run_of(thing: bpy.types.Object | None) -> Path | None:
     return folder if folder == folder_of(ancestor) else None
 
 
+def recovered_light(run: Path | None) -> bpy.types.World | None:
+    """Return the World of a run's recovered light; None where the run is not imported."""
+    return None if run is None else Owner(run).find(bpy.data.worlds, "world")
+
+
 def show_as_photographed(scene: bpy.types.Scene, imported: Imported) -> None:
     """Light a scene by the recovered light and look through the first camera, without a tone curve.
 

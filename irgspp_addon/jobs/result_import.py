@@ -63,7 +63,8 @@ def started_from(job: Job, otherwise: str) -> Iterator[bpy.types.Scene]:
 def import_result(job: Job) -> None:
     """Import a finished run into the scene from which it was started; raise IrgsppError if another file has been opened since."""
     with started_from(job, f"get the result by File > Import > IRGS++ Run from {job.folder}"):
-        bpy.ops.irgspp.import_run("EXEC_DEFAULT", True, directory=str(job.folder), material=job.data["material"], pack=job.data["pack"])
+        words = {"directory": str(job.folder), "material": job.data["material"], "pack": job.data["pack"]}
+        bpy.ops.irgspp.import_run("EXEC_DEFAULT", True, arrange=True, **words)
 
 
 ON_DONE = {"import_result": import_result}

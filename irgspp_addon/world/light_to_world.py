@@ -8,13 +8,16 @@ from pathlib import Path
 import bpy
 
 
-def world_from_map(path: Path, name: str = "irgspp light", pack: bool = False) -> bpy.types.World:
+def world_from_map(
+    path: Path, name: str = "irgspp light", pack: bool = False, colour_space: str | None = "Linear Rec.709"
+) -> bpy.types.World:
     """Create a World with an environment map, whose convention is Blender's own: no rotation, strength 1.
 
     Args:
-        path: lat-long EXR file.
+        path: lat-long image.
         name: name of the World.
         pack: True to pack the image into the .blend.
+        colour_space: of the image; None: what Blender takes it for.
     """
     world = bpy.data.worlds.new(name)
     nodes, links = node_tree(world)
@@ -25,7 +28,7 @@ def world_from_map(path: Path, name: str = "irgspp light", pack: bool = False) -
     output = nodes.new("ShaderNodeOutputWorld")
     for column, node in enumerate((coordinates, mapping, texture, background, output)):
         node.location = (-800 + 200 * column, 0)
-    texture.image = load_image(path, "Linear Rec.709", pack)
+    texture.image = load_image(path, colour_space, pack)
     texture.projection = "EQUIRECTANGULAR"
     links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
     links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
@@ -44,16 +47,17 @@ def node_tree(owner: bpy.types.World | bpy.types.Material) -> tuple[bpy.types.No
     return tree.nodes, tree.links
 
 
-def load_image(path: Path, colour_space: str, pack: bool) -> bpy.types.Image:
+def load_image(path: Path, colour_space: str | None, pack: bool) -> bpy.types.Image:
     """Load a file as a new image datablock, since an existing one may hold an older version of the file.
 
     Args:
         path: image file.
-        colour_space: name of its colour space in Blender.
+        colour_space: name of its colour space in Blender; None: what Blender takes it for.
         pack: True to pack the image into the .blend, False to link the file.
     """
     image = bpy.data.images.load(str(path.resolve()))
-    image.colorspace_settings.name = colour_space
+    if colour_space is not None:
+        image.colorspace_settings.name = colour_space
     if pack:
         image.pack()
     return image

@@ -47,7 +47,7 @@ class RecordingLayout:
     def separator(self, **_: Any) -> None:
         self.drawn.append(("separator",))
 
-    def prop(self, data: Any, name: str, text: str | None = None, icon: str = "NONE", **_: Any) -> None:
+    def prop(self, data: Any, name: str, text: str | None = None, icon: str = "NONE", index: int = -1, **_: Any) -> None:
         own = data.keys() if name.startswith("[") else []
         assert name in data.bl_rna.properties or name.strip('["]') in own, f"{data} has no property {name}"
         assert icon in known_icons(), icon

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Arrangement of a scene in which a result has arrived: cameras and the untouched objects of a new file hidden, the recovered light on."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+CUBE_CORNERS = 8  # of Blender's default cube, each coordinate 1 or -1
+LIGHT_PLACE, LIGHT_WATTS = (4.0762, 1.0055, 5.9039), 1000.0  # of Blender's default light
+WORLD_GREY = 0.0508761  # linear colour of Blender's default World, nearly black
+ROUNDING = 1e-3
+
+
+def arrange(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, light: bpy.types.World) -> None:
+    """Hide the imported cameras and the untouched default cube and light; replace the untouched default World by the recovered light.
+
+    Args:
+        scene: scene with the result.
+        layer: its view layer that is shown.
+        light: World of the recovered light.
+    """
+    show_cameras(scene, False)
+    for thing in scene.objects:
+        if (is_default_cube(thing) or is_default_light(thing)) and thing.name in layer.objects:
+            thing.hide_set(True, view_layer=layer)
+            thing.hide_render = True
+    if is_default_world(scene.world):
+        scene.world = light
+
+
+def is_imported_camera(thing: bpy.types.Object | None) -> bool:
+    """Return True for a camera that an import has made: it stores the size of its photograph."""
+    return thing is not None and thing.type == "CAMERA" and "width" in thing.data
+
+
+def cameras_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Return the imported cameras of a scene, sorted by name."""
+    return sorted((thing for thing in scene.objects if is_imported_camera(thing)), key=lambda thing: thing.name)
+
+
+def cameras_shown(scene: bpy.types.Scene) -> bool:
+    """Return True where imported cameras are shown, apart from the one that the scene is seen through."""
+    return any(not thing.hide_viewport for thing in scene.objects if is_imported_camera(thing) and thing != scene.camera)
+
+
+def show_cameras(scene: bpy.types.Scene, show: bool) -> None:
+    """Show or hide all imported cameras of a scene in 3D Views.
+
+    Args:
+        scene: the scene.
+        show: True to show them.
+    """
+    for camera in cameras_in(scene):
+        if camera.hide_viewport == show:
+            camera.hide_viewport = not show
+
+
+def show_alone(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
+    """Where the imported cameras are hidden, show the one that is looked through, since Blender draws its photograph only then.
+
+    Args:
+        scene: the scene; its present camera is hidden again.
+        camera: camera that is looked through next.
+    """
+    if not cameras_shown(scene) and is_imported_camera(scene.camera):
+        scene.camera.hide_viewport = True
+    camera.hide_viewport = False
+
+
+def is_default_cube(thing: bpy.types.Object) -> bool:
+    """Return True for the cube of a new file, as long as nothing about it was changed."""
+    if thing.type != "MESH" or not thing.name.startswith("Cube") or not _is_left_alone(thing):
+        return False
+    corners = thing.data.vertices
+    placed = np.abs(np.array(thing.matrix_world) - np.eye(4)).max() < ROUNDING
+    return placed and len(corners) == CUBE_CORNERS and all(abs(abs(x) - 1) < ROUNDING for corner in corners for x in corner.co)
+
+
+def is_default_light(thing: bpy.types.Object) -> bool:
+    """Return True for the light of a new file, as long as nothing about it was changed."""
+    if thing.type != "LIGHT" or thing.data.type != "POINT" or not _is_left_alone(thing):
+        return False
+    return abs(thing.data.energy - LIGHT_WATTS) < 1 and np.abs(np.array(thing.location) - LIGHT_PLACE).max() < 10 * ROUNDING
+
+
+def _is_left_alone(thing: bpy.types.Object) -> bool:
+    return not (thing.modifiers or thing.children or thing.parent or thing.animation_data or thing.constraints or thing.library)
+
+
+def is_default_world(world: bpy.types.World | None) -> bool:
+    """Return True for the World of a new file, one dark grey, as long as it was not changed."""
+    if world is None or world.library is not None or world.node_tree is None:
+        return False
+    kinds = sorted(node.bl_idname for node in world.node_tree.nodes)
+    if kinds != ["ShaderNodeBackground", "ShaderNodeOutputWorld"]:
+        return False
+    background = next(node for node in world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    colour, strength = background.inputs["Color"].default_value, background.inputs["Strength"].default_value
+    return strength == 1 and all(abs(value - WORLD_GREY) < ROUNDING for value in colour[:3])
