@@ -3,7 +3,7 @@
 
 # pyright: reportInvalidTypeForm=false
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import bpy
@@ -56,8 +56,33 @@ EYES = [
 ]
 
 
-def _forget_inspection(settings: "IRGSPP_SceneSettings", context: bpy.types.Context) -> None:
+CHOSEN: list[Callable[[bpy.types.Scene], None]] = []  # called with the scene where the user chooses other photographs
+
+_quiet = False  # True while `set_quietly` sets a property
+
+
+def _choose(settings: "IRGSPP_SceneSettings", context: bpy.types.Context) -> None:
+    if _quiet:
+        return
     settings.inspected = ""  # it describes another folder
+    for listener in CHOSEN:
+        listener(settings.id_data)
+
+
+def set_quietly(settings: "IRGSPP_SceneSettings", name: str, value: str) -> None:
+    """Set a property without what follows where the user sets it: it names the same folder at another place.
+
+    Args:
+        settings: of the scene.
+        name: of the property.
+        value: of the property.
+    """
+    global _quiet
+    _quiet = True
+    try:
+        setattr(settings, name, value)
+    finally:
+        _quiet = False
 
 
 def _is_mesh(settings: "IRGSPP_SceneSettings", thing: bpy.types.Object) -> bool:
@@ -73,8 +98,9 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         description="Folder of photographs, or a video. Known cameras (transforms.json, COLMAP, ...) are used, others are found",
         subtype="DIR_PATH",
         options=RELATIVE,
-        update=_forget_inspection,
+        update=_choose,
     )
+    saved_in: StringProperty(description="Folder of the .blend file when it was saved last", options={"HIDDEN"})
     inspected: StringProperty(description="Description of the dataset by the engine, as JSON", options={"HIDDEN"})
     up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES, default="AS_IS")
     scale: FloatProperty(

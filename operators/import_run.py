@@ -10,6 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.arrangement import arrange
+from ..irgspp_addon.importer.moved_project import IDENTITY, adopt_moved_run, run_identity
 from ..irgspp_addon.importer.run_frame import run_object
 from ..irgspp_addon.importer.scene_builder import import_run, show_as_photographed
 from ..irgspp_addon.properties import SOURCES
@@ -66,8 +67,10 @@ class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
         chosen = any(self.properties.is_property_set(name) for name in ("up_axis", "scale", "recentre"))
         placement = self.placement() if chosen else None
         run = Path(bpy.path.abspath(self.directory))
+        adopt_moved_run(run)
         is_new = run_object(context.scene, run) is None
         imported = import_run(run, self.material, self.pack, placement, context.scene)
+        imported.root[IDENTITY] = run_identity(run)
         select(context, imported.mesh)
         if self.arrange and is_new:
             arrange(context.scene, context.view_layer, imported.world)

@@ -10,6 +10,7 @@ from bpy.props import StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.jobs.timer import SHOWING
 from ..irgspp_addon.windows import redraw
@@ -66,7 +67,12 @@ class IRGSPP_OT_job_resume(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Resume the reconstruction."""
-        return _do(self, jobs.resume)
+
+        def resume(job: Job) -> None:
+            result_import.renew_place(job, context.scene)
+            jobs.resume(job)
+
+        return _do(self, resume)
 
 
 class IRGSPP_OT_job_forget(bpy.types.Operator):

@@ -6,11 +6,11 @@
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.scene_builder import recovered_light
-from ..irgspp_addon.world.light_controls import use_hdri
+from ..irgspp_addon.world.light_controls import SUFFIXES, use_hdri
 from .blocking import RUN, SKIP, refuse
 from .result import chosen_run
 
@@ -23,8 +23,7 @@ class IRGSPP_OT_open_hdri(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
 
     filepath: StringProperty(name="File", description="Lat-long image (.hdr or .exr)", subtype="FILE_PATH", options=SKIP)
-    filter_image: BoolProperty(default=True, options={"HIDDEN"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the file.

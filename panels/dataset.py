@@ -11,10 +11,10 @@ from typing import Any
 import bpy
 
 from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.importer.arrangement import is_imported_camera
 from ..irgspp_addon.importer.mask_image import is_captured_camera
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.importer.arrangement import is_imported_camera
 from .capture import draw_capture, draw_find_cameras
 from .capture_state import capture_of
 from .run_state import resolved

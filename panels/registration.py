@@ -12,7 +12,7 @@ import bpy
 
 from ..irgspp_addon import properties
 from ..irgspp_addon.engine.process import run_engine
-from ..irgspp_addon.importer import materials
+from ..irgspp_addon.importer import materials, moved_project
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import timer as job_timer
 from ..irgspp_addon.preferences_page import IRGSPP_Preferences
@@ -67,6 +67,7 @@ def register() -> None:
         bpy.utils.register_class(cls)
     properties.register()
     materials.register()
+    moved_project.register()
     jobs.CHANGED.append(properties.show_jobs)
     job_timer.register()
     images.register()
@@ -94,6 +95,7 @@ def unregister() -> None:
     images.unregister()
     job_timer.unregister()
     jobs.CHANGED.remove(properties.show_jobs)
+    moved_project.unregister()
     materials.unregister()
     properties.unregister()
     for cls in reversed(CLASSES):

@@ -26,6 +26,10 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
         """Draw the object and its quality, or how to get one."""
         layout, run = self.layout, shown_run(context)
         state = run_state(run)
+        if run is not None and state.status == "" and object_of_run(context.scene, run) is not None:
+            say(layout, context, f"The run folder {run} is not there any more. Open it at its new place.", icon="ERROR")
+            button(layout, "irgspp.import_run", "Open a Run", "FILE_FOLDER")
+            return
         if run is None or state.status == "":
             say(layout, context, "Reconstruct photographs, or open a finished run.", icon="INFO")
             button(layout, "irgspp.import_run", "Open a Run", "FILE_FOLDER")

@@ -41,7 +41,8 @@ def place_cameras(
         camera = owner.object(f"camera {name}", name, lens, rig)
         set_camera(camera, record.camera)
         lens.display_size, lens.clip_start, lens.clip_end = 0.025 * distance, 0.01 * distance, 100 * distance
-        _replace_background(lens, record.image if photographs and record.image.is_file() else None)  # it may have moved since
+        if not photographs or record.image.is_file() or not _has_photograph(lens):  # which a moved project's camera may show already
+            _replace_background(lens, record.image if photographs and record.image.is_file() else None)
         put(camera, cameras)
         placed.append(camera)
     return placed
@@ -99,6 +100,12 @@ def look_through(scene: bpy.types.Scene, placed: bpy.types.Object) -> None:
     render.resolution_x, render.resolution_y, render.resolution_percentage = lens["width"], lens["height"], 100
     render.pixel_aspect_x = max(1.0, 1 / lens["pixel_aspect"])
     render.pixel_aspect_y = max(1.0, lens["pixel_aspect"])
+
+
+def _has_photograph(lens: bpy.types.Camera) -> bool:
+    """Return True where a camera's background image is a file that exists."""
+    shown = [background.image.filepath for background in lens.background_images if background.image]
+    return any(Path(bpy.path.abspath(path)).is_file() for path in shown)
 
 
 def _replace_background(lens: bpy.types.Camera, photograph: Path | None) -> None:

@@ -108,6 +108,21 @@ class Owner:
         self._known.clear()
 
 
+def rename_owner(folder: Path, place: Path) -> None:
+    """Let the datablocks of a folder belong to another folder.
+
+    Args:
+        folder: folder that they were imported from.
+        place: folder that they belong to from now on.
+    """
+    data = bpy.data
+    for blocks in (data.objects, data.collections, data.cameras, data.meshes, data.materials, data.images, data.worlds):
+        for block in blocks:
+            key = block.get(KEY, "")
+            if block.library is None and key.startswith(f"{folder}#"):
+                block[KEY] = f"{place}#{key.rpartition('#')[2]}"
+
+
 def link(collection: bpy.types.Collection, parent: bpy.types.Collection) -> None:
     """Link a collection into another, unless it is there already.
 

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -34,6 +35,38 @@ def place_of(scene: bpy.types.Scene, material: str = "textures", pack: bool = Tr
     return {"place": place, "material": material, "pack": pack}
 
 
+def saved(jobs: Iterable[Job], file: str) -> None:
+    """Note in the jobs of the open file where it has been saved, so that they find it again in another session.
+
+    Args:
+        jobs: all jobs.
+        file: path of the .blend file.
+    """
+    for job in jobs:
+        place = job.data.get("place")
+        if place and (place["session"], place["loads"]) == (session_file().name, _loads) and place["file"] != file:
+            place["file"] = file
+            job.save_if_possible()
+
+
+def renew_place(job: Job, scene: bpy.types.Scene) -> None:
+    """Let a job that is resumed deliver into the scene in which it is resumed, if its own file was never saved or is gone.
+
+    Args:
+        job: stopped job.
+        scene: scene in which it is resumed.
+    """
+    place = job.data.get("place")
+    if place and not _is_open(place) and not (place["file"] and Path(place["file"]).is_file()):
+        job.data["place"] = place_of(scene)["place"]
+
+
+def _is_open(place: dict[str, Any]) -> bool:
+    """Return True if the file that a job was started from is open."""
+    same = (place["session"], place["loads"]) == (session_file().name, _loads)
+    return same or bool(place["file"] and place["file"] == bpy.data.filepath)
+
+
 @contextmanager
 def started_from(job: Job, otherwise: str) -> Iterator[bpy.types.Scene]:
     """Make the scene from which the job was started the context's scene within the block.
@@ -46,8 +79,7 @@ def started_from(job: Job, otherwise: str) -> Iterator[bpy.types.Scene]:
         IrgsppError: if another file has been opened since.
     """
     place = job.data["place"]
-    same = (place["session"], place["loads"]) == (session_file().name, _loads)
-    if not same and not (place["file"] and place["file"] == bpy.data.filepath):
+    if not _is_open(place):
         raise IrgsppError(f"another file is open now; {otherwise}")
     scene = bpy.data.scenes.get(place["scene"]) or bpy.context.scene
     window = next(iter(bpy.context.window_manager.windows), None)

@@ -18,6 +18,7 @@ def register() -> None:
     queue.ON_END.update(engine_check.ON_END)
     queue.refresh()
     bpy.app.handlers.load_post.append(_loaded)
+    bpy.app.handlers.save_post.append(_saved)
     if not bpy.app.background:
         bpy.app.timers.register(_tick, first_interval=BUSY_SECONDS, persistent=True)
 
@@ -27,6 +28,7 @@ def unregister() -> None:
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     bpy.app.handlers.load_post.remove(_loaded)
+    bpy.app.handlers.save_post.remove(_saved)
     queue.clear()
     session.end_session()
 
@@ -42,3 +44,9 @@ def _loaded(*_) -> None:
     """Note that another file is open, which must not receive results of jobs started for the previous one."""
     result_import.another_file()
     queue.refresh()
+
+
+@bpy.app.handlers.persistent
+def _saved(*_) -> None:
+    """Note in the jobs of this file where it was saved."""
+    result_import.saved(queue.all_jobs(), bpy.data.filepath)

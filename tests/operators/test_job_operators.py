@@ -15,7 +15,7 @@ from irgspp.irgspp_addon import properties
 from irgspp.irgspp_addon.engine import managed as managed_engine
 from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.jobs import queue as jobs
-from irgspp.irgspp_addon.jobs import result_import
+from irgspp.irgspp_addon.jobs import result_import, session
 from irgspp.panels import registration
 
 SETTINGS = " ".join(f"{key}={value}" for key, value in TINY.items())
@@ -125,6 +125,60 @@ def test_result_does_not_go_into_another_file(tmp_path, counter):
     until(lambda: job.finished)
     assert job.state == "done" and "another file is open" in job.error and str(job.folder) in job.error
     assert not meshes()
+
+
+def quit_and_open(file="") -> None:
+    """End the session as quitting Blender does, and open a file in the next."""
+    jobs.clear()
+    session.end_session()
+    bpy.ops.wm.read_homefile(use_empty=True) if not file else bpy.ops.wm.open_mainfile(filepath=str(file))
+    jobs.refresh()
+
+
+def stopped_job(counter, run_folder):
+    """A job of the open file that was cancelled."""
+    place = result_import.place_of(bpy.context.scene, "textures", True)
+    job = counter(1000, kind="reconstruct", folder=run_folder, on_done="import_result", data=place)
+    until(lambda: job.step)
+    jobs.cancel(job)
+    until(lambda: job.finished)
+    return job
+
+
+def resumed(job):
+    """Resume a job of an earlier session by its button, to its end."""
+    job = jobs.find(job.id)
+    job.arguments = ["3"]
+    jobs.resume, resume = lambda job: None, jobs.resume
+    try:
+        assert bpy.ops.irgspp.job_resume(job=job.id) == {"FINISHED"}
+    finally:
+        jobs.resume = resume
+    result_import.import_result(job)
+    return job
+
+
+def test_scene_saved_after_the_start_gets_the_result_in_another_session(tmp_path, run_folder, counter):
+    job = stopped_job(counter, run_folder)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "later.blend"))
+    quit_and_open(tmp_path / "later.blend")
+    resumed(job)
+    assert len(meshes()) == 1
+
+
+def test_scene_that_was_never_saved_is_replaced_by_the_one_of_the_resumption(run_folder, counter):
+    job = stopped_job(counter, run_folder)
+    quit_and_open()
+    resumed(job)
+    assert len(meshes()) == 1
+
+
+def test_result_of_a_file_that_exists_does_not_go_where_it_was_resumed(tmp_path, run_folder, counter):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
+    job = stopped_job(counter, run_folder)
+    quit_and_open()
+    with pytest.raises(IrgsppError, match="another file is open"):
+        resumed(job)
 
 
 def test_result_that_is_none_is_told(tmp_path, counter):
