@@ -16,7 +16,6 @@ from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.properties import BACKENDS, EYES
 from ..irgspp_addon.relight import preview
 from ..irgspp_addon.relight.session import session_of
-from ..irgspp_addon.windows import areas
 from ..irgspp_addon.world.world_light import save_light, world_light
 from .blocking import RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
@@ -80,12 +79,10 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
         given, panel = self.properties.is_property_set, preview.settings_of(scene)
         # A value equal to the panel's follows the panel from now on.
         fixed: dict[str, Any] = {name: getattr(self, name) for name in panel if given(name) and getattr(self, name) != panel[name]}
-        eye = self.eye if given("eye") else scene.irgspp.relight_eye
-        area = _area(context) if eye == "view" else None
-        if eye == "view" and area is None:
-            raise InputError("preview", "there is no 3D View to look from", "look from the camera: eye='camera'")
-        resolution = self.resolution if given("resolution") else scene.irgspp.preview_resolution
-        return preview.start_preview(scene, run, fixed, resolution, area)
+        eye = self.eye if given("eye") and self.eye != scene.irgspp.relight_eye else None
+        resolution = self.resolution if given("resolution") and self.resolution != scene.irgspp.preview_resolution else None
+        area = context.area if context.area is not None and context.area.type == "VIEW_3D" else None
+        return preview.start_preview(scene, run, fixed, resolution, eye, area)
 
 
 class IRGSPP_OT_relight_stop(bpy.types.Operator):
@@ -224,10 +221,3 @@ def _run(context: bpy.types.Context, named: str) -> Path:
     if not (run / "gaussians.ply").is_file():
         raise InputError(run, "is not a finished run folder (no gaussians.ply in it)", "it may have been moved; choose it again")
     return run.resolve()
-
-
-def _area(context: bpy.types.Context) -> bpy.types.Area | None:
-    """Return the 3D View that the operator was called from, or the largest one; None without any."""
-    if context.area is not None and context.area.type == "VIEW_3D":
-        return context.area
-    return max(areas("VIEW_3D"), key=lambda area: area.width * area.height, default=None)

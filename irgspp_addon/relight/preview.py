@@ -20,37 +20,29 @@ CHANNEL = "image"
 
 
 def start_preview(
-    scene: bpy.types.Scene, run: Path, overrides: dict[str, Any], resolution: int, area: bpy.types.Area | None = None
+    scene: bpy.types.Scene,
+    run: Path,
+    overrides: dict[str, Any],
+    resolution: int | None = None,
+    eye: str | None = None,
+    area: bpy.types.Area | None = None,
 ) -> Follower:
-    """Start the preview, which follows the scene from now on.
+    """Start the preview, which follows the scene and its settings from now on.
 
     Args:
         scene: scene whose World lights the object.
         run: run folder.
         overrides: values that replace those of `settings_of`.
-        resolution: longer side of the image in pixels.
-        area: 3D View to look from; None for the scene's camera.
+        resolution: longer side of the image in pixels; None for that of the scene's settings.
+        eye: "camera" or "view"; None for that of the scene's settings.
+        area: 3D View to look from; None for the largest one.
 
     Raises:
-        InputError: if the scene has no camera to look from.
+        InputError: if there is no camera or no 3D View to look from.
     """
-    if area is None and scene.camera is None:
-        raise InputError(f"scene {scene.name}", "has no camera", "add one, or look from the 3D View")
-    view = _View(area) if area is not None else None
-
-    def size(scene: bpy.types.Scene) -> tuple[int, int]:
-        render = scene.render
-        width, height = view.size() if view else (render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y)
-        scale = resolution / max(width, height)
-        return max(1, round(width * scale)), max(1, round(height * scale))
-
-    def camera(scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
-        if view is not None:
-            return view_camera(view.region_3d(), width, height, frame, view.size())
-        # The size is that of the image as shown, so its pixels are square.
-        return scene_camera(scene, bpy.context.evaluated_depsgraph_get(), width, height, frame, square=True)
-
-    follower = Follower(CHANNEL, scene, run, camera, size, lambda scene: {**settings_of(scene), **overrides}, _show)
+    place = _Eye(eye, resolution, area)
+    place.check(scene)
+    follower = Follower(CHANNEL, scene, run, place.camera, place.image_size, lambda scene: {**settings_of(scene), **overrides}, _show)
     follow(follower)
     return follower
 
@@ -83,11 +75,51 @@ def settings_of(scene: bpy.types.Scene) -> dict[str, Any]:
     }
 
 
-class _View:
-    """3D View, which is looked up at each access, since the user may close it."""
+class _Eye:
+    """Point of view and size of the image: fixed where they were given, else those of the scene's settings at each update."""
 
-    def __init__(self, area: bpy.types.Area) -> None:
-        self._area = area.as_pointer()
+    def __init__(self, eye: str | None, resolution: int | None, area: bpy.types.Area | None) -> None:
+        self._eye, self._resolution, self._view = eye, resolution, _View(area)
+
+    def check(self, scene: bpy.types.Scene) -> None:
+        """Raise InputError where there is nothing to look from."""
+        view = self._view_of(scene)
+        if view is not None:
+            view.size()
+        elif scene.camera is None:
+            raise InputError(f"scene {scene.name}", "has no camera", "add one, or look from the 3D View")
+
+    def image_size(self, scene: bpy.types.Scene) -> tuple[int, int]:
+        """Return the width and height of the image in pixels."""
+        render, view = scene.render, self._view_of(scene)
+        width, height = view.size() if view else (render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y)
+        scale = (self._resolution or scene.irgspp.preview_resolution) / max(width, height)
+        return max(1, round(width * scale)), max(1, round(height * scale))
+
+    def camera(self, scene: bpy.types.Scene, frame: Frame, width: int, height: int) -> Camera:
+        """Return the camera in Blender's world.
+
+        Args:
+            scene: the scene.
+            frame: frame of the object.
+            width: width of the image in pixels.
+            height: height of the image in pixels.
+        """
+        view = self._view_of(scene)
+        if view is not None:
+            return view_camera(view.region_3d(), width, height, frame, view.size())
+        # The size is that of the image as shown, so its pixels are square.
+        return scene_camera(scene, bpy.context.evaluated_depsgraph_get(), width, height, frame, square=True)
+
+    def _view_of(self, scene: bpy.types.Scene) -> _View | None:
+        return self._view if (self._eye or scene.irgspp.relight_eye) == "view" else None
+
+
+class _View:
+    """3D View, which is looked up at each access, since the user may close it; without a given one the largest."""
+
+    def __init__(self, area: bpy.types.Area | None) -> None:
+        self._area = area.as_pointer() if area is not None else None
 
     def region_3d(self) -> bpy.types.RegionView3D:
         return self._find().spaces.active.region_3d
@@ -97,6 +129,11 @@ class _View:
         return max(1, region.width), max(1, region.height)
 
     def _find(self) -> bpy.types.Area:
+        if self._area is None:
+            largest = max(areas("VIEW_3D"), key=lambda area: area.width * area.height, default=None)
+            if largest is None:
+                raise InputError("preview", "there is no 3D View to look from", "look from the camera")
+            self._area = largest.as_pointer()
         for area in areas("VIEW_3D"):
             if area.as_pointer() == self._area:
                 return area

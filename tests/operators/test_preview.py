@@ -3,6 +3,7 @@
 
 import time
 from math import pi
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -23,7 +24,7 @@ def follow_until(what, seconds=300.0):
 
 
 def started(scene, run, **how):
-    return preview.start_preview(scene, run, {"samples": 16, "use_world": True, **how}, 64)
+    return preview.start_preview(scene, run, {"samples": 16, "use_world": True, **how}, 64, "camera")
 
 
 def test_the_preview_follows_world_camera_object_and_albedo(scene, relightable):
@@ -51,6 +52,45 @@ def test_the_preview_follows_world_camera_object_and_albedo(scene, relightable):
     assert follower.done  # nothing changed, nothing is asked
     assert bpy.ops.irgspp.relight_stop() == {"FINISHED"}
     assert not preview.preview_running()
+
+
+class FixedView:
+    """A 3D View of 40x20 pixels at the place of the scene's camera, moved up."""
+
+    def __init__(self, scene):
+        placed = scene.camera.matrix_world.copy()
+        placed.translation.z += 0.5
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        self._matrices = SimpleNamespace(
+            view_matrix=placed.inverted(), window_matrix=scene.camera.calc_matrix_camera(depsgraph, x=40, y=20)
+        )
+
+    def region_3d(self):
+        return self._matrices
+
+    def size(self):
+        return 40, 20
+
+
+def test_a_running_preview_follows_resolution_and_point_of_view(scene, relightable, monkeypatch):
+    settings = scene.irgspp
+    settings.relight_eye, settings.preview_resolution = "camera", 48
+    monkeypatch.setattr(preview, "_View", lambda area: FixedView(scene))
+    follower = preview.start_preview(scene, relightable, {"samples": 4})
+    follow_until(lambda: follower.done)
+    sizes = [tuple(bpy.data.images[preview.IMAGE].size)]
+    for name, value in (("preview_resolution", 24), ("relight_eye", "view")):
+        setattr(settings, name, value)
+        relight_follow.beat()
+        assert not follower.done  # it does not go on to say "Up to date"
+        follow_until(lambda: follower.done)
+        sizes.append(tuple(bpy.data.images[preview.IMAGE].size))
+    assert [max(size) for size in sizes] == [48, 24, 24] and sizes[2] == (24, 12) != sizes[1]
+    fixed = preview.start_preview(scene, relightable, {"samples": 4}, 32, "camera")
+    follow_until(lambda: fixed.done)
+    settings.preview_resolution = 16
+    relight_follow.beat()
+    assert fixed.done  # a script's own values stay
 
 
 def test_a_rendered_world_comes_later_and_the_former_light_stays_meanwhile(scene, relightable):
