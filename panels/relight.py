@@ -8,6 +8,7 @@ import bpy
 from ..irgspp_addon.importer.run_frame import ALBEDO_SCALE
 from ..irgspp_addon.importer.scene_builder import recovered_light
 from ..irgspp_addon.relight import preview
+from ..irgspp_addon.relight.left_out import left_out
 from ..irgspp_addon.relight.live_image import follower_of
 from ..irgspp_addon.relight.render_engine import ENGINE
 from ..irgspp_addon.world.light_controls import UP, light_controls
@@ -38,6 +39,8 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
             column.prop(thing, f'["{ALBEDO_SCALE}"]', text="Albedo Scale")
         draw_preview(layout, context)
         draw_engine(layout, context)
+        if missing := left_out(context.scene, context.view_layer, shown_run(context)):
+            say(layout, context, f"{missing}. IRGS++ draws one reconstruction under the World.", icon="INFO")
 
 
 class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):

@@ -15,6 +15,7 @@ from ...core.scene.camera import Camera
 from ..importer.run_frame import Frame, albedo_scale, camera_of, chosen_run, frame_of, run_object, scene_camera
 from ..windows import enlarged, redraw
 from ..world.world_light import world_light
+from .left_out import left_out
 from .live_image import Follower, follow, follower_of, stop
 from .preview import settings_of
 from .session import Answer, RelightRequest, session_of
@@ -58,6 +59,9 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
             image = session.wait("final", request, lambda answer: self._show(result, size, answer), self.test_break)
             _fill(result, size, image)
             finished = True
+            scene = depsgraph.scene.original
+            if missing := left_out(scene, scene.view_layers[depsgraph.view_layer.name], run, final=True):
+                self.report({"WARNING"}, f"{missing}. IRGS++ draws one reconstruction under the World")
         finally:
             self.end_result(result, cancel=not finished)
 
@@ -88,7 +92,8 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
         follower = follower_of(view.channel)
         if follower is not None and not follower.failed:
             view.draw(self, depsgraph.scene)
-        self.update_stats("IRGS++", follower.message if follower is not None else "")
+        missing = left_out(depsgraph.scene.original, context.view_layer, None)
+        self.update_stats(f"IRGS++ | {missing}" if missing else "IRGS++", follower.message if follower is not None else "")
 
 
 def final_request(depsgraph: bpy.types.Depsgraph, size: tuple[int, int]) -> tuple[RelightRequest, Path]:

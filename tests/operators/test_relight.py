@@ -92,6 +92,15 @@ def test_f12_is_the_preview(scene, relightable, tmp_path):
     assert np.allclose(opaque[behind, :3], plain_light(scene.world).radiance(camera.rays())[behind], rtol=1e-3, atol=1e-3)
 
 
+def test_f12_says_what_it_leaves_out(scene, relightable, tmp_path, capfd):
+    scene.irgspp.relight_samples, scene.render.resolution_percentage = 1, 25
+    rendered(scene, tmp_path)
+    assert "Not drawn" not in capfd.readouterr().out
+    bpy.ops.object.light_add(type="SUN")
+    rendered(scene, tmp_path)
+    assert "Not drawn: 1 lamp. IRGS++ draws one reconstruction" in capfd.readouterr().out
+
+
 def test_border_percentage_and_pixel_aspect(scene, relightable, tmp_path):
     scene.irgspp.relight_samples = 16
     scene.render.film_transparent = True

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What IRGS++ leaves out of its images, in words: it draws one reconstruction under the World, without lamps and other objects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+
+from ..importer.ownership import KEY, folder_of
+from ..importer.run_frame import run_object
+from .world_follower import changes
+
+SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "POINTCLOUD", "CURVES", "GREASEPENCIL", "GPENCIL")
+KINDS = ("lamp", "other reconstruction", "collection instance", "object")  # in the order of the sentence
+
+_known: dict[tuple, tuple[int, str]] = {}  # by scene, view layer and run: the count of changes, and the text
+
+
+def left_out(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, run: Path | None, final: bool = False) -> str:
+    """Return a sentence such as "Not drawn: 2 lamps, 1 object"; "" where everything visible is drawn.
+
+    Args:
+        scene: original scene, not an evaluated one.
+        layer: its view layer.
+        run: run that is drawn; None for the chosen one.
+        final: True for a final render, False for what 3D Views show.
+    """
+    key = (scene.name, layer.name, run, final)
+    count, text = _known.get(key, (-1, ""))
+    if count != changes.count:
+        text = _sentence(list(_kinds(scene, layer, run, final)))
+        _known[key] = (changes.count, text)
+    return text
+
+
+def _sentence(kinds: list[str]) -> str:
+    counts = {kind: kinds.count(kind) for kind in KINDS if kind in kinds}
+    parts = [f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in counts.items()]
+    return f"Not drawn: {', '.join(parts)}" if parts else ""
+
+
+def _kinds(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, run: Path | None, final: bool) -> Iterator[str]:
+    """Yield the kind of each visible object that is not drawn."""
+    drawn = run_object(scene, run, layer)
+    for thing in layer.objects:
+        if thing == drawn or (thing.hide_render if final else not thing.visible_get(view_layer=layer)):
+            continue
+        if thing.type == "LIGHT":
+            yield "lamp"
+        elif thing.type == "EMPTY" and thing.instance_type == "COLLECTION" and thing.instance_collection is not None:
+            yield "collection instance"
+        elif folder_of(thing) is not None and thing.type == "MESH" and thing[KEY].endswith("#mesh"):
+            yield "other reconstruction"
+        elif thing.type in SURFACES and folder_of(thing) is None:  # the points of a dataset are no part of an image
+            yield "object"
