@@ -106,7 +106,7 @@ def parse_side(where: object, values: dict[str, Any], key: str, axis: int = 0, s
     """
     if not is_given(values, key):
         if size is None:
-            raise InputError(where, f'has no "{key}" and no image to take the size from')
+            raise InputError(where, "none of the images can be read, so their size is unknown", f'copy them again, or state "{key}"')
         return size[axis]
     side = parse_number(where, values, key)
     if not 1 <= side <= LARGEST_SIDE or side != int(side):

@@ -53,8 +53,24 @@ def select_material_class(
         margin += TURNING
     for material_class in classes[1:]:
         best = material_class if score[material_class.name] > score[best.name] + margin else best
-    progress.message("materials: " + ", ".join(f"{name} {value:.2f} dB" for name, value in score.items()) + f" -> {best.name}")
+    progress.message(_choice_in_words(score, best.name, margin))
     return best, score[best.name]
+
+
+def _choice_in_words(score: dict[str, float], chosen: str, margin: float) -> str:
+    """Return the choice with its reason, in one line.
+
+    Args:
+        score: PSNR of each class in dB, the least reflecting first.
+        chosen: name of the class.
+        margin: dB by which a more reflecting class must be better.
+    """
+    best = max(score, key=lambda name: score[name])
+    gain = score[best] - score[chosen]
+    if best != chosen and list(score).index(best) > list(score).index(chosen):
+        return f"materials: {chosen}; {best} would be only {gain:.1f} dB better, less than the {margin:.1f} dB that it needs"
+    rest = [value for name, value in score.items() if name != chosen]
+    return f"materials: {chosen}, by {score[chosen] - max(rest):.1f} dB the best on held-back photographs"
 
 
 def material_class_named(name: str, dataset: Dataset) -> MaterialClass:
