@@ -4,13 +4,16 @@
 # pyright: reportInvalidTypeForm=false
 
 import textwrap
+from contextlib import suppress
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
+from ..core.errors import IrgsppError
 from .engine import managed
 from .engine.preferences import DEFAULT_KIND
 from .engine.process import status
+from .jobs.engine_check import check_in_background
 from .jobs.queue import all_jobs
 from .user_folder import EXTENSION
 
@@ -29,7 +32,14 @@ ICONS = {"ok": "CHECKMARK", "unknown": "QUESTION", "missing": "ERROR", "broken":
 
 def _choose_existing(preferences: "IRGSPP_Preferences", context: bpy.types.Context) -> None:
     if preferences.engine_python:
-        preferences.engine_kind = "EXISTING"
+        preferences.engine_kind = "EXISTING"  # which checks it
+
+
+def _check_chosen(preferences: "IRGSPP_Preferences", context: bpy.types.Context) -> None:
+    """Check a newly chosen engine at once, without blocking Blender."""
+    if not bpy.app.background and status().state == "unknown":
+        with suppress(IrgsppError):  # such as a full disk: the button Check Engine tells it
+            check_in_background()
 
 
 class IRGSPP_Preferences(bpy.types.AddonPreferences):
@@ -42,6 +52,7 @@ class IRGSPP_Preferences(bpy.types.AddonPreferences):
         description="Python environment that computes, separate from Blender because its libraries can conflict with Blender's",
         items=KINDS,
         default=DEFAULT_KIND,
+        update=_check_chosen,
     )
     engine_python: StringProperty(
         name="Engine Python",
@@ -87,7 +98,7 @@ def draw_preferences(preferences: bpy.types.AddonPreferences, layout: bpy.types.
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(engine.text, LETTERS)):
         column.label(text=line, icon=ICONS[engine.state] if number == 0 else "BLANK1")
-    layout.operator("irgspp.check_engine", text="Check", icon="FILE_REFRESH")
+    layout.operator("irgspp.check_engine", text="Check Engine", icon="FILE_REFRESH")
     layout.prop(preferences, "keep_running")
 
 

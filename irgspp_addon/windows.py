@@ -24,6 +24,11 @@ def redraw(*kinds: str) -> None:
         area.tag_redraw()
 
 
+def redraw_status_bar() -> None:
+    """Redraw the status bar, which is no area of the screen: it listens for a renamed view layer."""
+    bpy.msgbus.publish_rna(key=(bpy.types.ViewLayer, "name"))
+
+
 def open_image_editor(image: bpy.types.Image) -> bpy.types.Area:
     """Show an image in an open Image Editor, or else in a new window, and return the editor's area."""
     area = next((area for area in areas("IMAGE_EDITOR") if area.ui_type == "IMAGE_EDITOR"), None)

@@ -10,10 +10,13 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.dataset_import import build_dataset, checked, export_arguments, export_folder, is_fresh
+from ..irgspp_addon.importer.photographs import find_bare_photographs, problem_of
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.properties import CHOSEN
 from .blocking import WAIT, Queued, refuse, run_to_end
 from .import_run import select
 from .placed_import import PlacedImport
@@ -46,6 +49,27 @@ class IRGSPP_OT_inspect_dataset(Queued, bpy.types.Operator):
             return ended
         except IrgsppError as error:
             return refuse(self, error)
+
+
+def inspect_chosen(scene: bpy.types.Scene) -> Job | None:
+    """Inspect photographs with cameras as soon as they are chosen; return the job, None where there is nothing to inspect.
+
+    Args:
+        scene: in whose panel they are chosen.
+    """
+    dataset = scene.irgspp.dataset_path()
+    if dataset is None or not engine.status().usable or problem_of(dataset) or find_bare_photographs(dataset) is not None:
+        return None
+    data = {**result_import.place_of(scene), "dataset": str(dataset.resolve())}
+    try:
+        return jobs.start("inspect", f"Inspect {dataset.name}", None, ["inspect", str(dataset), "--json"], "show_inspection", data)
+    except IrgsppError:  # the button Inspect tells why
+        return None
+
+
+def _chosen(scene: bpy.types.Scene) -> None:
+    if not bpy.app.background:
+        inspect_chosen(scene)
 
 
 def show_inspection(job: Job) -> None:
@@ -192,6 +216,7 @@ CLASSES = (IRGSPP_OT_inspect_dataset, IRGSPP_OT_import_dataset, IRGSPP_OT_import
 def register() -> None:
     """Register the menu entry, and the functions that finished jobs call."""
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
+    CHOSEN.append(_chosen)
     jobs.ON_DONE.update(show_inspection=show_inspection, import_dataset=import_when_read)
 
 
@@ -199,4 +224,5 @@ def unregister() -> None:
     """Unregister them."""
     for name in ("show_inspection", "import_dataset"):
         jobs.ON_DONE.pop(name, None)
+    CHOSEN.remove(_chosen)
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)

@@ -16,6 +16,7 @@ from .job_card import draw_last
 from .run_state import resolved
 from .sidebar import button, say, settings_column
 
+ENOUGH = 20  # photographs below which the panel asks for more
 SHOWN = 4  # photographs left out that the panel names
 
 
@@ -31,6 +32,8 @@ def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context, da
     bare = None if capture else bare_photographs(dataset)
     if bare is not None:
         say(layout, context, f"Photographs without cameras: {count_in_words(bare)}", icon="INFO")
+        if bare.complete and not bare.videos and bare.photographs < ENOUGH:
+            say(layout, context, f"That is few: {ENOUGH} or more from all around give a good object.", icon="ERROR")
     elif capture is not None and capture.status == "running":
         say(layout, context, "The cameras of these photographs are not all found yet; Find Cameras goes on.", icon="INFO")
     else:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ..irgspp_addon.importer.capture_file import CaptureSummary, read_capture
-from ..irgspp_addon.importer.photographs import BarePhotographs, find_bare_photographs
+from ..irgspp_addon.importer.photographs import BarePhotographs, find_bare_photographs, sample_photographs
+from ..irgspp_addon.importer.photographs import problem_of as find_problem
 
 CHECK_SECONDS = 2.0  # between two looks at the same folder
 
@@ -24,6 +25,16 @@ def capture_of(folder: Path | None) -> CaptureSummary | None:
 def bare_photographs(folder: Path | None) -> BarePhotographs | None:
     """Return the photographs of a folder without cameras, or a video; None for anything else."""
     return _look(find_bare_photographs, folder)
+
+
+def problem_of(folder: Path | None) -> str:
+    """Return what the chosen folder lacks, in a sentence; "" where nothing is known to be lacking, or none is chosen."""
+    return _look(find_problem, folder) or ""
+
+
+def thumbnails(folder: Path | None) -> tuple[Path, ...]:
+    """Return a few photographs of the chosen folder, to show them."""
+    return _look(sample_photographs, folder) or ()
 
 
 def forget() -> None:

@@ -16,10 +16,12 @@ from ..irgspp_addon.importer.mask_image import is_captured_camera
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
 from .capture import draw_capture, draw_find_cameras
-from .capture_state import capture_of
+from .capture_state import capture_of, problem_of, thumbnails
+from .images import image
 from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
 
+THUMBNAIL = 3.2  # height of a photograph in rows of buttons
 SHOWN = ("format", "views", "pictures", "masks", "points")  # rows of an inspection that the panel shows
 
 
@@ -39,9 +41,15 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
         if dataset is None:
             draw_guide(layout, context)
             return
+        problem = problem_of(dataset)
+        if problem:
+            column = layout.column()
+            column.alert = True
+            say(column, context, problem, icon="ERROR")
+        draw_thumbnails(layout, dataset)
         capture = capture_of(dataset)
         if not draw_find_cameras(layout, context, dataset, capture):
-            draw_import(layout, settings, str(dataset))
+            draw_import(layout, settings, str(dataset), not problem)
         draw_inspection(layout, context, last_inspection(dataset))
         draw_summary(layout, context, settings.inspected)
         draw_capture(layout, context, dataset, capture)
@@ -88,16 +96,29 @@ def draw_guide(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     button(column, "irgspp.demo", "Try the Demo", "MONKEY")
 
 
-def draw_import(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, dataset: str) -> None:
+def draw_thumbnails(layout: bpy.types.UILayout, dataset: Path) -> None:
+    """Draw a few of the photographs.
+
+    Args:
+        layout: to draw into.
+        dataset: folder that the user chose.
+    """
+    row = layout.row(align=True)
+    for photograph in thumbnails(dataset):
+        image(row, photograph, scale=THUMBNAIL)
+
+
+def draw_import(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, dataset: str, enabled: bool) -> None:
     """Draw the buttons that inspect and import a dataset.
 
     Args:
         layout: to draw into.
         settings: of the scene.
         dataset: path of the dataset.
+        enabled: False where there is nothing to read.
     """
     row = layout.row(align=True)
-    row.enabled = engine.status().usable
+    row.enabled = enabled and engine.status().usable
     button(row, "irgspp.inspect_dataset", "Inspect", "VIEWZOOM", directory=dataset)
     button(
         row,
@@ -125,10 +146,18 @@ def draw_inspection(layout: bpy.types.UILayout, context: bpy.types.Context, job:
         return
     if not job.finished:
         layout.progress(factor=job.fraction, text="Reading the photographs")
-    elif job.error:
+    elif job.error and not changed_since(Path(job.data["dataset"]), job.ended):
         column = layout.column()
         column.alert = True
         say(column, context, job.error, icon="ERROR")
+
+
+def changed_since(folder: Path, when: float | None) -> bool:
+    """Return True if a folder has got or lost files since a time, in seconds since the epoch."""
+    try:
+        return when is not None and folder.stat().st_mtime > when
+    except OSError:
+        return False
 
 
 def last_inspection(dataset: Path | None) -> Job | None:

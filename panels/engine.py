@@ -34,7 +34,7 @@ class IRGSPP_PT_engine(SidebarPanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.scale_y = 1.3
         button(column, "preferences.addon_show", "Set Up Engine", "PREFERENCES", module=EXTENSION)
-        button(layout, "irgspp.check_engine", "Check Again", "FILE_REFRESH")
+        button(layout, "irgspp.check_engine", "Check Engine", "FILE_REFRESH")
 
 
 CLASSES = (IRGSPP_PT_engine,)

@@ -12,7 +12,7 @@ from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
 from .capture_state import capture_of
 from .images import image
-from .phases import phase_in_words
+from .phases import phase_in_words, total_fraction
 from .run_state import run_state
 from .sidebar import button, say, seconds_in_words
 
@@ -26,7 +26,10 @@ WORDS = {
     "cancelled": "Cancelled",
     "lost": "Ended unobserved",
 }
+ENOUGH = 0.05  # fraction of a job that must have been observed before its whole time is estimated
 RECONSTRUCTIONS = ("reconstruct", "demo")  # kinds of jobs that make a run
+
+_starts: dict[tuple, tuple[float, float]] = {}  # by job and start: time and fraction of the job when it was seen first
 
 
 def draw_last(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str, run: Path | None) -> None:
@@ -46,17 +49,18 @@ def draw_last(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str,
         draw_job(box, context, job)
 
 
-def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job, resume: bool = True) -> None:
     """Draw the progress of a job and its stop buttons while it runs, its outcome and what can follow afterwards.
 
     Args:
         layout: to draw into.
         context: of the panel.
         job: in the queue or ended.
+        resume: True to offer that a stopped job is resumed.
     """
     column = layout.column()
     if job.finished:
-        _draw_end(column, context, job)
+        _draw_end(column, context, job, resume)
     else:
         _draw_progress(column, context, job)
         _draw_stops(column, job)
@@ -68,6 +72,8 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: 
         return
     say(layout, context, phase_in_words(job.kind, job.phase))
     layout.progress(factor=job.fraction, text=progress_text(job))
+    if text := total_text(job, time.time()):
+        layout.label(text=text)
     if text := metrics_text(job):
         layout.label(text=text)
     if job.preview is not None:
@@ -83,9 +89,10 @@ def _draw_stops(layout: bpy.types.UILayout, job: Job) -> None:
     button(row, "irgspp.job_cancel", "End Now" if job.stopping else "Cancel", "X", job=job.id)
 
 
-def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job, resume: bool) -> None:
     took = job.seconds()
-    layout.label(text=WORDS[job.state] + (f" after {seconds_in_words(took)}" if took else ""), icon=ICONS[job.state])
+    word = "Stopped" if job.state == "cancelled" and job.error else WORDS[job.state]  # by the user, or with Blender
+    layout.label(text=word + (f" after {seconds_in_words(took)}" if took else ""), icon=ICONS[job.state])
     if job.error:
         column = layout.column()
         column.alert = job.state != "cancelled"
@@ -93,7 +100,7 @@ def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) 
     if text := metrics_text(job):
         layout.label(text=text)
     row = layout.row(align=True)
-    if can_resume(job):
+    if resume and can_resume(job):
         button(row, "irgspp.job_resume", "Resume", "FILE_REFRESH", job=job.id)
     button(row, "irgspp.job_log", "Open Log", "TEXT", job=job.id)
 
@@ -107,8 +114,28 @@ def can_resume(job: Job) -> bool:
 
 def progress_text(job: Job) -> str:
     """Return the text on the progress bar: "46 %, 1:20 min left"; the time is that of the present step."""
+    if 0 < job.of <= job.step:
+        return "Finishing this step"  # what follows the last iteration takes a while too
     left = f", {seconds_in_words(job.eta)} left" if job.eta is not None else ""
     return f"{100 * job.fraction:.0f} %{left}" if job.of else "Working"
+
+
+def total_text(job: Job, now: float) -> str:
+    """Return the time that all steps of a reconstruction still take, such as "About 3 min left in all"; empty where it is unknown.
+
+    Args:
+        job: running job.
+        now: time in seconds since the epoch.
+    """
+    done = total_fraction(job.kind, job.phase, job.fraction)
+    if done is None:
+        return ""
+    began, before = _starts.setdefault((job.id, job.began), (now, done))  # it may have been resumed
+    gained = done - before
+    if gained < ENOUGH:
+        return ""
+    minutes = (now - began) * (1 - done) / gained / 60
+    return f"About {minutes:.0f} min left in all" if minutes >= 1.5 else "About a minute left in all"
 
 
 def metrics_text(job: Job) -> str:

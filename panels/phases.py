@@ -21,8 +21,27 @@ CAPTURE_STEPS = (  # of a capture, in order; a reconstruction of photographs wit
     ("Undistorting photographs", ("undistort photographs",)),
     ("Cutting out the object", ("dense points", "cut out the object")),
 )
+# Share of each phase of a reconstruction in its whole time, in percent: rounded means of drafts and balanced runs on a CPU
+SHARES = {
+    "read images": 2,
+    "materials": 9,
+    "stereo": 3,
+    "start": 3,
+    "first stage": 25,
+    "fuse": 5,
+    "trace": 3,
+    "second stage": 16,
+    "normals": 4,
+    "turn surfels": 2,
+    "paint": 7,
+    "refine": 9,
+    "radiance": 3,
+    "unwrap": 4,
+    "bake": 2,
+    "scene": 2,
+    "contact sheet": 1,
+}
 NUMBERS = {phase: number for number, (_, phases) in enumerate(STEPS, 1) for phase in phases}
-
 CAPTURE_NUMBERS = {phase: number for number, (_, phases) in enumerate(CAPTURE_STEPS, 1) for phase in phases}
 
 
@@ -42,3 +61,17 @@ def phase_in_words(kind: str, phase: str) -> str:
     if kind in ("reconstruct", "capture") and number:
         return f"{'Step' if kind == 'capture' else 'Cameras, step'} {number} of {len(CAPTURE_STEPS)}: {CAPTURE_STEPS[number - 1][0]}"
     return f"{phase[:1].upper()}{phase[1:]}" if phase else "Starting"
+
+
+def total_fraction(kind: str, phase: str, fraction: float) -> float | None:
+    """Return the fraction of a whole reconstruction that is done; None for other jobs and unknown phases.
+
+    Args:
+        kind: of the job.
+        phase: as the engine names it.
+        fraction: of the phase that is done, 0..1.
+    """
+    if kind not in ("reconstruct", "demo") or phase not in SHARES:
+        return None
+    before = list(SHARES.values())[: list(SHARES).index(phase)]
+    return (sum(before) + fraction * SHARES[phase]) / sum(SHARES.values())

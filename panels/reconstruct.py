@@ -11,7 +11,7 @@ from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.object_sphere import find_sphere, is_changed
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
-from .capture_state import bare_photographs
+from .capture_state import bare_photographs, problem_of
 from .job_card import BEGAN, RECONSTRUCTIONS, can_resume, draw_job
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -38,7 +38,7 @@ class IRGSPP_PT_reconstruct(SidebarPanel, bpy.types.Panel):
             box = layout.box()
             if job.kind == "demo":
                 box.label(text=job.title)  # it does not use the photographs chosen above
-            draw_job(box, context, job)
+            draw_job(box, context, job, resume=False)
 
 
 class IRGSPP_PT_reconstruct_more(SidebarPanel, bpy.types.Panel):
@@ -65,19 +65,26 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
     """
     settings = context.scene.irgspp
     status = run_state(settings.run_path()).status if settings.dataset else ""
-    row = layout.row(align=True)
+    stopped, problem = status in STOPPED, problem_of(settings.dataset_path())
+    column = layout.column()
+    column.enabled = bool(settings.dataset) and engine.status().usable and not problem
+    row = column.row()
     row.scale_y = 1.5
-    row.enabled = bool(settings.dataset) and engine.status().usable
-    if status in STOPPED and not (job and can_resume(job)):  # else the job's card has this button
+    if stopped and job is not None and can_resume(job):
+        button(row, "irgspp.job_resume", "Resume", "FILE_REFRESH", job=job.id)
+    elif stopped:
         button(row, "irgspp.reconstruct", "Resume", "FILE_REFRESH", resume=True)
-    button(row, "irgspp.reconstruct", "Reconstruct Again" if status else "Reconstruct", "PLAY", overwrite=bool(status))
+    else:
+        button(row, "irgspp.reconstruct", "Reconstruct Again" if status else "Reconstruct", "PLAY", overwrite=bool(status))
+    if stopped:  # small, since it replaces what was done
+        button(column, "irgspp.reconstruct", "Start Over", "FILE_NEW", overwrite=True)
     if not settings.dataset:
         say(layout, context, "Choose photographs above first.", icon="INFO")
     elif not engine.status().usable:
         say(layout, context, "Set up the engine above first.", icon="INFO")
-    else:
+    elif not problem:  # which the panel above tells
         if status:
-            say(layout, context, "Reconstruct Again replaces the run in the folder.", icon="INFO")
+            say(layout, context, f"{'Start Over' if stopped else 'Reconstruct Again'} replaces the run in the folder.", icon="INFO")
         draw_sphere(layout, context)
 
 

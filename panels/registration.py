@@ -28,7 +28,7 @@ from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
 from ..operators.reconstruct import IRGSPP_OT_demo, IRGSPP_OT_reconstruct
 from . import CLASSES as PANELS
-from . import images
+from . import headline, images
 
 CLASSES = (
     IRGSPP_Preferences,
@@ -72,6 +72,7 @@ def register() -> None:
     job_timer.register()
     images.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
+    bpy.types.STATUSBAR_HT_header.append(headline.draw_status)
     import_dataset.register()
     capture_operators.register()
     result_operators.register()
@@ -91,6 +92,7 @@ def unregister() -> None:
     result_operators.unregister()
     capture_operators.unregister()
     import_dataset.unregister()
+    bpy.types.STATUSBAR_HT_header.remove(headline.draw_status)
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
     images.unregister()
     job_timer.unregister()

@@ -120,7 +120,7 @@ def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         if not follower.failed:
             layout.progress(factor=1.0 if follower.done else follower.share, text="Up to date" if follower.done else follower.message)
         button(layout, "irgspp.relight_stop", "Stop Preview", "X")
-    if follower is not None and follower.failed:
+    if follower is not None and follower.failed and not (follower.ended and follower.outdated):
         column = layout.column()
         column.alert = True
         say(column, context, follower.message, icon="ERROR")

@@ -11,6 +11,7 @@ from ..irgspp_addon.importer.arrangement import cameras_shown, is_imported_camer
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.ownership import KEY, folder_of
 from ..irgspp_addon.importer.scene_builder import RUN, find_roots, run_of
+from ..irgspp_addon.jobs import queue as jobs
 from .job_card import draw_last
 from .run_state import RunState, resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -41,6 +42,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
         draw_object(layout, context, run, thing)
         draw_cameras(layout, context)
         draw_quality(layout, context, state)
+        draw_files(layout, run)
 
 
 class FinishedRunPanel(SidebarPanel):
@@ -94,12 +96,13 @@ class IRGSPP_PT_export(FinishedRunPanel, bpy.types.Panel):
         for text, icon, suffix in FILES:
             button(column, "irgspp.export", text, icon, run=str(run), filepath=str(run / f"{run.name}{suffix}") if run else "")
         draw_last(self.layout, context, "export", run)
+        draw_exported(self.layout, run)
 
 
 UNFINISHED = {
     "running": "Not finished yet.",
     "failed": "The reconstruction failed; see above.",
-    "cancelled": "The reconstruction was cancelled; it can be resumed.",
+    "cancelled": "The reconstruction was stopped; it can be resumed.",
     "broken": "The run folder can't be read.",
 }
 FILES = (
@@ -162,6 +165,32 @@ def texture_text(thing: bpy.types.Object) -> str:
     tree = thing.active_material.node_tree if thing.active_material else None
     images = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
     return f"textures {images[0].size[0]}" if images else "no textures"
+
+
+def draw_files(layout: bpy.types.UILayout, run: Path) -> None:
+    """Draw the buttons that show the run folder and its contact sheet.
+
+    Args:
+        layout: to draw into.
+        run: run folder.
+    """
+    row, sheet = layout.row(align=True), run / "contact_sheet.png"
+    button(row, "wm.path_open", "Open Folder", "FILE_FOLDER", filepath=str(run))
+    if sheet.is_file():
+        button(row, "irgspp.show_image", "Contact Sheet", "IMAGE_DATA", filepath=str(sheet))
+
+
+def draw_exported(layout: bpy.types.UILayout, run: Path | None) -> None:
+    """Draw the button that shows the file which was exported last.
+
+    Args:
+        layout: to draw into.
+        run: run folder.
+    """
+    done = (job for job in jobs.all_jobs() if job.kind == "export" and job.state == "done" and job.data.get("run") == str(run))
+    file = next((Path(job.data["file"]) for job in done), None)
+    if file is not None and file.is_file():
+        button(layout, "wm.path_open", f"Show {file.name}", "FILE_FOLDER", filepath=str(file.parent))
 
 
 def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: RunState) -> None:

@@ -9,11 +9,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from ..properties import VIDEOS
 
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif")
+SHOWN = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")  # that Blender shows
+OTHERS = (".exr", ".hdr", ".npy", ".npz", ".json", ".bin", ".txt", ".xml", ".csv", ".pkl", ".ply", ".db")  # in datasets of other programs
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
 RECORD = "photographs.json"  # in the folder of a capture, whose images are copies
 DESCRIPTIONS = ("capture.json", "transforms_train.json", "transforms.json", "0-camera.pkl", "object_point_cloud.ply")
@@ -52,6 +55,39 @@ def find_bare_photographs(path: Path) -> BarePhotographs | None:
         return _count(path)
     except OSError:  # a folder that may not be read: the engine's error says so
         return None
+
+
+def problem_of(path: Path) -> str:
+    """Return what a chosen path lacks, in a sentence; "" where the engine can look for more.
+
+    Args:
+        path: folder or file that the user chose.
+    """
+    try:
+        if not path.exists():
+            return "This folder is not there. It may have been moved; choose it again."
+        if path.is_dir() and not has_cameras(path) and not any(_may_be_read(file) for file in islice(_walk(path), LOOKED_AT)):
+            return "There are no photographs in this folder."
+    except OSError:
+        return "This folder can't be read."
+    return ""
+
+
+def _may_be_read(file: Path) -> bool:
+    return file.suffix.lower() in (*PHOTOGRAPHS, *RAW, *VIDEOS, *OTHERS)
+
+
+def sample_photographs(folder: Path, count: int = 4) -> tuple[Path, ...]:
+    """Return a few photographs of a folder that Blender can show, evenly chosen by name; none for a file.
+
+    Args:
+        folder: folder that the user chose.
+        count: number of photographs at most.
+    """
+    if not folder.is_dir():
+        return ()
+    found = sorted(file for file in islice(_walk(folder), LOOKED_AT) if file.suffix.lower() in SHOWN)
+    return tuple(found[len(found) * i // count] for i in range(min(count, len(found))))
 
 
 def has_cameras(folder: Path) -> bool:

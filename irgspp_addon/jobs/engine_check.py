@@ -12,10 +12,11 @@ def check_in_background() -> Job | None:
     """Start a job that checks the engine, after which `engine.process.status()` has the result; None if no engine is installed."""
     if engine_process.status().state == "missing":
         return None
+    python = engine_process.engine_python()
     for job in queue.all_jobs():
-        if job.kind == "check" and not job.finished:
+        if job.kind == "check" and not job.finished and job.data.get("python") == python:
             return job
-    return queue.start("check", "Check engine", None, ["devices", "--json"], data={"python": engine_process.engine_python()})
+    return queue.start("check", "Check engine", None, ["devices", "--json"], data={"python": python})
 
 
 def finish_check(job: Job) -> None:

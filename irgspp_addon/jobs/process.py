@@ -19,6 +19,8 @@ from .job import Job
 from .session import is_held, session_file
 
 WORKER = Path(__file__).resolve().parents[1] / "engine" / "worker.py"
+CLOSED = "Blender was closed"  # as the error of a job that stopped with it
+BLENDER_ENDED = "irgspp: Blender has ended"  # line of its log; see worker.py
 
 _processes: dict[str, subprocess.Popen] = {}  # by job id, of the jobs that this Blender started
 
@@ -86,11 +88,16 @@ def finish(job: Job) -> None:
     if status == 0 and record:
         job.state, job.error = "done", None
     elif status == 130 or (job.stopping and not record):
-        job.state, job.error = "cancelled", None
+        job.state, job.error = "cancelled", CLOSED if _ended_with_blender(job) else None
     elif status is None:
         job.state, job.error = "lost", "ended without an exit status while no Blender observed it; its log may say why"
     else:
         job.state, job.error = "failed", _reason(job, status, bool(record))
+
+
+def _ended_with_blender(job: Job) -> bool:
+    """Return True where the job stopped because its Blender was closed, which worker.py writes to the log."""
+    return any(BLENDER_ENDED in line for line in job.log_tail(50))
 
 
 def _reason(job: Job, status: int, has_record: bool) -> str:

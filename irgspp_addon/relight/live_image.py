@@ -17,6 +17,7 @@ from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 
 from ...core.errors import InputError, IrgsppError
 from ...core.scene.camera import Camera
+from ..engine.process import engine_python, status
 from ..importer.run_frame import Frame, albedo_scale, chosen_run, frame_of, run_object
 from ..windows import redraw
 from ..world.world_light import forget
@@ -62,6 +63,7 @@ class Follower:
         self._requested_size = (1, 1)
         self.message, self.share, self.ended, self.done, self.failed = "Starting the engine", 0.0, False, False, False
         self._ended_at = 0
+        self._engine = _engine_state()
 
     def tick(self) -> None:
         """Compare the scene with the latest request and read the worker's answer, without waiting; an error becomes the message."""
@@ -102,7 +104,12 @@ class Follower:
     @property
     def stale(self) -> bool:
         """True if the live image has ended and something has changed since."""
-        return self.ended and self._ended_at != changes.count
+        return self.ended and (self._ended_at != changes.count or self.outdated)
+
+    @property
+    def outdated(self) -> bool:
+        """True if another engine has been chosen or checked since the start, so that an error may be about the one before."""
+        return self._engine != _engine_state()
 
     def _send_request(self) -> None:
         """Send a request if the scene has changed since the latest one."""
@@ -143,6 +150,10 @@ class Follower:
         self.message = "Done" if answer.done else f"Refining, {answer.fraction:.0%}"
         if answer.image is not None:
             self._show(answer.image, self._requested_size, answer.done)
+
+
+def _engine_state() -> tuple[str, str]:
+    return engine_python(), status().state
 
 
 _followers: dict[str, Follower] = {}

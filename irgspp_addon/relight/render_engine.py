@@ -37,6 +37,7 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
     bl_label = "IRGS++"
     bl_use_preview = False
     bl_use_eevee_viewport = True  # Material Preview
+    is_known = False  # True once this instance has drawn: Blender makes a new one where the user chooses Rendered shading again
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Render the final image (F12) of one view layer."""
@@ -79,7 +80,8 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
             context: context of the 3D View.
             depsgraph: evaluated dependency graph, unused.
         """
-        viewport_of(context)
+        viewport_of(context, again=not self.is_known)
+        self.is_known = True
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Draw the latest image into a 3D View, and show progress or error as text.
@@ -233,13 +235,18 @@ class Viewport:
 _viewports: dict[int, Viewport] = {}
 
 
-def viewport_of(context: bpy.types.Context) -> Viewport:
-    """Return the viewport of the context's region, and start the follower that updates it while it has Rendered shading."""
+def viewport_of(context: bpy.types.Context, again: bool = False) -> Viewport:
+    """Return the viewport of the context's region, and start the follower that updates it while it has Rendered shading.
+
+    Args:
+        context: of the 3D View.
+        again: also start one that has ended with an error.
+    """
     key = context.region.as_pointer()
     view = _viewports.setdefault(key, Viewport(key, f"view{key:x}"))
     view.update(context)
     follower = follower_of(view.channel)
-    if follower is None or follower.stale:
+    if follower is None or follower.stale or (again and follower.ended):
         follow(Follower(view.channel, context.scene, None, view.camera, view.image_size, _viewport_settings, view.show, view.is_visible))
     return view
 
