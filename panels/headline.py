@@ -17,7 +17,7 @@ class IRGSPP_PT_headline(SidebarPanel, bpy.types.Panel):
     """Line at the head of the tab, which no closed panel hides."""
 
     bl_label = "State"
-    bl_order = 0
+    bl_order = -1  # above the panel Engine
     bl_options = {"HIDE_HEADER"}  # noqa: RUF012 (Blender wants a plain set)
 
     @classmethod

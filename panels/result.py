@@ -188,7 +188,7 @@ def draw_exported(layout: bpy.types.UILayout, run: Path | None) -> None:
         run: run folder.
     """
     done = (job for job in jobs.all_jobs() if job.kind == "export" and job.state == "done" and job.data.get("run") == str(run))
-    file = next((Path(job.data["file"]) for job in done), None)
+    file = next((Path(job.data["file"]) for job in done if "file" in job.data), None)
     if file is not None and file.is_file():
         button(layout, "wm.path_open", f"Show {file.name}", "FILE_FOLDER", filepath=str(file.parent))
 

@@ -151,8 +151,11 @@ def test_a_stopped_reconstruction_can_be_resumed(settings, tmp_path, state):
     add_job(tmp_path, state=state, error="disk full", began=10.0, ended=75.0)
     drawn = draw(reconstruct.IRGSPP_PT_reconstruct)
     assert "after 1:05 min" in drawn.words and "disk full" in drawn.words
-    assert drawn.buttons("irgspp.job_resume")[0].values == drawn.buttons("irgspp.job_log")[0].values == {"job": "j1"}
-    assert [button.values for button in drawn.buttons("irgspp.reconstruct")] == [{"overwrite": True}]
+    (resume,), (again,) = drawn.buttons("irgspp.job_resume"), drawn.buttons("irgspp.reconstruct")
+    assert resume.values == drawn.buttons("irgspp.job_log")[0].values == {"job": "j1"}
+    assert (again.text, again.values) == ("Start Over", {"overwrite": True})  # what replaces the run comes second
+    operators = [entry[1] for entry in drawn.drawn if entry[0] == "operator"]
+    assert operators.index("irgspp.job_resume") < operators.index("irgspp.reconstruct")
     (tmp_path / "run.json").unlink()  # refused before anything was done
     run_state._known.clear()
     assert not draw(reconstruct.IRGSPP_PT_reconstruct).buttons("irgspp.job_resume")
@@ -272,7 +275,7 @@ def test_relighting_shows_progress_and_errors(settings, run_folder, monkeypatch)
     drawn = draw(relight.IRGSPP_PT_relight)
     assert drawn.buttons("irgspp.relight_preview")[0].live and "world" in drawn.properties
     assert drawn.buttons("wm.context_set_enum")[0].values == {"data_path": "scene.render.engine", "value": "IRGSPP"}
-    follower = SimpleNamespace(ended=False, failed=False, done=False, share=0.4, message="Refining, 40%")
+    follower = SimpleNamespace(ended=False, failed=False, done=False, outdated=False, share=0.4, message="Refining, 40%")
     monkeypatch.setattr(relight, "follower_of", lambda channel: follower)
     drawn = draw(relight.IRGSPP_PT_relight)
     assert ("progress", 0.4, "Refining, 40%") in drawn.drawn
@@ -282,7 +285,10 @@ def test_relighting_shows_progress_and_errors(settings, run_folder, monkeypatch)
     follower.failed, follower.message = True, "scene Scene: has no camera"
     assert "has no camera" in draw(relight.IRGSPP_PT_relight).words
     follower.ended = True
-    assert draw(relight.IRGSPP_PT_relight).buttons("irgspp.relight_preview")
+    drawn = draw(relight.IRGSPP_PT_relight)
+    assert drawn.buttons("irgspp.relight_preview") and "has no camera" in drawn.words
+    follower.outdated = True  # another engine was chosen: the error was about the one before
+    assert "has no camera" not in draw(relight.IRGSPP_PT_relight).words
     bpy.context.scene.render.engine = "IRGSPP"
     assert "F12" in draw(relight.IRGSPP_PT_relight).words
 
@@ -293,3 +299,29 @@ def test_an_edited_mesh_is_baked_as_it_is(settings, run_folder):
     settings.edited_mesh = bpy.data.objects.new("edited", bpy.data.meshes.new("edited"))
     values = draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values
     assert (values["mesh"], values["triangles"]) == ("edited", 0)
+
+
+def test_a_job_that_stopped_with_blender_is_not_said_to_be_cancelled(settings, tmp_path):
+    settings.run = settings.dataset = str(tmp_path)
+    finished_run(tmp_path, status="cancelled")
+    job = add_job(tmp_path, state="cancelled", error="Blender was closed", began=10.0, ended=75.0)
+    words = draw(reconstruct.IRGSPP_PT_reconstruct).words
+    assert "Stopped after 1:05 min Blender was closed" in words and "Cancelled" not in words
+    job.error = None
+    assert "Cancelled after 1:05 min" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+
+
+def test_folder_contact_sheet_and_exported_file_are_at_hand(settings, tmp_path):
+    run = finished_run(tmp_path / "run")
+    settings.run = str(run)
+    drawn = draw(result.IRGSPP_PT_result)
+    assert drawn.buttons("wm.path_open")[0].values == {"filepath": str(run)} and not drawn.buttons("irgspp.show_image")
+    (run / "contact_sheet.png").touch()
+    assert draw(result.IRGSPP_PT_result).buttons("irgspp.show_image")[0].values == {"filepath": str(run / "contact_sheet.png")}
+    (tmp_path / "out").mkdir()
+    file = tmp_path / "out" / "spot.glb"
+    add_job(tmp_path, kind="export", state="done", made=time.time(), data={"run": str(run), "file": str(file)})
+    assert not draw(result.IRGSPP_PT_export).buttons("wm.path_open")  # it was deleted meanwhile
+    file.touch()
+    (show,) = draw(result.IRGSPP_PT_export).buttons("wm.path_open")
+    assert (show.text, show.values) == ("Show spot.glb", {"filepath": str(tmp_path / "out")})

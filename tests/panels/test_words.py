@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.panels import run_state
-from irgspp.panels.job_card import metrics_text, progress_text
+from irgspp.panels.job_card import metrics_text, progress_text, total_text
 from irgspp.panels.jobs import job_when
-from irgspp.panels.phases import CAPTURE_NUMBERS, CAPTURE_STEPS, NUMBERS, STEPS, phase_in_words
+from irgspp.panels.phases import CAPTURE_NUMBERS, CAPTURE_STEPS, NUMBERS, SHARES, STEPS, phase_in_words, total_fraction
 from irgspp.panels.sidebar import letters, say, seconds_in_words
 from recording_layout import RecordingLayout
 
@@ -58,8 +58,25 @@ def test_progress_and_metrics():
     assert progress_text(job(step=23, of=50, eta=80.0)) == "46 %, 1:20 min left"
     assert progress_text(job(step=1, of=4)) == "25 %"
     assert progress_text(job()) == "Working"
+    assert progress_text(job(step=50, of=50, eta=0.0)) == "Finishing this step"  # not "100 %, 0 s left" while work goes on
     assert metrics_text(job(metrics={"loss": 0.01234, "psnr": 31.26})) == "Loss 0.0123   PSNR 31.3 dB"
     assert metrics_text(job(metrics={"gaussians": 3.0})) == ""
+
+
+def test_the_whole_time_is_estimated_from_what_was_seen():
+    run = job(began=10.0, phase="first stage", step=0, of=100)
+    assert set(SHARES) == set(NUMBERS)
+    assert total_text(run, 1000.0) == ""
+    run.step = 10
+    assert total_text(run, 1010.0) == ""  # too early
+    run.phase, run.step = "second stage", 50
+    done, before = total_fraction("reconstruct", "second stage", 0.5), total_fraction("reconstruct", "first stage", 0.0)
+    minutes = 600 * (1 - done) / (done - before) / 60
+    assert total_text(run, 1600.0) == f"About {minutes:.0f} min left in all"
+    run.phase = "contact sheet"
+    assert total_text(run, 1600.0) == "About a minute left in all"
+    assert total_fraction("bake", "bake", 0.5) is None and total_fraction("reconstruct", "match photographs", 0.5) is None
+    assert total_fraction("demo", "contact sheet", 1.0) == 1.0
 
 
 def test_when_a_job_was():

@@ -142,7 +142,7 @@ def test_a_job_ends_with_its_blender_by_default(other_blender):
     queue.refresh()
     first = queue.find(ids[0])
     until(lambda: first.finished)
-    assert first.state == "cancelled"
+    assert (first.state, first.error) == ("cancelled", "Blender was closed")  # not by the user
     assert any("Blender has ended" in line for line in first.log_tail())
 
 
