@@ -117,6 +117,21 @@ def press_button(button: str, across: float = 0.4, part: str = "") -> Iterator[f
     yield 1.0
 
 
+def engine_ready() -> Iterator[float]:
+    """Choose the engine in the preferences and wait until it has been checked, which begins by itself."""
+    bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
+    yield from driver.wait(lambda: driver.extension_module("irgspp_addon.engine.process").status().state == "ok", 120)
+    yield 1.0
+
+
+def show_properties(tab: str) -> Iterator[float]:
+    """Show a tab of the Properties editor, such as "WORLD"."""
+    area = next(area for area in driver.window().screen.areas if area.type == "PROPERTIES")
+    area.spaces.active.context = tab
+    area.tag_redraw()
+    yield 1.0
+
+
 def started_job() -> Generator[float, None, Any]:
     """Wait until a job of the extension runs, and return it."""
     queue = driver.extension_module("irgspp_addon.jobs.queue")

@@ -286,7 +286,7 @@ def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, acro
     raise RuntimeError(f"no button {button} is visible")
 
 
-def click(button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4) -> Iterator[float]:
+def click(button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4, part: str = "") -> Iterator[float]:
     """Click on a button.
 
     Args:
@@ -294,7 +294,8 @@ def click(button: str, kind: str = "UI", area: bpy.types.Area | None = None, acr
         kind: type of the region.
         area: area; None: the 3D View.
         across: place across the region, 0..1.
+        part: text in the button's command, where several buttons have the operator.
     """
-    yield from find(button, kind, area, across)
+    yield from find(button, kind, area, across, part)
     click_here()
     yield 1.0

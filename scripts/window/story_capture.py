@@ -27,10 +27,8 @@ def story() -> Iterator[float]:
         bpy.data.objects.remove(bpy.data.objects[name])
     driver.view3d().spaces[0].overlay.show_relationship_lines = False
     driver.time_callbacks()
-    bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
     yield from driver.open_sidebar("IRGS++")
-    yield from browsing.press_button("irgspp.check_engine")
-    yield from driver.wait(lambda: driver.extension_module("irgspp_addon.engine.process").status().state == "ok", 120)
+    yield from browsing.engine_ready()
     yield from find_cameras(photographs)
     yield from look_at_masks()
     yield from reconstruct()

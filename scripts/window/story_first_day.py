@@ -24,8 +24,6 @@ def story() -> Iterator[float]:
     demo = Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data"
     photographs = Path(shutil.copytree(demo, work / "monkey"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "first_day.blend"))  # so that the folder can be named relative to it
-    for name in ("Cube", "Light", "Camera"):
-        bpy.data.objects.remove(bpy.data.objects[name])
     driver.view3d().spaces[0].overlay.show_relationship_lines = False
     driver.time_callbacks()
     yield from driver.open_sidebar("IRGS++")
@@ -42,14 +40,7 @@ def set_up_engine() -> Iterator[float]:
     """Set up the engine in the preferences, to which the panel leads without one."""
     driver.sidebar_shot("01_no_engine")
     yield from driver.find("preferences.addon_show")
-    preferences = bpy.context.preferences.addons[driver.MODULE].preferences
-    preferences.engine_python = driver.ENGINE
-    yield 1.0
-    driver.sidebar_shot("02_engine_unchecked")
-    yield from driver.click("irgspp.check_engine")
-    engine = driver.extension_module("irgspp_addon.engine.process")
-    yield from driver.wait(lambda: engine.status().state == "ok", 120)
-    yield 1.0
+    yield from browsing.engine_ready()
     driver.shot("03_start")
     driver.sidebar_shot("03_start_sidebar")
 
@@ -60,9 +51,8 @@ def look_at(photographs: Path) -> Iterator[float]:
     settings.dataset = f"//{photographs.name}"
     yield 1.0
     driver.sidebar_shot("04_chosen")
-    yield from driver.click("irgspp.inspect_dataset", across=0.25)
     yield from driver.wait(lambda: settings.inspected, 60)
-    yield 1.0
+    yield 2.0
     driver.sidebar_shot("05_inspected")
     yield from driver.click("irgspp.import_dataset", across=0.7)
     yield from driver.wait(lambda: any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects), 60)
@@ -83,15 +73,25 @@ def reconstruct(run: Path) -> Iterator[float]:
     driver.sidebar_shot("07_running_sidebar")
     yield from driver.wait(lambda: job.finished, 600)
     yield 2.0
-    driver.shot("08_done")
     assert job.state == "done" and not job.error, (job.state, job.error)
+    yield 30.0  # shaders are compiled
+    driver.shot("08_done")
+    assert_arranged()
+
+
+def assert_arranged() -> None:
+    """Check that the result is what is seen: framed in Material Preview, without cameras, cube and lamp."""
+    scene, space = bpy.context.scene, driver.view3d().spaces[0]
+    seen = [thing.name for thing in scene.objects if thing.visible_get() and thing.type in ("CAMERA", "LIGHT", "MESH")]
+    assert len(seen) == 2 and "Camera" in seen, seen  # the object, and Blender's own camera
+    assert space.shading.type == "MATERIAL" and scene.world.name.endswith(" light"), (space.shading.type, scene.world)
+    thing = bpy.context.object
+    assert (space.region_3d.view_location - thing.matrix_world.translation).length < 1.0 and space.region_3d.view_distance < 10
 
 
 def show_result() -> Iterator[float]:
-    """Select and frame the object."""
-    yield from browsing.frame_selected()
-    driver.view3d().spaces[0].shading.type = "MATERIAL"
-    yield 40.0  # shaders are compiled
+    """Show the result's panel, and look through a camera."""
+    yield 10.0  # shaders are compiled
     driver.shot("09_result")
     driver.sidebar_shot("09_result_sidebar")
     yield from look_through_a_camera()
@@ -100,10 +100,9 @@ def show_result() -> Iterator[float]:
 
 def look_through_a_camera() -> Iterator[float]:
     """Look through a photograph's camera: first at the object, then with the photograph half over it."""
-    photographed = [thing for thing in bpy.context.scene.objects if thing.type == "CAMERA" and thing.data.background_images]
-    bpy.context.view_layer.objects.active = photographed[-1]
-    yield 1.0
-    yield from driver.click("irgspp.look_through")
+    thing = bpy.context.object
+    yield from browsing.press_button("irgspp.step_photograph", across=0.5)
+    yield from driver.wait(lambda: bpy.context.scene.camera.name != "Camera", 5)
     background = bpy.context.scene.camera.data.background_images[0]
     yield 3.0
     driver.shot("09_through_camera")
@@ -112,12 +111,15 @@ def look_through_a_camera() -> Iterator[float]:
     driver.shot("09_through_camera_mixed")
     background.display_depth, background.alpha = "BACK", 1.0
     driver.view3d().spaces[0].region_3d.view_perspective = "PERSP"
-    bpy.context.view_layer.objects.active = next(thing for thing in bpy.context.selected_objects)
+    bpy.context.view_layer.objects.active = thing
 
 
 def relight(hdri: Path) -> Iterator[float]:
-    """Relight the object by an HDRI in the World, then turn it."""
-    mapping = sunset_world(hdri)
+    """Relight the object by an HDRI that is opened in the panel, then turn it."""
+    yield from browsing.press_button("irgspp.open_hdri", across=0.25)
+    yield from browsing.confirm_files("10_hdri", directory=hdri.parent, file=hdri.name)
+    yield from driver.wait(lambda: bpy.context.scene.world.name == hdri.stem, 10)
+    controls = driver.extension_module("irgspp_addon.world.light_controls").light_controls(bpy.context.scene.world)
     editor = open_image_editor()
     yield 1.0
     yield from browsing.frame_selected()
@@ -132,28 +134,18 @@ def relight(hdri: Path) -> Iterator[float]:
         bpy.ops.image.view_all(fit_view=True)
     yield 1.0
     driver.shot("10_relit")
-    mapping.inputs["Rotation"].default_value[2] = 2.0
+    controls.rotation.default_value[2] = 2.0
     yield from driver.wait(lambda: not follower.done, 10, step=0.02)
     yield from driver.wait(lambda: follower.done, 60)
     yield 1.0
     driver.shot("11_turned")
     driver.sidebar_shot("11_turned_sidebar")
+    bpy.context.scene.irgspp.preview_resolution = 128
+    yield from driver.wait(lambda: not follower.done, 10, step=0.02)
+    yield from driver.wait(lambda: follower.done, 60)
+    assert max(bpy.data.images[preview.IMAGE].size) == 128
     yield from driver.click("irgspp.relight_stop")
     assert not preview.preview_running()
-
-
-def sunset_world(hdri: Path) -> bpy.types.Node:
-    """Set a World lit by an HDRI and return the node that turns it."""
-    world = browsing.new_world("Sunset")
-    nodes, links = world.node_tree.nodes, world.node_tree.links
-    coordinates, mapping, texture = (nodes.new(f"ShaderNode{name}") for name in ("TexCoord", "Mapping", "TexEnvironment"))
-    texture.image = bpy.data.images.load(str(hdri))
-    background = next(node for node in nodes if node.bl_idname == "ShaderNodeBackground")
-    links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
-    links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
-    links.new(texture.outputs["Color"], background.inputs["Color"])
-    bpy.context.scene.world = world
-    return mapping
 
 
 def open_image_editor() -> bpy.types.Area:

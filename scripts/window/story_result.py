@@ -20,14 +20,10 @@ def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     run = Path(shutil.copytree(os.environ["IRGSPP_RUN"], work / "spot"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "result.blend"))
-    for name in ("Cube", "Light"):
-        bpy.data.objects.remove(bpy.data.objects[name])
     browsing.open_panels("IRGSPP_PT_bake", "IRGSPP_PT_export", "IRGSPP_PT_relight_files")
     driver.time_callbacks()
-    bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
     yield from driver.open_sidebar("IRGS++")
-    yield from browsing.press_button("irgspp.check_engine")
-    yield from driver.wait(lambda: driver.extension_module("irgspp_addon.engine.process").status().state == "ok", 120)
+    yield from browsing.engine_ready()
     yield from open_run(run)
     yield from bake_again()
     yield from export(run)
@@ -150,6 +146,9 @@ def render(work: Path) -> Iterator[float]:
     """Render by IRGS++ as the scene's render engine: F12 to its end, and cancelled by Esc."""
     yield from browsing.press_button("wm.context_set_enum")
     assert bpy.context.scene.render.engine == "IRGSPP"
+    for tab in ("WORLD", "MATERIAL", "RENDER"):
+        yield from browsing.show_properties(tab)
+        driver.shot(f"51_properties_{tab.lower()}")
     scene = bpy.context.scene
     bpy.context.view_layer.objects.active = next(thing for thing in scene.objects if thing.type == "CAMERA" and thing.parent)
     scene.camera = bpy.context.view_layer.objects.active
@@ -198,6 +197,9 @@ def rendered_shading() -> Iterator[float]:
     yield from driver.wait(lambda: follow.follower_of(view.channel).done, 60)
     yield 1.0
     driver.shot("58_rendered_turned")
+    bpy.context.scene.objects["Light"].hide_set(False)
+    yield 2.0
+    driver.shot("58_rendered_with_a_lamp")
 
 
 def ended(job) -> Iterator[float]:

@@ -23,26 +23,27 @@ def story() -> Iterator[float]:
     yield from driver.open_sidebar("IRGS++")
     yield from open_preferences()
     yield from driver.open_sidebar("IRGS++")
-    yield from driver.click("irgspp.check_engine")
     yield from driver.wait(lambda: driver.extension_module("irgspp_addon.engine.process").status().state == "ok", 120)
 
     (work / "empty").mkdir()
     settings.dataset = "//empty"
-    yield 1.0
-    yield from driver.click("irgspp.inspect_dataset", across=0.25)
-    yield from driver.wait(lambda: not jobs.unfinished(), 60)
     yield 1.5
     driver.sidebar_shot("22_no_dataset")
+    assert not jobs.unfinished()  # the panel sees by itself that there is nothing
 
     demo = Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data"
     shutil.copytree(demo, work / "monkey")
     settings.dataset = "//monkey"
+    yield from driver.wait(lambda: settings.inspected, 60)
     settings.overrides = "first.iterations=many"
     yield 1.0
     yield from driver.click("irgspp.reconstruct")
     yield from driver.wait(lambda: not jobs.unfinished(), 60)
     yield 1.5
-    driver.sidebar_shot("23_bad_setting")
+    driver.shot("23_bad_setting")
+    yield from close_panels()
+    driver.shot("23_bad_setting_closed")
+    yield from close_panels()
 
     settings.overrides, settings.preset = "first.iterations=3000", "draft"
     yield 1.0
@@ -55,7 +56,7 @@ def story() -> Iterator[float]:
     driver.sidebar_shot("24_cancelled")
     assert job.state == "cancelled", job.state
 
-    yield from driver.click("irgspp.reconstruct", across=0.7)
+    yield from driver.click("irgspp.reconstruct", part="overwrite=True")
     yield 1.0
     driver.shot("25_replace")
     driver.key("Escape")
@@ -69,6 +70,15 @@ def story() -> Iterator[float]:
     yield from driver.wait(lambda: job.finished, 600)
     assert job.state == "done" and not job.error, (job.state, job.error)
     shutil.rmtree(work, ignore_errors=True)
+
+
+def close_panels() -> Iterator[float]:
+    """Close all panels of the sidebar, or open them again, by Ctrl-A over it."""
+    part = driver.region()
+    driver.move(part.x + 0.4 * part.width, part.y + part.height - 60)
+    yield 0.5
+    driver.key("ctrl+a")
+    yield 1.5
 
 
 def open_preferences() -> Iterator[float]:
