@@ -8,6 +8,7 @@ import bpy
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
 from .job_card import BEGAN, ICONS
+from .phases import total_fraction
 from .sidebar import SidebarPanel, button, say
 
 SILENT = ("check",)  # kinds of jobs whose outcome the panel Engine shows
@@ -54,12 +55,15 @@ def is_trouble(job: Job) -> bool:
 
 
 def headline_text(job: Job) -> str:
-    """Return a job and its state, such as "Reconstruct spot, 46 %"."""
+    """Return a job and its state, such as "Reconstruct spot, 46 %": of the whole reconstruction, of the present step for other jobs."""
     if is_trouble(job):
         return f"{job.title}: result not used" if job.state == "done" else f"{job.title} failed"
     if job.state == "queued":
         return f"{job.title} waits"
-    return f"{job.title}, {100 * job.fraction:.0f} %" if job.of else job.title
+    whole = total_fraction(job.kind, job.phase, job.fraction)
+    if whole is None and not job.of:
+        return job.title
+    return f"{job.title}, {100 * (job.fraction if whole is None else whole):.0f} %"
 
 
 def draw_status(self: bpy.types.Header, context: bpy.types.Context) -> None:

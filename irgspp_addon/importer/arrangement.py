@@ -57,7 +57,7 @@ def show_cameras(scene: bpy.types.Scene, show: bool) -> None:
 
 
 def show_alone(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
-    """Where the imported cameras are hidden, show the one that is looked through, since Blender draws its photograph only then.
+    """Show the camera that is looked through where the others are hidden, since Blender draws its photograph only then.
 
     Args:
         scene: the scene; its present camera is hidden again.

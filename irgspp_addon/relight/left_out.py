@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What IRGS++ leaves out of its images, in words: it draws one reconstruction under the World, without lamps and other objects."""
+"""Sentence that names what IRGS++ leaves out of its images: it draws one reconstruction under the World, without lamps and other objects."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ import pytest
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.panels import headline, job_card
+from irgspp.panels.phases import total_fraction
 from recording_layout import RecordingLayout, draw
 
 
@@ -48,6 +49,8 @@ def test_a_running_job(tmp_path):
     add(tmp_path, state="running", step=46, of=100, made=2.0)
     assert status_bar() == "IRGS++: Reconstruct spot, 46 %"
     assert draw(headline.IRGSPP_PT_headline).words == "Reconstruct spot, 46 %"
+    jobs.find("j1").phase = "second stage"  # the whole counts, where it is known
+    assert status_bar() == f"IRGS++: Reconstruct spot, {100 * total_fraction('reconstruct', 'second stage', 0.46):.0f} %"
 
 
 @pytest.mark.parametrize(
