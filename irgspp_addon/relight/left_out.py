@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sentence that names what IRGS++ leaves out of its images: it draws one reconstruction under the World, without lamps and other objects."""
+"""Sentence about what IRGS++ leaves out of images: it draws one reconstruction under the World, without lamps or other objects."""
 
 from __future__ import annotations
 
