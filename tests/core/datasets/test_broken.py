@@ -96,6 +96,14 @@ def test_one_broken_image_is_left_out_and_all_broken_is_an_error(ball_dataset, h
     fails(ball_dataset.folder, f"1.{suffix}", "can't be used")
 
 
+def test_images_that_are_all_text_are_blamed_and_not_the_cameras(ball_dataset):
+    path = ball_dataset.transforms(alpha=False)
+    ball_dataset.edit(path, lambda c: (c.pop("w"), c.pop("h")))
+    for image in (ball_dataset.folder / "images").iterdir():
+        image.write_text("no image")
+    fails(ball_dataset.folder, "none of the images can be read", "copy them again")
+
+
 def test_a_broken_test_image_is_left_out(ball_dataset):
     ball_dataset.transforms()
     spoil(ball_dataset.folder / "images/000.png", "half")
