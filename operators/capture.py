@@ -14,7 +14,7 @@ from ..irgspp_addon.importer.dataset_import import checked
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import TURNTABLE, VIDEOS, beside
+from ..irgspp_addon.properties import TURNTABLE, VIDEOS, beside, set_quietly
 from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
 from .reconstruct import capture_words, set_words
 
@@ -115,7 +115,8 @@ def _use(scene: bpy.types.Scene, job: Job, wait: bool) -> None:
     panel = scene.irgspp
     chosen = panel.dataset_path()
     if chosen is None or chosen.resolve() in (Path(job.data["source"]), job.folder.resolve()):
-        panel.dataset = str(job.folder)
+        set_quietly(panel, "dataset", str(job.folder))  # the import below inspects it
+        panel.inspected = ""
     options = {"up_axis": panel.up_axis, "scale": panel.scale, "recentre": panel.recentre}
     options |= {"photographs": panel.with_photographs, "points": panel.with_points, "wait": wait}
     bpy.ops.irgspp.import_dataset("EXEC_DEFAULT", True, directory=str(job.folder), **options)

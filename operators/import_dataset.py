@@ -16,7 +16,7 @@ from ..irgspp_addon.importer.photographs import find_bare_photographs, problem_o
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import CHOSEN
+from ..irgspp_addon.properties import CHOSEN, set_quietly
 from .blocking import WAIT, Queued, refuse, run_to_end
 from .import_run import select
 from .placed_import import PlacedImport
@@ -61,6 +61,9 @@ def inspect_chosen(scene: bpy.types.Scene) -> Job | None:
     if dataset is None or not engine.status().usable or problem_of(dataset) or find_bare_photographs(dataset) is not None:
         return None
     data = {**result_import.place_of(scene), "dataset": str(dataset.resolve())}
+    for job in jobs.all_jobs():
+        if not job.finished and job.on_done == "show_inspection":  # of photographs that were chosen before
+            jobs.cancel(job)
     try:
         return jobs.start("inspect", f"Inspect {dataset.name}", None, ["inspect", str(dataset), "--json"], "show_inspection", data)
     except IrgsppError:  # the button Inspect tells why
@@ -85,7 +88,7 @@ def _store(scene: bpy.types.Scene, dataset: Path, facts: dict) -> None:
     settings = scene.irgspp
     chosen = settings.dataset_path()
     if chosen is None:
-        settings.dataset = str(dataset)
+        set_quietly(settings, "dataset", str(dataset))
     if chosen is None or chosen.resolve() == dataset:  # else the user has chosen another one meanwhile
         settings.inspected = json.dumps(facts)
 

@@ -63,7 +63,7 @@ class IRGSPP_OT_use_recovered_light(bpy.types.Operator):
             world = recovered_light(run)
             if world is None:
                 raise InputError(run.name, "its recovered light is not in this file", "import the run")
-            context.scene.world = world
+            context.scene.world, context.scene.irgspp.use_world = world, True
         except IrgsppError as error:
             return refuse(self, error)
         return {"FINISHED"}

@@ -85,15 +85,17 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         layout: to draw into.
         context: of the panel.
     """
-    column, world = layout.column(), context.scene.world
-    column.enabled = context.scene.irgspp.use_world
+    world, lit = context.scene.world, context.scene.irgspp.use_world
+    column = layout.column()
+    column.enabled = lit
     column.template_ID(context.scene, "world", new="world.new")
-    row = column.row(align=True)
+    row = layout.row(align=True)
     button(row, "irgspp.open_hdri", "Open HDRI", "FILE_IMAGE")
     light = recovered_light(shown_run(context))
     if light is not None and light != world:
         button(row, "irgspp.use_recovered_light", "Recovered Light", "LIGHT_SUN", run=str(shown_run(context)))
-    controls, rows = light_controls(world), settings_column(column)
+    controls, rows = light_controls(world), settings_column(layout)
+    rows.enabled = lit
     if controls.image is not None:
         say(rows, context, controls.image.name, icon="IMAGE_DATA")
     if controls.rotation is not None:

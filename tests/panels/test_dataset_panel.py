@@ -87,6 +87,14 @@ def test_a_chosen_dataset_is_inspected_at_once(settings, tmp_path, monkeypatch):
     assert len(started) == 1
 
 
+def test_the_inspection_of_what_was_chosen_before_is_cancelled(settings, tmp_path, monkeypatch):
+    before = Job("j1", "inspect", "Inspect", tmp_path, tmp_path, state="running", on_done="show_inspection")
+    jobs._jobs[before.id] = before
+    monkeypatch.setattr(jobs, "start", lambda *words: words)
+    settings.dataset = str(DEMO)
+    assert import_dataset.inspect_chosen(bpy.context.scene) and before.stopping
+
+
 def test_an_inspection_that_can_not_start_is_no_error(settings, monkeypatch):
     def refuse(*_):
         raise IrgsppError("the disk is full")
