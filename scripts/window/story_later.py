@@ -14,6 +14,13 @@ import bpy
 import browsing
 import driver
 
+# Schedules of seconds
+SETTINGS = (
+    "first.iterations=400 first.gaussians=3000 first.stereo=off second.points=300 second.rows=8 second.iterations=5 second.pixels=32 "
+    "second.samples=8 second.pool=1000 second.radiance_iterations=5 second.normal_iterations=4 surface.voxels=64 surface.triangles=4000 "
+    "surface.texture=256"
+)
+
 
 def story() -> Iterator[float]:
     """Run the story."""
@@ -24,12 +31,14 @@ def story() -> Iterator[float]:
     shutil.copytree(Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data", work / "project" / "monkey")
     settings = bpy.context.scene.irgspp
     settings.dataset, settings.preset = str(work / "project" / "monkey"), "draft"
+    settings.materials, settings.overrides = "low-gloss", SETTINGS
     yield from driver.wait(lambda: settings.inspected, 60)
     yield 3.0
     driver.sidebar_shot("80_chosen")
     yield from stop_and_save(work / "project" / "scene.blend")
     yield from resume(work / "project" / "scene.blend")
     yield from move(work / "project", work / "moved")
+    yield from relight(work / "moved" / "monkey" / "envs" / "sunset.exr")
     shutil.rmtree(work, ignore_errors=True)
 
 
@@ -79,6 +88,30 @@ def move(project: Path, place: Path) -> Iterator[float]:
     yield 2.0
     assert len(results()) == 1, results()
     driver.shot("85_imported_again")
+
+
+def relight(hdri: Path) -> Iterator[float]:
+    """Open an HDRI in the panel, turn it, and change the resolution of the preview that runs."""
+    yield from browsing.press_button("irgspp.open_hdri", across=0.25)
+    yield from browsing.confirm_files("86_hdri", directory=hdri.parent, file=hdri.name)
+    yield from driver.wait(lambda: bpy.context.scene.world.name == hdri.stem, 10)
+    yield from browsing.press_button("irgspp.relight_preview")
+    preview = driver.extension_module("irgspp_addon.relight.preview")
+    follower = driver.extension_module("irgspp_addon.relight.live_image").follower_of(preview.CHANNEL)
+    yield from driver.wait(lambda: follower.done or follower.failed, 180)
+    assert not follower.failed, follower.message
+    controls = driver.extension_module("irgspp_addon.world.light_controls").light_controls(bpy.context.scene.world)
+    controls.rotation.default_value[2] = 2.0
+    yield from driver.wait(lambda: not follower.done, 10, step=0.02)
+    yield from driver.wait(lambda: follower.done, 120)
+    bpy.context.scene.irgspp.preview_resolution = 128
+    yield from driver.wait(lambda: not follower.done, 10, step=0.02)
+    yield from driver.wait(lambda: follower.done, 120)
+    assert max(bpy.data.images[preview.IMAGE].size) == 128
+    yield 1.0
+    driver.shot("87_relit")
+    yield from browsing.close_other_windows()
+    driver.sidebar_shot("88_relight_sidebar")
 
 
 def results() -> list[str]:
