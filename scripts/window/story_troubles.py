@@ -41,9 +41,6 @@ def story() -> Iterator[float]:
     yield from driver.wait(lambda: not jobs.unfinished(), 60)
     yield 1.5
     driver.shot("23_bad_setting")
-    yield from close_panels()
-    driver.shot("23_bad_setting_closed")
-    yield from close_panels()
 
     settings.overrides, settings.preset = "first.iterations=3000", "draft"
     yield 1.0
@@ -70,15 +67,6 @@ def story() -> Iterator[float]:
     yield from driver.wait(lambda: job.finished, 600)
     assert job.state == "done" and not job.error, (job.state, job.error)
     shutil.rmtree(work, ignore_errors=True)
-
-
-def close_panels() -> Iterator[float]:
-    """Close all panels of the sidebar, or open them again, by Ctrl-A over it."""
-    part = driver.region()
-    driver.move(part.x + 0.4 * part.width, part.y + part.height - 60)
-    yield 0.5
-    driver.key("ctrl+a")
-    yield 1.5
 
 
 def open_preferences() -> Iterator[float]:
