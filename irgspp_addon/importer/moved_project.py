@@ -91,7 +91,11 @@ def _correct_images(before: Path, now: Path) -> None:
             image[MASK] = str(moved(Path(image[MASK]), before, now))
         if image.source == "FILE" and image.filepath and not image.filepath.startswith("//"):
             place = str(moved(Path(image.filepath), before, now))
-            if place != image.filepath:
+            if place == image.filepath:
+                continue
+            if image.packed_file is not None:
+                image.filepath_raw = place  # without reading the file, since the .blend holds the pixels
+            else:
                 image.filepath = place
 
 

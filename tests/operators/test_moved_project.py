@@ -52,11 +52,13 @@ def opened(place: Path) -> bpy.types.Object:
     return next(thing for thing in bpy.context.scene.objects if thing.type == "MESH")
 
 
-def test_a_moved_project_finds_its_run_and_photographs(project, tmp_path):
+def test_a_moved_project_finds_its_run_and_photographs(project, tmp_path, capfd):
     before = saved(project)
     place = tmp_path / "elsewhere" / "renamed"
     shutil.move(project, place)
     thing = opened(place)
+    printed = capfd.readouterr()
+    assert "Unable to pack" not in printed.out + printed.err  # packed textures are not looked for at their old place
     settings = bpy.context.scene.irgspp
     assert run_of(thing) == (place / "photos_irgspp").resolve()
     assert settings.dataset_path() == place / "photos" and settings.run_path() == place / "photos_irgspp" and settings.inspected
