@@ -13,7 +13,7 @@ def quick_imports() -> Iterator[None]:
     """Return a context in which Python's garbage collector pauses.
 
     Modules stay, so that there is nothing to find, but it would search the growing heap again and again: a sixth of the time of importing
-    torch. For the same reason it leaves out the first imported modules later on.
+    torch.
     """
     paused = gc.isenabled()
     gc.disable()
@@ -21,6 +21,4 @@ def quick_imports() -> Iterator[None]:
         yield
     finally:
         if paused:
-            if not gc.get_freeze_count():
-                gc.freeze()
             gc.enable()
