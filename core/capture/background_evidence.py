@@ -40,9 +40,7 @@ def plane_differences(texture: PlaneTexture, colour: np.ndarray, camera: Camera,
     return np.where(known, np.abs(colour - plane).max(-1), np.nan).astype(np.float32)
 
 
-def plane_in_photograph(
-    texture: PlaneTexture, colour: np.ndarray, camera: Camera, outside: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def plane_in_photograph(texture: PlaneTexture, colour: np.ndarray, camera: Camera, outside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the plane's colours (H, W, 3), brought to a photograph's brightness, and (H, W) bool where they are known.
 
     Args:

@@ -76,7 +76,9 @@ def edge_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:
     for name in ("from_object", "from_background"):
         sure = [(one.outside & one.textured if name == "from_background" else one.outside, one.inside) for one in views]
         bins = [np.minimum(getattr(one, name) * (BINS / WIDEST), BINS - 1).astype(np.int64) for one in views]
-        counts = np.array([[np.bincount(b[kind], minlength=BINS) for kind in kinds] for b, kinds in zip(bins, sure, strict=True)], np.float64)
+        counts = np.array(
+            [[np.bincount(b[kind], minlength=BINS) for kind in kinds] for b, kinds in zip(bins, sure, strict=True)], np.float64
+        )
         shared = counts.sum(0)
         if shared.sum(1).min() < FEWEST:
             continue

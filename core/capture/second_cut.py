@@ -30,7 +30,7 @@ PRIOR = 1.0  # cost of cutting against the rendered opacity, nats
 EDGE = 4.0  # cost of a pixel's length of silhouette where the image is flat, nats
 ITERATIONS = 100  # of the cut
 COVERAGE = 0.6  # sigma in pixels of the blur that turns a binary mask into coverage
-ALIKE = 0.9  # IoU of both masks of a view below which the first is kept
+ALIKE = 0.6  # IoU of both masks of a view below which the first is kept
 LEFT = 0.5  # of the masks' error after the cut
 
 
@@ -44,9 +44,7 @@ def support_plane_of(surroundings: Surroundings | None) -> SupportPlane | None:
     return SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.0, np.empty((0, 3)))
 
 
-def cut_again(
-    views: Sequence[View], rendered: Sequence[tuple[np.ndarray, np.ndarray]], plane: SupportPlane, bound: Bound
-) -> list[View]:
+def cut_again(views: Sequence[View], rendered: Sequence[tuple[np.ndarray, np.ndarray]], plane: SupportPlane, bound: Bound) -> list[View]:
     """Return the views with masks whose edges agree with the photographs and with the rendered object; their error is smaller.
 
     Args:
@@ -93,4 +91,4 @@ def _with_mask(view: View, crop: tuple[slice, slice], colours: EdgeColours, evid
     alpha = np.zeros_like(view.alpha)
     alpha[crop] = cv2.GaussianBlur(binary, (0, 0), COVERAGE)
     both = np.minimum(alpha, view.alpha).sum(), np.maximum(alpha, view.alpha).sum()
-    return view if both[0] < ALIKE * both[1] else replace(view, alpha=alpha, mask_error=LEFT * view.mask_error)
+    return view if both[0] <= ALIKE * both[1] else replace(view, alpha=alpha, mask_error=LEFT * view.mask_error)
