@@ -130,8 +130,9 @@ class Job:
         self.folder.run_phase("contact sheet", self.sheet, self.progress)
 
     def _masks_may_be_wrong(self) -> bool:
-        """Return True for masks that a capture found, of an object on a support plane."""
-        wrong = all(view.alpha is not None and round(view.mask_error) >= 1 for view in self.data.train)
+        """Return True for masks that a capture found, of an object that stands still on a support plane."""
+        views = self.data.train
+        wrong = all(view.alpha is not None and round(view.mask_error) >= 1 and view.light_rotation is None for view in views)
         return wrong and support_plane_of(self.data.surroundings) is not None
 
     def masks(self) -> None:
