@@ -9,6 +9,7 @@ from pathlib import Path
 
 from .assets.export import write_blend
 from .assets.mesh_files import save_mesh_files
+from .capture.second_cut import cut_again, support_plane_of
 from .capture.source import FOLDER as CAPTURE
 from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
@@ -32,8 +33,9 @@ from .settings import overrides
 from .settings.schema import Settings
 from .stages.common.memory_layout import MemoryLayout, fit_into_memory
 from .stages.common.time_budget import FUSED
+from .stages.first.quick_fit import quick_renderings
 from .stages.first.train import train
-from .stages.phase_results import FIRST_STAGE, GEOMETRY, PhaseResults
+from .stages.phase_results import FIRST_STAGE, GEOMETRY, MASKS, PhaseResults
 from .stages.second.radiance_transfer import rays_at_a_time
 from .stages.second.solve import solve_second_stage
 from .surface.extraction import extract_geometry
@@ -117,12 +119,29 @@ class Job:
         """Run all unfinished phases in order."""
         for warning in self.data.warnings:
             self.progress.message(f"warning: {warning}")
+        if self._masks_may_be_wrong():
+            self.folder.run_phase("masks", self.masks, self.progress)
+            self.data = self.results.with_masks(self.data)
         self.folder.run_phase("first stage", self.first_stage, self.progress)
         self.folder.run_phase("geometry", self.geometry, self.progress)
         self.folder.run_phase("second stage", self.second_stage, self.progress)
         self.folder.run_phase("surface", self.surface, self.progress)
         self.folder.run_phase("scene", self.scene, self.progress)
         self.folder.run_phase("contact sheet", self.sheet, self.progress)
+
+    def _masks_may_be_wrong(self) -> bool:
+        """Return True for masks that a capture found, of an object that stands still on a support plane."""
+        views = self.data.train
+        wrong = all(view.alpha is not None and round(view.mask_error) >= 1 and view.light_rotation is None for view in views)
+        return wrong and support_plane_of(self.data.surroundings) is not None
+
+    def masks(self) -> None:
+        """Cut the object out again, with the outlines and colours on which a quick fit finds the photographs to agree."""
+        plane = support_plane_of(self.data.surroundings)
+        assert plane is not None
+        rendered = quick_renderings(self.data, self.settings, self.progress)
+        views = cut_again(self.data.train, rendered, plane, self.data.bound)
+        self.folder.save(MASKS, {view.name: (view.alpha, view.mask_error) for view in views})
 
     def first_stage(self) -> None:
         """Fit Gaussians, their radiance and initial materials and light to the training images."""

@@ -36,9 +36,21 @@ def plane_differences(texture: PlaneTexture, colour: np.ndarray, camera: Camera,
         camera: of the photograph.
         prior: (H, W) 0..1, how surely a pixel is the object.
     """
+    plane, known = plane_in_photograph(texture, colour, camera, prior < SURE)
+    return np.where(known, np.abs(colour - plane).max(-1), np.nan).astype(np.float32)
+
+
+def plane_in_photograph(texture: PlaneTexture, colour: np.ndarray, camera: Camera, outside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the plane's colours (H, W, 3), brought to a photograph's brightness, and (H, W) bool where they are known.
+
+    Args:
+        texture: of the plane.
+        colour: (H, W, 3) float32 sRGB-encoded photograph.
+        camera: of the photograph.
+        outside: (H, W) bool, pixels that are not the object.
+    """
     plane, known = texture.seen_by(camera)
-    difference = np.abs(colour - plane * _ratio(colour, plane, (known & (prior < SURE)).astype(np.float32))).max(-1)
-    return np.where(known, difference, np.nan).astype(np.float32)
+    return plane * _ratio(colour, plane, (known & outside).astype(np.float32)), known
 
 
 def _ratio(colour: np.ndarray, plane: np.ndarray, outside: np.ndarray) -> np.ndarray:

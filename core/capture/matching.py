@@ -19,8 +19,8 @@ from .image_retrieval import similarity
 EXHAUSTIVE = 30  # photographs up to which "auto" matches every pair at once
 AFFORDABLE = 150  # photographs up to which "auto" matches every pair where the selected ones register too few
 NEIGHBOURS = {"auto": 2, "sequential": 10}  # next photographs in the order of their names that each one is matched with
-ALIKE = {"auto": 20, "sequential": 8}  # most similar photographs that each one is matched with; all pairs give no better poses
-CHUNK = 100  # pairs after which matches are written: what a killed job loses; half as many take a quarter longer
+ALIKE = {"auto": 16, "sequential": 8}  # most similar photographs that each one is matched with; more give no better poses
+CHUNK = 250  # pairs after which matches are written: what a killed job loses; fewer take longer
 TILE = 8  # photographs; pairs of two tiles are matched together, since search indices of photographs are built once a chunk
 
 Pairs = list[tuple[int, int]]

@@ -103,7 +103,7 @@ def prepare_cutout(
         seed = np.where(background[crop], -1, seed).astype(np.int8)
     colour = np.ascontiguousarray(view.colour[crop])
     sure = None if given is None else _sureness(given)[crop]
-    return Cutout(box, colour, lab_bins(colour), seed, _edge_weight(colour), sure)
+    return Cutout(box, colour, lab_bins(colour), seed, edge_weight(colour), sure)
 
 
 def _sureness(mask: np.ndarray) -> np.ndarray:
@@ -151,13 +151,18 @@ def _depth_seeds(one: DepthMap, region: ObjectRegion, plane: SupportPlane | None
     return inner.astype(np.int8) - outer.astype(np.int8)
 
 
-def _edge_weight(colour: np.ndarray) -> np.ndarray:
-    """Return the cost (h, w) of a pixel's length of silhouette: less where colours change."""
+def edge_weight(colour: np.ndarray, most: float = EDGE) -> np.ndarray:
+    """Return the cost (h, w) of a pixel's length of silhouette: less where colours change.
+
+    Args:
+        colour: (h, w, 3) float32 sRGB.
+        most: the cost where the image is flat.
+    """
     lab = cv2.cvtColor(colour, cv2.COLOR_RGB2LAB)
     change = np.zeros(lab.shape[:2], np.float32)
     change[:, :-1] += (np.diff(lab, axis=1) ** 2).sum(-1)
     change[:-1] += (np.diff(lab, axis=0) ** 2).sum(-1)
-    return EDGE * (CONTRAST + (1 - CONTRAST) * np.exp(-change / (2 * change.mean() + 1e-6))).astype(np.float32)
+    return most * (CONTRAST + (1 - CONTRAST) * np.exp(-change / (2 * change.mean() + 1e-6))).astype(np.float32)
 
 
 def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], near: float) -> list[tuple[np.ndarray, np.ndarray]]:

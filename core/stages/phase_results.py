@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from ..errors import InputError
 from ..run_folder import RunFolder
+from ..scene.dataset import Dataset, View
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
 
 FIRST_STAGE = Path("checkpoint", "first")  # in the run folder: result of the first stage, until the job is done
+MASKS = "masks"  # checkpoint of the masks that were cut again
 GEOMETRY = "geometry"  # checkpoint of the surface without textures
 
 
@@ -26,6 +30,13 @@ class PhaseResults:
 
     def __init__(self, folder: RunFolder, device: torch.device) -> None:
         self._folder, self.device = folder, device
+
+    def with_masks(self, dataset: Dataset) -> Dataset:
+        """Return a dataset whose training views have the masks that were cut again, with their error; raise InputError without them."""
+        masks = self._folder.load(MASKS, lambda state: _masks(dataset, state))
+        if masks is None:
+            raise InputError(self._folder.path / "checkpoint", f"has no {MASKS}.pt", "start again with --overwrite")
+        return replace(dataset, train=masks)
 
     @cached_property
     def first_stage(self) -> Reconstruction:
@@ -44,3 +55,14 @@ class PhaseResults:
     def reconstruction(self) -> Reconstruction:
         """Reconstruction of both stages, on the device."""
         return Reconstruction.load(self._folder.path).to(self.device)
+
+
+def _masks(dataset: Dataset, state: dict[str, Any]) -> list[View]:
+    """Return the training views with the masks of a checkpoint; raise ValueError where they don't fit."""
+    views = []
+    for view in dataset.train:
+        alpha, error = state[view.name]
+        if alpha.shape != view.colour.shape[:2]:
+            raise ValueError(f"mask of {view.name}")
+        views.append(replace(view, alpha=alpha.numpy(), mask_error=float(error)))
+    return views

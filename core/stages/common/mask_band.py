@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ...io.continued_colour import continued_colour
 from ...io.srgb import decode_srgb
 from ...scene.dataset import View
 
 INSIDE = 0.5  # opacity from which a mask says that a pixel is the object
 NEAR = 1.0  # sigma of the window from which the background is continued, in widths of the band; doubled until it reaches all of the band
-DOUBLED = 6  # times at most
-LEAST = 1e-2  # weight of the pixels in a window from which their mean counts
+DOUBLED = 6  # windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def find_mask_band(view: View) -> MaskBand | None:
         return None
     outside = widest_mask(view) < INSIDE
     band = ~outside & (narrowest_mask(view) < INSIDE)
-    background = _continued(decode_srgb(view.colour), outside, NEAR * 2 * view.mask_error)
+    background = continued_colour(decode_srgb(view.colour), outside, NEAR * 2 * view.mask_error, DOUBLED)
     return MaskBand(band, np.where(band[..., None], background, 0).astype(np.float32))
 
 
@@ -59,16 +59,3 @@ def _changed(view: View, change) -> np.ndarray:
     assert view.alpha is not None
     side = 2 * round(view.mask_error) + 1
     return view.alpha if side == 1 else change(view.alpha, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-
-
-def _continued(colour: np.ndarray, known: np.ndarray, sigma: float) -> np.ndarray:
-    """Continue colours (H, W, 3) from the known pixels (H, W) into the others by means over windows, the narrowest that reach."""
-    result, missing = np.where(known[..., None], colour, 0).astype(np.float32), ~known
-    source, weight = result.copy(), known.astype(np.float32)
-    for _ in range(DOUBLED):
-        near = cv2.GaussianBlur(weight, (0, 0), sigma)
-        found = missing & (near > LEAST)
-        result[found] = cv2.GaussianBlur(source, (0, 0), sigma)[found] / near[found, None]
-        missing &= ~found
-        sigma *= 2
-    return result

@@ -17,6 +17,7 @@ from ...kernels.photometric import photometric_loss
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.deferred import composite, radiance
+from ...scene.camera import Camera
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import FirstStageSettings
@@ -116,6 +117,21 @@ class Trainer:
         background = None if self.masked else self.background.exp()
         image = composite(straight, sums[-1], view.world_rays, background, view.light_rotation)
         return view.completed(image, straight, sums[-1]), sums, statistics
+
+    def straight(self, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+        """Render the current Gaussians without a background and without reflections of the light map.
+
+        Args:
+            camera: of the image.
+
+        Returns:
+            Linear radiance (3, H, W) with straight alpha, and the opacity (H, W).
+        """
+        g = self.optimizer.gaussians
+        none = g.position.new_zeros(0, g.count)
+        sums, _ = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, none, camera, self.dataset.bound.radius, 3)
+        rays = torch.from_numpy(camera.rays()).permute(2, 0, 1).to(self.device)
+        return radiance(sums, rays, None, None), sums[-1]
 
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""

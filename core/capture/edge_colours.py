@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Colours on both sides of the object's edge in a photograph: the object's as rendered, and the background's as other views show it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from ..io.continued_colour import continued_colour
+from ..scene.camera import Camera
+from .background_evidence import plane_in_photograph
+from .plane_texture import PlaneTexture
+
+INNER, OUTER = 1.5, 2.0  # errors of a mask from its edge, from which pixels are surely the object, and surely the background
+OPAQUE = 0.9  # rendered opacity from which the rendered colour is the object's
+COVERED = 1.0  # errors of a mask that this colour keeps from the rendered outline
+OBJECT_WINDOW, BACKGROUND_WINDOW = 0.75, 1.5  # sigmas, in errors of a mask, of the windows from which both colours are continued
+WINDOWS = 4  # tried; each is twice as wide
+BINS, WIDEST = 32, 0.5  # of the histograms of differences, and the largest difference, encoded
+SHARED = 0.5  # weight of the histograms of all views against those of the view itself
+FEWEST = 200  # pixels, from which a view's own histogram counts
+FLOOR = 3e-3  # probability of a bin that nothing fell into
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeColours:
+    """How a photograph differs from the object and from the background around the object's edge.
+
+    Attributes:
+        from_object: (H, W) float32, largest difference of a channel from the object's colour, encoded.
+        from_background: (H, W) float32, the same from the background's colour.
+        inside: (H, W) bool, surely the object.
+        outside: (H, W) bool, surely the background.
+        textured: (H, W) bool, the background's colour is that of the support plane.
+    """
+
+    from_object: np.ndarray
+    from_background: np.ndarray
+    inside: np.ndarray
+    outside: np.ndarray
+    textured: np.ndarray
+
+
+def edge_colours(
+    texture: PlaneTexture, colour: np.ndarray, camera: Camera, mask: np.ndarray, rendered: tuple[np.ndarray, np.ndarray], error: float
+) -> EdgeColours:
+    """Compare a photograph with the rendered object and with the background.
+
+    Args:
+        texture: of the support plane.
+        colour: (H, W, 3) float32 sRGB-encoded photograph.
+        camera: of the photograph.
+        mask: (H, W) 0..1.
+        rendered: straight colour (H, W, 3) of the object, encoded, and its opacity (H, W).
+        error: of the mask's edge, pixels.
+    """
+    inside, outside = _changed(mask > 0.5, cv2.erode, INNER * error), ~_changed(mask > 0.5, cv2.dilate, OUTER * error)
+    solid = (rendered[1] > OPAQUE) & _changed(rendered[1] > 0.5, cv2.erode, COVERED * error)
+    own = continued_colour(rendered[0], solid, OBJECT_WINDOW * error, WINDOWS)
+    plane, textured = plane_in_photograph(texture, colour, camera, outside)
+    background = np.where(textured[..., None], plane, continued_colour(colour, outside, BACKGROUND_WINDOW * error, WINDOWS))
+    differences = [np.abs(colour - other).max(-1).astype(np.float32) for other in (own, background)]
+    return EdgeColours(differences[0], differences[1], inside, outside, textured)
+
+
+def edge_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:
+    """Return the log-likelihood ratio (H, W) float32 of background to object in each view.
+
+    How much both differ from their colours is learned from the pixels that are sure.
+    """
+    total = [np.zeros(one.inside.shape, np.float32) for one in views]
+    for name in ("from_object", "from_background"):
+        sure = [(one.outside & one.textured if name == "from_background" else one.outside, one.inside) for one in views]
+        bins = [np.minimum(getattr(one, name) * (BINS / WIDEST), BINS - 1).astype(np.int64) for one in views]
+        counts = np.array(
+            [[np.bincount(b[kind], minlength=BINS) for kind in kinds] for b, kinds in zip(bins, sure, strict=True)], np.float64
+        )
+        shared = counts.sum(0)
+        if shared.sum(1).min() < FEWEST:
+            continue
+        for result, index, own in zip(total, bins, counts, strict=True):
+            background, inside = (_probability(own[k], shared[k]) for k in (0, 1))
+            result += np.log(background / inside).astype(np.float32)[index]
+    return total
+
+
+def _changed(mask: np.ndarray, change, reach: float) -> np.ndarray:
+    """Return a mask (H, W) bool eroded or dilated by pixels, rounded."""
+    side = 2 * round(reach) + 1
+    return change(mask.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0
+
+
+def _probability(own: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Return the probability (BINS,) of each bin from a view's own counts and those of all views."""
+    mixed = shared / shared.sum()
+    if own.sum() >= FEWEST:
+        mixed = SHARED * mixed + (1 - SHARED) * own / own.sum()
+    return gaussian_filter1d(mixed, 1.0, mode="nearest") + FLOOR

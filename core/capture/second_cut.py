@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Second cut: the edges of captured masks decided again, once a quick fit has rendered the object in all photographs.
+
+Its outlines agree over the views, and its colours and the support plane's texture say what a pixel at the edge shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ..machine.thread_pool import run_jobs
+from ..scene.dataset import Bound, View
+from ..scene.surroundings import Surroundings
+from .convex_cut import minimum_cut
+from .edge_colours import EdgeColours, edge_colours, edge_evidence
+from .plane_texture import PlaneTexture, plane_texture
+from .segmentation import cropped_camera, edge_weight
+from .support_plane import SupportPlane
+
+MARGIN = 12.0  # errors of a mask around it that are looked at
+FEWEST = 50  # points of the surroundings that make a support plane
+FLAT, UPRIGHT = 0.01, 0.999  # their largest height over Z = 0, in their spacing, and least Z of their normals
+EVIDENCE = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
+MOST = 6.0  # largest cost of the colours, and that of sure pixels, nats
+PRIOR = 1.0  # cost of cutting against the rendered opacity, nats
+EDGE = 4.0  # cost of a pixel's length of silhouette where the image is flat, nats
+ITERATIONS = 100  # of the cut
+COVERAGE = 0.6  # sigma in pixels of the blur that turns a binary mask into coverage
+ALIKE = 0.6  # IoU of both masks of a view below which the first is kept
+LEFT = 0.5  # of the masks' error after the cut
+
+
+def support_plane_of(surroundings: Surroundings | None) -> SupportPlane | None:
+    """Return the plane Z = 0 of captured surroundings; None where the object does not stand on one."""
+    if surroundings is None:
+        return None
+    flat = (np.abs(surroundings.position[:, 2]) < FLAT * surroundings.spacing) & (surroundings.normal[:, 2] > UPRIGHT)
+    if flat.sum() < FEWEST:
+        return None
+    return SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.0, np.empty((0, 3)))
+
+
+def cut_again(views: Sequence[View], rendered: Sequence[tuple[np.ndarray, np.ndarray]], plane: SupportPlane, bound: Bound) -> list[View]:
+    """Return the views with masks whose edges agree with the photographs and with the rendered object; their error is smaller.
+
+    Args:
+        views: with masks and their error.
+        rendered: of each view the object's straight colour (H, W, 3), encoded, and its opacity (H, W).
+        plane: that the object stands on.
+        bound: sphere about the object.
+    """
+    texture = plane_texture([view.colour for view in views], [view.camera for view in views], [view.alpha for view in views], plane, bound)
+    crops = [_crop(view) for view in views]
+    parts = [(image[crop], opacity[crop]) for (image, opacity), crop in zip(rendered, crops, strict=True)]
+    colours = list(run_jobs(_colours, [(texture, view, crop, part) for view, crop, part in zip(views, crops, parts, strict=True)]))
+    evidence = edge_evidence(colours)
+    jobs = [(view, crop, one, ratio, part[1]) for view, crop, one, ratio, part in zip(views, crops, colours, evidence, parts, strict=True)]
+    return list(run_jobs(_with_mask, jobs))
+
+
+def _crop(view: View) -> tuple[slice, slice]:
+    """Return rows and columns around a view's mask; all where it is empty."""
+    assert view.alpha is not None
+    filled, margin = view.alpha > 0.5, round(MARGIN * view.mask_error)
+    if not filled.any():
+        return slice(None), slice(None)
+    places = (np.flatnonzero(filled.any(axis)) for axis in (1, 0))
+    rows, columns = (slice(max(int(place[0]) - margin, 0), int(place[-1]) + 1 + margin) for place in places)
+    return rows, columns
+
+
+def _colours(texture: PlaneTexture, view: View, crop: tuple[slice, slice], part: tuple[np.ndarray, np.ndarray]) -> EdgeColours:
+    assert view.alpha is not None
+    alpha = view.alpha[crop]
+    left, top = crop[1].start or 0, crop[0].start or 0
+    camera = cropped_camera(view.camera, (left, top, left + alpha.shape[1], top + alpha.shape[0]))
+    return edge_colours(texture, np.clip(view.colour[crop], 0, 1), camera, alpha, part, view.mask_error)
+
+
+def _with_mask(view: View, crop: tuple[slice, slice], colours: EdgeColours, evidence: np.ndarray, opacity: np.ndarray) -> View:
+    """Cut a view; a mask that changes too much is kept as it was."""
+    assert view.alpha is not None
+    cost = np.clip(EVIDENCE * evidence, -MOST, MOST) + PRIOR * (1 - 2 * opacity)
+    cost = np.where(colours.inside, -MOST, np.where(colours.outside, MOST, cost)).astype(np.float32)
+    weight = edge_weight(np.ascontiguousarray(np.clip(view.colour[crop], 0, 1)), EDGE)
+    binary = (minimum_cut(cost, weight, opacity, ITERATIONS) > 0.5).astype(np.float32)
+    alpha = np.zeros_like(view.alpha)
+    alpha[crop] = cv2.GaussianBlur(binary, (0, 0), COVERAGE)
+    both = np.minimum(alpha, view.alpha).sum(), np.maximum(alpha, view.alpha).sum()
+    return view if both[0] <= ALIKE * both[1] else replace(view, alpha=alpha, mask_error=LEFT * view.mask_error)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Quick fit: few surfels fitted briefly to reduced images, for the outlines and colours on which all photographs agree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ...errors import Cancelled
+from ...io.srgb import encode_srgb
+from ...progress.protocol import Progress
+from ...scene.dataset import Dataset
+from ...settings.schema import Settings
+from .initialization import initial_gaussians
+from .material_class import LOW_GLOSS
+from .trainer import Trainer
+
+SURFELS, ITERATIONS = 10_000, 250
+LONGEST = 320  # longest side of the images, pixels
+
+
+def quick_renderings(dataset: Dataset, settings: Settings, progress: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Fit surfels on the visual hull to the training views, and render them in all of these.
+
+    Args:
+        dataset: views with masks.
+        settings: of the job.
+        progress: receives the phase "quick fit", and may cancel.
+
+    Returns:
+        Of each training view the straight colour (H, W, 3) float32 sRGB-encoded, and the opacity (H, W) float32.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    torch.manual_seed(settings.seed)
+    brief = replace(settings.first, iterations=ITERATIONS, gaussians=SURFELS)
+    camera = dataset.train[0].camera
+    reduction = max(1, round(max(camera.width, camera.height) / LONGEST))
+    start = initial_gaussians(dataset, SURFELS, np.random.default_rng(settings.seed))
+    trainer = Trainer(dataset, brief, start, LOW_GLOSS, settings.seed, 0, reduction, crop=True)
+    progress.phase("quick fit", ITERATIONS)
+    while trainer.done < ITERATIONS:
+        if progress.cancelled:
+            raise Cancelled("stopped in the quick fit")
+        progress.step(trainer.done + 1, loss=trainer.step())
+    return _rendered(trainer, dataset, progress)
+
+
+def _rendered(trainer: Trainer, dataset: Dataset, progress: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Render the fit at the size of the views."""
+    result = []
+    for view in dataset.train:
+        if progress.cancelled:
+            raise Cancelled("stopped in the quick fit")
+        with torch.no_grad():
+            straight, opacity = trainer.straight(view.camera)
+        result.append((encode_srgb(straight).permute(1, 2, 0).numpy(), opacity.numpy()))
+    return result
