@@ -46,7 +46,7 @@ class GBufferCache(Sequence[GBuffer]):
         if index in self._cached:
             return self._cached[index]
         camera = self._cameras[index]
-        gbuffer = render_gbuffer(self._reconstruction, camera)
+        gbuffer = render_gbuffer(self._reconstruction, camera, subpixels=1)
         size = camera.width * camera.height * FLOATS * 4
         if size <= self._free:
             self._free -= size
