@@ -69,7 +69,7 @@ def _rotation(q, n, i):
 def frame(position, quaternion, n, i, cam):
     """Return centre and axes of surfels i..i+7 in camera space, and what the projection needs of them.
 
-    The foreshortening n.c is clamped away from 0; `free` is set where it was not clamped. `front` is 1, or -1 where a surfel is seen from
+    The foreshortening n.c is clamped away from 0; `free` is set where it was not clamped. `facing` is 1, or -1 where a surfel is seen from
     behind.
     """
     world = (load(position, i), load(position, n + i), load(position, 2 * n + i))
@@ -82,8 +82,8 @@ def frame(position, quaternion, n, i, cam):
     distance = sqrt(maximum(dot(c, c), splat(cam[18] * cam[18])))
     floor = distance * COSINE_MIN
     free = nc * side > floor
-    front = select(nc > distance * BEHIND, splat(-1.0), splat(1.0))
-    return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), front, free, q, inv
+    facing = select(nc > distance * BEHIND, splat(-1.0), splat(1.0))
+    return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), facing, free, q, inv
 
 
 @kernel

@@ -50,9 +50,9 @@ def rasterize_reference(
     colour = (sh_basis(offset / offset.norm(dim=0), degree)[:, None] * sh[: (degree + 1) ** 2]).sum(0) + 0.5
     nc = (normal * c).sum(0)
     distance, side = c.norm(dim=0), torch.where(nc > 0, 1.0, -1.0)
-    front = torch.where(nc > BEHIND * distance, -1.0, 1.0)
+    facing = torch.where(nc > BEHIND * distance, -1.0, 1.0)
     nc = torch.where(nc * side > COSINE_MIN * distance, nc, (side * COSINE_MIN * distance).detach())
-    features = torch.cat([colour.clamp_min(0), front * axes[:, 2], extra])
+    features = torch.cat([colour.clamp_min(0), facing * axes[:, 2], extra])
 
     j, i = torch.meshgrid(torch.arange(camera.width) + 0.5, torch.arange(camera.height) + 0.5, indexing="xy")
     rays = torch.stack([(j.reshape(-1) - camera.cx) / camera.fx, (i.reshape(-1) - camera.cy) / camera.fy]).to(dtype)

@@ -32,7 +32,7 @@ class Pinhole:
 class Frame:
     """Surfel in camera space: offset from the eye, centre, axes.
 
-    The foreshortening nc is clamped away from 0 (`free`: not clamped); `front` is 1, or -1 where the surfel is seen from behind.
+    The foreshortening nc is clamped away from 0 (`free`: not clamped); `facing` is 1, or -1 where the surfel is seen from behind.
     """
 
     offset: wp.vec3
@@ -43,7 +43,7 @@ class Frame:
     world_normal: wp.vec3
     nc: float
     excess: float
-    front: float
+    facing: float
     free: int
 
 
@@ -61,7 +61,7 @@ def frame(position: wp.array(dtype=float), quaternion: wp.array(dtype=float), n:
     nc = wp.dot(f.normal, f.c)
     side = wp.where(nc > 0.0, 1.0, -1.0)
     distance = wp.sqrt(wp.max(wp.dot(f.c, f.c), cam.near * cam.near))
-    f.front = wp.where(nc > _BEHIND * distance, -1.0, 1.0)
+    f.facing = wp.where(nc > _BEHIND * distance, -1.0, 1.0)
     f.free = int(nc * side > _COSINE_MIN * distance)
     f.nc = wp.where(f.free == 1, nc, side * _COSINE_MIN * distance)
     f.excess = f.nc - nc
@@ -150,7 +150,7 @@ def project(
     b = basis(f.offset / wp.sqrt(wp.max(wp.dot(f.offset, f.offset), 1.0e-20)), coefficients)
     for channel in range(3):
         feature[i, channel] = wp.max(colour_channel(sh, b, coefficients, channel, n, i), 0.0)
-        feature[i, 3 + channel] = f.front * f.world_normal[channel]
+        feature[i, 3 + channel] = f.facing * f.world_normal[channel]
     for j in range(extras):
         feature[i, 6 + j] = extra[j * n + i]
 
@@ -230,7 +230,7 @@ def project_backward(
     screen[i] = wp.length(gm)
     alpha = 1.0 / (1.0 + wp.exp(-opacity[i]))
     g_opacity[i] = sums[i, 9] * alpha * (1.0 - alpha)
-    turned = wp.vec3(sums[i, _FEATURES + 3], sums[i, _FEATURES + 4], sums[i, _FEATURES + 5]) * f.front
+    turned = wp.vec3(sums[i, _FEATURES + 3], sums[i, _FEATURES + 4], sums[i, _FEATURES + 5]) * f.facing
     raw = wp.vec4(quaternion[i], quaternion[n + i], quaternion[2 * n + i], quaternion[3 * n + i])
     gq = quaternion_gradient(raw, back * g_tu, back * g_tv, back * gn + turned)
     for j in range(4):
