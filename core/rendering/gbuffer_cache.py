@@ -17,6 +17,8 @@ FLOATS = 13  # per pixel of a G-buffer
 class GBufferCache(Sequence[GBuffer]):
     """Sequence of G-buffers that keeps those rendered first, up to a memory limit, and renders the others again at each access.
 
+    Each pixel is one ray: the surface is fused from their depths, and a mean over an edge lies on no surface.
+
     All views of a large capture at once would take tens of gigabytes. Keeping the first ones rather than the last used ones saves the same
     fraction of the work in every pass over the whole sequence.
 
