@@ -9,7 +9,6 @@ from pathlib import Path
 
 from .assets.export import write_blend
 from .assets.mesh_files import save_mesh_files
-from .capture.capture import capture
 from .capture.source import FOLDER as CAPTURE
 from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
@@ -87,6 +86,7 @@ def reconstruct(
 
 def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress: ProgressRecorder) -> None:
     """Run the phase that captures photographs without cameras into the run folder."""
+    from .capture.capture import capture  # COLMAP and the readers of videos and raw images, which other jobs do without
 
     def work() -> None:
         capture(photographs, folder.path / CAPTURE, settings.capture, settings.seed, progress)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The engine before torch, as it settles how torch's threads wait; what tests in several processes need; cameras; a finished run."""
 
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from irgspp.core.scene.camera import Camera, look_at
 
+gc.disable()  # until the tests' modules are imported, which stay: it would search the growing heap again and again
 hypothesis.settings.register_profile("patient", deadline=None)  # a busy machine is no fault
 hypothesis.settings.load_profile("patient")
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -67,6 +69,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     others = [item for item in items if WITHOUT_KERNELS.isdisjoint(item.path.parents)]
     half = len(items) // 2
     items[:] = others[:half] + in_blender + others[half:]
+
+
+def pytest_collection_finish() -> None:
+    gc.enable()
 
 
 _ended: list[int] = []  # pytest's exit status, once it is known

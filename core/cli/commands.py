@@ -12,6 +12,7 @@ from ..progress.terminal import Terminal
 from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import Settings, preset
+from .quick_imports import quick_imports
 
 # torch and numba are imported inside the commands, so that `irgspp --help` answers at once.
 
@@ -23,7 +24,8 @@ def demo(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..pipeline import DEMO_DATA, DEMO_OVERRIDES, reconstruct
+    with quick_imports():
+        from ..pipeline import DEMO_DATA, DEMO_OVERRIDES, reconstruct
 
     replace = not args.resume and (args.run / "run.json").exists() and read_run(args.run).get("dataset") == str(DEMO_DATA)
     settings = with_overrides(preset("balanced"), [*DEMO_OVERRIDES, *args.set])
@@ -40,14 +42,16 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..capture.source import posed_dataset
-    from ..datasets.load import load_dataset
-    from ..datasets.summary import describe, summary
+    with quick_imports():
+        from ..capture.source import posed_dataset
+        from ..datasets.load import load_dataset
+        from ..datasets.summary import describe, summary
 
     settings = with_overrides(Settings(), args.set).data
     data = load_dataset(posed_dataset(args.dataset), settings, terminal)
     if args.export is not None:
-        from ..datasets.export import save_dataset
+        with quick_imports():
+            from ..datasets.export import save_dataset
 
         save_dataset(data, settings, args.export, terminal)
     terminal.end_line()
@@ -67,7 +71,8 @@ def capture(args: argparse.Namespace, terminal: Terminal) -> int:
         settings = dataclasses.replace(settings, marker=args.marker)
     if args.turntable is not None:
         settings = dataclasses.replace(settings, turntable=args.turntable)
-    from ..capture.capture import capture
+    with quick_imports():
+        from ..capture.capture import capture
 
     folder = capture(args.photographs, args.folder, settings, args.seed, terminal)
     terminal.end_line()
@@ -83,7 +88,8 @@ def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal: receives the progress.
     """
     settings = settings_of(args)
-    from ..pipeline import reconstruct  # takes seconds: errors in the settings are reported before
+    with quick_imports():
+        from ..pipeline import reconstruct  # takes seconds: errors in the settings are reported before
 
     run = reconstruct(args.dataset, args.run, settings, resume=args.resume, overwrite=args.overwrite, progress=terminal)
     terminal.end_line()
@@ -107,8 +113,9 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..capture.source import posed_dataset
-    from ..evaluation.report import evaluate, table
+    with quick_imports():
+        from ..capture.source import posed_dataset
+        from ..evaluation.report import evaluate, table
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     choices = {"protocol": args.protocol, "views": args.views, "samples": args.samples, "lpips": args.lpips}
@@ -125,8 +132,9 @@ def batch(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..batch.batch import batch_folder, run_batch
-    from ..batch.jobs import read_jobs
+    with quick_imports():
+        from ..batch.batch import batch_folder, run_batch
+        from ..batch.jobs import read_jobs
 
     jobs = read_jobs(args.jobs, args.check)
     states = run_batch(jobs, batch_folder(args.jobs), lambda: terminal.cancelled, args.at_once, args.dask)
@@ -144,7 +152,8 @@ def export(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..assets.export import export
+    with quick_imports():
+        from ..assets.export import export
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     export(args.run, args.out, args.material or settings.export.material, terminal)
@@ -159,7 +168,8 @@ def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..assets.rebake import bake
+    with quick_imports():
+        from ..assets.rebake import bake
 
     bake(args.run, terminal, size=args.size, triangles=args.triangles, edited=args.mesh)
     terminal.end_line()
@@ -174,8 +184,9 @@ def devices(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..machine.devices import describe
-    from ..machine.devices import devices as find_devices
+    with quick_imports():
+        from ..machine.devices import describe
+        from ..machine.devices import devices as find_devices
 
     print(json.dumps(find_devices(), indent=2) if args.json else describe(find_devices()))
     return 0

@@ -16,6 +16,7 @@ from ..rendering.layers import LAYERS
 from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import DataSettings
+from .quick_imports import quick_imports
 
 if TYPE_CHECKING:
     from ..scene.camera import Camera
@@ -33,11 +34,12 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    from ..machine.devices import best
-    from ..relight.backends import best_backend, open_relighter
-    from ..relight.relighter import RelightSettings
-    from ..relight.render_views import load_light, render_views
-    from ..scene.reconstruction import Reconstruction
+    with quick_imports():
+        from ..machine.devices import best
+        from ..relight.backends import best_backend, open_relighter
+        from ..relight.relighter import RelightSettings
+        from ..relight.render_views import load_light, render_views
+        from ..scene.reconstruction import Reconstruction
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     lights = [load_light(*one, progress=terminal) for one in _lights(args)]
@@ -88,10 +90,11 @@ def _lights(args: argparse.Namespace) -> list[tuple[Path, str | None, float, flo
 
 def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: Reconstruction) -> list[tuple[str, Camera]]:
     """Return the named views of a dataset, or an orbit with the intrinsics of their first (of the run's own where none is named)."""
-    from ..capture.source import posed_dataset
-    from ..relight.orbit import orbit
-    from ..relight.render_views import cameras_of, split_of
-    from ..scene.camera_files import load_run_cameras
+    with quick_imports():
+        from ..capture.source import posed_dataset
+        from ..relight.orbit import orbit
+        from ..relight.render_views import cameras_of, split_of
+        from ..scene.camera_files import load_run_cameras
 
     if args.orbit is None and args.views is None:
         raise InputError("render", "no views are given", "add --views DATASET[:split] or --orbit N")

@@ -24,6 +24,7 @@ from ..errors import InputError
 from ..machine.parent_watch import on_parent_exit
 from ..machine.version import VERSION
 from ..progress.terminal import Terminal
+from .quick_imports import quick_imports
 
 
 def serve(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -37,8 +38,9 @@ def serve(args: argparse.Namespace, terminal: Terminal) -> int:
     if not session.is_dir():
         raise InputError(session, "is not a folder", "make the folder first")
     ended = _session_end(session, terminal)
-    from ..relight.server.loaded_run import LoadedRun
-    from ..relight.server.request_server import RequestServer, write_json  # torch takes seconds, which other commands do without
+    with quick_imports():
+        from ..relight.server.loaded_run import LoadedRun
+        from ..relight.server.request_server import RequestServer, write_json  # torch takes seconds, which other commands do without
 
     server = RequestServer(session, ended)
     run = LoadedRun(args.run, server.tick)

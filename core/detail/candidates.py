@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels.cpu.jit import kernel
+from ..kernels.cpu.jit import helper, kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
@@ -134,7 +134,7 @@ def pinhole_numbers(camera: Camera) -> np.ndarray:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
 
 
-@kernel
+@helper
 def cubic(t):
     """Return the weights of four samples at -1, 0, 1, 2 for a position t in 0..1 (Catmull and Rom 1974)."""
     a = ((-0.5 * t + 1.0) * t - 0.5) * t
@@ -143,7 +143,7 @@ def cubic(t):
     return a, b, c, (0.5 * t - 0.5) * t * t
 
 
-@kernel
+@helper
 def distorted(x, y, kind, k):
     """Return where a lens shows the direction (x, y, 1): 0 a pinhole, 1 OpenCV's polynomial model, 2 its fisheye model."""
     if kind == 0:
@@ -161,7 +161,7 @@ def distorted(x, y, kind, k):
     return x * scale, y * scale
 
 
-@kernel
+@helper
 def sampled(image, linear, u, v, width, height, colour):
     """Write the bicubic sample of an image at the pixel coordinates (u, v) of an image of size (width, height); return the largest code."""
     rows, columns = image.shape[0], image.shape[1]

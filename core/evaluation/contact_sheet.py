@@ -53,7 +53,7 @@ def contact_sheet(dataset: Dataset, relighter: Relighter, path: Path, progress: 
         progress.step(len(tiles))
     sheet = compose(tiles, COLUMNS)
     with atomic_file(path) as partial:
-        sheet.save(partial, "PNG", optimize=True)
+        sheet.save(partial, "PNG")
 
 
 def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) -> list[np.ndarray]:

@@ -80,7 +80,8 @@ class Camera:
         Returns:
             Pixel coordinates (N, 2) as (x, y), with pixel centres at .5, and planar depths (N,), > 0 in front of the camera.
         """
-        p = points @ self.world_to_cv[:3, :3].T + self.world_to_cv[:3, 3]
+        to_cv = self.world_to_cv
+        p = points @ to_cv[:3, :3].T + to_cv[:3, 3]
         depth = p[:, 2]
         z = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
         return np.stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy], -1), depth

@@ -21,8 +21,13 @@ def brdf_table() -> torch.Tensor:
     F G2 / G1 = f cos / p.
     """
     grid = torch.linspace(0, 1, TABLE, dtype=torch.float64).clamp_min(1e-3)
-    n_v = grid[None, :, None].expand(TABLE, TABLE, SAMPLES)
-    alpha = ggx_alpha(grid)[:, None, None].expand_as(n_v)
+    return torch.stack([_table_row(grid, roughness) for roughness in grid]).float()  # one row's samples fit into the processor's cache
+
+
+def _table_row(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+    """Return the scale and the bias of F0, (N, 2), at n.v (N,) for one roughness (), float64."""
+    n_v = n_v[:, None].expand(-1, SAMPLES)
+    alpha = ggx_alpha(roughness).expand_as(n_v)
     i = torch.arange(SAMPLES, dtype=torch.float64)
     u = torch.stack([(i + 0.5) / SAMPLES, (i * 0.6180339887498949) % 1], -1).expand(*n_v.shape, 2)
     view = torch.stack([(1 - n_v**2).sqrt(), torch.zeros_like(n_v), n_v], -1)
@@ -33,7 +38,7 @@ def brdf_table() -> torch.Tensor:
     g1 = 2 * n_v / (n_v + (alpha**2 + (1 - alpha**2) * n_v**2).sqrt())
     ratio = torch.where(n_l > 0, smith_visibility(n_l.clamp_min(1e-9), n_v, alpha) * 4 * n_l * n_v / g1, 0.0)
     fresnel = schlick(v_h, torch.zeros(1, dtype=torch.float64))
-    return torch.stack([(ratio * (1 - fresnel)).mean(-1), (ratio * fresnel).mean(-1)], -1).float()
+    return torch.stack([(ratio * (1 - fresnel)).mean(-1), (ratio * fresnel).mean(-1)], -1)
 
 
 @cache

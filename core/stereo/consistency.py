@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..kernels.cpu.jit import kernel
+from ..kernels.cpu.jit import helper, kernel
 from .depth_map import DepthMap, camera_matrices
 from .settings import StereoSettings
 
@@ -35,7 +35,7 @@ def support(depth_map: DepthMap, witnesses: Sequence[DepthMap], settings: Stereo
     return count
 
 
-@kernel
+@helper
 def apply(matrix, x, y, z):
     """Return the product of a matrix (3, 4) with (x, y, z, 1)."""
     a = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]
@@ -43,7 +43,7 @@ def apply(matrix, x, y, z):
     return a, b, matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
 
 
-@kernel
+@helper
 def pixel_seeing(projection, x, y, z, depth, relative):
     """Return row and column of the pixel that sees a world point, and the point's depth; row -1 where `depth` there differs too much."""
     a, b, far = apply(projection, x, y, z)

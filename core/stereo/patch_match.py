@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..kernels.constants import FLAT_VARIANCE, PATCH_SAMPLES, WORST_COST
-from ..kernels.cpu.jit import kernel
+from ..kernels.cpu.jit import helper, kernel
 from ..kernels.cpu.matching_cost import plane_cost, read_patch
 
 TRIALS = 5  # planes that a sweep tries at a pixel: of two neighbours, another depth, another normal, both
@@ -22,7 +22,7 @@ NORMAL_STEP = np.float32(0.8)  # largest change of each component of a normal at
 JOINT_DEPTH_STEP, JOINT_NORMAL_STEP = np.float32(0.005), np.float32(0.25)  # the same where both change
 
 
-@kernel
+@helper
 def _uniform(state):
     """Draw from 0..1 by xorshift32 (Marsaglia 2003); state (1,) uint32, not 0. numpy's generator would take three times as long."""
     s = state[0]
@@ -33,13 +33,13 @@ def _uniform(state):
     return np.float32(np.uint32(s) >> np.uint32(8)) * np.float32(2.0**-24)
 
 
-@kernel
+@helper
 def _signed(state):
     """Draw from -1..1."""
     return np.float32(2) * _uniform(state) - np.float32(1)
 
 
-@kernel
+@helper
 def _varied_normal(x, y, nx, ny, nz, amount, state):
     """Vary a unit normal, and return it as it is where it would turn away from the camera along the ray (x, y, 1)."""
     mx, my, mz = nx + amount * _signed(state), ny + amount * _signed(state), nz + amount * _signed(state)
@@ -50,13 +50,13 @@ def _varied_normal(x, y, nx, ny, nz, amount, state):
     return nx, ny, nz
 
 
-@kernel
+@helper
 def _ray(row, column, lens):
     """Return x and y of the ray (x, y, 1) through a pixel's centre."""
     return (np.float32(column) + np.float32(0.5) - lens[2]) / lens[0], (np.float32(row) + np.float32(0.5) - lens[3]) / lens[1]
 
 
-@kernel
+@helper
 def _depth_of_plane(depth, normal, row, column, x, y, lens):
     """Return the depth at which the ray (x, y, 1) meets the plane of a pixel, 0 where it has none or is seen edge-on."""
     if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):

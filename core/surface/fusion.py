@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from ..kernels.cpu.jit import kernel
+from ..kernels.cpu.jit import helper, kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..progress.protocol import Progress
 from ..scene.gbuffer import GBuffer
@@ -140,7 +140,7 @@ def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, plan
             sum_weight[b, i] += w
 
 
-@kernel
+@helper
 def _to_plane(plane, x, y, z):
     """Return the signed distance of a point to a plane (4,), positive in front."""
     return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]

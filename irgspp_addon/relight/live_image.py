@@ -90,7 +90,7 @@ class Follower:
             self.tick()
             if self.failed or self.ended:
                 raise IrgsppError(self.message)
-            time.sleep(0.01)
+            time.sleep(BEAT)
 
     def close(self) -> None:
         """End the live image and cancel its request."""

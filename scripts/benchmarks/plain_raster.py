@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 from irgspp.core.kernels.constants import ALPHA_MAX, HORIZON_MIN, LOW_PASS, SPLAT_GRADIENTS, TILE, TRANSMITTANCE_MIN
-from irgspp.core.kernels.cpu.jit import kernel
+from irgspp.core.kernels.cpu.jit import helper, kernel
 
 _ONE, _ZERO, _HALF, _FAR = np.float32(1.0), np.float32(0.0), np.float32(0.5), np.float32(1e9)
 _LOW, _MAX, _STOP, _BEHIND = np.float32(LOW_PASS), np.float32(ALPHA_MAX), np.float32(TRANSMITTANCE_MIN), np.float32(HORIZON_MIN)
 
 
-@kernel
+@helper
 def _evaluate(record, g, dx, dy):
     """Intersect one pixel's ray with a surfel: rho, 1/w, u, v, and whether the low-pass filter decides."""
     w = _ONE + dx * record[g, 6] + dy * record[g, 7]
@@ -26,7 +26,7 @@ def _evaluate(record, g, dx, dy):
     return min(rho, flat), iw, u, v, rho > flat
 
 
-@kernel
+@helper
 def _exhausted(transmittance):
     """Return True where every pixel of a tile is opaque."""
     for row in range(TILE):
@@ -76,7 +76,7 @@ def plain_range(begin, end, start, entries, record, feature, box, columns, image
                 image[(features + 2) * plane + at] = left
 
 
-@kernel
+@helper
 def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total):
     """Load a tile's upstream gradients (channels, TILE, TILE) as gradients of the plain sums; s_total = g . C per pixel, 0 where opaque."""
     for row in range(TILE):

@@ -9,7 +9,7 @@ import numpy as np
 from irgspp.core.kernels.constants import ALPHA_MAX, AXIS_U, AXIS_V, CUT, GRAZING, NORMAL, OPACITY, TRANSMITTANCE_MIN
 from irgspp.core.kernels.cpu.bvh import LEAF, NODE
 from irgspp.core.kernels.cpu.compositing import SH_ROW, spread_basis
-from irgspp.core.kernels.cpu.jit import kernel
+from irgspp.core.kernels.cpu.jit import helper, kernel
 from irgspp.core.kernels.cpu.trace import (
     _EVERYBODY,
     _IN,
@@ -30,7 +30,7 @@ _ONE, _ZERO, _HALF, _FAR = np.float32(1.0), np.float32(0.0), np.float32(0.5), np
 _STOP, _MAX, _GRAZING = np.float32(TRANSMITTANCE_MIN), np.float32(ALPHA_MAX), np.float32(GRAZING)
 
 
-@kernel
+@helper
 def _box(node, at, lane, o, inv):
     """Return the distances at which a ray enters and leaves one box of a node."""
     enter, leave = _ZERO, _FAR
@@ -42,7 +42,7 @@ def _box(node, at, lane, o, inv):
     return enter, leave
 
 
-@kernel
+@helper
 def _surfel(leaf, at, o, d, first, last):
     """Return distance and alpha of the hit with one surfel of a leaf, alpha 0 where there is none between `first` and `last`."""
     n = at + NORMAL * 8
@@ -63,7 +63,7 @@ def _surfel(leaf, at, o, d, first, last):
     return t, min(np.float32(math.exp(-_HALF * rho)) * leaf[at + OPACITY * 8], _MAX)
 
 
-@kernel
+@helper
 def _plain_nearest(o, d, inv, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t):
     """Collect the nearest hits behind `last`, up to NEAREST, and return their number."""
     n, behind, furthest = 0, before, _EVERYBODY

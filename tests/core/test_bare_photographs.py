@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 from irgspp.core import pipeline
+from irgspp.core.capture import capture as capturing
 from irgspp.core.capture.source import FOLDER, posed_dataset
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.progress.protocol import Silent
@@ -121,7 +122,7 @@ def test_run_that_was_cancelled_after_its_capture_keeps_it(photographs, stages, 
 
 
 def test_time_budget_counts_the_capture_once(photographs, monkeypatch, tmp_path):
-    now, capture = [1000.0], pipeline.capture
+    now, capture = [1000.0], capturing.capture
 
     def slow(*args):
         now[0] += 60
@@ -129,7 +130,7 @@ def test_time_budget_counts_the_capture_once(photographs, monkeypatch, tmp_path)
 
     settings = with_overrides(SETTINGS, ["time=300"])
     stages = Stages(monkeypatch, settings, read=False)
-    monkeypatch.setattr(pipeline, "capture", slow)
+    monkeypatch.setattr(capturing, "capture", slow)
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     stages.stop = "train"
     with pytest.raises(Cancelled):

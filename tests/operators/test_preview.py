@@ -18,7 +18,7 @@ def follow_until(what, seconds=300.0):
     end = time.monotonic() + seconds
     while not what():
         relight_follow.beat()
-        time.sleep(0.01)
+        time.sleep(0.05)
         assert time.monotonic() < end, preview.preview_message()
 
 

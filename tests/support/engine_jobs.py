@@ -30,6 +30,7 @@ TINY = {
     "surface.voxels": 24,
     "surface.triangles": 500,
     "surface.texture": 64,
+    "surface.albedo_detail": "off",
 }
 ENDLESS = {"first.iterations": 1_000_000}  # runs until it is stopped
 COUNTER = blender_side.ROOT / "scripts" / "faulting" / "counter.py"  # a stand-in for the engine

@@ -21,13 +21,13 @@ from ..constants import ALPHA_MAX, AXIS_U, AXIS_V, CUT, NORMAL, OPACITY, SCALE_U
 from .compositing import SH_ROW, add_radiance, facing, radiance, spread_basis
 from .frame import quaternion_gradient
 from .harmonics import basis_gradient
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import load, splat, store
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 
-@kernel
+@helper
 def _upstream(image, gradient, ray, left):
     """Return the terms that all hits of a ray share: the scale of the sums, the term g . C added to every q, and S_total."""
     last = gradient.shape[1] - 1

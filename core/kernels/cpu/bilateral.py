@@ -12,17 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import bits, exp, load, maximum, minimum, select, splat, store
 
 
-@kernel
+@helper
 def _absolute(x):
     """Return |x| of a vector."""
     return maximum(x, x * -1.0)
 
 
-@kernel
+@helper
 def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
     """Write the weights of the group `at`, a vector for each neighbour, to weights[to..]; they sum to 1."""
     reach = spatial.shape[0] // 2
@@ -51,7 +51,7 @@ def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
         store(weights, i, load(weights, i) * scale)
 
 
-@kernel
+@helper
 def _mean(at, values, weights, begin, reach, stride, plane, acc, out):
     """Write the weighted mean of the neighbours of the group `at` to `out`, in every plane of `values`."""
     channels = len(values) // plane

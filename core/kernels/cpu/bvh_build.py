@@ -10,26 +10,26 @@ import math
 
 import numpy as np
 
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import load, minimum, splat, store
 
 _BINS = 16  # per axis
 
 
-@kernel
+@helper
 def grow(boxes, at, other, g):
     """Extend box `at` of `boxes` to contain box `g` of `other`."""
     store(boxes, at * 8, minimum(load(boxes, at * 8), load(other, g * 8)))
 
 
-@kernel
+@helper
 def _area(box, at):
     """Return half the surface area of box `at`."""
     x, y, z = box[at * 8] + box[at * 8 + 4], box[at * 8 + 1] + box[at * 8 + 5], box[at * 8 + 2] + box[at * 8 + 6]
     return x * y + y * z + z * x
 
 
-@kernel
+@helper
 def _bound(order, begin, end, boxes, box):
     """Write the box around surfels order[begin:end] to `box` (8,)."""
     hull = splat(np.float32(math.inf))
@@ -38,13 +38,13 @@ def _bound(order, begin, end, boxes, box):
     store(box, 0, hull)
 
 
-@kernel
+@helper
 def _bin(middle, g, axis, start, step):
     """Return the bin of surfel g's centre along an axis."""
     return min(max(int((middle[g * 8 + axis] - start) * step), 0), _BINS - 1)
 
 
-@kernel
+@helper
 def _cheapest(axis, count, bins, fill, prices, box):
     """Return the bin of one axis at which the second half best starts, and the cost of that split."""
     first = axis * _BINS
@@ -66,7 +66,7 @@ def _cheapest(axis, count, bins, fill, prices, box):
     return best, least
 
 
-@kernel
+@helper
 def _split(order, begin, end, boxes, middle, bins, fill, prices, box):
     """Partition order[begin:end] in place where the surface area heuristic costs least; return the start of the second half."""
     _bound(order, begin, end, middle, box)
@@ -138,7 +138,7 @@ def build_nodes(order, boxes, middle):
             if p >= parts:
                 child[node, p] = node
             elif part[p, 1] - part[p, 0] <= 8:
-                leaves[leaf_count] = part[p]
+                leaves[leaf_count, 0], leaves[leaf_count, 1] = part[p, 0], part[p, 1]
                 child[node, p] = ~leaf_count
                 leaf_count += 1
             else:

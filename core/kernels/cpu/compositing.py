@@ -11,7 +11,7 @@ import numpy as np
 
 from ..constants import BEHIND, NORMAL, TRANSMITTANCE_MIN
 from .harmonics import basis
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import load, prefetch, store, total
 
 SH_ROW = 48
@@ -55,7 +55,7 @@ def unpack_range(begin, end, slots, coefficients, n, g_sh, g_extra):
                     g_extra[(j - coefficients * 3) * n + g] = value
 
 
-@kernel
+@helper
 def spread_basis(direction, ray, end, coefficients, axes, values, spread):
     """Write the SH basis of up to 8 rays from `ray` on, 16 floats per ray, to spread (128,); leave the directions in `axes` (24,)."""
     for lane in range(8):
@@ -67,13 +67,13 @@ def spread_basis(direction, ray, end, coefficients, axes, values, spread):
             spread[lane * 16 + j] = values[j * 8 + lane]
 
 
-@kernel
+@helper
 def radiance(rows, at, channel, low, high):
     """Return one channel of a Gaussian's radiance before its clamp, in the direction whose SH basis is `low`, `high`."""
     return total(load(rows, at + channel * 16) * low + load(rows, at + channel * 16 + 8) * high) + np.float32(0.5)
 
 
-@kernel
+@helper
 def facing(record, g, dx, dy, dz):
     """Return 1, or -1 where the ray meets a Gaussian from behind, so that its normal is flipped."""
     cosine = record[g, NORMAL] * dx + record[g, NORMAL + 1] * dy + record[g, NORMAL + 2] * dz
@@ -159,7 +159,7 @@ def composite_backward_range(slot, begin, end, direction, start, index, weight, 
                 store(out, at + offset + j, load(out, at + offset + j) + load(upstream, j) * w)
 
 
-@kernel
+@helper
 def add_radiance(out, at, low, high, w, gradient, ray, lit):
     """Add the gradient of a hit's SH coefficients to the row at `at`, for the channels set in `lit`."""
     for channel in range(3):

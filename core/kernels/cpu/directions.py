@@ -10,19 +10,19 @@ import math
 
 import numpy as np
 
-from .jit import kernel
+from .jit import helper, kernel
 
 TURN = 2 * math.pi
 
 
-@kernel
+@helper
 def _wrapped(point, shift):
     """Shift a coordinate in [0, 1) by another, on the torus."""
     u = point + float(shift)
     return u - 1 if u >= 1 else u
 
 
-@kernel
+@helper
 def _first_above(table, value, low, high):
     """Return the index of the first entry of ascending table[low:high] greater than `value`, at most `high` - 1."""
     size = high - low
@@ -33,7 +33,7 @@ def _first_above(table, value, low, high):
     return low
 
 
-@kernel
+@helper
 def _sample_visible_normal(vx, vy, vz, alpha, u0, u1):
     """Return a local view direction mirrored at a sampled visible normal, by spherical caps (Dupuy and Benyoub 2023)."""
     length = math.sqrt((vx * vx + vy * vy) * alpha * alpha + vz * vz)
@@ -45,7 +45,7 @@ def _sample_visible_normal(vx, vy, vz, alpha, u0, u1):
     return scale * hx - vx, scale * hy - vy, scale * hz - vz
 
 
-@kernel
+@helper
 def _sample_light(u0, u1, rows, columns, edges):
     """Sample a world direction by the light map's tables; return it and the flat index of its texel."""
     height = len(rows)
@@ -62,7 +62,7 @@ def _sample_light(u0, u1, rows, columns, edges):
     return -s * math.cos(np.float32(phi)), s * math.sin(np.float32(phi)), z, flat
 
 
-@kernel
+@helper
 def lightmap_place(x, y, z):
     """Return u, v in 0..1 of a unit direction in a lat-long map; compared by `tests/core/shading/test_lightmap_agreement.py`."""
     u = 0.5 - math.atan2(np.float32(y), np.float32(x)) / TURN
@@ -72,14 +72,14 @@ def lightmap_place(x, y, z):
     return u, math.acos(np.float32(min(max(z, -1.0), 1.0))) / math.pi
 
 
-@kernel
+@helper
 def turned(u, turn):
     """Return u in a map rotated by `turn`, a fraction in 0..1 of a full turn."""
     u += turn
     return u - 1 if u >= 1 else u
 
 
-@kernel
+@helper
 def texel_at(u, v, height, width):
     """Return the flat index of the texel that contains u, v; clamped to the map, also for NaN."""
     return max(min(int(v * height), height - 1), 0) * width + max(min(int(u * width), width - 1), 0)

@@ -4,35 +4,35 @@
 from __future__ import annotations
 
 from ..constants import BEHIND, COSINE_MIN
-from .jit import kernel
+from .jit import helper
 from .simd import load, maximum, select, splat, sqrt
 
 
-@kernel
+@helper
 def cross(a, b):
     """Return the cross product of two 3-vectors."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@kernel
+@helper
 def dot(a, b):
     """Return the dot product of two 3-vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@helper
 def add(a, b):
     """Return the sum of two 3-vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@kernel
+@helper
 def scaled(a, s):
     """Return a 3-vector times a scalar."""
     return (a[0] * s, a[1] * s, a[2] * s)
 
 
-@kernel
+@helper
 def rotate(m, v):
     """Return matrix m (row-major, 9 scalars) times v."""
     return (
@@ -42,7 +42,7 @@ def rotate(m, v):
     )
 
 
-@kernel
+@helper
 def rotate_back(m, v):
     """Return the transpose of matrix m (row-major, 9 scalars) times v."""
     return (
@@ -52,7 +52,7 @@ def rotate_back(m, v):
     )
 
 
-@kernel
+@helper
 def _rotation(q, n, i):
     """Return the columns of the rotation of quaternions i..i+7, the unit quaternions and the inverse of their lengths."""
     w, x, y, z = load(q, i), load(q, n + i), load(q, 2 * n + i), load(q, 3 * n + i)
@@ -65,7 +65,7 @@ def _rotation(q, n, i):
     return r0, r1, r2, (w, x, y, z), inv
 
 
-@kernel
+@helper
 def frame(position, quaternion, n, i, cam):
     """Return centre and axes of surfels i..i+7 in camera space, and what the projection needs of them.
 
@@ -86,7 +86,7 @@ def frame(position, quaternion, n, i, cam):
     return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), facing, free, q, inv
 
 
-@kernel
+@helper
 def quaternion_gradient(q, inv, g0, g1, g2):
     """Convert gradients of the rotation's columns to that of the raw quaternion."""
     w, x, y, z = q

@@ -12,11 +12,11 @@ import math
 import numpy as np
 
 from .directions import lightmap_place, texel_at, turned
-from .jit import kernel
+from .jit import helper, kernel
 from .reflection import point_terms, specular_terms
 
 
-@kernel
+@helper
 def _bilinear(maps, level, u, v):
     """Look three channels up in map `level` of maps (L, H, W, 3), bilinearly, wrapped in u.
 
@@ -39,7 +39,7 @@ def _bilinear(maps, level, u, v):
     return red, green, blue
 
 
-@kernel
+@helper
 def reflected(k, body, gloss, place, diffuse, specular, turn):
     """Return the radiance that hit k reflects along its ray: its diffuse and specular albedo times prefiltered light.
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..constants import SH_C0, SH_C1, SH_C2, SH_C3
-from .jit import kernel
+from .jit import helper
 from .simd import splat, store
 
 _a, _b, _d, _e, _f = (np.float32(c) for c in (SH_C2[0], SH_C2[1], SH_C2[2], SH_C2[3], SH_C2[4]))
@@ -14,7 +14,7 @@ _g, _h, _i, _j, _k, _l, _m = (np.float32(c) for c in SH_C3)
 _0, _1 = np.float32(SH_C0), np.float32(SH_C1)
 
 
-@kernel
+@helper
 def basis(x, y, z, count, out):
     """Write the first `count` (1, 4, 9 or 16) basis functions at 8 unit directions to `out` (16 x 8,), 8 floats per function."""
     store(out, 0, splat(_0))
@@ -38,7 +38,7 @@ def basis(x, y, z, count, out):
         store(out, 120, x * (x * x - y * y * 3.0) * _m)
 
 
-@kernel
+@helper
 def basis_gradient(x, y, z, count, out):
     """Write the derivatives of `basis` by x, y and z, as free coordinates, to `out` (3 x 16 x 8,)."""
     for i in range(3 * 128):

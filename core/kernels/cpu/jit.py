@@ -48,13 +48,37 @@ class KernelFiles(IndexDataCacheFile):
         self._save_index({**self._load_index(), key: name})
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile `function(begin, end, ...)`, or a helper of such a kernel. Helpers shared between modules must live in this folder.
+def _compiled(function: Callable[..., Any], inlined: bool) -> Any:
+    """Return numba's dispatcher of a function; it compiles at the first call with arguments of new types.
 
-    Helpers are always inlined: a helper that is called could differ between freshly compiled code and code from the cache, with sums
-    contracted differently, and the first run on a machine would differ from later ones.
+    Args:
+        function: Python function in numba's subset of the language.
+        inlined: True to copy its code into every function that calls it.
     """
-    compiled: Any = numba.njit(function, nogil=True, cache=True, forceinline=True, fastmath=FASTMATH, error_model="numpy")
+    # Nothing calls the kernels from C, and each such entry point would hold another copy of the code.
+    options: dict[str, Any] = {"nogil": True, "cache": True, "no_cfunc_wrapper": True, "forceinline": inlined}
+    compiled: Any = numba.njit(function, fastmath=FASTMATH, error_model="numpy", **options)
     cache = compiled._cache
     cache._cache_file = KernelFiles(cache.cache_path, cache._impl.filename_base, cache._impl.locator.get_source_stamp())
     return compiled
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile `function(begin, end, ...)`, which Python calls. What it calls is a `helper`.
+
+    Args:
+        function: Python function in numba's subset of the language.
+    """
+    return _compiled(function, inlined=False)
+
+
+def helper(function: Callable[..., Any]) -> Any:
+    """Compile a function that kernels and other helpers call. Helpers shared between modules must live in this folder.
+
+    Helpers are always inlined: a helper that is called could differ between freshly compiled code and code from the cache, with sums
+    contracted differently, and the first run on a machine would differ from later ones.
+
+    Args:
+        function: Python function in numba's subset of the language.
+    """
+    return _compiled(function, inlined=True)

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
-from .jit import kernel
+from .jit import helper, kernel
 from .reflection import point_terms, specular_terms
 
 
-@kernel
+@helper
 def bin_of(x, y, z, bins):
     """Return which of the bins x bins squares of the octahedral map contains a direction."""
     scale = 1 / (abs(x) + abs(y) + abs(z))
@@ -24,7 +24,7 @@ def bin_of(x, y, z, bins):
     return max(min(row, bins - 1), 0) * bins + max(min(column, bins - 1), 0)
 
 
-@kernel
+@helper
 def _add(sums, p, half, weight, value, bias, r, g, b):
     """Add arriving light r, g, b to a point's sums of the three lobes."""
     sums[p, half, 0] += weight * r

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ..constants import SHORTEST2
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import bits, load, maximum, splat, sqrt, store, total
 
 _HALF_PI = np.float32(0.5 / math.pi)
@@ -19,7 +19,7 @@ _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _SHORTEST2 = np.float32(SHORTEST2)
 
 
-@kernel
+@helper
 def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
     """Return D V n.l and (1 - v.h)^5 in 8 directions with n_l >= 0.
 
@@ -36,7 +36,7 @@ def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
     return n_l * (a2 * _HALF_PI) / (k * k * both), x2 * x2 * x
 
 
-@kernel
+@helper
 def _cosines(direction, count, at, nx, ny, nz):
     """Return 8 directions and their cosines to a normal."""
     dx, dy, dz = load(direction, at), load(direction, count + at), load(direction, 2 * count + at)

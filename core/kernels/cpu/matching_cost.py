@@ -25,7 +25,7 @@ from ..constants import (
     WEIGHT_CUT,
     WORST_COST,
 )
-from .jit import kernel
+from .jit import helper
 
 _ROWS, _COLUMNS = PATCH_SPACING * (np.mgrid[: 2 * PATCH_REACH + 1, : 2 * PATCH_REACH + 1].reshape(2, -1) - PATCH_REACH).astype(np.float32)
 _FALLOFF = np.exp(-0.5 * (_ROWS**2 + _COLUMNS**2) / (PATCH_REACH * PATCH_SPACING) ** 2).astype(np.float32)  # spatial part of the weights
@@ -51,7 +51,7 @@ class Sources(NamedTuple):
     depth: np.ndarray
 
 
-@kernel
+@helper
 def read_patch(grey, inside, row, column, inverse_sigma, centred, weights):
     """Fill the weights (sum 1) and the weighted, centred grey values of a pixel's patch, (PATCH_SAMPLES,) each; return its variance.
 
@@ -84,7 +84,7 @@ def read_patch(grey, inside, row, column, inverse_sigma, centred, weights):
     return variance
 
 
-@kernel
+@helper
 def _warp(x, y, depth, nx, ny, nz, fx, fy, pose):
     """Return the patch's middle (u, v) in a source, with pixel centres at integers, and the derivatives of u and v by column and row."""
     zero = np.float32(0)
@@ -107,7 +107,7 @@ def _warp(x, y, depth, nx, ny, nz, fx, fy, pose):
     return u, v, gx * (xu - px * zu), gx * (xv - px * zv), gy * (yu - py * zu), gy * (yv - py * zv)
 
 
-@kernel
+@helper
 def _correlate(grey, first, width, u, v, uc, ur, vc, vr, centred, weights, variance):
     """Return 1 - NCC of the patch with its bilinear samples in a source; WORST_COST where these have no texture."""
     mean, square, cross = np.float32(0), np.float32(0), np.float32(0)
@@ -129,7 +129,7 @@ def _correlate(grey, first, width, u, v, uc, ur, vc, vr, centred, weights, varia
     return WORST_COST if spread < FLAT_VARIANCE else np.float32(1) - cross / np.sqrt(spread * variance)
 
 
-@kernel
+@helper
 def _reprojection_error(x, y, u, v, fx, fy, pose, depth):
     """Return the distance in pixels between (x, y) and the point at `depth` of the source's pixel (u, v), at most LARGEST_REPROJECTION."""
     if depth <= 0:
@@ -145,7 +145,7 @@ def _reprojection_error(x, y, u, v, fx, fy, pose, depth):
     return min(LARGEST_REPROJECTION, np.sqrt(fx * fx * bx * bx + fy * fy * by * by))
 
 
-@kernel
+@helper
 def source_cost(x, y, depth, nx, ny, nz, fx, fy, sources, s, penalty, centred, weights, variance):
     """Return the matching cost of a plane in source s: 1 - NCC plus `penalty` per pixel of reprojection error, or WORST_COST."""
     pose, first, height, width = sources.pose[s], sources.layout[s, 0], sources.layout[s, 1], sources.layout[s, 2]
@@ -166,7 +166,7 @@ def source_cost(x, y, depth, nx, ny, nz, fx, fy, sources, s, penalty, centred, w
     return cost
 
 
-@kernel
+@helper
 def plane_cost(x, y, depth, nx, ny, nz, fx, fy, sources, asked, best, penalty, centred, weights, variance, costs):
     """Return the mean of the `best` lowest costs of a plane among the sources in the bit mask `asked`, and the mask of these sources."""
     count = sources.pose.shape[0]

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..constants import SSIM_C1, SSIM_C2, SSIM_RADIUS
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import load, splat, store
 
 
-@kernel
+@helper
 def _blur_columns(rows, first, count, stride, width, taps, out):
     """Blur vertically: reduce horizontally blurred rows first..first + 10 of one quantity (count + 10 rows) to `out` (stride,)."""
     for x in range(0, width, 8):
@@ -23,7 +23,7 @@ def _blur_columns(rows, first, count, stride, width, taps, out):
         store(out, x, value)
 
 
-@kernel
+@helper
 def _blur_row(padded, width, taps, out, at):
     """Blur horizontally; `padded` has 8 zeros before and at least 8 after its `width` values."""
     for x in range(0, width, 8):
@@ -33,7 +33,7 @@ def _blur_row(padded, width, taps, out, at):
         store(out, at + x, value)
 
 
-@kernel
+@helper
 def _statistics_rows(x, y, channel, begin, end, height, width, taps, blurred):
     """Blur x, y, xx, yy, xy of rows begin - 5 .. end + 5 horizontally into `blurred` (5 x rows x stride,)."""
     stride = (width + 7) // 8 * 8

@@ -21,23 +21,23 @@ import numpy as np
 from ..constants import ALPHA_MIN, LOG_SCALE_MIN, LOW_PASS, SPLAT_GRADIENTS
 from .frame import add, cross, dot, frame, quaternion_gradient, rotate_back, scaled
 from .harmonics import basis, basis_gradient
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import exp, load, maximum, select, splat, sqrt, store
 
 
-@kernel
+@helper
 def _sigmoid(x):
     """Return 1 / (1 + e^-x)."""
     return 1.0 / (1.0 + exp(x * -1.0))
 
 
-@kernel
+@helper
 def _log_scale(log_scale, i):
     """Return 8 log scales, clamped to LOG_SCALE_MIN."""
     return maximum(load(log_scale, i), splat(LOG_SCALE_MIN))
 
 
-@kernel
+@helper
 def _slopes(c, tu, tv, excess):
     """Return t_u nc - n (t_u . c), and the same for t_v: multiplied by the offset of a pixel they are proportional to u and v.
 
@@ -47,7 +47,7 @@ def _slopes(c, tu, tv, excess):
     return add(cross(tv, c), scaled(tu, excess)), add(cross(c, tu), scaled(tv, excess))
 
 
-@kernel
+@helper
 def _direction(offset):
     """Return the unit viewing direction, camera to Gaussian, and 1 / distance."""
     inv = 1.0 / sqrt(maximum(dot(offset, offset), splat(1e-20)))
@@ -110,7 +110,7 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
             _finish(i + lane, lane, scratch, cam, record, box, depth)
 
 
-@kernel
+@helper
 def _finish(g, lane, scratch, cam, record, box, depth):
     """Write the record, cut-off and pixel box of Gaussian g from the scratch memory of its block."""
     for j in range(SPLAT_GRADIENTS):
@@ -142,18 +142,24 @@ def _finish(g, lane, scratch, cam, record, box, depth):
         box[g, axis], box[g, 2 + axis] = int(first), int(last)
 
 
-@kernel
-def _sum_slots(slots, first, column, scratch):
-    """Sum one gradient column of 8 Gaussians over the threads' slots, in the order of the slots."""
-    for lane in range(8):
-        value = np.float32(0.0)
-        for slot in range(slots.shape[0]):
-            value += slots[slot, first + lane, column]
-        scratch[lane] = value
-    return load(scratch, 0)
+@helper
+def _sum_slots(slots, first, sums):
+    """Sum the gradients of 8 Gaussians over the threads' slots, in the order of the slots, to `sums` (columns * 8,)."""
+    for column in range(slots.shape[2]):
+        for lane in range(8):
+            value = np.float32(0.0)
+            for slot in range(slots.shape[0]):
+                value += slots[slot, first + lane, column]
+            sums[column * 8 + lane] = value
 
 
-@kernel
+@helper
+def _column(sums, column):
+    """Return one column of the gradients that `_sum_slots` summed, of 8 Gaussians."""
+    return load(sums, column * 8)
+
+
+@helper
 def _any_gradient(slots, first):
     """Return True where any of 8 Gaussians has a gradient; Gaussians behind opaque surfaces have none."""
     for slot in range(slots.shape[0]):
@@ -164,7 +170,7 @@ def _any_gradient(slots, first):
     return False
 
 
-@kernel
+@helper
 def _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i):
     """Write zero gradients for 8 Gaussians."""
     zero = splat(0.0)
@@ -191,7 +197,7 @@ def project_backward_range(
 
     screen: (N,) receives |d loss / d projected centre| per pixel.
     """
-    scratch = np.empty(8, np.float32)
+    sums = np.empty(slots.shape[2] * 8, np.float32)
     values = np.empty(16 * 8, np.float32)
     slopes = np.empty(3 * 16 * 8, np.float32)
     fx, fy = cam[9], cam[10]
@@ -202,6 +208,7 @@ def project_backward_range(
         if not _any_gradient(slots, i):
             _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i)
             continue
+        _sum_slots(slots, i, sums)
         offset, c, _, tu, tv, normal, nc, facing, free, q, qinv = frame(position, quaternion, n, i, cam)
         isu, isv = exp(_log_scale(log_scale, i) * -1.0), exp(_log_scale(log_scale, n + i) * -1.0)
         front = c[2] > cam[18]
@@ -209,10 +216,10 @@ def project_backward_range(
         k, iz = z / nc, 1.0 / z
         excess = select(free, zero, nc - dot(normal, c))
         e, f = _slopes(c, tu, tv, excess)
-        gmx, gmy = _sum_slots(slots, i, 0, scratch), _sum_slots(slots, i, 1, scratch)
-        ga0, ga1 = _sum_slots(slots, i, 2, scratch) * isu / fx, _sum_slots(slots, i, 3, scratch) * isu / fy
-        gb0, gb1 = _sum_slots(slots, i, 4, scratch) * isv / fx, _sum_slots(slots, i, 5, scratch) * isv / fy
-        gc0, gc1 = _sum_slots(slots, i, 6, scratch) / fx, _sum_slots(slots, i, 7, scratch) / fy
+        gmx, gmy = _column(sums, 0), _column(sums, 1)
+        ga0, ga1 = _column(sums, 2) * isu / fx, _column(sums, 3) * isu / fy
+        gb0, gb1 = _column(sums, 4) * isv / fx, _column(sums, 5) * isv / fy
+        gc0, gc1 = _column(sums, 6) / fx, _column(sums, 7) / fy
         au, bv = ga0 * e[0] + ga1 * e[1], gb0 * f[0] + gb1 * f[1]
         gk = au + bv + gc0 * normal[0] + gc1 * normal[1]
         ge, gf = (ga0 * k, ga1 * k, zero), (gb0 * k, gb1 * k, zero)
@@ -222,15 +229,15 @@ def project_backward_range(
         gn = add(gn, scaled(c, g_excess))
         g_tv, g_tu = add(cross(c, ge), scaled(gf, excess)), add(cross(gf, c), scaled(ge, excess))
         g_c = add(add(cross(ge, tv), cross(tu, gf)), scaled(normal, gnc + g_excess))
-        gz = gk / nc + _sum_slots(slots, i, 8, scratch) - (gmx * fx * c[0] + gmy * fy * c[1]) * iz * iz
+        gz = gk / nc + _column(sums, 8) - (gmx * fx * c[0] + gmy * fy * c[1]) * iz * iz
         g_c = add(g_c, (gmx * fx * iz, gmy * fy * iz, gz))
         g_world = rotate_back(cam, g_c)
         store(g_log_scale, i, au * k * -1.0)
         store(g_log_scale, n + i, bv * k * -1.0)
         store(screen, i, sqrt(gmx * gmx + gmy * gmy))
         o = _sigmoid(load(opacity, i))
-        store(g_opacity, i, _sum_slots(slots, i, 9, scratch) * o * (1.0 - o))
-        g_normal = (_sum_slots(slots, i, 13, scratch), _sum_slots(slots, i, 14, scratch), _sum_slots(slots, i, 15, scratch))
+        store(g_opacity, i, _column(sums, 9) * o * (1.0 - o))
+        g_normal = (_column(sums, 13), _column(sums, 14), _column(sums, 15))
         g2 = add(rotate_back(cam, gn), scaled(g_normal, facing))
         gq = quaternion_gradient(q, qinv, rotate_back(cam, g_tu), rotate_back(cam, g_tv), g2)
         for j in range(4):
@@ -243,7 +250,7 @@ def project_backward_range(
             colour = splat(0.5)
             for j in range(coefficients):
                 colour = colour + load(values, j * 8) * load(sh, (j * 3 + channel) * n + i)
-            g = select(colour > 0.0, _sum_slots(slots, i, SPLAT_GRADIENTS + channel, scratch), zero)
+            g = select(colour > 0.0, _column(sums, SPLAT_GRADIENTS + channel), zero)
             for j in range(coefficients):
                 at = (j * 3 + channel) * n + i
                 store(g_sh, at, load(values, j * 8) * g)
@@ -257,4 +264,4 @@ def project_backward_range(
         for j in range(3):
             store(g_position, j * n + i, select(front, g_world[j], zero))
         for channel in range(extras):
-            store(g_extra, channel * n + i, _sum_slots(slots, i, SPLAT_GRADIENTS + 6 + channel, scratch))
+            store(g_extra, channel * n + i, _column(sums, SPLAT_GRADIENTS + 6 + channel))

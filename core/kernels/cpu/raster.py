@@ -18,14 +18,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..constants import ALPHA_MAX, HORIZON_MIN, LOW_PASS, SPLAT_GRADIENTS, SPLAT_RECORD, TILE, TRANSMITTANCE_MIN
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import bits, exp, load, minimum, prefetch, ramp, select, splat, store, total
 
 _AHEAD = 4  # entries between the prefetch of a splat and its use: splats are scattered in memory, outside the L1 cache
 _PIXELS = TILE * TILE
 
 
-@kernel
+@helper
 def _evaluate(record, g, dx, dy, ax, bx, wx, low):
     """Intersect the rays of a tile row with a surfel: return rho, 1/w, u, v and a mask where the low-pass filter's rho is smaller."""
     w = wx + record[g, 7] * dy
@@ -38,7 +38,7 @@ def _evaluate(record, g, dx, dy, ax, bx, wx, low):
     return minimum(rho, flat), iw, u, v, rho > flat
 
 
-@kernel
+@helper
 def _exhausted(transmittance):
     """Return True where all pixels of a tile are opaque."""
     for row in range(TILE):  # noqa: SIM110  (numba has no all())
@@ -47,7 +47,7 @@ def _exhausted(transmittance):
     return True
 
 
-@kernel
+@helper
 def _fetch(record, feature, box, g):
     """Prefetch a splat's record, box and features."""
     prefetch(record, g, 0)
@@ -104,7 +104,7 @@ def rasterize_range(begin, end, start, entries, record, feature, box, columns, i
             store(image, channels * plane + at, left)
 
 
-@kernel
+@helper
 def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total):
     """Gather a tile's upstream gradients as gradients of the plain sums, g_tile; s_total = g . C per pixel, 0 where opaque."""
     for row in range(TILE):

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 from ..constants import SHORTEST2
-from .jit import kernel
+from .jit import helper, kernel
 
 
-@kernel
+@helper
 def point_terms(view, normal, alpha, p):
     """Return the arguments of `specular_terms` at point p: normal, view, alpha^2, n.v and root_v."""
     nx, ny, nz = float(normal[p, 0]), float(normal[p, 1]), float(normal[p, 2])
@@ -22,7 +22,7 @@ def point_terms(view, normal, alpha, p):
     return (nx, ny, nz), (vx, vy, vz), a2, n_v, math.sqrt(n_v * n_v * (1 - a2) + a2)
 
 
-@kernel
+@helper
 def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
     """Return D V (1 - p) and D V p, p = (1 - v.h)^5, for normal n, view v and direction d.
 

@@ -16,7 +16,7 @@ from numba.core.typing.templates import ConcreteTemplate, signature
 from numba.core.typing.templates import infer_global as _infer_global
 from numba.extending import lower_builtin, models, register_model
 
-from .jit import kernel
+from .jit import helper
 
 # Declared Any: their annotations do not describe the decorated functions.
 intrinsic: Any = numba.extending.intrinsic
@@ -260,7 +260,7 @@ def _power_of_two(typing, exponent):
     return f32x8(f32x8), emit
 
 
-@kernel
+@helper
 def exp(x):
     """Return e^x with a relative error under 3e-7; the argument is clamped to -87..88."""
     x = minimum(maximum(x, splat(-87.0)), splat(88.0))

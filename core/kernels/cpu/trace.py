@@ -14,7 +14,7 @@ import numpy as np
 
 from ..constants import ALPHA_MAX, AXIS_U, AXIS_V, CUT, GRAZING, NORMAL, OPACITY, TRANSMITTANCE_MIN
 from .bvh import LEAF, NODE
-from .jit import kernel
+from .jit import helper, kernel
 from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
 
 NEAREST = 48  # hits collected in one traversal
@@ -27,7 +27,7 @@ _SOLID = np.float32(0.9999 * TRANSMITTANCE_MIN)  # safely opaque despite the rou
 _OPAQUE, _ZERO, _ONE, _FAR = np.float32(TRANSMITTANCE_MIN), np.float32(0.0), np.float32(1.0), np.float32(math.inf)
 
 
-@kernel
+@helper
 def _ray(origin, direction, ray):
     """Return a ray as vectors of equal lanes: origin, direction, and two inverse directions.
 
@@ -41,14 +41,14 @@ def _ray(origin, direction, ray):
     return o, (splat(d[0]), splat(d[1]), splat(d[2])), into, out
 
 
-@kernel
+@helper
 def _inverse(x):
     """Return 1 / x, with |x| clamped away from 0."""
     one = np.float32(1.0)
     return one / (x if abs(x) > _TINY else (-_TINY if x < 0 else _TINY))
 
 
-@kernel
+@helper
 def _sides(direction, ray):
     """Return, per axis, which half of a node holds the sides through which the ray enters: 0 the low ones, 24 the high ones."""
     x = 24 if direction[3 * ray] < 0 else 0
@@ -57,7 +57,7 @@ def _sides(direction, ray):
     return x, y, z
 
 
-@kernel
+@helper
 def _intersect_boxes(node, at, side, o, into, out):
     """Return the distances at which the ray enters and leaves a node's 8 boxes."""
     x0 = (load(node, at + side[0]) - o[0]) * into[0]
@@ -69,7 +69,7 @@ def _intersect_boxes(node, at, side, o, into, out):
     return maximum(maximum(x0, y0), maximum(z0, splat(_ZERO))), minimum(minimum(x1, y1), z1)
 
 
-@kernel
+@helper
 def _open(stack, top, node, side, ray, t_min, t_max, group, enters):
     """Take up to GROUP nodes off the stack; return its new top and a mask of the children hit, 8 bits per node.
 
@@ -88,7 +88,7 @@ def _open(stack, top, node, side, ray, t_min, t_max, group, enters):
     return top, children
 
 
-@kernel
+@helper
 def _intersect_surfels(leaf, at, o, d):
     """Intersect the ray with a leaf's 8 surfels: return distance and rho in their planes, and a mask where that lies within the cut-off.
 
@@ -106,25 +106,25 @@ def _intersect_surfels(leaf, at, o, d):
     return t, rho, (cosine * cosine > GRAZING) & (rho <= load(leaf, at + CUT * 8))
 
 
-@kernel
+@helper
 def _alpha(leaf, at, rho):
     """Return the alpha of 8 surfels at rho."""
     return minimum(exp(rho * np.float32(-0.5)) * load(leaf, at + OPACITY * 8), splat(np.float32(ALPHA_MAX)))
 
 
-@kernel
+@helper
 def _hit(t, g):
     """Return a hit as one integer that sorts by distance, then by Gaussian."""
     return np.uint64(np.float32(t).view(np.uint32)) << np.uint64(32) | np.uint64(g)
 
 
-@kernel
+@helper
 def _distance(hit):
     """Return the distance of a hit made by `_hit`."""
     return np.uint32(hit >> np.uint64(32)).view(np.float32)
 
 
-@kernel
+@helper
 def _push(stack, stack_t, bottom, top, item, t):
     """Push a node on the stack, above those from `bottom` on that the ray enters later."""
     while top > bottom and stack_t[top - 1] < t:
@@ -133,7 +133,7 @@ def _push(stack, stack_t, bottom, top, item, t):
     stack[top], stack_t[top] = item, t
 
 
-@kernel
+@helper
 def _insert(near, near_alpha, n, hit, alpha, behind):
     """Insert a hit into the n nearest; return their number and the transmittance behind them, without hits behind an opaque one."""
     place = n
@@ -153,7 +153,7 @@ def _insert(near, near_alpha, n, hit, alpha, behind):
     return n, behind
 
 
-@kernel
+@helper
 def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha, stack, stack_t, group, enters, lane_t, lane_alpha):
     """Find the next hits behind the hit `last`, where the transmittance is `before`.
 
@@ -195,15 +195,16 @@ def _nearest(ray, side, last, before, node, child, leaf, index, near, near_alpha
     return n
 
 
-@kernel
+@helper
 def _grown(array):
     """Return a copy of an array with twice its capacity."""
     larger = np.empty(2 * len(array), array.dtype)
-    larger[: len(array)] = array
+    for i in range(len(array)):  # numba would compile the words of an error for an assignment of slices
+        larger[i] = array[i]
     return larger
 
 
-@kernel
+@helper
 def _stack_size(depth):
     """Return the capacity of the stack: opening groups off the top, each level of a tree leaves less than one group's children on it."""
     return 8 * GROUP * (depth + 1)

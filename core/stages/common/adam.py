@@ -16,6 +16,7 @@ class Adam(torch.optim.Adam):
     """
 
     add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
+    zero_grad = inspect.unwrap(torch.optim.Optimizer.zero_grad)
 
     @torch.no_grad()
     def step(self) -> None:

@@ -109,9 +109,11 @@ def test_installation_from_wheels_and_removal(install, wheels, request):
     python = managed.python()
     version = subprocess.run([python, "-c", "import tinydep; print(tinydep.DEP)"], capture_output=True, text=True, check=True).stdout
     assert version.strip() == "34"  # the locked one
-    # Installed anew for another device, in place of the old one.
+    # Installed anew for another device, in place of the old one, and with the pip of another Python.
     request.getfixturevalue("other_pip")
-    assert queue.wait(install(wheels, "cuda"), PATIENCE).state == "done"
+    again = queue.wait(install(wheels, "cuda"), PATIENCE)
+    assert again.state == "done", again.log_tail()
+    assert json.loads(again.output())["irgspp"] == VERSION
     assert "tinycuda" in engine.status().text and managed.marker()["device"] == "cuda"
     managed.remove()
     assert engine.status().state == "missing" and not managed.folder().exists()
@@ -208,9 +210,3 @@ def test_no_python_that_can_make_environments(monkeypatch):
         install_engine.base_python()
     monkeypatch.setattr(install_engine, "PROBE", f"print('3\\n12\\n{sys.executable}\\nFalse\\nTrue')")
     assert install_engine.base_python() == (sys.executable, (3, 12), False)
-
-
-def test_installing_with_the_pip_of_another_python(install, other_pip, wheels):
-    job = queue.wait(install(wheels), PATIENCE)
-    assert job.state == "done", job.log_tail()
-    assert json.loads(job.output())["irgspp"] == VERSION

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The garbage collector pauses during imports, and is afterwards as it was."""
+
+import gc
+
+import pytest
+from irgspp.core.cli.quick_imports import quick_imports
+
+
+@pytest.fixture(autouse=True)
+def _enabled():
+    """Leave the collector enabled, whatever a test did."""
+    yield
+    gc.enable()
+
+
+def test_collector_pauses_and_goes_on():
+    gc.enable()
+    with quick_imports():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+
+
+def test_collector_goes_on_after_an_error():
+    gc.enable()
+    with pytest.raises(ModuleNotFoundError), quick_imports():
+        import no_such_module  # noqa: F401
+    assert gc.isenabled()
+
+
+def test_collector_that_was_off_stays_off():
+    gc.disable()
+    with quick_imports():
+        pass
+    assert not gc.isenabled()
