@@ -12,6 +12,9 @@ ALPHA_MIN = 1 / 255  # hits and splats of lower alpha are ignored
 ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 0.02  # at or below this a pixel or ray counts as opaque, and compositing stops
 LOG_SCALE_MIN = -30.0  # smaller log scales are clamped to this, so that 1 / scale^2 stays finite
+# Cosine of ray and normal from which a surfel is seen from behind, so that its normal is flipped. From 0, opposite normals would meet at
+# the object's outline, where surfels just beyond the horizon show, and cancel.
+BEHIND = 0.3
 SCALE_RANGE = (1e-15, 1e15)  # scales outside are treated as degenerate or NaN (fast-math may remove math.isfinite from a kernel)
 
 # --- rasteriser

@@ -28,10 +28,12 @@ class ScreenStatistics:
     Attributes:
         radius: (N,) half the longer side of the pixel box, in pixels; 0 where culled.
         gradient: (N,) |d loss / d projected centre| per pixel of shift, filled by the backward pass.
+        subpixels: rays along each side of a pixel.
     """
 
     radius: torch.Tensor
     gradient: torch.Tensor | None = None
+    subpixels: int = 1
 
 
 def camera_numbers(camera: Camera, near: float) -> np.ndarray:
@@ -97,7 +99,7 @@ class _Rasterize(torch.autograd.Function):
         screen = torch.empty(n)
         outputs = [g.view(-1).numpy() for g in gradients]
         run_ranges(project_backward_range, blocks, *ctx.arrays[:5], ctx.coefficients, ctx.cam, n, slots, *outputs, screen.numpy())
-        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)]
+        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)] * ctx.statistics.subpixels
         return *gradients, None, None, None
 
 
@@ -111,6 +113,7 @@ def rasterize(
     camera: Camera,
     scene_radius: float,
     degree: int = 3,
+    subpixels: int = 1,
 ) -> tuple[torch.Tensor, ScreenStatistics]:
     """Composite 2D Gaussians front to back in the order of their centres' depths (2DGS, Huang 2024).
 
@@ -124,20 +127,22 @@ def rasterize(
         camera: camera of the image, H x W pixels.
         scene_radius: radius of the scene, world units; it sets the near plane.
         degree: SH degree in use, 0..3.
+        subpixels: a pixel is the mean over so many rays along each side, which smooths outlines; 1 is one ray through its centre.
 
     Returns:
-        Image (8 + E, H, W) and the statistics of density control. The channels are sums over splats of weight x (colour 3, world normal
-        turned to the camera 3, extra E, planar depth 1), not divided by opacity, and last the opacity itself. Nearly opaque pixels
-        count as opaque: their opacity is 1 and their sums are means.
+        Image (8 + E, H, W) and the statistics of density control. The channels are sums over splats of weight x (colour 3, world normal 3,
+        extra E, planar depth 1), not divided by opacity, and last the opacity itself. Normals of splats that are seen from behind are
+        flipped. Nearly opaque rays count as opaque: their opacity is 1 and their sums are means.
     """
     n, parameters = position.shape[1], (position, quaternion, log_scale, opacity, sh, extra)
     if n < MIN_GAUSSIANS:
         parameters = tuple(_padded(p) for p in parameters)
-    statistics = ScreenStatistics(torch.zeros(n, device=position.device))
-    cam = camera_numbers(camera, NEAR * scene_radius)
+    statistics = ScreenStatistics(torch.zeros(n, device=position.device), subpixels=subpixels)
+    finer = camera.resized(camera.width * subpixels, camera.height * subpixels)
+    cam = camera_numbers(finer, NEAR * scene_radius)
     image = _autograd_function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
-    statistics.radius = statistics.radius[:n]
-    return image, statistics
+    statistics.radius = statistics.radius[:n] / subpixels
+    return image if subpixels == 1 else torch.nn.functional.avg_pool2d(image[None], subpixels)[0], statistics
 
 
 def _autograd_function(tensor: torch.Tensor) -> type[torch.autograd.Function]:

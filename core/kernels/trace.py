@@ -125,8 +125,9 @@ def trace(
         degree: SH degree in use, 0..3.
 
     Returns:
-        (R, 8 + E) sums over hits of weight x (colour 3, unit normal turned against the ray 3, extra E, distance 1), not divided by
-        opacity, and last the opacity itself. Nearly opaque rays count as opaque: their opacity is 1 and their sums are means.
+        (R, 8 + E) sums over hits of weight x (colour 3, unit normal 3, extra E, distance 1), not divided by opacity, and last the opacity
+        itself. Normals are flipped where the ray meets a surfel from behind. Nearly opaque rays count as opaque: their opacity is 1 and
+        their sums are means.
 
     Raises:
         ValueError: shapes do not fit, or the tree belongs to other Gaussians (on a GPU: to other tensors, or to earlier contents).

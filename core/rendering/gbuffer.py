@@ -13,15 +13,20 @@ from ..scene.reconstruction import Reconstruction
 from .deferred import ALPHA_FLOOR, background_radiance, radiance
 
 LIGHT_HEIGHT = 64  # largest number of rows of a light map when it is prefiltered
+SUBPIXELS = 2  # rays along each side of a pixel
+BAND = 2**22  # rays that are rasterised at once, in a band of rows
 
 
-def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+def rasterize_view(
+    reconstruction: Reconstruction, camera: Camera, more: torch.Tensor | None = None, subpixels: int = SUBPIXELS
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Rasterise a reconstruction for one camera, without gradients.
 
     Args:
         reconstruction: Gaussians to rasterise; their materials are extra channels.
         camera: the camera.
         more: (E, N) further channels, which follow the materials.
+        subpixels: rays along each side of a pixel, whose mean it is; 1 for depth that is fused: a mean over an edge lies on no surface.
 
     Returns:
         Sums (13 + E, H, W) and world rays (3, H, W) of planar depth 1.
@@ -30,23 +35,29 @@ def rasterize_view(reconstruction: Reconstruction, camera: Camera, more: torch.T
     with torch.no_grad():
         extra = g.materials() if more is None else torch.cat([g.materials(), more])
         inputs = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
-        image, _ = rasterize(*inputs, camera, reconstruction.bound.radius)
+        rows = max(1, BAND // (camera.width * subpixels**2))
+        parts = [camera.cropped(0, top, camera.width, min(rows, camera.height - top)) for top in range(0, camera.height, rows)]
+        bands = [rasterize(*inputs, part, reconstruction.bound.radius, subpixels=subpixels)[0] for part in parts]
+        image = bands[0] if len(bands) == 1 else torch.cat(bands, 1)
     return image, torch.from_numpy(camera.rays()).to(image.device).permute(2, 0, 1)
 
 
-def render_gbuffer(reconstruction: Reconstruction, camera: Camera, light_rotation: np.ndarray | None = None) -> GBuffer:
+def render_gbuffer(
+    reconstruction: Reconstruction, camera: Camera, light_rotation: np.ndarray | None = None, subpixels: int = SUBPIXELS
+) -> GBuffer:
     """Render the G-buffer of a camera.
 
     Args:
         reconstruction: Gaussians, light and background.
         camera: the camera.
         light_rotation: (3, 3) world to the frame of the light, None where it stands still.
+        subpixels: see `rasterize_view`.
 
     Returns:
         Layers (H, W) divided by opacity; the radiance of a glossy reconstruction includes reflections of the light it was fitted with.
     """
     mirrored, fitted = reconstruction.mirrored(), reconstruction.reflections
-    image, rays = rasterize_view(reconstruction, camera, None if fitted is None else fitted.material)
+    image, rays = rasterize_view(reconstruction, camera, None if fitted is None else fitted.material, subpixels)
     turned = None if light_rotation is None else torch.as_tensor(light_rotation, dtype=torch.float32).to(image.device)
     with torch.no_grad():
         reflecting = image if fitted is None else torch.cat([image[:EXTRA], image[EXTRA + len(fitted.material) :]])

@@ -17,6 +17,8 @@ FLOATS = 13  # per pixel of a G-buffer
 class GBufferCache(Sequence[GBuffer]):
     """Sequence of G-buffers that keeps those rendered first, up to a memory limit, and renders the others again at each access.
 
+    Each pixel is one ray: the surface is fused from their depths, and a mean over an edge lies on no surface.
+
     All views of a large capture at once would take tens of gigabytes. Keeping the first ones rather than the last used ones saves the same
     fraction of the work in every pass over the whole sequence.
 
@@ -46,7 +48,7 @@ class GBufferCache(Sequence[GBuffer]):
         if index in self._cached:
             return self._cached[index]
         camera = self._cameras[index]
-        gbuffer = render_gbuffer(self._reconstruction, camera)
+        gbuffer = render_gbuffer(self._reconstruction, camera, subpixels=1)
         size = camera.width * camera.height * FLOATS * 4
         if size <= self._free:
             self._free -= size

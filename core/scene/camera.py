@@ -96,6 +96,17 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
+    def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
+        """Return the camera of a part of its image.
+
+        Args:
+            x: first column of the part, pixels.
+            y: first row of the part, pixels.
+            width: of the part, pixels.
+            height: of the part, pixels.
+        """
+        return replace(self, width=width, height=height, cx=self.cx - x, cy=self.cy - y)
+
     def moved(self, similarity: np.ndarray) -> Camera:
         """Return the camera after a similarity (4, 4) of the world: its image is the same, and depths scale with the world."""
         to_world = similarity @ self.to_world

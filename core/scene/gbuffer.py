@@ -20,7 +20,7 @@ class GBuffer:
         camera: the camera; images are (H, W).
         alpha: (H, W) opacity in 0..1.
         depth: (H, W) planar depth, world units.
-        normal: (H, W, 3) unit world normal, facing the camera.
+        normal: (H, W, 3) unit world normal; near outlines it may point slightly away from the camera.
         radiance: (H, W, 3) linear Rec.709.
         albedo: (H, W, 3) linear 0..1 (F0 where metallic).
         roughness, metallic: (H, W) in 0..1.

@@ -54,6 +54,7 @@ class FirstStageSettings:
 
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # number at the start; with masks also the largest number
+    subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images; 1: one through its centre
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
@@ -156,7 +157,7 @@ PRESETS: dict[str, Settings] = {
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
         data=replace(DataSettings(), resolution=800),
-        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000),
+        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, subpixels=1),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(
             SecondStageSettings(),

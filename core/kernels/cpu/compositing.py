@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..constants import NORMAL, TRANSMITTANCE_MIN
+from ..constants import BEHIND, NORMAL, TRANSMITTANCE_MIN
 from .harmonics import basis
 from .jit import helper, kernel
 from .simd import load, prefetch, store, total
@@ -75,9 +75,9 @@ def radiance(rows, at, channel, low, high):
 
 @helper
 def facing(record, g, dx, dy, dz):
-    """Return 1, or -1 where a Gaussian's normal has to be flipped to point against the ray."""
+    """Return 1, or -1 where the ray meets a Gaussian from behind, so that its normal is flipped."""
     cosine = record[g, NORMAL] * dx + record[g, NORMAL + 1] * dy + record[g, NORMAL + 2] * dz
-    return np.float32(-1.0) if cosine > 0 else np.float32(1.0)
+    return np.float32(-1.0) if cosine > BEHIND else np.float32(1.0)
 
 
 @kernel

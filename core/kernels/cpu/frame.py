@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from ..constants import COSINE_MIN
+from ..constants import BEHIND, COSINE_MIN
 from .jit import helper
 from .simd import load, maximum, select, splat, sqrt
 
@@ -69,7 +69,8 @@ def _rotation(q, n, i):
 def frame(position, quaternion, n, i, cam):
     """Return centre and axes of surfels i..i+7 in camera space, and what the projection needs of them.
 
-    The foreshortening n.c is clamped away from 0; `free` is set where it was not clamped.
+    The foreshortening n.c is clamped away from 0; `free` is set where it was not clamped. `facing` is 1, or -1 where a surfel is seen from
+    behind.
     """
     world = (load(position, i), load(position, n + i), load(position, 2 * n + i))
     offset = (world[0] - cam[13], world[1] - cam[14], world[2] - cam[15])
@@ -78,9 +79,11 @@ def frame(position, quaternion, n, i, cam):
     tu, tv, normal = rotate(cam, r0), rotate(cam, r1), rotate(cam, r2)
     nc = dot(normal, c)
     side = select(nc > 0.0, splat(1.0), splat(-1.0))
-    floor = sqrt(maximum(dot(c, c), splat(cam[18] * cam[18]))) * COSINE_MIN
+    distance = sqrt(maximum(dot(c, c), splat(cam[18] * cam[18])))
+    floor = distance * COSINE_MIN
     free = nc * side > floor
-    return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), side, free, q, inv
+    facing = select(nc > distance * BEHIND, splat(-1.0), splat(1.0))
+    return offset, c, r2, tu, tv, normal, select(free, nc, side * floor), facing, free, q, inv
 
 
 @helper

@@ -68,7 +68,7 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
     extras = feature.shape[1] - 6
     for block in range(begin, end):
         i = min(block * 8, n - 8)
-        offset, c, r2, tu, tv, normal, nc, side, free, _, _ = frame(position, quaternion, n, i, cam)
+        offset, c, r2, tu, tv, normal, nc, facing, free, _, _ = frame(position, quaternion, n, i, cam)
         su, sv = exp(_log_scale(log_scale, i)), exp(_log_scale(log_scale, n + i))
         z = select(c[2] > cam[18], c[2], splat(1.0))
         k, iz = z / nc, 1.0 / z
@@ -101,7 +101,7 @@ def project_range(begin, end, position, quaternion, log_scale, opacity, sh, extr
             store(scratch, 152 + channel * 8, maximum(colour, splat(0.0)))
             for lane in range(8):
                 feature[i + lane, channel] = scratch[152 + channel * 8 + lane]
-            store(scratch, 152 + channel * 8, r2[channel] * side * -1.0)
+            store(scratch, 152 + channel * 8, r2[channel] * facing)
             for lane in range(8):
                 feature[i + lane, 3 + channel] = scratch[152 + channel * 8 + lane]
         for lane in range(8):
@@ -209,7 +209,7 @@ def project_backward_range(
             _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i)
             continue
         _sum_slots(slots, i, sums)
-        offset, c, _, tu, tv, normal, nc, side, free, q, qinv = frame(position, quaternion, n, i, cam)
+        offset, c, _, tu, tv, normal, nc, facing, free, q, qinv = frame(position, quaternion, n, i, cam)
         isu, isv = exp(_log_scale(log_scale, i) * -1.0), exp(_log_scale(log_scale, n + i) * -1.0)
         front = c[2] > cam[18]
         z = select(front, c[2], splat(1.0))
@@ -237,9 +237,8 @@ def project_backward_range(
         store(screen, i, sqrt(gmx * gmx + gmy * gmy))
         o = _sigmoid(load(opacity, i))
         store(g_opacity, i, _column(sums, 9) * o * (1.0 - o))
-        flip = side * -1.0
         g_normal = (_column(sums, 13), _column(sums, 14), _column(sums, 15))
-        g2 = add(rotate_back(cam, gn), scaled(g_normal, flip))
+        g2 = add(rotate_back(cam, gn), scaled(g_normal, facing))
         gq = quaternion_gradient(q, qinv, rotate_back(cam, g_tu), rotate_back(cam, g_tv), g2)
         for j in range(4):
             store(g_quaternion, j * n + i, gq[j])

@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 
 from ...scene.camera import Camera
-from ..constants import ALPHA_MAX, ALPHA_MIN, COSINE_MIN, HORIZON_MIN, LOW_PASS, NEAR
+from ..constants import ALPHA_MAX, ALPHA_MIN, BEHIND, COSINE_MIN, HORIZON_MIN, LOW_PASS, NEAR
 from .compositing import weights
 from .harmonics import rotation_matrix, sh_basis
 
@@ -49,9 +49,10 @@ def rasterize_reference(
 
     colour = (sh_basis(offset / offset.norm(dim=0), degree)[:, None] * sh[: (degree + 1) ** 2]).sum(0) + 0.5
     nc = (normal * c).sum(0)
-    side = torch.where(nc > 0, 1.0, -1.0)
-    nc = torch.where(nc * side > COSINE_MIN * c.norm(dim=0), nc, (side * COSINE_MIN * c.norm(dim=0)).detach())
-    features = torch.cat([colour.clamp_min(0), -side * axes[:, 2], extra])
+    distance, side = c.norm(dim=0), torch.where(nc > 0, 1.0, -1.0)
+    facing = torch.where(nc > BEHIND * distance, -1.0, 1.0)
+    nc = torch.where(nc * side > COSINE_MIN * distance, nc, (side * COSINE_MIN * distance).detach())
+    features = torch.cat([colour.clamp_min(0), facing * axes[:, 2], extra])
 
     j, i = torch.meshgrid(torch.arange(camera.width) + 0.5, torch.arange(camera.height) + 0.5, indexing="xy")
     rays = torch.stack([(j.reshape(-1) - camera.cx) / camera.fx, (i.reshape(-1) - camera.cy) / camera.fy]).to(dtype)

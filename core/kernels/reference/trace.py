@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import torch
 
-from ..constants import ALPHA_MAX, ALPHA_MIN, GRAZING
+from ..constants import ALPHA_MAX, ALPHA_MIN, BEHIND, GRAZING
 from .compositing import weights
 from .harmonics import rotation_matrix, sh_basis
 
@@ -53,6 +53,6 @@ def trace_reference(
     if sh is not None:
         shown = torch.einsum("kr,kcn->rcn", sh_basis(direction.T, degree), sh[: (degree + 1) ** 2]) + 0.5
         colour = (shown.clamp_min(0) * weight[:, None]).sum(2)
-    normal = torch.where(cosine > 0, -weight, weight) @ axes[:, 2].T
+    normal = torch.where(cosine > BEHIND, -weight, weight) @ axes[:, 2].T
     parts = [colour, normal, weight @ extra.T, (weight * t).sum(1, keepdim=True), weight.sum(1, keepdim=True)]
     return torch.cat(parts, 1)

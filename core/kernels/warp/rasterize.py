@@ -138,5 +138,5 @@ class Rasterize(torch.autograd.Function):
         screen = torch.empty(n, device=device)
         arrays = (*ctx.parameters[:5], ctx.coefficients, features - 6, ctx.pinhole, n, sums)
         launch(splats.project_backward, n, *arrays, *gradients, screen)
-        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)]
+        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)] * ctx.statistics.subpixels
         return *gradients, None, None, None

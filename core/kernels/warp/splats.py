@@ -6,11 +6,11 @@ The algebra is that of the CPU's kernels, core/kernels/cpu/frame.py and core/ker
 
 import warp as wp
 
-from ..constants import ALPHA_MIN, COSINE_MIN, LOG_SCALE_MIN, LOW_PASS, SPLAT_GRADIENTS, TILE
+from ..constants import ALPHA_MIN, BEHIND, COSINE_MIN, LOG_SCALE_MIN, LOW_PASS, SPLAT_GRADIENTS, TILE
 from .harmonics import Basis, basis, basis_pull, normal_of, quaternion_gradient, tangent_u, tangent_v, unit_quaternion
 
 _SIDE = wp.constant(TILE)
-_ALPHA_MIN, _COSINE_MIN = wp.constant(ALPHA_MIN), wp.constant(COSINE_MIN)
+_ALPHA_MIN, _BEHIND, _COSINE_MIN = wp.constant(ALPHA_MIN), wp.constant(BEHIND), wp.constant(COSINE_MIN)
 _LOG_SCALE_MIN, _LOW_PASS = wp.constant(LOG_SCALE_MIN), wp.constant(LOW_PASS)
 _FEATURES = wp.constant(SPLAT_GRADIENTS)  # first column of the features among a splat's gradients
 
@@ -30,7 +30,10 @@ class Pinhole:
 
 @wp.struct
 class Frame:
-    """Surfel in camera space: offset from the eye, centre, axes; foreshortening nc, clamped away from 0 (`free`: not clamped)."""
+    """Surfel in camera space: offset from the eye, centre, axes.
+
+    The foreshortening nc is clamped away from 0 (`free`: not clamped); `facing` is 1, or -1 where the surfel is seen from behind.
+    """
 
     offset: wp.vec3
     c: wp.vec3
@@ -40,7 +43,7 @@ class Frame:
     world_normal: wp.vec3
     nc: float
     excess: float
-    side: float
+    facing: float
     free: int
 
 
@@ -56,10 +59,11 @@ def frame(position: wp.array(dtype=float), quaternion: wp.array(dtype=float), n:
     f.tv = cam.rotation * tangent_v(q)
     f.normal = cam.rotation * f.world_normal
     nc = wp.dot(f.normal, f.c)
-    f.side = wp.where(nc > 0.0, 1.0, -1.0)
-    floor = wp.sqrt(wp.max(wp.dot(f.c, f.c), cam.near * cam.near)) * _COSINE_MIN
-    f.free = int(nc * f.side > floor)
-    f.nc = wp.where(f.free == 1, nc, f.side * floor)
+    side = wp.where(nc > 0.0, 1.0, -1.0)
+    distance = wp.sqrt(wp.max(wp.dot(f.c, f.c), cam.near * cam.near))
+    f.facing = wp.where(nc > _BEHIND * distance, -1.0, 1.0)
+    f.free = int(nc * side > _COSINE_MIN * distance)
+    f.nc = wp.where(f.free == 1, nc, side * _COSINE_MIN * distance)
     f.excess = f.nc - nc
     return f
 
@@ -146,7 +150,7 @@ def project(
     b = basis(f.offset / wp.sqrt(wp.max(wp.dot(f.offset, f.offset), 1.0e-20)), coefficients)
     for channel in range(3):
         feature[i, channel] = wp.max(colour_channel(sh, b, coefficients, channel, n, i), 0.0)
-        feature[i, 3 + channel] = -f.side * f.world_normal[channel]
+        feature[i, 3 + channel] = f.facing * f.world_normal[channel]
     for j in range(extras):
         feature[i, 6 + j] = extra[j * n + i]
 
@@ -226,7 +230,7 @@ def project_backward(
     screen[i] = wp.length(gm)
     alpha = 1.0 / (1.0 + wp.exp(-opacity[i]))
     g_opacity[i] = sums[i, 9] * alpha * (1.0 - alpha)
-    turned = wp.vec3(sums[i, _FEATURES + 3], sums[i, _FEATURES + 4], sums[i, _FEATURES + 5]) * -f.side
+    turned = wp.vec3(sums[i, _FEATURES + 3], sums[i, _FEATURES + 4], sums[i, _FEATURES + 5]) * f.facing
     raw = wp.vec4(quaternion[i], quaternion[n + i], quaternion[2 * n + i], quaternion[3 * n + i])
     gq = quaternion_gradient(raw, back * g_tu, back * g_tv, back * gn + turned)
     for j in range(4):

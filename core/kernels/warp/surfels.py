@@ -15,6 +15,7 @@ from ..constants import (
     ALPHA_MIN,
     AXIS_U,
     AXIS_V,
+    BEHIND,
     CUT,
     GRAZING,
     NORMAL,
@@ -28,6 +29,7 @@ from .harmonics import Basis, basis, normal_of, tangent_u, tangent_v, unit_quate
 
 NEAREST = 16  # hits collected in one traversal
 _NEAREST = wp.constant(NEAREST)
+_BEHIND = wp.constant(BEHIND)
 _N, _U, _V, _O, _CUT = wp.constant(NORMAL), wp.constant(AXIS_U), wp.constant(AXIS_V), wp.constant(OPACITY), wp.constant(CUT)
 _SU, _SV = wp.constant(SCALE_U), wp.constant(SCALE_V)
 _SMALLEST, _LARGEST = wp.constant(SCALE_RANGE[0]), wp.constant(SCALE_RANGE[1])
@@ -166,8 +168,8 @@ def next_hits(tree: wp.uint64, record: wp.array2d(dtype=float), o: wp.vec3, d: w
 
 @wp.func
 def facing(normal: wp.vec3, d: wp.vec3) -> float:
-    """Return 1, or -1 where a normal has to be flipped to point against the ray."""
-    return wp.where(wp.dot(normal, d) > 0.0, -1.0, 1.0)
+    """Return 1, or -1 where the ray meets a surfel from behind, so that its normal is flipped."""
+    return wp.where(wp.dot(normal, d) > _BEHIND, -1.0, 1.0)
 
 
 @wp.func

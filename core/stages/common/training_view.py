@@ -91,13 +91,13 @@ def make_training_view(view: View, reduction: int = 1, crop: bool = False) -> Tr
         for name, layer in layers.items():
             average = torch.nn.functional.avg_pool2d(layer.float(), reduction)[..., :height, :width]
             layers[name] = average > 0.5 if layer.dtype == torch.bool else average
-        camera = cropped(camera, 0, 0, width * reduction, height * reduction).resized(width, height)
+        camera = camera.cropped(0, 0, width * reduction, height * reduction).resized(width, height)
     fraction = 1.0
     if crop and "alpha" in layers:
         rows, columns = object_box(layers["alpha"][0])
         layers = {name: layer[..., rows, columns] for name, layer in layers.items()}
         fraction = layers["alpha"].numel() / (camera.width * camera.height)
-        camera = cropped(camera, columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+        camera = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     layers = {name: layer.contiguous() for name, layer in layers.items()}
     alpha, band = (layers[name][0] if name in layers else None for name in ("alpha", "band"))
     rays, rotation = camera_rays(camera), torch.as_tensor(camera.world_to_cv[:3, :3], dtype=torch.float32)
@@ -133,16 +133,3 @@ def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:
         length = alpha.shape[1 - axis]
         box.append(slice(max(0, int(filled[0]) - MARGIN), min(length, int(filled[-1]) + 1 + MARGIN)) if len(filled) else slice(0, length))
     return box[0], box[1]
-
-
-def cropped(camera: Camera, x: int, y: int, width: int, height: int) -> Camera:
-    """Return the camera of a part of its image.
-
-    Args:
-        camera: camera of the whole image.
-        x: first column of the part, pixels.
-        y: first row of the part, pixels.
-        width: of the part, pixels.
-        height: of the part, pixels.
-    """
-    return Camera(width, height, camera.fx, camera.fy, camera.cx - x, camera.cy - y, camera.to_world)

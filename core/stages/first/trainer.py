@@ -112,7 +112,8 @@ class Trainer:
         """
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
         extra = g.materials() if self.material_class.glossy else g.position.new_zeros(0, g.count)
-        sums, statistics = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, view.camera, radius, degree)
+        parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
+        sums, statistics = rasterize(*parameters, view.camera, radius, degree, self.settings.subpixels)
         straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.glossy else None, view.light_rotation)
         background = None if self.masked else self.background.exp()
         image = composite(straight, sums[-1], view.world_rays, background, view.light_rotation)

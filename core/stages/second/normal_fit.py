@@ -35,6 +35,7 @@ def fit_rendered_normals(
     iterations: int,
     seed: int,
     step: Callable[[int], object] = lambda done: None,
+    subpixels: int = 1,
 ) -> Gaussians:
     """Turn surfels so that their rendered normals agree with a surface's.
 
@@ -46,6 +47,7 @@ def fit_rendered_normals(
         iterations: steps, one view each.
         seed: of the order of views.
         step: called with the number of steps done; may raise.
+        subpixels: rays along each side of a pixel.
 
     Returns:
         The surfels with new rotations.
@@ -62,7 +64,7 @@ def fit_rendered_normals(
     for done, index in enumerate(order[:iterations].tolist()):
         g = optimizer.gaussians
         fixed = (g.log_scale.detach(), g.opacity.detach(), g.sh.detach(), g.position.new_zeros(0, g.count))
-        sums, _ = rasterize(g.position.detach(), g.quaternion, *fixed, prepared[index].camera, radius, 0)
+        sums, _ = rasterize(g.position.detach(), g.quaternion, *fixed, prepared[index].camera, radius, 0, subpixels)
         alpha, weight = sums[-1], weights[index].to(device)
         difference = (sums[3:6] - goals[index].to(device) * alpha).abs().sum(0)
         loss = (difference * weight * (alpha > OPAQUE)).sum()

@@ -63,6 +63,6 @@ def improve_normals(
         gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
     if second.normal_iterations > 0:
         progress.phase("turn surfels", second.normal_iterations)
-        radius, iterations = reconstruction.bound.radius, second.normal_iterations
-        gaussians = fit_rendered_normals(gaussians, surface, dataset.train, radius, iterations, settings.seed, report)
+        size = (reconstruction.bound.radius, second.normal_iterations)
+        gaussians = fit_rendered_normals(gaussians, surface, dataset.train, *size, settings.seed, report, settings.first.subpixels)
     return replace(reconstruction, gaussians=gaussians), surface

@@ -23,7 +23,12 @@ EDGE = 1e-4  # materials are kept this far inside 0..1, so that their logits are
 
 
 def refit_radiance(
-    reconstruction: Reconstruction, views: Sequence[View], iterations: int, seed: int, step: Callable[[int], object] = lambda done: None
+    reconstruction: Reconstruction,
+    views: Sequence[View],
+    iterations: int,
+    seed: int,
+    step: Callable[[int], object] = lambda done: None,
+    subpixels: int = 1,
 ) -> Reconstruction:
     """Fit the radiance to the images with geometry fixed; materials and light for relighting are not changed.
 
@@ -33,6 +38,7 @@ def refit_radiance(
         iterations: steps, one view each.
         seed: of the order of views.
         step: called with the number of steps done; it may raise, and ends the fit early by returning True.
+        subpixels: rays along each side of a pixel.
 
     Returns:
         The reconstruction with new SH and reflections.
@@ -51,7 +57,7 @@ def refit_radiance(
     epochs = math.ceil(iterations / len(training_views))
     order = torch.cat([torch.randperm(len(training_views), generator=generator) for _ in range(epochs)])
     for done, index in enumerate(order[:iterations].tolist()):
-        loss = _loss(optimizer, reconstruction, training_views[index], others.get("light"))
+        loss = _loss(optimizer, reconstruction, training_views[index], others.get("light"), subpixels)
         if check_due(loss, done + 1):
             require_finite({"the radiance's loss": loss}, f"at iteration {done + 1}")
         loss.backward()
@@ -67,12 +73,14 @@ def refit_radiance(
     return replace(reconstruction, gaussians=gaussians, reflections=reflections)
 
 
-def _loss(optimizer: GaussianOptimizer, reconstruction: Reconstruction, view: TrainingView, light: torch.Tensor | None) -> torch.Tensor:
+def _loss(
+    optimizer: GaussianOptimizer, reconstruction: Reconstruction, view: TrainingView, light: torch.Tensor | None, subpixels: int
+) -> torch.Tensor:
     """Compute the photometric loss of one view; `light` (H, 2H, 3) is the log radiance of the reflected light, None without reflections."""
     g = optimizer.gaussians
     extra = g.position.new_zeros(0, g.count) if light is None else g.materials()
     geometry = (g.position.detach(), g.quaternion.detach(), g.log_scale.detach(), g.opacity.detach())
-    sums, _ = rasterize(*geometry, g.sh, extra, view.camera, reconstruction.bound.radius)
+    sums, _ = rasterize(*geometry, g.sh, extra, view.camera, reconstruction.bound.radius, subpixels=subpixels)
     straight = radiance(sums, view.world_rays, None if light is None else light.exp(), view.light_rotation)
     image = composite(straight, sums[-1], view.world_rays, reconstruction.background, view.light_rotation)
     return photometric_loss(view.bounded(view.completed(image, straight, sums[-1])), view.image)

@@ -91,7 +91,7 @@ def solve_second_stage(
     if iterations:
         progress.phase("radiance", iterations)
         watch = (settings.seed, lambda done: _report_step(progress, done) or progress.finish_early)
-        result = refit_radiance(result, dataset.train, iterations, *watch)
+        result = refit_radiance(result, dataset.train, iterations, *watch, settings.first.subpixels)
     return result, schedule_scale
 
 

@@ -120,3 +120,35 @@ def test_facing_surfel_has_its_depth_normal_and_opacity():
     assert (image[:3, 8, 8] / alpha).tolist() == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
     assert (image[3:6, 8, 8] / alpha).tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-5)
     assert image[6, 8, 8] / alpha == pytest.approx(3.0, abs=1e-5)
+
+
+def test_subpixels_are_means_over_a_finer_image():
+    parameters, cam = cloud(120, 5), camera(12, 10, (0.5, -0.25))
+    image, statistics = rasterize(*parameters, cam, 1.0, subpixels=3)
+    fine, finer = rasterize(*parameters, cam.resized(36, 30), 1.0)
+    assert torch.allclose(image, fine.unflatten(2, (12, 3)).unflatten(1, (10, 3)).mean((2, 4)), atol=1e-6)
+    assert torch.allclose(statistics.radius * 3, finer.radius)
+
+
+def test_gradients_of_subpixels_match_autograd():
+    parameters = cloud(40, 6)
+    fast, slow = [p.clone().requires_grad_() for p in parameters], [p.clone().double().requires_grad_() for p in parameters]
+    image, statistics = rasterize(*fast, camera(12, 10), 1.0, subpixels=2)
+    reference = rasterize_reference(*slow, camera(12, 10).resized(24, 20), 1.0)
+    weight = torch.randn(image.shape, generator=torch.Generator().manual_seed(2))
+    (image * weight).sum().backward()
+    (reference.unflatten(2, (12, 2)).unflatten(1, (10, 2)).mean((2, 4)) * weight).sum().backward()
+    for name, f, s in zip(NAMES, fast, slow, strict=True):
+        assert (f.grad - s.grad).norm() < 1e-2 * s.grad.norm(), name
+    assert statistics.gradient is not None
+
+
+@pytest.mark.parametrize(("degrees", "flipped"), [(0, False), (80, False), (100, False), (120, True), (180, True)])
+def test_normal_is_flipped_only_where_it_points_well_away(degrees, flipped):
+    turn = math.radians(degrees) / 2
+    one = [torch.zeros(3, 8), torch.zeros(4, 8), torch.full((2, 8), -1.0), torch.full((8,), 3.0), torch.zeros(1, 3, 8), torch.zeros(0, 8)]
+    one[0][:, 1:] = 50.0  # the others lie outside the image
+    one[1][0], one[1][1] = math.cos(turn), math.sin(turn)  # +z, turned about x
+    image, _ = rasterize(*one, Camera(9, 9, 40.0, 40.0, 4.5, 4.5, look_at((0, 0, 4), up=(0, 1, 0))), 1.0, 0)
+    expected = torch.tensor([0.0, -math.sin(2 * turn), math.cos(2 * turn)]) * (-1 if flipped else 1)
+    assert torch.allclose(image[3:6, 4, 4] / image[-1, 4, 4], expected, atol=1e-4)

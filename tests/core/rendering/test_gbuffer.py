@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.rendering.gbuffer import downsampled_light, render_gbuffer
+from irgspp.core.rendering import gbuffer
+from irgspp.core.rendering.gbuffer import downsampled_light, rasterize_view, render_gbuffer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 
@@ -49,6 +50,19 @@ def test_layers_are_those_of_the_sphere(reconstruction, camera, analytic):
     assert np.allclose(seen.radiance[inside], 0.5, atol=1e-4)
     empty = seen.alpha == 0
     assert empty.any() and not seen.depth[empty].any() and not seen.normal[empty].any() and not seen.radiance[empty].any()
+
+
+def test_pixel_is_the_mean_over_its_subpixels(reconstruction, camera):
+    fine = rasterize_view(reconstruction, camera.resized(256, 256), subpixels=1)[0]
+    assert torch.allclose(
+        rasterize_view(reconstruction, camera, subpixels=2)[0], fine.unflatten(2, (128, 2)).unflatten(1, (128, 2)).mean((2, 4)), atol=1e-5
+    )
+
+
+def test_bands_of_rows_make_the_same_image(reconstruction, camera, monkeypatch):
+    whole = rasterize_view(reconstruction, camera)[0]
+    monkeypatch.setattr(gbuffer, "BAND", 4 * 128 * 10)  # 12 bands of 10 rows and one of 8
+    assert torch.allclose(rasterize_view(reconstruction, camera)[0], whole, atol=1e-5)
 
 
 def test_glossy_reconstruction_shows_reflections(reconstruction, camera, analytic):

@@ -63,7 +63,7 @@ OLD = {
     "skip": {"outside": "off", "trials": "auto", "constants": "on", "open": "auto", "kept": "off"},
 }
 # Settings that came later, with their defaults.
-ADDED = {"first.stereo", "first.stereo_margin", "second.shading_normals", "second.normal_iterations"}
+ADDED = {"first.subpixels", "first.stereo", "first.stereo_margin", "second.shading_normals", "second.normal_iterations"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")
 }
