@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 
-from ...io.srgb import encode_srgb
+from ...io.srgb import decode_srgb, encode_srgb
 from ...scene.camera import Camera
 from ...scene.dataset import View
 from .losses import camera_rays
@@ -133,3 +133,11 @@ def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:
         length = alpha.shape[1 - axis]
         box.append(slice(max(0, int(filled[0]) - MARGIN), min(length, int(filled[-1]) + 1 + MARGIN)) if len(filled) else slice(0, length))
     return box[0], box[1]
+
+
+def border_radiance(views: list[TrainingView]) -> torch.Tensor:
+    """Return the (3,) median linear colour of the outermost pixels of all images, the initial radiance of the background."""
+    everything = slice(None)
+    sides = ((0, everything), (-1, everything), (everything, 0), (everything, -1))
+    edges = [view.image[:, rows, columns] for view in views for rows, columns in sides]
+    return decode_srgb(torch.cat(edges, 1).median(1).values).clamp_min(1e-3)

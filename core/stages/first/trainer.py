@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from ...errors import Cancelled, InputError, IrgsppError
-from ...io.srgb import decode_srgb
 from ...kernels.photometric import photometric_loss
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
@@ -25,7 +24,7 @@ from ..common.finite_check import check_due
 from ..common.losses import light_variation, normal_consistency
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.preview import LONGEST, eight_bits
-from ..common.training_view import TrainingView, make_training_view
+from ..common.training_view import TrainingView, border_radiance, make_training_view
 from .densification import DensityControl, reset_opacity
 from .material_class import GEOMETRY_RATES, MaterialClass
 
@@ -292,11 +291,3 @@ class Trainer:
 def invalid_checkpoint() -> InputError:
     """Return the error about a checkpoint file that can be read, but holds no state of this job's first stage."""
     return InputError("checkpoint/first_stage.pt", "holds no state of this job's first stage", "delete it, or start again with --overwrite")
-
-
-def border_radiance(views: list[TrainingView]) -> torch.Tensor:
-    """Return the (3,) median linear colour of the outermost pixels of all images, the initial radiance of the background."""
-    everything = slice(None)
-    sides = ((0, everything), (-1, everything), (everything, 0), (everything, -1))
-    edges = [view.image[:, rows, columns] for view in views for rows, columns in sides]
-    return decode_srgb(torch.cat(edges, 1).median(1).values).clamp_min(1e-3)

@@ -15,12 +15,12 @@ from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, preset
-from irgspp.core.stages.common.training_view import make_training_view
+from irgspp.core.stages.common.training_view import border_radiance, make_training_view
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import COATED, GEOMETRY_RATES, LOW_GLOSS, METAL, allowed_material_classes
 from irgspp.core.stages.first.material_class_selection import select_material_class
 from irgspp.core.stages.first.train import train
-from irgspp.core.stages.first.trainer import RATES_CHOSEN_AT, Trainer, border_radiance
+from irgspp.core.stages.first.trainer import RATES_CHOSEN_AT, Trainer
 from irgspp.core.stages.first.trial_fits import subsample
 
 SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", "first.stereo=off")
