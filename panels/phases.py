@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 STEPS = (  # of a reconstruction, in order: text, and the phases of the engine that belong to it
-    ("Reading photographs", ("read images",)),
+    ("Reading photographs and masks", ("read images", "quick fit")),
     ("Choosing the material class and the start", ("materials", "stereo", "start")),
     ("Fitting shape and radiance", ("first stage",)),
     ("Extracting the surface", ("fuse",)),
@@ -24,10 +24,11 @@ CAPTURE_STEPS = (  # of a capture, in order; a reconstruction of photographs wit
 # Share of each phase of a reconstruction in its whole time, in percent: rounded means of drafts and balanced runs on a CPU
 SHARES = {
     "read images": 2,
+    "quick fit": 2,
     "materials": 9,
     "stereo": 3,
     "start": 3,
-    "first stage": 25,
+    "first stage": 33,
     "fuse": 5,
     "trace": 3,
     "second stage": 16,

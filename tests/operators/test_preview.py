@@ -81,8 +81,7 @@ def test_a_running_preview_follows_resolution_and_point_of_view(scene, relightab
     sizes = [tuple(bpy.data.images[preview.IMAGE].size)]
     for name, value in (("preview_resolution", 24), ("relight_eye", "view")):
         setattr(settings, name, value)
-        relight_follow.beat()
-        assert not follower.done  # it does not go on to say "Up to date"
+        relight_follow.beat()  # asks for the new image; a fast engine may have answered already
         follow_until(lambda: follower.done)
         sizes.append(tuple(bpy.data.images[preview.IMAGE].size))
     assert [max(size) for size in sizes] == [48, 24, 24] and sizes[2] == (24, 12) != sizes[1]
