@@ -7,7 +7,6 @@ object, so it is continued from the pixels beside the band.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -20,7 +19,6 @@ from ...scene.dataset import View
 INSIDE = 0.5  # opacity from which a mask says that a pixel is the object
 NEAR = 1.0  # sigma of the window from which the background is continued, in widths of the band; doubled until it reaches all of the band
 DOUBLED = 6  # windows
-BLUR = 1  # pixels over which a photograph mixes the object with what lies beside it
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +44,6 @@ def narrowest_mask(view: View) -> np.ndarray:
     return _changed(view, cv2.erode)
 
 
-def sure_mask(view: View) -> np.ndarray:
-    """Return the mask (H, W) float32 of pixels that show the object alone: the narrowest and, unless the mask is exact, BLUR less."""
-    return _changed(view, cv2.erode, BLUR if round(view.mask_error) else 0)
-
-
 def find_mask_band(view: View) -> MaskBand | None:
     """Return the band of a view's mask; None without a mask, or where it is exact."""
     if view.alpha is None or round(view.mask_error) < 1:
@@ -61,8 +54,8 @@ def find_mask_band(view: View) -> MaskBand | None:
     return MaskBand(band, np.where(band[..., None], background, 0).astype(np.float32))
 
 
-def _changed(view: View, change: Callable[[np.ndarray, np.ndarray], np.ndarray], more: int = 0) -> np.ndarray:
-    """Return the mask dilated or eroded by its error and some pixels more."""
+def _changed(view: View, change) -> np.ndarray:
+    """Return the mask dilated or eroded by its error."""
     assert view.alpha is not None
-    side = 2 * (round(view.mask_error) + more) + 1
+    side = 2 * round(view.mask_error) + 1
     return view.alpha if side == 1 else change(view.alpha, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))

@@ -15,7 +15,7 @@ import torch
 from ...io.srgb import decode_srgb
 from ...kernels.trace import Tree, transmittance
 from ...scene.dataset import View, light_rotations
-from ..common.mask_band import sure_mask
+from ..common.mask_band import narrowest_mask
 from ..common.training_view import SATURATED
 
 FACING = 0.15  # least cosine between normal and view direction; grazing views see the silhouette rather than the point
@@ -126,7 +126,7 @@ def _sample_view(position, normal, view: View, tree: Tree, offset: float, device
     inside = (local[:, 2] > 0) & (place >= 0).all(1) & (place < (camera.height - 1, camera.width - 1)).all(1)
     index = np.flatnonzero(inside & ((direction * normal).sum(1) > FACING))
     if view.alpha is not None:
-        mask = sure_mask(view)
+        mask = narrowest_mask(view)
         index = index[np.min([mask[at] for at, _ in _bilinear(place[index])], axis=0) > INSIDE]
     rays = position[index] + offset * normal[index], direction[index]
     origin, towards = (torch.from_numpy(a.astype(np.float32)).to(device) for a in rays)

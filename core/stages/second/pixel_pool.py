@@ -12,7 +12,7 @@ import torch
 from ...kernels.trace import HitLists, Lists, hit_lists
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.dataset import View, light_rotations
-from ..common.mask_band import sure_mask
+from ..common.mask_band import narrowest_mask
 from ..common.training_view import SATURATED
 
 INSIDE = 0.99  # least opacity of mask and Gaussians with which a pixel counts as showing the object alone
@@ -70,7 +70,7 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
 def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:
     """Draw at most `count` pixels of one view; twice as many are traced, as some rays are not opaque."""
     camera = view.camera
-    inside = np.ones((camera.height, camera.width), bool) if view.alpha is None else sure_mask(view) > INSIDE
+    inside = np.ones((camera.height, camera.width), bool) if view.alpha is None else narrowest_mask(view) > INSIDE
     index = np.flatnonzero(inside)
     index = np.sort(random.permutation(index)[: 2 * count])
     ray = torch.from_numpy(camera.rays().reshape(-1, 3)[index]).float()

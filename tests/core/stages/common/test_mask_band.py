@@ -10,7 +10,7 @@ import torch
 from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import View
-from irgspp.core.stages.common.mask_band import find_mask_band, narrowest_mask, sure_mask, widest_mask
+from irgspp.core.stages.common.mask_band import find_mask_band, narrowest_mask, widest_mask
 from irgspp.core.stages.common.training_view import BAND_WEIGHT, make_training_view
 
 HEIGHT, WIDTH, EDGE = 40, 60, 30.5  # the object covers the columns left of EDGE
@@ -34,13 +34,12 @@ def test_band_lies_on_both_sides_of_the_edge(camera_ring):
     band = find_mask_band(one)
     assert np.flatnonzero(band.pixels[20]).tolist() == list(range(28, 34))
     assert (widest_mask(one)[20] >= 0.5).sum() == 34 and (narrowest_mask(one)[20] >= 0.5).sum() == 28
-    assert (sure_mask(one)[20] >= 0.5).sum() == 26
 
 
 def test_exact_masks_have_no_band(camera_ring):
     exact = view(camera_ring, error=0.0)
     assert find_mask_band(exact) is None and find_mask_band(replace(exact, alpha=None, mask_error=3.0)) is None
-    assert widest_mask(exact) is exact.alpha and narrowest_mask(exact) is exact.alpha and sure_mask(exact) is exact.alpha
+    assert widest_mask(exact) is exact.alpha and narrowest_mask(exact) is exact.alpha
 
 
 @pytest.mark.parametrize("shift", [-2, 0, 2])
