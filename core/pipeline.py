@@ -141,6 +141,9 @@ class Job:
         assert plane is not None
         rendered = quick_renderings(self.data, self.settings, self.progress)
         views = cut_again(self.data.train, rendered, plane, self.data.bound)
+        kept = sum(after is before for after, before in zip(views, self.data.train, strict=True))
+        if kept:
+            self.progress.message(f"{kept} of {len(views)} masks are kept as they were: the second cut would change them too much")
         self.folder.save(MASKS, {view.name: (view.alpha, view.mask_error) for view in views})
 
     def first_stage(self) -> None:

@@ -16,6 +16,7 @@ from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import TURNTABLE, VIDEOS, beside, set_quietly
 from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
+from .file_dialog import FileDialog
 from .reconstruct import capture_words, set_words
 
 NAMED = 3  # photographs left out that a report names
@@ -122,7 +123,7 @@ def _use(scene: bpy.types.Scene, job: Job, wait: bool) -> None:
     bpy.ops.irgspp.import_dataset("EXEC_DEFAULT", True, directory=str(job.folder), **options)
 
 
-class IRGSPP_OT_choose_video(bpy.types.Operator):
+class IRGSPP_OT_choose_video(FileDialog, bpy.types.Operator):
     """Choose a video of the object in place of a folder of photographs."""
 
     bl_idname = "irgspp.choose_video"
@@ -132,16 +133,6 @@ class IRGSPP_OT_choose_video(bpy.types.Operator):
     filepath: StringProperty(name="Video", description="Video around the object", subtype="FILE_PATH", options=SKIP)
     filter_movie: BoolProperty(default=True, options={"HIDDEN"})
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the file.
-
-        Args:
-            context: of the button.
-            event: ignored.
-        """
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Choose the video."""

@@ -12,10 +12,11 @@ from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.scene_builder import recovered_light
 from ..irgspp_addon.world.light_controls import SUFFIXES, use_hdri
 from .blocking import RUN, SKIP, refuse
+from .file_dialog import FileDialog
 from .result import chosen_run
 
 
-class IRGSPP_OT_open_hdri(bpy.types.Operator):
+class IRGSPP_OT_open_hdri(FileDialog, bpy.types.Operator):
     """Light the scene by an image of the surroundings, as its World. Rotation and strength stay as they are."""
 
     bl_idname = "irgspp.open_hdri"
@@ -24,16 +25,6 @@ class IRGSPP_OT_open_hdri(bpy.types.Operator):
 
     filepath: StringProperty(name="File", description="Lat-long image (.hdr or .exr)", subtype="FILE_PATH", options=SKIP)
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the file.
-
-        Args:
-            context: of the button.
-            event: ignored.
-        """
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Light the scene."""

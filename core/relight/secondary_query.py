@@ -21,7 +21,7 @@ class Hits:
         albedo: (K, 3) linear, 0..1.
         roughness: (K,) in 0..1.
         metallic: (K,) in 0..1.
-        normal: (K, 3) unit, flipped against the ray.
+        normal: (K, 3) unit, facing the ray; those of Gaussians may lean away by up to 17 degrees (`BEHIND` in kernels/constants.py).
     """
 
     ray: torch.Tensor

@@ -36,6 +36,15 @@ def warm():
 
 
 @pytest.fixture
+def default_scene():
+    """Blender's default scene with the extension registered."""
+    bpy.ops.wm.read_homefile()
+    registration.register()
+    yield bpy.context.scene
+    registration.unregister()
+
+
+@pytest.fixture
 def scene(warm, relightable, tmp_path):
     """The sphere, seen by the camera of `irgspp render --orbit 1`, under a light with a lamp."""
     bpy.ops.wm.read_homefile(use_empty=True)

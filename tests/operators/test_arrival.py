@@ -2,7 +2,6 @@
 """A result that arrives in a new file is seen at once: framed, without cameras, cube and lamp around it, under a light."""
 
 import bpy
-import irgspp
 import pytest
 from irgspp.irgspp_addon.importer.arrangement import cameras_in, cameras_shown, is_default_world
 from irgspp.panels import result
@@ -11,12 +10,8 @@ from recording_layout import draw
 
 
 @pytest.fixture
-def scene():
-    """Blender's default scene with the extension registered."""
-    bpy.ops.wm.read_homefile()
-    irgspp.register()
-    yield bpy.context.scene
-    irgspp.unregister()
+def scene(default_scene):
+    return default_scene
 
 
 def view() -> bpy.types.SpaceView3D:

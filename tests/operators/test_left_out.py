@@ -4,7 +4,6 @@
 import shutil
 
 import bpy
-import irgspp
 import pytest
 from irgspp.irgspp_addon.relight.left_out import left_out
 from irgspp.irgspp_addon.relight.world_follower import changes
@@ -13,13 +12,10 @@ from recording_layout import draw
 
 
 @pytest.fixture
-def scene(run_folder):
-    """Blender's default scene with a run, arranged, and the extension registered."""
-    bpy.ops.wm.read_homefile()
-    irgspp.register()
+def scene(default_scene, run_folder):
+    """Blender's default scene with a run, arranged."""
     bpy.ops.irgspp.import_run(directory=str(run_folder), arrange=True)
-    yield bpy.context.scene
-    irgspp.unregister()
+    return default_scene
 
 
 def text(scene, run, final=False) -> str:

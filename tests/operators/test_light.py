@@ -4,7 +4,6 @@
 from math import pi
 
 import bpy
-import irgspp
 import numpy as np
 import pytest
 from blender_side import write_image
@@ -16,12 +15,8 @@ from relighting import lamp
 
 
 @pytest.fixture
-def scene():
-    """Blender's default scene with the extension registered."""
-    bpy.ops.wm.read_homefile()
-    irgspp.register()
-    yield bpy.context.scene
-    irgspp.unregister()
+def scene(default_scene):
+    return default_scene
 
 
 @pytest.fixture
