@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Freed memory that the process keeps for the next allocation.
 
-glibc takes each block above 128 kB to 32 MB from the system and gives it back when it is freed. The system then clears its pages every time:
+glibc takes blocks above 128 kB from the system and gives them back when they are freed. The system then clears their pages every time:
 a step of the first stage spent a tenth of its time in that.
 """
 
