@@ -12,6 +12,7 @@ from .bowl_scene import build_bowl_scene
 from .demo_scene import build_demo_scene
 from .print_scene import build_print_scene
 from .relief_scene import build_relief_scene
+from .thin_scene import build_thin_scene
 
 SCENES: dict[str, Callable[[], list[bpy.types.Object]]] = {
     "demo": build_demo_scene,
@@ -20,4 +21,5 @@ SCENES: dict[str, Callable[[], list[bpy.types.Object]]] = {
     "bowl": build_bowl_scene,
     "relief": build_relief_scene,
     "print": build_print_scene,
+    "thin": build_thin_scene,
 }
