@@ -16,6 +16,7 @@ from irgspp.core.scene.camera import Camera, look_at
 gc.disable()  # until the tests' modules are imported, which stay: it would search the growing heap again and again
 hypothesis.settings.register_profile("patient", deadline=None)  # a busy machine is no fault
 hypothesis.settings.load_profile("patient")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # where it is set, each of many engine processes would compile the package again
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.pop("BLENDER_USER_RESOURCES", None)  # the first process may have chosen one folder already, which the others inherit
 
