@@ -12,9 +12,10 @@ from ..machine.backend import by_warp
 from ..machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
 from ..scene.camera import Camera
 from .constants import NEAR, SPLAT_GRADIENTS, SPLAT_RECORD, TILE
-from .cpu.binning import bin_tiles, depth_order
+from .cpu.binning import count_tiles_range, depth_order, fill_tiles_range
 from .cpu.projection import project_backward_range, project_range
 from .cpu.raster import rasterize_backward_range, rasterize_range
+from .cpu.subpixels import pool_range, spread_range
 
 COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # channels of the image; depth and opacity follow the extras
 MIN_GAUSSIANS = 8  # lanes of one vector; fewer Gaussians are padded
@@ -56,6 +57,26 @@ def _flat(tensor: torch.Tensor) -> np.ndarray:
     return tensor.detach().contiguous().view(-1).numpy()
 
 
+def bin_tiles(order: np.ndarray, box: np.ndarray, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Assign splats to tiles.
+
+    Args:
+        order: (V,) indices of the visible splats, nearest first.
+        box: (N, 4) first column and row, last column and row of each splat, pixels.
+        columns: of tiles.
+        rows: of tiles.
+
+    Returns:
+        start (tiles + 1,) and entries: the splats of tile t are entries[start[t] : start[t + 1]], nearest first.
+    """
+    bands, count = even_ranges(rows, thread_count()), np.zeros(columns * rows, np.int64)
+    run_ranges(count_tiles_range, bands, order, box, columns, count)
+    start = np.concatenate([[0], np.cumsum(count)])
+    entries = np.empty(start[-1], np.int32)
+    run_ranges(fill_tiles_range, bands, order, box, columns, start[:-1].copy(), entries)
+    return start, entries
+
+
 class _Rasterize(torch.autograd.Function):
     """Autograd function of the CPU (numba) backend."""
 
@@ -72,27 +93,31 @@ class _Rasterize(torch.autograd.Function):
         width, height = int(cam[16]), int(cam[17])
         columns, rows = -(-width // TILE), -(-height // TILE)
         start, entries = bin_tiles(depth_order(depth, box), box, columns, rows)
-        image = torch.empty(9 + extras, rows * TILE, columns * TILE)
         stride, plane = columns * TILE, rows * TILE * columns * TILE
         tiles = balanced_ranges(np.diff(start) + 1, thread_count())
-        flat = image.view(-1).numpy()
+        flat = np.empty((9 + extras) * plane, np.float32)
         run_ranges(rasterize_range, tiles, start, entries, record, feature, box, columns, flat, stride, plane)
+        subpixels = statistics.subpixels
+        image = torch.empty(8 + extras, height // subpixels, width // subpixels)
+        lines = even_ranges(image.shape[1], thread_count())
+        run_ranges(pool_range, lines, flat, stride, plane, subpixels, image.numpy())
         ctx.arrays, ctx.cam, ctx.coefficients, ctx.statistics = arrays, cam, coefficients, statistics
         ctx.lists = (start, entries, record, feature, box, columns, flat)
         ctx.layout = (stride, plane, tiles, blocks)
         ctx.shapes = [t.shape for t in (position, quaternion, log_scale, opacity, sh, extra)]
         statistics.radius = torch.from_numpy((box[:, 2:] - box[:, :2]).max(1) + 1).clamp_min(0)
-        return image[:-1, :height, :width]
+        return image
 
     @staticmethod
     def backward(ctx, gradient):
         stride, plane, tiles, blocks = ctx.layout
         start, entries, record, feature, box, columns, flat = ctx.lists
-        n, channels = len(record), feature.shape[1] + 2
-        padded = torch.zeros(channels, plane // stride, stride)
-        padded[:, : gradient.shape[1], : gradient.shape[2]] = gradient
+        n = len(record)
+        fine = np.empty(len(gradient) * plane, np.float32)
+        lines = even_ranges(plane // stride, thread_count())
+        run_ranges(spread_range, lines, gradient.contiguous().numpy(), ctx.statistics.subpixels, stride, plane, fine)
         slots = np.zeros((len(tiles), n, SPLAT_GRADIENTS + feature.shape[1]), np.float32)
-        image = (flat, padded.view(-1).numpy(), stride, plane, slots)
+        image = (flat, fine, stride, plane, slots)
         run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *image, numbered=True)
         gradients = [torch.empty(shape) for shape in ctx.shapes]
         gradients[4][ctx.coefficients :] = 0.0  # the kernel does not write coefficients beyond the degree
@@ -142,7 +167,9 @@ def rasterize(
     cam = camera_numbers(finer, NEAR * scene_radius)
     image = _autograd_function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
     statistics.radius = statistics.radius[:n] / subpixels
-    return image if subpixels == 1 else torch.nn.functional.avg_pool2d(image[None], subpixels)[0], statistics
+    if subpixels > 1 and by_warp(position):
+        image = torch.nn.functional.avg_pool2d(image[None], subpixels)[0]
+    return image, statistics
 
 
 def _autograd_function(tensor: torch.Tensor) -> type[torch.autograd.Function]:
