@@ -4,7 +4,7 @@
 import gc
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import hypothesis
@@ -16,11 +16,15 @@ from irgspp.core.scene.camera import Camera, look_at
 gc.disable()  # until the tests' modules are imported, which stay: it would search the growing heap again and again
 hypothesis.settings.register_profile("patient", deadline=None)  # a busy machine is no fault
 hypothesis.settings.load_profile("patient")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # where it is set, each of many engine processes would compile the package again
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.pop("BLENDER_USER_RESOURCES", None)  # the first process may have chosen one folder already, which the others inherit
 
 
 WITHOUT_KERNELS = {Path(__file__).parent / name for name in ("irgspp_addon", "operators", "panels")}
+# Whole jobs on small scenes, which several threads make slower. Tests of kernels and of equal results keep all threads.
+SMALL_JOBS = {Path(__file__).parent / name for name in ("operators", "irgspp_addon", "core/datasets", "test_tiny.py")}
+SMALL_JOBS.add(Path(__file__).parent / "core" / "stages" / "common" / "test_finite_check.py")
 WITH_ENGINE = {Path(__file__).parent / name for name in ("operators", "irgspp_addon/jobs/test_engine_jobs.py")}
 
 
@@ -73,6 +77,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     gc.enable()
+
+
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Let small jobs work on one thread where another process of the tests works beside this one."""
+    alone = "PYTEST_XDIST_WORKER" not in os.environ or "IRGSPP_THREADS" in os.environ
+    if alone or SMALL_JOBS.isdisjoint((item.path, *item.path.parents)):
+        yield
+        return
+    os.environ["IRGSPP_THREADS"] = "1"
+    yield
+    os.environ.pop("IRGSPP_THREADS", None)
 
 
 _ended: list[int] = []  # pytest's exit status, once it is known

@@ -118,7 +118,7 @@ def values(trained: Trainer) -> list[torch.Tensor]:
     return [*trained.optimizer.leaves.values(), *trained.optimizer.others.values()]
 
 
-def check_training(measured: Measured, what: str, dataset: Dataset, steps: int = 25) -> None:
+def check_training(measured: Measured, what: str, dataset: Dataset, steps: int = 16) -> None:
     """Check that training as a metal and as low-gloss, with density control, leaves finite parameters and losses.
 
     Args:

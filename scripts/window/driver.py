@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Driver of a Blender window: images, real mouse and keyboard input, and waiting while Blender runs.
 
-A story is a generator: each `yield SECONDS` returns control to Blender for that time. Coordinates are Blender's, with the origin at the
-lower left.
+A story is a generator: each `yield SECONDS` returns control to Blender for that time. Coordinates begin at the lower left.
 """
 
 from __future__ import annotations

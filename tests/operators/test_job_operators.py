@@ -55,7 +55,7 @@ def test_reconstruct_as_a_job_with_the_panels_settings(tmp_path):
     assert [item.name for item in bpy.context.window_manager.irgspp_jobs] == [job.id]
     assert job.state == "running" and job.on_done == "import_result"
     until(lambda: job.phase)
-    with pytest.raises(RuntimeError, match="Reconstruct demo_data is running for this folder"):
+    with pytest.raises(RuntimeError, match="Reconstruct bowl is running for this folder"):
         bpy.ops.irgspp.reconstruct(wait=False)
     assert bpy.ops.irgspp.job_cancel(job=job.id) == {"FINISHED"}
     until(lambda: job.finished)

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -10,10 +13,12 @@ from pathlib import Path
 
 import blender_side
 import pytest
+from shared_folder import shared_folder
+from small_scenes import small_scene
 
 PATIENCE = 300.0  # seconds, enough on a busy machine
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and links of POSIX")
-DATASET = blender_side.ROOT / "core" / "demo_data"
+DATASET = small_scene("bowl")  # it has half as many views as the demo's
 TINY = {
     "data.resolution": 32,
     "first.iterations": 20,
@@ -43,8 +48,22 @@ def settings(**more: object) -> list[str]:
 
 
 def reconstruction(run: Path, **more: object) -> list[str]:
-    """Return arguments of a `reconstruct` of the embedded dataset that takes seconds."""
+    """Return arguments of a `reconstruct` that takes seconds."""
     return ["reconstruct", str(DATASET), "-o", str(run), "--preset", "draft", "--materials", "low-gloss", *settings(**more)]
+
+
+def finished_run(factory: pytest.TempPathFactory) -> Path:
+    """Return the place of a finished run of `reconstruction` for all processes of the tests; the first that has one leaves it there."""
+    return shared_folder(factory) / "finished_reconstruction"
+
+
+def leave_finished(run: Path, factory: pytest.TempPathFactory) -> None:
+    """Copy a finished run of `reconstruction` to the place where other tests look for one."""
+    if finished_run(factory).exists():
+        return
+    part = shutil.copytree(run, factory.mktemp("copied") / "run")
+    with contextlib.suppress(OSError):  # another process was faster
+        os.rename(part, finished_run(factory))
 
 
 def until(condition: Callable[[], object], seconds: float = PATIENCE) -> None:

@@ -19,10 +19,11 @@ from irgspp.core.scene.dataset import Dataset, View
 from irgspp.core.settings.schema import DataSettings
 from irgspp.core.shading.environment_lookup import lookup
 from scripts_folder import scripts_on_path
+from shared_folder import shared_folder
 
 with scripts_on_path():
     from formats import WRITERS, realitycapture, stanford_orb
-    from formats.source import Shot, Source, load_source, placed, similarity
+    from formats.source import Shot, Source, load_source, moved_points, placed, similarity
 
 __all__ = [
     "NAMES",
@@ -31,6 +32,7 @@ __all__ = [
     "Written",
     "every",
     "mirror_errors",
+    "moved_points",
     "realitycapture",
     "similarity",
     "source",
@@ -95,8 +97,7 @@ class Written:
 @pytest.fixture(scope="session")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     """Return the scene, rendered once for all processes of the tests."""
-    base = tmp_path_factory.getbasetemp()
-    return load_source(render_scene((base.parent if base.name.startswith("popen") else base) / "formats_scene"))
+    return load_source(render_scene(shared_folder(tmp_path_factory) / "formats_scene"))
 
 
 @pytest.fixture(scope="session")

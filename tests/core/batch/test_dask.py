@@ -14,11 +14,12 @@ from irgspp.core.batch.job_state import JobFolder
 from irgspp.core.batch.jobs import read_jobs
 from irgspp.core.cli.parser import check_words
 from irgspp.core.errors import Cancelled
-from irgspp.core.pipeline import DEMO_DATA
+from small_scenes import small_scene
 
 distributed = pytest.importorskip("distributed")
 
 ENDLESS = ("materials=low-gloss", "first.iterations=100000", "first.gaussians=1000", "data.resolution=32")
+SCENE = small_scene("bowl")
 PATIENCE = 300  # seconds on a machine that has other things to do
 
 
@@ -55,7 +56,7 @@ def until(condition, what: str) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no kill -9")
 def test_a_job_whose_worker_is_killed_goes_on_elsewhere(cluster, tmp_path):
     overrides = ", ".join(f'"{text}"' for text in ENDLESS)
-    (tmp_path / "jobs.toml").write_text(f'[[job]]\ndataset = "{DEMO_DATA}"\noutput = "run"\npreset = "draft"\nset = [{overrides}]\n')
+    (tmp_path / "jobs.toml").write_text(f'[[job]]\ndataset = "{SCENE}"\noutput = "run"\npreset = "draft"\nset = [{overrides}]\n')
     jobs, run, enough = read_jobs(tmp_path / "jobs.toml", check_words), tmp_path / "run", threading.Event()
     ends: list[Exception] = []
 

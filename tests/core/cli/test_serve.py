@@ -16,8 +16,8 @@ from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relighter import RelightSettings
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.reconstruction import Reconstruction
+from relight_run import write_relightable
 
-SUPPORT = Path(__file__).parents[2] / "support"
 EYE = Camera(128, 96, 140.0, 140.0, 64.0, 48.0, look_at((3.0, 1.0, 1.5)))
 PATIENCE = 300.0  # seconds, on a machine that has other things to do
 WHOLE = [1, 0, 0, 0, 1, 0, 0, 0, 1]
@@ -26,7 +26,7 @@ WHOLE = [1, 0, 0, 0, 1, 0, 0, 0, 1]
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("served") / "ball"
-    subprocess.run([sys.executable, str(SUPPORT / "relight_run.py"), str(folder)], check=True)
+    write_relightable(folder)
     return folder
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs with the real engine on the embedded dataset: finished, cancelled, crashed, on a full disk, without the engine."""
+"""Jobs with the real engine: finished, cancelled, crashed, on a full disk, without the engine."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from blender_side import ENGINE
-from engine_jobs import PATIENCE, POSIX, reconstruction, until
+from engine_jobs import PATIENCE, POSIX, leave_finished, reconstruction, until
 from engine_jobs import registry as registry
 from irgspp.core.errors import InputError
 from irgspp.irgspp_addon.engine import process as engine
@@ -23,7 +23,7 @@ def run_state(run: Path) -> dict:
     return json.loads((run / "run.json").read_text())
 
 
-def test_reconstruction_reports_progress_and_writes_a_run(tmp_path):
+def test_reconstruction_reports_progress_and_writes_a_run(tmp_path, tmp_path_factory):
     finished = []
     queue.ON_DONE["test"] = finished.append
     job = queue.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run"), on_done="test", data={"a": 1})
@@ -45,6 +45,7 @@ def test_reconstruction_reports_progress_and_writes_a_run(tmp_path):
     assert finished == [job] and load_job(job.notes).state == "done"
     assert run_state(tmp_path / "run")["status"] == "done"
     assert (tmp_path / "run" / "mesh.ply").exists()
+    leave_finished(tmp_path / "run", tmp_path_factory)
 
 
 def test_cancelled_reconstruction_is_resumed_and_finishes_early(tmp_path):

@@ -11,7 +11,6 @@ from irgspp.core import pipeline
 from irgspp.core.cli.main import main
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import Cancelled
-from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import read_run
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.first import trainer as trainer_module
@@ -19,7 +18,9 @@ from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second import radiance_refit, solve
 from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
 from irgspp.core.stages.second.refinement import Refinement
+from small_scenes import small_scene
 
+SCENE = small_scene("bowl")  # it has half as many views as the demo's
 SETTINGS = [
     "first.stereo=off",
     "first.iterations=8",
@@ -32,15 +33,15 @@ SETTINGS += ["second.points=300", "second.rows=4", "second.iterations=4", "secon
 SETTINGS += ["second.normal_iterations=4"]
 FINISHED = {"read", "first stage", "geometry"}  # phases before the second stage
 FAULT = 5  # the iteration in which a value becomes non-finite
-COMMAND = [str(DEMO_DATA), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
+COMMAND = [str(SCENE), "--preset", "draft", *(word for setting in SETTINGS for word in ("--set", setting))]
 
 
 @pytest.fixture(scope="module", autouse=True)
 def read_once():
     """Read the dataset once for all jobs, and leave the Blender scene out of them."""
-    data = load_dataset(DEMO_DATA, preset("draft").data)
+    data = load_dataset(SCENE, preset("draft").data)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "load_dataset", lambda path, *_: {DEMO_DATA: data}[path])
+        patch.setattr(pipeline, "load_dataset", lambda path, *_: {SCENE: data}[path])
         patch.setattr(pipeline, "write_blend", lambda *_: None)
         yield
 
@@ -187,7 +188,7 @@ def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path
     run = shutil.copytree(half_done, tmp_path / "run")
     with monkeypatch.context() as patch:
         fault(patch)
-        assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 1
+        assert main(["reconstruct", str(SCENE), "-o", str(run), "--resume"]) == 1
     lines = [line for line in capsys.readouterr().err.splitlines() if "not finite" in line]
     assert len(lines) == 1 and message in lines[0]
     state = read_run(run)
@@ -207,6 +208,6 @@ def test_failed_second_stage_can_be_resumed(half_done, monkeypatch, tmp_path):
     run = shutil.copytree(half_done, tmp_path / "run")
     with monkeypatch.context() as patch:
         bad_radiance(patch)  # the latest fault of all
-        assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 1
-    assert main(["reconstruct", str(DEMO_DATA), "-o", str(run), "--resume"]) == 0
+        assert main(["reconstruct", str(SCENE), "-o", str(run), "--resume"]) == 1
+    assert main(["reconstruct", str(SCENE), "-o", str(run), "--resume"]) == 0
     assert read_run(run)["status"] == "done"

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Panels of a finished run in every state: result, baking, export, relighting."""
+
+import time
+from types import SimpleNamespace
+
+import bpy
+import pytest
+from irgspp.panels import relight, result
+from panel_states import add_job, finished_run
+from panel_states import settings as settings
+from recording_layout import draw
+
+
+def test_the_result_is_offered_then_shown(settings, run_folder):
+    finished_run(run_folder)
+    settings.run = str(run_folder)
+    drawn = draw(result.IRGSPP_PT_result)
+    assert drawn.buttons("irgspp.import_run")[0].values["directory"] == str(run_folder.resolve())
+    assert "31.5 dB" in drawn.words
+    assert bpy.ops.irgspp.import_run(directory=str(run_folder)) == {"FINISHED"}
+    drawn = draw(result.IRGSPP_PT_result)
+    assert "irgspp_source" in drawn.properties and "triangles, textures 128" in drawn.words
+    settings.run = ""  # the selected object knows where it is from
+    assert "irgspp_source" in draw(result.IRGSPP_PT_result).properties
+    for panel in (result.IRGSPP_PT_bake, result.IRGSPP_PT_export, relight.IRGSPP_PT_relight):
+        assert not hasattr(panel, "poll") or panel.poll(bpy.context)
+        draw(panel)
+    assert '["irgspp_albedo_scale"]' in draw(relight.IRGSPP_PT_relight).properties
+    bpy.context.view_layer.objects.active = None  # and it is the only one there is
+    assert "irgspp_source" in draw(result.IRGSPP_PT_result).properties
+    bpy.data.objects.remove(next(thing for thing in bpy.data.objects if thing.type == "MESH"))
+    assert draw(result.IRGSPP_PT_result).buttons("irgspp.import_run")[0].text == "Import Result"
+
+
+@pytest.mark.parametrize("status", ["running", "failed", "cancelled", "broken"])
+def test_a_run_that_is_not_finished(settings, tmp_path, status):
+    settings.run = str(finished_run(tmp_path / "run", status=status))
+    drawn = draw(result.IRGSPP_PT_result)
+    assert drawn.words == result.UNFINISHED[status]
+    assert not result.IRGSPP_PT_bake.poll(bpy.context) and not drawn.buttons("irgspp.import_run")
+
+
+@pytest.mark.parametrize(
+    ("kind", "panel"),
+    [("bake", result.IRGSPP_PT_bake), ("export", result.IRGSPP_PT_export), ("render", relight.IRGSPP_PT_relight_files)],
+)
+def test_work_on_a_run_is_shown_where_it_was_started(settings, tmp_path, kind, panel):
+    settings.run = str(finished_run(tmp_path / "run"))
+    other = {"kind": kind, "title": "Another run's", "state": "running", "made": time.time() + 2}
+    add_job(tmp_path, id="j0", data={"run": str(tmp_path / "other")}, **other)
+    add_job(tmp_path, kind=kind, title="An old one", state="done", made=1.0, data={"run": str(tmp_path / "run")})
+    assert not draw(panel).buttons("irgspp.job_cancel") and "Done" not in draw(panel).words
+    job = add_job(tmp_path, id="j2", kind=kind, title="Its work", state="running", made=time.time(), data={"run": str(tmp_path / "run")})
+    assert draw(panel).buttons("irgspp.job_cancel")[0].values == {"job": "j2"} and "Its work" in draw(panel).words
+    job.state, job.error = "failed", "the disk is full"
+    assert "the disk is full" in draw(panel).words and not draw(panel).buttons("irgspp.job_cancel")
+
+
+def test_relighting_shows_progress_and_errors(settings, run_folder, monkeypatch):
+    finished_run(run_folder)
+    settings.run = str(run_folder)
+    drawn = draw(relight.IRGSPP_PT_relight)
+    assert drawn.buttons("irgspp.relight_preview")[0].live and "world" in drawn.properties
+    assert drawn.buttons("wm.context_set_enum")[0].values == {"data_path": "scene.render.engine", "value": "IRGSPP"}
+    follower = SimpleNamespace(ended=False, failed=False, done=False, outdated=False, share=0.4, message="Refining, 40%")
+    monkeypatch.setattr(relight, "follower_of", lambda channel: follower)
+    drawn = draw(relight.IRGSPP_PT_relight)
+    assert ("progress", 0.4, "Refining, 40%") in drawn.drawn
+    assert drawn.buttons("irgspp.relight_stop") and not drawn.buttons("irgspp.relight_preview")
+    follower.done = True
+    assert ("progress", 1.0, "Up to date") in draw(relight.IRGSPP_PT_relight).drawn
+    follower.failed, follower.message = True, "scene Scene: has no camera"
+    assert "has no camera" in draw(relight.IRGSPP_PT_relight).words
+    follower.ended = True
+    drawn = draw(relight.IRGSPP_PT_relight)
+    assert drawn.buttons("irgspp.relight_preview") and "has no camera" in drawn.words
+    follower.outdated = True  # another engine was chosen: the error was about the one before
+    assert "has no camera" not in draw(relight.IRGSPP_PT_relight).words
+    bpy.context.scene.render.engine = "IRGSPP"
+    assert "F12" in draw(relight.IRGSPP_PT_relight).words
+
+
+def test_an_edited_mesh_is_baked_as_it_is(settings, run_folder):
+    settings.run, settings.triangles = str(finished_run(run_folder)), 500
+    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["triangles"] == 500
+    settings.edited_mesh = bpy.data.objects.new("edited", bpy.data.meshes.new("edited"))
+    values = draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values
+    assert (values["mesh"], values["triangles"]) == ("edited", 0)
+
+
+def test_folder_contact_sheet_and_exported_file_are_at_hand(settings, tmp_path):
+    run = finished_run(tmp_path / "run")
+    settings.run = str(run)
+    drawn = draw(result.IRGSPP_PT_result)
+    assert drawn.buttons("wm.path_open")[0].values == {"filepath": str(run)} and not drawn.buttons("irgspp.show_image")
+    (run / "contact_sheet.png").touch()
+    assert draw(result.IRGSPP_PT_result).buttons("irgspp.show_image")[0].values == {"filepath": str(run / "contact_sheet.png")}
+    (tmp_path / "out").mkdir()
+    file = tmp_path / "out" / "spot.glb"
+    add_job(tmp_path, kind="export", state="done", made=time.time(), data={"run": str(run), "file": str(file)})
+    assert not draw(result.IRGSPP_PT_export).buttons("wm.path_open")  # it was deleted meanwhile
+    file.touch()
+    (show,) = draw(result.IRGSPP_PT_export).buttons("wm.path_open")
+    assert (show.text, show.values) == ("Show spot.glb", {"filepath": str(tmp_path / "out")})
