@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Joint optimisation as the second stage, and as the refinement of another solver's result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from ....errors import Cancelled, InputError
+from ....kernels.constants import SH_C0
+from ....progress.protocol import Progress
+from ....scene.dataset import Dataset, View, light_rotations
+from ....scene.gaussians import METALLIC
+from ....scene.reconstruction import Reconstruction
+from ....settings.schema import Settings
+from ...common.preview import albedo_image
+from ...common.time_budget import joint_schedule_scale, scale_schedule
+from ..radiance_refit import refit_radiance
+from .losses import GLOSSY, LOW_GLOSS
+from .model import JointModel
+from .optimisation import JointOptimisation
+
+WARM_UP = 300  # iterations that fit all radiance to SH which held the diffuse part alone, before the first secondary ray meets them
+WARM_UP_FASTER = 2.5  # with IRGS' learning rate
+TEST_EVERY = 200  # iterations between tests
+
+
+def check_joint(views: Sequence[View]) -> None:
+    """Raise InputError for photographs whose light turns relative to the object: one radiance cannot be its indirect light in all."""
+    if light_rotations(views) is not None:
+        what = "the joint optimisation takes indirect light from one radiance, and the light turns with the photographs"
+        raise InputError("second.solver", what, "use --set second.solver=closed")
+
+
+def optimise_jointly(
+    first: Reconstruction, dataset: Dataset, settings: Settings, progress: Progress, deadline: float | None = None
+) -> tuple[Reconstruction, float]:
+    """Optimise geometry, radiance, materials and light on all training views, as published.
+
+    Args:
+        first: result of the first stage.
+        dataset: training views.
+        settings: of the job.
+        progress: receives steps, previews and the PSNR of shaded pixels; it may cancel or finish early.
+        deadline: seconds on the monotonic clock at which the optimisation is to end; None: the whole schedule.
+
+    Returns:
+        The reconstruction, and the schedule scale as a multiple of the settings' schedule.
+
+    Raises:
+        Cancelled: the user stopped the work.
+        InputError: the photographs do not fit, see `check_joint`.
+        IrgsppError: a value is not finite.
+    """
+    optimisation, scale, before, after = _optimised(first, dataset, settings, progress, deadline, hold_back=False)
+    progress.message(f"joint optimisation: PSNR of shaded training views {before:.2f} dB, then {after:.2f} dB")
+    return optimisation.result(), scale
+
+
+def refine_jointly(
+    solved: Reconstruction, dataset: Dataset, settings: Settings, progress: Progress, deadline: float | None = None
+) -> tuple[Reconstruction, float]:
+    """Optimise another solver's result jointly, and keep what comes out only where it shades held-back views better.
+
+    Args:
+        solved: result of the closed solver.
+        dataset: training views; one of eight is held back.
+        settings: of the job.
+        progress: see `optimise_jointly`.
+        deadline: see `optimise_jointly`.
+
+    Returns:
+        The better reconstruction, and the schedule scale as a multiple of the settings' schedule.
+
+    Raises:
+        Cancelled: the user stopped the work.
+        InputError: the photographs do not fit, see `check_joint`.
+        IrgsppError: a value is not finite.
+    """
+    optimisation, scale, before, after = _optimised(solved, dataset, settings, progress, deadline, hold_back=True)
+    kept = after > before
+    evidence = f"PSNR of shaded held-back views {before:.2f} dB, then {after:.2f} dB"
+    progress.decided("joint", kept, evidence)
+    progress.message(f"joint optimisation: {evidence}; {'kept' if kept else 'discarded'}")
+    return optimisation.result() if kept else solved, scale
+
+
+def _optimised(
+    start: Reconstruction, dataset: Dataset, settings: Settings, progress: Progress, deadline: float | None, hold_back: bool
+) -> tuple[JointOptimisation, float, float, float]:
+    """Run the optimisation; return it with the schedule scale and the PSNR of shaded views before and after it."""
+    check_joint(dataset.train)
+    second, glossy = settings.second, start.glossy
+    start = with_all_radiance(start, dataset.train, settings, progress)
+    near = dataset.surroundings if second.surroundings and second.indirect else None
+    model = JointModel.of(start, near, settings.first.subpixels, second.indirect)
+    weights = GLOSSY if glossy else LOW_GLOSS
+    optimisation = JointOptimisation(start, dataset.train, model, second, settings.seed, weights=weights, hold_back=hold_back)
+    progress.phase("joint", optimisation.settings.iterations)
+    before, scale = optimisation.test(), 1.0
+    if deadline is not None and optimisation.settings.iterations:
+        scale = _scale_to_deadline(optimisation, deadline, progress)
+
+    def report(done: int, loss: float) -> bool:
+        """Report an iteration and offer a preview; return True to finish early."""
+        metrics = {"loss": loss}
+        if done % TEST_EVERY == 0:
+            metrics["psnr"] = optimisation.test()
+        progress.step(done, **metrics)
+        if progress.cancelled:
+            raise Cancelled(f"stopped at iteration {done} of the joint optimisation")
+        progress.image(lambda: albedo_image(optimisation.result(), dataset.train[0].camera))
+        return progress.finish_early
+
+    optimisation.run(report)
+    return optimisation, scale, before, optimisation.test()
+
+
+def _scale_to_deadline(optimisation: JointOptimisation, deadline: float, progress: Progress) -> float:
+    """Do the first iterations, and scale the schedule so that it ends by the deadline; returns the schedule scale."""
+    iterations = optimisation.settings.iterations
+    scale_for = lambda left, step: joint_schedule_scale(iterations, left, step)  # noqa: E731
+    scale, report = scale_schedule(optimisation, "joint optimisation", deadline, scale_for, 1.0)
+    progress.phase("joint", optimisation.settings.iterations)
+    progress.message(report)
+    return scale
+
+
+def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Settings, progress: Progress) -> Reconstruction:
+    """Return a reconstruction whose SH hold all radiance, as secondary rays of the joint optimisation expect.
+
+    The first stage's SH of a glossy object hold the diffuse part, to which reflections are added. They are fitted to the whole.
+
+    Args:
+        start: reconstruction, glossy or not.
+        views: photographs.
+        settings: of the job.
+        progress: receives the progress and may cancel.
+    """
+    mirrored, g = start.mirrored(), start.gaussians
+    if mirrored is None:
+        return start
+    matt = 1 - mirrored.material[METALLIC]
+    sh = g.sh * matt
+    sh[0] -= 0.5 * (1 - matt) / SH_C0  # (0.5 + SH) matt = 0.5 + new SH
+    plain = replace(start, gaussians=replace(g, sh=sh), glossy=False, reflections=None)
+    progress.phase("radiance", WARM_UP)
+
+    def step(done: int) -> bool:
+        """Report an iteration; return True to finish early."""
+        progress.step(done)
+        if progress.cancelled:
+            raise Cancelled("stopped before the joint optimisation")
+        return progress.finish_early
+
+    return refit_radiance(plain, views, WARM_UP, settings.seed, step, settings.first.subpixels, WARM_UP_FASTER)
+
+
+def has_moved(solved: Reconstruction, first: Reconstruction) -> bool:
+    """Return True where the joint optimisation has moved the surfels of the first stage, so that their surface has changed.
+
+    Args:
+        solved: result of the second stage.
+        first: result of the first stage.
+    """
+    return not torch.equal(solved.gaussians.position, first.gaussians.position)
