@@ -72,7 +72,7 @@ class FirstStageSettings:
 class SecondStageSettings:
     """Second stage: solve the rendering equation for light and materials, with shadows and interreflections."""
 
-    # closed: in steps of closed form on fixed geometry; joint: the paper's optimisation of everything at once; closed+joint: one after the other.
+    # closed: in steps of closed form on fixed geometry; joint: the paper's optimisation of everything at once; closed+joint: both.
     solver: Literal["closed", "joint", "closed+joint"] = "closed"
     joint_iterations: Annotated[int, Range(1, 1_000_000)] = 10_000  # of the joint optimisation, one view each
     # Of the joint optimisation: factor of the published learning rates of position, scale, rotation and opacity; 0: fixed, as in IRGS.

@@ -2,7 +2,7 @@
 """Second stage: environment light and materials by the rendering equation, with visibility and indirect light traced through Gaussians.
 
 The steps of the closed solver: normal alignment, multi-view samples, radiance transfer, light-material solver, shading normals, normal fit,
-assignment of materials to Gaussians, refinement, radiance refit. `joint/` holds the paper's joint optimisation, which replaces or refines it.
+assignment of materials to Gaussians, refinement, radiance refit. `joint/` holds the joint optimisation, which replaces or refines it.
 """
 
 from __future__ import annotations

@@ -27,14 +27,16 @@ from ....shading.sampling import LightDistribution, Samples, draw
 from ...common.training_view import TrainingView
 
 FOREGROUND = 0.5  # opacity above which a pixel is shaded
+REFITS = 15  # of the tree before it is built anew (3DGRUT)
 CONSERVING = True  # the diffuse lobe loses what the specular one reflects, as in relighting and in Blender; the paper's does not
 
 
 class SurfelTracer:
-    """Trace of Gaussians that may have moved since the last call; the tree is built again where they have."""
+    """Trace of Gaussians that may have moved since the last call; the tree is fitted to them again, and sometimes built anew."""
 
     def __init__(self) -> None:
         self._tree: Tree | None = None
+        self._refits = 0
 
     def __call__(self, gaussians: Gaussians, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
         """Return the sums (R, 8) of `trace` along rays, with all degrees of the radiance.
@@ -46,8 +48,11 @@ class SurfelTracer:
         """
         g = gaussians
         geometry = (g.position, g.quaternion, g.log_scale, g.opacity)
-        if self._tree is None or not self._tree.matches(*geometry):
-            self._tree = build_tree(*geometry)
+        if self._tree is None or self._refits >= REFITS:
+            self._tree, self._refits = build_tree(*geometry), 0
+        elif not self._tree.matches(*geometry):
+            self._tree.refit(*geometry)
+            self._refits += 1
         return trace(*geometry, g.sh, g.position.new_zeros(0, g.count), origin, direction, self._tree)
 
 
