@@ -29,7 +29,6 @@ def refit_radiance(
     seed: int,
     step: Callable[[int], object] = lambda done: None,
     subpixels: int = 1,
-    faster: float = 1.0,
 ) -> Reconstruction:
     """Fit the radiance to the images with geometry fixed; materials and light for relighting are not changed.
 
@@ -40,7 +39,6 @@ def refit_radiance(
         seed: of the order of views.
         step: called with the number of steps done; it may raise, and ends the fit early by returning True.
         subpixels: rays along each side of a pixel.
-        faster: factor of the learning rates, for a start that is far from the images.
 
     Returns:
         The reconstruction with new SH and reflections.
@@ -54,7 +52,6 @@ def refit_radiance(
     if mirrored is not None:
         others["light"] = mirrored.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
-    rates = {name: rate.times(faster) for name, rate in rates.items()}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
     training_views = [make_training_view(view).to(g.position.device) for view in views]
     epochs = math.ceil(iterations / len(training_views))

@@ -4,26 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import torch
 
 from ....errors import Cancelled, InputError
-from ....kernels.constants import SH_C0
 from ....progress.protocol import Progress
 from ....scene.dataset import Dataset, View, light_rotations
-from ....scene.gaussians import METALLIC
 from ....scene.reconstruction import Reconstruction
 from ....settings.schema import Settings
 from ...common.preview import albedo_image
 from ...common.time_budget import joint_schedule_scale, scale_schedule
-from ..radiance_refit import refit_radiance
 from .losses import GLOSSY, LOW_GLOSS
 from .model import JointModel
 from .optimisation import JointOptimisation
+from .radiance_start import with_all_radiance
 
-WARM_UP = 300  # iterations that fit all radiance to SH which held the diffuse part alone, before the first secondary ray meets them
-WARM_UP_FASTER = 2.5  # with IRGS' learning rate
 TEST_EVERY = 200  # iterations between tests
 
 
@@ -126,36 +121,6 @@ def _scale_to_deadline(optimisation: JointOptimisation, deadline: float, progres
     progress.phase("joint", optimisation.settings.iterations)
     progress.message(report)
     return scale
-
-
-def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Settings, progress: Progress) -> Reconstruction:
-    """Return a reconstruction whose SH hold all radiance, as secondary rays of the joint optimisation expect.
-
-    The first stage's SH of a glossy object hold the diffuse part, to which reflections are added. They are fitted to the whole.
-
-    Args:
-        start: reconstruction, glossy or not.
-        views: photographs.
-        settings: of the job.
-        progress: receives the progress and may cancel.
-    """
-    mirrored, g = start.mirrored(), start.gaussians
-    if mirrored is None:
-        return start
-    matt = 1 - mirrored.material[METALLIC]
-    sh = g.sh * matt
-    sh[0] -= 0.5 * (1 - matt) / SH_C0  # (0.5 + SH) matt = 0.5 + new SH
-    plain = replace(start, gaussians=replace(g, sh=sh), glossy=False, reflections=None)
-    progress.phase("radiance", WARM_UP)
-
-    def step(done: int) -> bool:
-        """Report an iteration; return True to finish early."""
-        progress.step(done)
-        if progress.cancelled:
-            raise Cancelled("stopped before the joint optimisation")
-        return progress.finish_early
-
-    return refit_radiance(plain, views, WARM_UP, settings.seed, step, settings.first.subpixels, WARM_UP_FASTER)
 
 
 def has_moved(solved: Reconstruction, first: Reconstruction) -> bool:
