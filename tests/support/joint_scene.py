@@ -76,5 +76,3 @@ def disc() -> np.ndarray:
     """Return a mask (SIZE, SIZE) float32 with a soft edge."""
     x = np.arange(SIZE) + 0.5 - SIZE / 2
     return np.clip(SIZE * 0.45 - np.hypot(x, x[:, None]) + 0.5, 0, 1).astype(np.float32)
-
-
