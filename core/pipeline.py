@@ -174,7 +174,7 @@ class Job:
         """Solve the rendering equation, shadows and interreflections included, for materials and light."""
         deadline = None if self.deadline is None else self.deadline - FUSED * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
-        solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline)
+        solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
         self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * scale, 3)
         solved.save(self.folder.path)
 

@@ -16,7 +16,7 @@ import torch
 from scipy.spatial import KDTree
 
 from ...errors import Cancelled, IrgsppError
-from ...progress.protocol import Progress
+from ...progress.protocol import Checkpoint, Progress
 from ...rendering.secondary_rays import SecondaryTracer
 from ...rendering.turning_light import mean_over_lights
 from ...scene.camera import Camera
@@ -52,6 +52,7 @@ def solve_second_stage(
     settings: Settings,
     progress: Progress,
     deadline: float | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> tuple[Reconstruction, float]:
     """Solve for materials and environment light by the solver of the settings.
 
@@ -63,6 +64,7 @@ def solve_second_stage(
         progress: receives the progress and may cancel.
         deadline: seconds on the monotonic clock at which this stage is to end, to which its schedules are scaled; None: schedules as in
             the settings.
+        checkpoint: storage of the joint optimisation's state; None for none.
 
     Returns:
         The reconstruction, and the schedule scale as a multiple of the settings' schedules.
@@ -74,13 +76,13 @@ def solve_second_stage(
     """
     solver = settings.second.solver
     if solver == "joint":
-        return optimise_jointly(reconstruction, dataset, settings, progress, deadline)
+        return optimise_jointly(reconstruction, dataset, settings, progress, deadline, checkpoint)
     if solver == "closed":
         return solve_in_closed_form(reconstruction, surface, dataset, settings, progress, deadline)
     now = time.monotonic()
     middle = None if deadline is None else now + CLOSED_FRACTION * (deadline - now)
     solved, _ = solve_in_closed_form(reconstruction, surface, dataset, settings, progress, middle)
-    return refine_jointly(solved, dataset, settings, progress, deadline)
+    return refine_jointly(solved, dataset, settings, progress, deadline, checkpoint)
 
 
 def solve_in_closed_form(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -168,6 +169,34 @@ class JointOptimisation:
         """Return the current reconstruction."""
         g = Gaussians(**{name: value.detach().clone() for name, value in self.optimizer.gaussians.tensors().items()})
         return replace(self.start, gaussians=g, environment=self.light.detach().exp())
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that the rest of the schedule depends on, for a checkpoint."""
+        schedule = {"done": self.done, "iterations": self.settings.iterations}
+        return schedule | {"order": self._order, "generator": self.generator.get_state(), "optimizer": self.optimizer.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a `state`; raise InputError where it is not one of this optimisation."""
+        try:
+            fits = self._fits(state)
+        except (LookupError, TypeError, ValueError, AttributeError, RuntimeError):  # the file may hold any values
+            fits = False
+        if not fits:
+            fix = "delete it, or start again with --overwrite"
+            raise InputError("checkpoint/joint.pt", "holds no state of this job's joint optimisation", fix)
+        self.done, self._order = int(state["done"]), state["order"]
+        self.reschedule(int(state["iterations"]))
+        self.generator.set_state(state["generator"])
+        self.optimizer.restore(state["optimizer"])
+
+    def _fits(self, state: dict[str, Any]) -> bool:
+        """Return True where `state` is one of an optimisation like this; may raise on values of a wrong type."""
+        torch.Generator().set_state(state["generator"])
+        order, values = state["order"], state["optimizer"]
+        views = order.dtype == torch.long and order.ndim == 1 and bool(((order >= 0) & (order < len(self.training_views))).all())
+        schedule = all(type(state[name]) is int for name in ("done", "iterations")) and 0 <= state["done"] <= state["iterations"]
+        count = values["values"]["position"].shape[1] == self.start.gaussians.count
+        return views and schedule and state["iterations"] > 0 and count and self.optimizer.fits(values)
 
     def _gaussians(self) -> Gaussians:
         """Return the current Gaussians; gradients flow to what is optimised."""

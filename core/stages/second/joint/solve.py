@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import torch
 
 from ....errors import Cancelled, InputError
-from ....progress.protocol import Progress
+from ....progress.protocol import Checkpoint, Progress
 from ....scene.dataset import Dataset, View, light_rotations
 from ....scene.reconstruction import Reconstruction
 from ....settings.schema import Settings
@@ -19,6 +20,7 @@ from .model import JointModel
 from .optimisation import JointOptimisation
 from .radiance_start import with_all_radiance
 
+CHECKPOINT_SECONDS = 30.0
 TEST_EVERY = 200  # iterations between tests
 
 
@@ -30,7 +32,12 @@ def check_joint(views: Sequence[View]) -> None:
 
 
 def optimise_jointly(
-    first: Reconstruction, dataset: Dataset, settings: Settings, progress: Progress, deadline: float | None = None
+    first: Reconstruction,
+    dataset: Dataset,
+    settings: Settings,
+    progress: Progress,
+    deadline: float | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> tuple[Reconstruction, float]:
     """Optimise geometry, radiance, materials and light on all training views, as published.
 
@@ -40,22 +47,28 @@ def optimise_jointly(
         settings: of the job.
         progress: receives steps, previews and the PSNR of shaded pixels; it may cancel or finish early.
         deadline: seconds on the monotonic clock at which the optimisation is to end; None: the whole schedule.
+        checkpoint: storage of the state "joint", from which the optimisation continues where there is one; None for none.
 
     Returns:
         The reconstruction, and the schedule scale as a multiple of the settings' schedule.
 
     Raises:
-        Cancelled: the user stopped the work.
-        InputError: the photographs do not fit, see `check_joint`.
+        Cancelled: the user stopped the work; the checkpoint is written.
+        InputError: the photographs do not fit, see `check_joint`, or the checkpoint is not one of this job.
         IrgsppError: a value is not finite.
     """
-    optimisation, scale, before, after = _optimised(first, dataset, settings, progress, deadline, hold_back=False)
+    optimisation, scale, before, after = _optimised(first, dataset, settings, progress, deadline, checkpoint, hold_back=False)
     progress.message(f"joint optimisation: PSNR of shaded training views {before:.2f} dB, then {after:.2f} dB")
     return optimisation.result(), scale
 
 
 def refine_jointly(
-    solved: Reconstruction, dataset: Dataset, settings: Settings, progress: Progress, deadline: float | None = None
+    solved: Reconstruction,
+    dataset: Dataset,
+    settings: Settings,
+    progress: Progress,
+    deadline: float | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> tuple[Reconstruction, float]:
     """Optimise another solver's result jointly, and keep what comes out only where it shades held-back views better.
 
@@ -65,16 +78,17 @@ def refine_jointly(
         settings: of the job.
         progress: see `optimise_jointly`.
         deadline: see `optimise_jointly`.
+        checkpoint: see `optimise_jointly`.
 
     Returns:
         The better reconstruction, and the schedule scale as a multiple of the settings' schedule.
 
     Raises:
-        Cancelled: the user stopped the work.
-        InputError: the photographs do not fit, see `check_joint`.
+        Cancelled: the user stopped the work; the checkpoint is written.
+        InputError: the photographs do not fit, see `check_joint`, or the checkpoint is not one of this job.
         IrgsppError: a value is not finite.
     """
-    optimisation, scale, before, after = _optimised(solved, dataset, settings, progress, deadline, hold_back=True)
+    optimisation, scale, before, after = _optimised(solved, dataset, settings, progress, deadline, checkpoint, hold_back=True)
     kept = after > before
     evidence = f"PSNR of shaded held-back views {before:.2f} dB, then {after:.2f} dB"
     progress.decided("joint", kept, evidence)
@@ -83,7 +97,14 @@ def refine_jointly(
 
 
 def _optimised(
-    start: Reconstruction, dataset: Dataset, settings: Settings, progress: Progress, deadline: float | None, hold_back: bool
+    start: Reconstruction,
+    dataset: Dataset,
+    settings: Settings,
+    progress: Progress,
+    deadline: float | None,
+    checkpoint: Checkpoint | None,
+    *,
+    hold_back: bool,
 ) -> tuple[JointOptimisation, float, float, float]:
     """Run the optimisation; return it with the schedule scale and the PSNR of shaded views before and after it."""
     check_joint(dataset.train)
@@ -93,34 +114,47 @@ def _optimised(
     model = JointModel.of(start, near, settings.first.subpixels, second.indirect)
     weights = GLOSSY if glossy else LOW_GLOSS
     optimisation = JointOptimisation(start, dataset.train, model, second, settings.seed, weights=weights, hold_back=hold_back)
-    progress.phase("joint", optimisation.settings.iterations)
-    before, scale = optimisation.test(), 1.0
-    if deadline is not None and optimisation.settings.iterations:
-        scale = _scale_to_deadline(optimisation, deadline, progress)
+    before, iterations = optimisation.test(), optimisation.settings.iterations
+    state = None if checkpoint is None else checkpoint.load("joint")
+    progress.phase("joint", iterations)
+    if state is not None:
+        optimisation.restore(state)
+        progress.phase("joint", optimisation.settings.iterations)
+    elif deadline is not None:
+        _scale_to_deadline(optimisation, deadline, progress)
+    _run(optimisation, dataset, progress, checkpoint)
+    return optimisation, optimisation.settings.iterations / iterations, before, optimisation.test()
+
+
+def _run(optimisation: JointOptimisation, dataset: Dataset, progress: Progress, checkpoint: Checkpoint | None) -> None:
+    """Run the rest of the schedule; write the checkpoint every CHECKPOINT_SECONDS and on cancelling."""
+    saved = time.monotonic()
 
     def report(done: int, loss: float) -> bool:
         """Report an iteration and offer a preview; return True to finish early."""
+        nonlocal saved
         metrics = {"loss": loss}
         if done % TEST_EVERY == 0:
             metrics["psnr"] = optimisation.test()
         progress.step(done, **metrics)
+        if checkpoint is not None and (progress.cancelled or time.monotonic() - saved > CHECKPOINT_SECONDS):
+            checkpoint.save("joint", optimisation.state())
+            saved = time.monotonic()
         if progress.cancelled:
             raise Cancelled(f"stopped at iteration {done} of the joint optimisation")
         progress.image(lambda: albedo_image(optimisation.result(), dataset.train[0].camera))
         return progress.finish_early
 
     optimisation.run(report)
-    return optimisation, scale, before, optimisation.test()
 
 
-def _scale_to_deadline(optimisation: JointOptimisation, deadline: float, progress: Progress) -> float:
-    """Do the first iterations, and scale the schedule so that it ends by the deadline; returns the schedule scale."""
+def _scale_to_deadline(optimisation: JointOptimisation, deadline: float, progress: Progress) -> None:
+    """Do the first iterations, and scale the schedule so that it ends by the deadline."""
     iterations = optimisation.settings.iterations
     scale_for = lambda left, step: joint_schedule_scale(iterations, left, step)  # noqa: E731
-    scale, report = scale_schedule(optimisation, "joint optimisation", deadline, scale_for, 1.0)
+    _, report = scale_schedule(optimisation, "joint optimisation", deadline, scale_for, 1.0)
     progress.phase("joint", optimisation.settings.iterations)
     progress.message(report)
-    return scale
 
 
 def has_moved(solved: Reconstruction, first: Reconstruction) -> bool:

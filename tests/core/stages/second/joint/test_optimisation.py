@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Joint optimisation of a sphere in one colour under a white sky, whose start is grey."""
 
+import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -114,6 +115,32 @@ def test_a_deadline_shortens_the_schedule(start, dataset):
     settings = with_overrides(SETTINGS, ["second.joint_iterations=100000"])
     _, scale = optimise_jointly(start, dataset, settings, listener, deadline=0.0)  # long past
     assert scale == pytest.approx(1e-5) and any("joint optimisation: schedule" in text for text in listener.messages)
+
+
+class Store(dict):
+    """Checkpoints in memory, copied as a file would."""
+
+    def save(self, name, state):
+        self[name] = copy.deepcopy(state)
+
+    def load(self, name):
+        return self.get(name)
+
+
+def test_a_cancelled_optimisation_resumes_to_the_same_result(start, dataset):
+    settings = with_overrides(SETTINGS, ["second.joint_iterations=6"])
+    whole, _ = optimise_jointly(start, dataset, settings, Silent())
+    store = Store()
+    with pytest.raises(Cancelled):
+        optimise_jointly(start, dataset, settings, Listener(cancel_at=3), None, store)
+    assert store["joint"]["done"] == 3
+    resumed, _ = optimise_jointly(start, dataset, settings, Silent(), None, store)
+    for name, value in whole.gaussians.tensors().items():
+        assert torch.equal(value, resumed.gaussians.tensors()[name]), name
+    assert torch.equal(whole.environment, resumed.environment)
+    for name, wrong in (("done", 7), ("order", torch.tensor([99])), ("optimizer", {}), ("generator", None)):
+        with pytest.raises(InputError, match=r"checkpoint/joint\.pt: holds no state"):
+            optimise_jointly(start, dataset, settings, Silent(), None, Store(joint={**store["joint"], name: wrong}))
 
 
 @pytest.mark.parametrize(("after", "kept"), [(21.0, True), (20.0, False), (19.0, False)])
