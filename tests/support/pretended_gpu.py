@@ -100,7 +100,7 @@ def main() -> None:
         for glossy in (False, True):
             known = dataclasses.replace(start, glossy=glossy)
             tracer = SecondaryTracer(known)
-            pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0))
+            pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0), 2)
             refinements.append(Refinement(known, pool, tracer, settings, 0))
     for module in (rasterize, tracing, losses):
         module.launch = launch

@@ -51,6 +51,12 @@ class DeviceLists:
         of = torch.repeat_interleave(torch.arange(len(rays), device=length.device), length).int()
         return DeviceLists(start, self.index[hits], self.weight[hits], self.distance[hits], self.left[rays], of, self.longest)
 
+    def merged(self, count: int) -> DeviceLists:
+        """Return one list for each `count` consecutive rays, whose blend is the mean of theirs."""
+        left = self.left.view(-1, count).mean(1)
+        start, of, longest = self.start[::count].contiguous(), self.of // count, self.longest * count
+        return DeviceLists(start, self.index, self.weight / count, self.distance, left, of, longest)
+
     def joined(self, parts: Sequence[Any]) -> DeviceLists:
         """Concatenate the lists of several sets of rays.
 

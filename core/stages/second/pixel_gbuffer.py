@@ -101,7 +101,7 @@ class RasterizedViews:
         for view in number.unique().tolist():
             of_view = torch.nonzero(number == view)[:, 0]
             shape = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh.detach(), g.materials())
-            image, _ = rasterize(*shape, self._cameras[view], self._radius)
+            image, _ = rasterize(*shape, self._cameras[view], self._radius, subpixels=self._pool.subpixels)
             layers = torch.cat([image[NORMAL], image[EXTRA : EXTRA + 5]]).flatten(1)
             out = out.index_copy(0, of_view, layers[:, self._pool.place[pixels[of_view]]].T)
         return out

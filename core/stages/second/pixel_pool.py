@@ -11,10 +11,12 @@ import torch
 
 from ...kernels.trace import HitLists, Lists, hit_lists
 from ...rendering.secondary_rays import SecondaryTracer
+from ...scene.camera import Camera
 from ...scene.dataset import View, light_rotations
 from ..common.mask_band import narrowest_mask
 from ..common.training_view import SATURATED
 
+MORE = 1.25  # pixels traced for each that is asked for
 INSIDE = 0.99  # least opacity of mask and Gaussians with which a pixel counts as showing the object alone
 
 
@@ -23,15 +25,16 @@ class PixelPool:
     """B pixels.
 
     Attributes:
-        lists: the Gaussians along each pixel's ray with their weights.
+        lists: the Gaussians along each pixel's rays with their weights.
         opacity: (B,) accumulated opacity of each pixel, above INSIDE.
-        point: (B, 3) mean of the ray's hits by weight, world.
+        point: (B, 3) mean of the rays' hits by weight, world.
         view: (B, 3) unit, towards the camera.
         colour: (B, 3) of the image, sRGB-encoded.
         saturated: (B, 3) bool, where the colour is a lower bound.
         number: (B,) index of the pixel's view.
         place: (B,) flat index of the pixel in its view.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
+        subpixels: rays along each side of a pixel.
     """
 
     lists: Lists
@@ -43,6 +46,7 @@ class PixelPool:
     number: torch.Tensor
     place: torch.Tensor
     rotations: torch.Tensor | None = None
+    subpixels: int = 1
 
     @property
     def count(self) -> int:
@@ -50,7 +54,7 @@ class PixelPool:
         return len(self.point)
 
 
-def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:
+def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, random: np.random.Generator, subpixels: int = 1) -> PixelPool:
     """Draw pixels inside the object, equally many from each view.
 
     Args:
@@ -58,25 +62,22 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
         tracer: of the Gaussians.
         count: most pixels in all.
         random: of the draw.
+        subpixels: rays along each side of a pixel.
     """
-    parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random) for number, view in enumerate(views)]
+    parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random, subpixels) for number, view in enumerate(views)]
     lists = join_lists([part.lists for part in parts])
-    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-1]]
+    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-2]]
     rotations = light_rotations(views)
     turned = None if rotations is None else torch.from_numpy(rotations).to(tracer.device)
-    return PixelPool(lists, *rest, rotations=turned)
+    return PixelPool(lists, *rest, rotations=turned, subpixels=subpixels)
 
 
-def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator) -> PixelPool:
-    """Draw at most `count` pixels of one view; twice as many are traced, as some rays are not opaque."""
-    camera = view.camera
-    inside = np.ones((camera.height, camera.width), bool) if view.alpha is None else narrowest_mask(view) > INSIDE
-    index = np.flatnonzero(inside)
-    index = np.sort(random.permutation(index)[: 2 * count])
-    ray = torch.from_numpy(camera.rays().reshape(-1, 3)[index]).float()
-    direction = torch.nn.functional.normalize(ray, dim=1).to(tracer.device)
-    origin = torch.from_numpy(camera.centre).float().to(tracer.device).expand_as(direction).contiguous()
-    lists = hit_lists(tracer.tree, origin, direction)
+def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator, subpixels: int) -> PixelPool:
+    """Draw at most `count` pixels of one view; more are traced, as some are not opaque."""
+    inside = np.ones(view.colour.shape[:2], bool) if view.alpha is None else narrowest_mask(view) > INSIDE
+    index = np.sort(random.permutation(np.flatnonzero(inside))[: int(MORE * count)])
+    origin, direction = (torch.from_numpy(a).float().to(tracer.device) for a in _pixel_rays(view.camera, index, subpixels))
+    lists = merge_rays(hit_lists(tracer.tree, origin, direction), subpixels**2)
     weight, distance, length = (torch.as_tensor(a) for a in (lists.weight, lists.distance, lists.start[1:] - lists.start[:-1]))
     opacity = torch.segment_reduce(weight.double(), "sum", lengths=length, initial=0.0)
     depth = torch.segment_reduce(weight.double() * distance, "sum", lengths=length, initial=0.0) / opacity.clamp_min(1e-9)
@@ -84,16 +85,46 @@ def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, ran
     kept = np.sort(random.permutation(kept)[:count])
     ray = torch.from_numpy(kept).to(tracer.device)
     colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float().to(tracer.device)
+    toward = torch.nn.functional.normalize(direction.view(len(index), -1, 3).mean(1)[ray], dim=1)
     return PixelPool(
         select_rays(lists, kept),
         opacity[ray].float(),
-        origin[ray] + depth[ray].float()[:, None] * direction[ray],
-        -direction[ray],
+        origin[: len(ray)] + depth[ray].float()[:, None] * toward,
+        -toward,
         colour,
         colour >= SATURATED,
         torch.full_like(ray, number),
         torch.from_numpy(index[kept]).to(tracer.device),
     )
+
+
+def _pixel_rays(camera: Camera, index: np.ndarray, subpixels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return origins and unit directions of the rays of some pixels.
+
+    Args:
+        camera: of the image.
+        index: (B,) flat indices of pixels.
+        subpixels: rays along each side of a pixel, k.
+
+    Returns:
+        (B k^2, 3) each, the rays of a pixel one after the other.
+    """
+    finer = camera.resized(camera.width * subpixels, camera.height * subpixels)
+    row, column = (subpixels * part[:, None, None] for part in np.divmod(index, camera.width))
+    row, column = row + np.arange(subpixels)[:, None], column + np.arange(subpixels)
+    direction = finer.rays()[row, column].reshape(-1, 3)
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.tile(camera.centre, (len(direction), 1)), direction
+
+
+def merge_rays(lists: Lists, count: int) -> Lists:
+    """Merge the hit lists of each `count` consecutive rays into one, whose blend is the mean of theirs."""
+    if count == 1:
+        return lists
+    if not isinstance(lists, HitLists):
+        return lists.merged(count)
+    weight, left = lists.weight / np.float32(count), lists.left.reshape(-1, count).mean(1)
+    return HitLists(lists.start[::count], lists.index, weight, lists.distance, left)
 
 
 def select_rays(lists: Lists, rays: np.ndarray) -> Lists:

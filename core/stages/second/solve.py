@@ -163,7 +163,7 @@ def refine(
     if settings.second.iterations == 0:
         return solved, 1.0
     progress.phase("refine", settings.second.iterations)
-    pool = pool_pixels(dataset.train, tracer, settings.second.pool, np.random.default_rng(settings.seed))
+    pool = pool_pixels(dataset.train, tracer, settings.second.pool, np.random.default_rng(settings.seed), settings.first.subpixels)
     if not pool.count:
         progress.message("not refined: no pixel shows the object alone")
         return solved, 1.0

@@ -2,8 +2,9 @@
 """Selection and concatenation of hit lists."""
 
 import numpy as np
-from irgspp.core.kernels.trace import HitLists
-from irgspp.core.stages.second.pixel_pool import join_lists, select_rays, select_rays_and_gaussians
+import torch
+from irgspp.core.kernels.trace import HitLists, blend
+from irgspp.core.stages.second.pixel_pool import join_lists, merge_rays, select_rays, select_rays_and_gaussians
 
 
 def random_lists(rays: int, seed: int) -> HitLists:
@@ -39,3 +40,10 @@ def test_part_numbers_what_is_met_anew():
     for i, p in enumerate(picked):
         index, *rest = ray(few, i)
         assert (met[index].tolist(), *rest) == ray(lists, int(p))
+
+
+def test_merged_rays_blend_to_the_mean():
+    lists, values = random_lists(24, 5), torch.rand(3, 99, generator=torch.Generator().manual_seed(0))
+    mean = blend(lists, values).view(6, 4, 3).mean(1)
+    assert torch.allclose(blend(merge_rays(lists, 4), values), mean, atol=1e-6)
+    assert merge_rays(lists, 1) is lists

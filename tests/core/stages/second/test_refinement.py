@@ -107,10 +107,11 @@ def test_radiance_is_fitted_and_nothing_else_moves(start, photographs):
     assert torch.equal(first.environment, fitted.environment)
 
 
-def test_drawn_views_and_known_surfels_agree(start, photographs):
+@pytest.mark.parametrize("subpixels", [1, 2])
+def test_drawn_views_and_known_surfels_agree(start, photographs, subpixels):
     first = start()
     tracer = SecondaryTracer(first)
-    pool = pool_pixels(photographs, tracer, SETTINGS.pool, np.random.default_rng(0))
+    pool = pool_pixels(photographs, tracer, SETTINGS.pool, np.random.default_rng(0), subpixels)
     known = Refinement(first, pool, tracer, SETTINGS, 0)
     drawn = Refinement(first, pool, tracer, SETTINGS, 0, cameras=[view.camera for view in photographs])
     pixels = torch.arange(0, pool.count, 50)
