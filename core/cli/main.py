@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import Cancelled, IrgsppError
+from ..machine.freed_memory import keep_freed_memory
 from ..machine.out_of_resources import as_out_of_resources
 from ..progress.recorder import JobLog, JobRecorder
 from ..progress.terminal import Terminal
@@ -24,6 +25,7 @@ JOB_FOLDER = "IRGSPP_JOB"  # environment variable
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status: 0 done, 1 failed, 2 bad usage or bad input, 130 cancelled."""
+    keep_freed_memory()
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         args = parser().parse_args(words)

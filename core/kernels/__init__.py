@@ -6,14 +6,16 @@ The modules at the top are the public interface: they call the numba kernels in 
 
 | operation | public interface | cpu/ | warp/ | reference |
 | --- | --- | --- | --- | --- |
-| rasterise 2D Gaussians | `rasterize.py` | `binning`, `projection`, `raster` | `rasterize`, `splats`, `raster` | `reference/rasterize.py` |
+| rasterise 2D Gaussians | `rasterize.py` | `projection`, `raster`, ... | `rasterize`, `splats`, `raster` | `reference/rasterize.py` |
 | trace 2D Gaussians | `trace.py` | `trace_autograd`, `bvh`, `trace`, ... | `trace`, `surfels`, `adjoint`, ... | `reference/trace.py` |
 | L1 + D-SSIM loss | `photometric.py` | `photometric` | `photometric` | `reference/photometric.py` |
+| normal consistency loss | `normal_consistency.py` | `normal_consistency` | none: PyTorch | `normal_consistency_reference` beside it |
 | BRDF-weighted sums over light samples | `reflection.py` | `reflection` | none: PyTorch | `core/shading/rendering_equation.py` |
 | specular lobe over the texels of a light | `lobes.py` | `lobes` | `lobes`, `reflection` | `specular_lobe` in `core/shading/brdf.py` |
 | Jacobian of views by the light's texels | `jacobian.py` | `jacobian` | none: PyTorch | `tests/core/kernels/test_jacobian.py` |
 
-Behind "..." stand `bvh_build`, `hit_lists` (on GPUs), `compositing` (weighted sums over hits) and `adjoint` (gradients of the geometry).
+Behind "..." stand `binning` and `subpixels` (means over the rays of a pixel), `bvh_build`, `hit_lists` (on GPUs), `compositing` (weighted
+sums over hits) and `adjoint` (gradients of the geometry).
 
 Operations without a module at the top are called directly by the module named here:
 

@@ -15,6 +15,7 @@ from .constants import NEAR, SPLAT_GRADIENTS, SPLAT_RECORD, TILE
 from .cpu.binning import bin_tiles, depth_order
 from .cpu.projection import project_backward_range, project_range
 from .cpu.raster import rasterize_backward_range, rasterize_range
+from .cpu.subpixels import pool_range, spread_range
 
 COLOUR, NORMAL, EXTRA = slice(0, 3), slice(3, 6), 6  # channels of the image; depth and opacity follow the extras
 MIN_GAUSSIANS = 8  # lanes of one vector; fewer Gaussians are padded
@@ -72,27 +73,31 @@ class _Rasterize(torch.autograd.Function):
         width, height = int(cam[16]), int(cam[17])
         columns, rows = -(-width // TILE), -(-height // TILE)
         start, entries = bin_tiles(depth_order(depth, box), box, columns, rows)
-        image = torch.empty(9 + extras, rows * TILE, columns * TILE)
         stride, plane = columns * TILE, rows * TILE * columns * TILE
         tiles = balanced_ranges(np.diff(start) + 1, thread_count())
-        flat = image.view(-1).numpy()
+        flat = np.empty((9 + extras) * plane, np.float32)
         run_ranges(rasterize_range, tiles, start, entries, record, feature, box, columns, flat, stride, plane)
+        subpixels = statistics.subpixels
+        image = torch.empty(8 + extras, height // subpixels, width // subpixels)
+        lines = even_ranges(image.shape[1], thread_count())
+        run_ranges(pool_range, lines, flat, stride, plane, subpixels, image.numpy())
         ctx.arrays, ctx.cam, ctx.coefficients, ctx.statistics = arrays, cam, coefficients, statistics
         ctx.lists = (start, entries, record, feature, box, columns, flat)
         ctx.layout = (stride, plane, tiles, blocks)
         ctx.shapes = [t.shape for t in (position, quaternion, log_scale, opacity, sh, extra)]
         statistics.radius = torch.from_numpy((box[:, 2:] - box[:, :2]).max(1) + 1).clamp_min(0)
-        return image[:-1, :height, :width]
+        return image
 
     @staticmethod
     def backward(ctx, gradient):
         stride, plane, tiles, blocks = ctx.layout
         start, entries, record, feature, box, columns, flat = ctx.lists
-        n, channels = len(record), feature.shape[1] + 2
-        padded = torch.zeros(channels, plane // stride, stride)
-        padded[:, : gradient.shape[1], : gradient.shape[2]] = gradient
+        n = len(record)
+        fine = np.empty(len(gradient) * plane, np.float32)
+        lines = even_ranges(plane // stride, thread_count())
+        run_ranges(spread_range, lines, gradient.contiguous().numpy(), ctx.statistics.subpixels, stride, plane, fine)
         slots = np.zeros((len(tiles), n, SPLAT_GRADIENTS + feature.shape[1]), np.float32)
-        image = (flat, padded.view(-1).numpy(), stride, plane, slots)
+        image = (flat, fine, stride, plane, slots)
         run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *image, numbered=True)
         gradients = [torch.empty(shape) for shape in ctx.shapes]
         gradients[4][ctx.coefficients :] = 0.0  # the kernel does not write coefficients beyond the degree
@@ -142,7 +147,9 @@ def rasterize(
     cam = camera_numbers(finer, NEAR * scene_radius)
     image = _autograd_function(position).apply(*parameters, cam, (degree + 1) ** 2, statistics)
     statistics.radius = statistics.radius[:n] / subpixels
-    return image if subpixels == 1 else torch.nn.functional.avg_pool2d(image[None], subpixels)[0], statistics
+    if subpixels > 1 and by_warp(position):
+        image = torch.nn.functional.avg_pool2d(image[None], subpixels)[0]
+    return image, statistics
 
 
 def _autograd_function(tensor: torch.Tensor) -> type[torch.autograd.Function]:

@@ -19,9 +19,9 @@ LEVELS = (0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0)  # roughness per level of the
 
 
 @cache
-def _operator_on(device: torch.device, height: int, width: int, roughness: float | None) -> torch.Tensor:
-    """Return `_operator` on a device."""
-    return _operator(height, width, roughness).to(device)
+def _operators_on(device: torch.device, height: int, width: int, roughness: tuple[float | None, ...]) -> torch.Tensor:
+    """Return the operators of L filters side by side on a device, (W/2 + 1, H in, L x H out)."""
+    return torch.cat([_operator(height, width, r) for r in roughness], 2).to(device)
 
 
 @cache
@@ -32,7 +32,7 @@ def _knots(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
 
 @cache
 def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
-    """Return the Fourier transform in azimuth of a normalised filter, (W/2 + 1, H out, H in).
+    """Return the Fourier transform in azimuth of a normalised filter, (W/2 + 1, H in, H out).
 
     Args:
         height: rows of the map.
@@ -46,31 +46,28 @@ def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
         weight = weight * ggx_distribution(((1 + cosine) / 2).sqrt(), ggx_alpha(torch.tensor(roughness, dtype=torch.float64)))
     weight = weight / weight.sum((1, 2), keepdim=True)
     # The filter is even in azimuth about column 0, so that its transform is real.
-    return torch.fft.rfft(weight, dim=2).real.permute(2, 0, 1).float().contiguous()
+    return torch.fft.rfft(weight, dim=2).real.permute(2, 1, 0).float().contiguous()
 
 
-def _spectrum(light: torch.Tensor) -> torch.Tensor:
-    """Return the Fourier transform in azimuth of a map (H, W, C) as real and imaginary parts, (W/2 + 1, H, 2 C)."""
-    return torch.view_as_real(torch.fft.rfft(light, dim=1)).flatten(2).transpose(0, 1).contiguous()
-
-
-def _filter(spectrum: torch.Tensor, operator: torch.Tensor, width: int) -> torch.Tensor:
-    """Apply a filter (W/2 + 1, H, H) to a spectrum (W/2 + 1, H, 2 C) and transform back to a map (H, W, C)."""
-    filtered = torch.view_as_complex((operator @ spectrum).unflatten(2, (-1, 2)))
+def _filtered(light: torch.Tensor, roughness: tuple[float | None, ...]) -> torch.Tensor:
+    """Apply L filters of `_operator` to a map (H, W, C): (L, H, W, C)."""
+    (height, width, channels), count = light.shape, len(roughness)
+    spectrum = torch.view_as_real(torch.fft.rfft(light, dim=1)).permute(1, 2, 3, 0).flatten(1, 2)
+    # The few channels are the rows of the product: as its columns they would take four times as long.
+    product = spectrum.contiguous() @ _operators_on(light.device, height, width, roughness)
+    parts = product.unflatten(1, (channels, 2)).unflatten(3, (count, height)).permute(0, 3, 4, 1, 2)
     # A mean of values >= 0: negative results are rounding errors of the transform, next to a lamp far above 1.
-    return torch.fft.irfft(filtered.transpose(0, 1), n=width, dim=1).clamp_min(0)
+    return torch.fft.irfft(torch.view_as_complex(parts.contiguous()), n=width, dim=0).permute(1, 2, 0, 3).clamp_min(0)
 
 
 def diffuse_light(light: torch.Tensor) -> torch.Tensor:
     """Filter radiance (H, W, C) to irradiance / pi, (H, W, C); a constant map keeps its value."""
-    return _filter(_spectrum(light), _operator_on(light.device, *light.shape[:2], None), light.shape[1])
+    return _filtered(light, (None,))[0]
 
 
 def specular_light(light: torch.Tensor) -> torch.Tensor:
     """Filter radiance (H, W, C) for every roughness of LEVELS: the specular stack (L, H, W, C)."""
-    spectrum = _spectrum(light)
-    rough = [_filter(spectrum, _operator_on(light.device, *light.shape[:2], r), light.shape[1]) for r in LEVELS[1:]]
-    return torch.stack([light, *rough])
+    return torch.cat([light[None], _filtered(light, LEVELS[1:])])
 
 
 def stack_level(roughness: torch.Tensor) -> torch.Tensor:

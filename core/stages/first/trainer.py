@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ...errors import Cancelled, InputError, IrgsppError
+from ...kernels.normal_consistency import normal_consistency
 from ...kernels.photometric import photometric_loss
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
@@ -21,7 +22,7 @@ from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import FirstStageSettings
 from ..common.finite_check import check_due
-from ..common.losses import light_variation, normal_consistency
+from ..common.losses import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.preview import LONGEST, eight_bits
 from ..common.training_view import TrainingView, border_radiance, make_training_view

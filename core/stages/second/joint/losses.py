@@ -23,10 +23,10 @@ from dataclasses import dataclass
 import torch
 
 from ....io.srgb import encode_srgb
+from ....kernels.normal_consistency import normal_consistency
 from ....kernels.rasterize import EXTRA, NORMAL
 from ....scene.gaussians import Gaussians
 from ....shading.environment_lookup import lookup
-from ...common.losses import normal_consistency
 from ...common.training_view import BAND_WEIGHT, TrainingView
 from .model import JointModel, PixelPlan, at_pixels
 

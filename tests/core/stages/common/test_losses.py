@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Normals of analytic depth, the normal consistency loss, and the smoothness of a light map."""
+"""Rays of a camera, and the smoothness of a light map."""
 
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.common.losses import camera_rays, depth_normals, light_variation, normal_consistency
+from irgspp.core.stages.common.losses import camera_rays, light_variation
 
 
 @pytest.fixture(scope="module")
@@ -17,75 +17,9 @@ def rotation(camera):
     return torch.as_tensor(camera.world_to_cv[:3, :3].copy())
 
 
-def plane(camera):
-    """Return rays, depth and camera-space normal of a tilted plane."""
-    rays = camera_rays(camera).double()
-    normal = torch.nn.functional.normalize(torch.tensor([0.3, -0.2, -1.0]).double(), dim=0)
-    return rays, -4.0 / torch.einsum("c,chw->hw", normal, rays), normal
-
-
-def sums(camera, rotation, alpha=0.8):
-    """Return the sums that the rasteriser would compute of that plane, and the rays."""
-    rays, depth, normal = plane(camera)
-    image = torch.rand(8, *depth.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    image[3:6] = alpha * (rotation.T @ normal)[:, None, None]
-    image[-2], image[-1] = alpha * depth, alpha
-    return image, rays
-
-
 def test_rays_are_the_cameras(camera, rotation):
     world = torch.einsum("ij,ihw->hwj", rotation.float(), camera_rays(camera))
     assert np.allclose(world.numpy(), camera.rays(), atol=1e-5)
-
-
-def test_normals_of_a_plane_are_exact(camera):
-    rays, depth, normal = plane(camera)
-    assert (depth_normals(depth, rays) - normal[:, None, None]).abs().max() < 1e-9
-
-
-def test_normals_of_a_sphere(camera):
-    rays = camera_rays(camera).double()
-    a, b = rays.square().sum(0), 4 * rays[2]
-    root = b * b - a * (16 - 1)
-    depth = (b - root.clamp_min(0).sqrt()) / a
-    exact = rays * depth - torch.tensor([0, 0, 4.0])[:, None, None]
-    inside = (root > 0.3)[1:-1, 1:-1]
-    assert inside.sum() > 50
-    cosine = (depth_normals(depth, rays) * exact[:, 1:-1, 1:-1]).sum(0)[inside]
-    assert cosine.min() > 0.995
-
-
-def test_plane_of_splats_costs_nothing(camera, rotation):
-    image, rays = sums(camera, rotation)
-    assert abs(normal_consistency(image, rays, rotation)) < 1e-9
-    image[3:6] *= -1  # all reversed: 1 - cos = 2
-    inner = (camera.width - 2) * (camera.height - 2) / (camera.width * camera.height)
-    assert normal_consistency(image, rays, rotation).item() == pytest.approx(2 * 0.8 * inner, rel=1e-6)
-
-
-def test_gradient_is_that_of_finite_differences(camera, rotation):
-    whole, rays = sums(camera, rotation)
-    image, rays = whole[:, 10:16, 8:14].clone(), rays[:, 10:16, 8:14]
-    generator = torch.Generator().manual_seed(1)
-    image += 0.02 * torch.randn(image.shape, generator=generator, dtype=torch.float64)
-    weight = image[-1].clone()  # the outer opacity is a constant to the gradient
-
-    def loss(changed):
-        value = normal_consistency(changed, rays, rotation)
-        return value - (changed[-1].detach() - weight)[1:-1, 1:-1].sum() / weight.numel()
-
-    leaf = image.clone().requires_grad_()
-    loss(leaf).backward()
-    assert leaf.grad is not None
-    for channel in (3, 4, 5, 6, 7):
-        for row, column in ((1, 1), (2, 4), (5, 3)):
-            shifted = [image.clone() for _ in range(2)]
-            for p, sign in zip(shifted, (1, -1), strict=True):
-                p[channel, row, column] += sign * 1e-6
-            numeric = (loss(shifted[0]) - loss(shifted[1])) / 2e-6
-            assert leaf.grad[channel, row, column].item() == pytest.approx(numeric.item(), abs=1e-8, rel=1e-4)
-    assert leaf.grad[:3].abs().max() == 0
-    assert leaf.grad[-1].abs().max() > 0  # opacity alone must not make the surface look deeper
 
 
 def test_variation_wraps_around_the_seam():

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Normal consistency loss of 2DGS: splatted normals agree with the normals of the depth; differentiable, on the CPU or a GPU."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ..machine.backend import by_warp
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from .cpu.normal_consistency import depth_gradient_range, disagreement_range
+
+FLOOR = 1e-3  # smallest opacity that depths are divided by
+
+
+class _NormalConsistency(torch.autograd.Function):
+    """Autograd function of the CPU (numba) backend; the forward pass computes the gradient too."""
+
+    @staticmethod
+    def forward(ctx, image, rays, rotation):
+        x, r, turn = (t.detach().contiguous().numpy() for t in (image, rays, rotation))
+        _, height, width = x.shape
+        gradient, slopes = np.zeros_like(x), np.zeros((6, height + 2, width + 2), np.float32)
+        sums, floor = np.zeros(height), np.float32(FLOOR)
+        inner = [(a + 1, b + 1) for a, b in even_ranges(height - 2, thread_count())]
+        run_ranges(disagreement_range, inner, x, r, turn, floor, gradient, slopes, sums)
+        run_ranges(depth_gradient_range, even_ranges(height, thread_count()), x, r, floor, slopes, gradient)
+        ctx.save_for_backward(torch.from_numpy(gradient))
+        return torch.tensor(sums.sum() / (height * width), dtype=image.dtype)
+
+    @staticmethod
+    def backward(ctx, upstream):
+        return upstream * ctx.saved_tensors[0], None, None
+
+
+def depth_normals(depth: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
+    """Compute normals of a depth map by central differences of the back-projected points.
+
+    Args:
+        depth: (H, W) planar depth.
+        rays: (3, H, W) camera rays with z = 1.
+
+    Returns:
+        (3, H-2, W-2) unit normals in camera axes, facing the camera, without the border pixels.
+    """
+    points = rays * depth
+    dx = points[:, 1:-1, 2:] - points[:, 1:-1, :-2]
+    dy = points[:, 2:, 1:-1] - points[:, :-2, 1:-1]
+    normal = torch.linalg.cross(dy, dx, dim=0)
+    return normal * torch.rsqrt(normal.square().sum(0, keepdim=True).clamp_min(1e-20))
+
+
+def normal_consistency(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+    """Compute the normal consistency loss of 2DGS (Huang et al. 2024, eq. 14): mean over pixels of alpha (1 - n_splat . n_depth).
+
+    Args:
+        image: (C, H, W) of `rasterize`: normals in channels 3..6, depth and opacity last; not divided by opacity.
+        rays: (3, H, W) camera rays with z = 1.
+        rotation: (3, 3) world to camera (OpenCV axes).
+
+    Returns:
+        Scalar; the outer alpha is detached.
+    """
+    if image.dtype == torch.float32 and not by_warp(image):
+        return _NormalConsistency.apply(image, rays, rotation)
+    return normal_consistency_reference(image, rays, rotation)
+
+
+def normal_consistency_reference(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+    """Compute `normal_consistency` in PyTorch operations, for any floating type and device: its reference implementation.
+
+    Args:
+        image: (C, H, W) of `rasterize`.
+        rays: (3, H, W) camera rays with z = 1.
+        rotation: (3, 3) world to camera (OpenCV axes).
+    """
+    alpha = image[-1]
+    # Not detached here: sum(w z) / sum(w) must not increase the depth when a splat only grows more opaque.
+    surface = depth_normals(image[-2] / alpha.clamp_min(FLOOR), rays)
+    splat = torch.einsum("ij,jhw->ihw", rotation, image[3:6, 1:-1, 1:-1])
+    weight = alpha.detach()[1:-1, 1:-1]
+    return (weight - (splat * surface).sum(0)).sum() / alpha.numel()
