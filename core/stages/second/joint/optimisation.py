@@ -33,6 +33,7 @@ from .model import JointModel
 FRACTIONS = (0.5, 0.25, 0.25)  # of cosine, visible-normal and light samples: 256, 128 and 128, or 8, 4 and 4
 RATES = {"sh_dc": 7.5e-3, "sh_rest": 7.5e-3 / 20, "albedo": 7.5e-3, "roughness": 5e-3, "metallic": 5e-3, "light": 1e-2}
 GEOMETRY = {"position": 1.6e-4, "quaternion": 1e-3, "log_scale": 5e-3, "opacity": 5e-2}  # position: per unit of the cameras' extent
+PUBLISHED = Rate(1.0)  # factor of the rates: constant over the schedule
 EXTENT = 1.1  # extent of the cameras over the largest distance of one from their mean (3DGS)
 INSIDE = 0.99  # of the mask: pixels of a test show the object alone
 
@@ -62,6 +63,7 @@ class JointOptimisation:
         seed: int,
         *,
         weights: Weights = LOW_GLOSS,
+        factor: Rate = PUBLISHED,
         hold_back: bool = False,
     ) -> None:
         """Prepare the photographs and the optimiser.
@@ -73,6 +75,7 @@ class JointOptimisation:
             settings: of the second stage; `joint_iterations` becomes the schedule.
             seed: of the order of views, the pixels and the samples.
             weights: of the losses.
+            factor: of all learning rates, over the schedule.
             hold_back: hold one of HOLD_BACK views back for `test`, where there are so many.
         """
         self.start, self.model, self.settings = start, model, replace(settings, iterations=settings.joint_iterations)
@@ -89,6 +92,7 @@ class JointOptimisation:
             extent = camera_extent([view.camera for view in views])
             rates |= {name: Rate(settings.geometry_rate * rate) for name, rate in GEOMETRY.items()}
             rates["position"] = rates["position"].times(extent)
+        rates = {name: Rate(factor.start * rate.start, factor.final) for name, rate in rates.items()}
         self.optimizer = GaussianOptimizer(start.gaussians, rates, {"light": self.light})
         self.counts = split_samples(settings.samples, FRACTIONS)
         self.generator = torch.Generator().manual_seed(seed)
