@@ -223,7 +223,8 @@ class Refinement:
 
     def _white_balance(self, light: torch.Tensor) -> torch.Tensor:
         """Return the weighted deviation of the mean light (H, 2H, 3), over solid angle, from grey."""
-        angles = solid_angles(*light.shape[:2]).to(light.device)
+        height, width = light.shape[:2]
+        angles = solid_angles(height, width).to(light.device)
         mean = (light * angles[:, None, None]).sum((0, 1)) / (4 * math.pi)
         return self.settings.white_balance * (mean - mean.mean()).abs().mean()
 
