@@ -12,7 +12,7 @@ from ..machine.backend import by_warp
 from ..machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
 from ..scene.camera import Camera
 from .constants import NEAR, SPLAT_GRADIENTS, SPLAT_RECORD, TILE
-from .cpu.binning import bin_tiles, depth_order
+from .cpu.binning import count_tiles_range, depth_order, fill_tiles_range
 from .cpu.projection import project_backward_range, project_range
 from .cpu.raster import rasterize_backward_range, rasterize_range
 from .cpu.subpixels import pool_range, spread_range
@@ -55,6 +55,26 @@ def camera_numbers(camera: Camera, near: float) -> np.ndarray:
 def _flat(tensor: torch.Tensor) -> np.ndarray:
     """Return the values of a tensor as a contiguous 1-D array, without its autograd history."""
     return tensor.detach().contiguous().view(-1).numpy()
+
+
+def bin_tiles(order: np.ndarray, box: np.ndarray, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Assign splats to tiles.
+
+    Args:
+        order: (V,) indices of the visible splats, nearest first.
+        box: (N, 4) first column and row, last column and row of each splat, pixels.
+        columns: of tiles.
+        rows: of tiles.
+
+    Returns:
+        start (tiles + 1,) and entries: the splats of tile t are entries[start[t] : start[t + 1]], nearest first.
+    """
+    bands, count = even_ranges(rows, thread_count()), np.zeros(columns * rows, np.int64)
+    run_ranges(count_tiles_range, bands, order, box, columns, count)
+    start = np.concatenate([[0], np.cumsum(count)])
+    entries = np.empty(start[-1], np.int32)
+    run_ranges(fill_tiles_range, bands, order, box, columns, start[:-1].copy(), entries)
+    return start, entries
 
 
 class _Rasterize(torch.autograd.Function):

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import torch
 from irgspp.core.kernels.constants import NEAR, SPLAT_GRADIENTS, SPLAT_RECORD, TILE
-from irgspp.core.kernels.cpu.binning import bin_tiles, depth_order
+from irgspp.core.kernels.cpu.binning import depth_order
 from irgspp.core.kernels.cpu.bvh import SurfelTree, flat
 from irgspp.core.kernels.cpu.compositing import SH_ROW, SUMS, composite_backward_range, composite_range, pack_range
 from irgspp.core.kernels.cpu.projection import project_range
 from irgspp.core.kernels.cpu.raster import rasterize_backward_range, rasterize_range
 from irgspp.core.kernels.cpu.trace import gather_range
-from irgspp.core.kernels.rasterize import camera_numbers
+from irgspp.core.kernels.rasterize import bin_tiles, camera_numbers
 from irgspp.core.kernels.trace import NORMAL, trace
 from irgspp.core.machine.thread_pool import balanced_ranges, even_ranges, run_ranges, thread_count
 from irgspp.core.scene.camera import Camera

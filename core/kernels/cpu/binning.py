@@ -37,21 +37,20 @@ def depth_order(depth, box):
 
 
 @kernel
-def bin_tiles(order, box, columns, rows):
-    """Return tile lists: the splats of tile t are entries[start[t] : start[t + 1]], nearest first; start is (tiles + 1,)."""
-    start = np.zeros(columns * rows + 1, np.int64)
+def count_tiles_range(begin, end, order, box, columns, count):
+    """Count the splats of each tile in tile rows begin..end; count: (tiles,) int64, 0 before."""
     for g in order:
-        for ty in range(box[g, 1] // TILE, box[g, 3] // TILE + 1):
+        for ty in range(max(box[g, 1] // TILE, begin), min(box[g, 3] // TILE, end - 1) + 1):
             for tx in range(box[g, 0] // TILE, box[g, 2] // TILE + 1):
-                start[ty * columns + tx + 1] += 1
-    for t in range(columns * rows):
-        start[t + 1] += start[t]
-    fill = start[:-1].copy()
-    entries = np.empty(start[-1], np.int32)
+                count[ty * columns + tx] += 1
+
+
+@kernel
+def fill_tiles_range(begin, end, order, box, columns, fill, entries):
+    """Enter the splats of tile rows begin..end, nearest first; fill: (tiles,) where the next splat of each tile goes in `entries`."""
     for g in order:
-        for ty in range(box[g, 1] // TILE, box[g, 3] // TILE + 1):
+        for ty in range(max(box[g, 1] // TILE, begin), min(box[g, 3] // TILE, end - 1) + 1):
             for tx in range(box[g, 0] // TILE, box[g, 2] // TILE + 1):
                 t = ty * columns + tx
                 entries[fill[t]] = g
                 fill[t] += 1
-    return start, entries

@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 from irgspp.core.kernels.constants import TILE
-from irgspp.core.kernels.cpu.binning import bin_tiles, depth_order
+from irgspp.core.kernels.cpu.binning import depth_order
+from irgspp.core.kernels.rasterize import bin_tiles
 
 COLUMNS, ROWS = 7, 5
 
