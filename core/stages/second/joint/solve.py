@@ -99,7 +99,15 @@ def refine_jointly(
     evidence = f"PSNR of shaded held-back views {before:.2f} dB, then {after:.2f} dB"
     progress.decided("joint", kept, evidence)
     progress.message(f"joint optimisation: {evidence}; {'kept' if kept else 'discarded'}")
-    return optimisation.result() if kept else solved, scale
+    return _with_radiance_of(optimisation.result(), solved) if kept else solved, scale
+
+
+def _with_radiance_of(result: Reconstruction, solved: Reconstruction) -> Reconstruction:
+    """Return a result with the own radiance of a glossy reconstruction: SH alone, as the optimisation needs them, blur its reflections."""
+    if not solved.glossy:
+        return result
+    gaussians = replace(result.gaussians, sh=solved.gaussians.sh)
+    return replace(result, gaussians=gaussians, glossy=True, reflections=solved.mirrored())
 
 
 def _optimised(

@@ -152,6 +152,17 @@ def test_refinement_is_kept_only_where_held_back_views_gain(start, dataset, monk
     assert listener.decisions == [("joint", kept)] and (result is start) != kept
 
 
+def test_a_refined_glossy_reconstruction_keeps_its_reflections(start, dataset, monkeypatch):
+    measured = [20.0, 21.0]
+    monkeypatch.setattr(JointOptimisation, "test", lambda self: measured.pop(0))
+    glossy = replace(start, glossy=True)
+    result, _ = refine_jointly(glossy, dataset, SETTINGS, Listener(finish_at=1))
+    assert result.glossy and result.reflections is not None
+    assert torch.equal(result.gaussians.sh, start.gaussians.sh)
+    assert torch.equal(result.reflections.material, start.gaussians.materials())
+    assert not torch.equal(result.gaussians.material, start.gaussians.material)
+
+
 def test_values_that_are_not_finite_are_named(start, dataset):
     trial = optimisation(start, dataset)
     for view in trial.training_views:
