@@ -29,13 +29,16 @@ from .rendering.gbuffer_cache import GBufferCache
 from .run_folder import RunFolder, check_claim
 from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
+from .scene.reconstruction import Reconstruction
+from .scene.surface import Surface
 from .settings import overrides
-from .settings.schema import Settings
+from .settings.schema import Settings, paced
 from .stages.common.memory_layout import MemoryLayout, fit_into_memory
 from .stages.common.time_budget import FUSED
 from .stages.first.quick_fit import quick_renderings
 from .stages.first.train import train
 from .stages.phase_results import FIRST_STAGE, GEOMETRY, MASKS, PhaseResults
+from .stages.second.joint.solve import check_joint, has_moved
 from .stages.second.radiance_transfer import rays_at_a_time
 from .stages.second.solve import solve_second_stage
 from .surface.extraction import extract_geometry
@@ -69,6 +72,7 @@ def reconstruct(
     bare = needs_capture(dataset)
     ready = None if bare else _read(dataset, run, settings, chosen, watcher)  # bad input is refused before anything is written
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
+    settings = paced(settings)
     try:
         with folder.job():
             folder.state["computed_on"] = {"device": str(chosen.device), "why": chosen.why}
@@ -99,6 +103,8 @@ def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress:
 def _read(dataset: Path, run: Path, settings: Settings, device: ChosenDevice, progress: Progress) -> tuple[Dataset, MemoryLayout]:
     """Load a dataset, and check that the job fits on the disk and into memory."""
     data = load_dataset(dataset, settings.data, progress)
+    if settings.second.solver != "closed":
+        check_joint(data.train)
     check_disk_space(run, settings, data.pixels(distorted=True))
     return data, fit_into_memory(data, settings, device, progress)
 
@@ -149,31 +155,36 @@ class Job:
     def first_stage(self) -> None:
         """Fit Gaussians, their radiance and initial materials and light to the training images."""
         fitted, scale = train(self.data, self.settings, self.progress, self.folder, self.deadline, self.results.device, self.resident)
-        self.folder.state.setdefault("pace", {})["first"] = round(scale, 3)
+        self.folder.state.setdefault("pace", {})["first"] = round(self.settings.pace * scale, 3)
         fitted.save(self.folder.path / FIRST_STAGE)
         self.folder.state["training"].update(self.progress.metrics)
 
     def geometry(self) -> None:
         """Extract a surface without textures from the Gaussians' depth."""
-        first, data = self.results.first_stage, self.data
+        self.folder.save(GEOMETRY, self._surface_of(self.results.first_stage).state())
+
+    def _surface_of(self, reconstruction: Reconstruction) -> Surface:
+        """Fuse the depth of a reconstruction in all training views to a surface."""
+        data = self.data
         masks = [view.alpha for view in data.train if view.alpha is not None] if data.has_alpha else None
-        samples, views = first.surface_samples(), GBufferCache(first, [view.camera for view in data.train])
-        surface = extract_geometry(views, samples, first.bound, self.settings.surface, self.progress, masks)
-        self.folder.save(GEOMETRY, surface.state())
+        samples, views = reconstruction.surface_samples(), GBufferCache(reconstruction, [view.camera for view in data.train])
+        return extract_geometry(views, samples, reconstruction.bound, self.settings.surface, self.progress, masks)
 
     def second_stage(self) -> None:
         """Solve the rendering equation, shadows and interreflections included, for materials and light."""
         deadline = None if self.deadline is None else self.deadline - FUSED * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
-        solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline)
-        self.folder.state.setdefault("pace", {})["second"] = round(scale, 3)
+        solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
+        self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * scale, 3)
         solved.save(self.folder.path)
 
     def surface(self) -> None:
         """Unwrap the surface, bake the Gaussians' materials onto it, and add the photographs' detail to its albedo."""
         solved = self.results.reconstruction
         samples, views = solved.surface_samples(), GBufferCache(solved, [view.camera for view in self.data.train])
-        mesh = textured_mesh(self.results.surface, views, samples, self.settings.surface, self.progress)
+        moved = self.settings.second.solver != "closed" and has_moved(solved, self.results.first_stage)
+        surface = self._surface_of(solved) if moved else self.results.surface
+        mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress)
         cameras = {view.name: view.camera for view in self.data.train}
         mesh, report = detailed_by_dataset(mesh, solved, self.data.path, cameras, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()

@@ -41,7 +41,7 @@ class SecondaryTracer:
             g = g.select(inside)
             materials = g.position.new_zeros(0, g.count) if mirrored is None else mirrored.material[:, inside]
             if surroundings is not None:
-                near = _surfels(surroundings).to(g.position.device)
+                near = surroundings_surfels(surroundings).to(g.position.device)
                 matt = near.position.new_tensor((0, 0, 0, 1, 0))[: len(materials), None].expand(-1, near.count)
                 g, materials = g.joined(near), torch.cat([materials, matt], 1)
             self._geometry, self._sh, self._materials = (g.position, g.quaternion, g.log_scale, g.opacity), g.sh, materials.contiguous()
@@ -101,7 +101,7 @@ class SecondaryTracer:
         return (1 - metallic[:, None]) * mean[:, COLOUR] + reflected
 
 
-def _surfels(surroundings: Surroundings) -> Gaussians:
+def surroundings_surfels(surroundings: Surroundings) -> Gaussians:
     """Return surroundings as surfels that cover their surfaces."""
     s = surroundings
     return surfels(s.position, s.normal, s.radiance, SPREAD * s.spacing, OPAQUE)

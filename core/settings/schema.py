@@ -72,6 +72,11 @@ class FirstStageSettings:
 class SecondStageSettings:
     """Second stage: solve the rendering equation for light and materials, with shadows and interreflections."""
 
+    # closed: in steps of closed form on fixed geometry; joint: the paper's optimisation of everything at once; closed+joint: both.
+    solver: Literal["closed", "joint", "closed+joint"] = "closed"
+    joint_iterations: Annotated[int, Range(1, 1_000_000)] = 10_000  # of the joint optimisation, one view each
+    # Of the joint optimisation: factor of the published learning rates of position, scale, rotation and opacity; 0: fixed, as in IRGS.
+    geometry_rate: Annotated[float, Range(0)] = 0.01
     points: Annotated[int, Range(100, 1_000_000)] = 2500  # surface points from which light and materials are solved
     views: Annotated[int, Range(3, 1000)] = 8  # images sampled per point, at most
     rows: Annotated[int, Range(4, 32, 2)] = 16  # rows of the environment map in that solve
@@ -135,6 +140,7 @@ class Settings:
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0  # of every random number generator
     device: Literal["auto", "cpu", "cuda", "warp-cpu"] = "auto"  # warp-cpu is for tests: the GPU's kernels on the CPU, slowly
     materials: Literal["auto", "low-gloss", "glossy"] = "auto"  # material class of the object; auto: decided by trial fits
+    pace: Annotated[float, Range(1e-4, 100)] = 1.0  # factor of all schedules: 0.05 shows the paper preset on a CPU
     time: Annotated[float | None, Range(1)] = None  # time budget, seconds: scales the schedules down, or up as far as that helps
     capture: CaptureSettings = field(default_factory=CaptureSettings)
     data: DataSettings = field(default_factory=DataSettings)
@@ -161,6 +167,7 @@ PRESETS: dict[str, Settings] = {
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(
             SecondStageSettings(),
+            solver="joint",
             points=6000,
             views=12,
             rows=24,
@@ -173,6 +180,22 @@ PRESETS: dict[str, Settings] = {
         surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
     ),
 }
+
+
+def paced(settings: Settings) -> Settings:
+    """Return settings whose schedules are scaled by `pace`, at least one iteration each; those of 0 iterations stay so."""
+    scaled = lambda count: max(1, round(settings.pace * count)) if count else 0  # noqa: E731
+    second = settings.second
+    return replace(
+        settings,
+        first=replace(settings.first, iterations=scaled(settings.first.iterations)),
+        second=replace(
+            second,
+            iterations=scaled(second.iterations),
+            joint_iterations=scaled(second.joint_iterations),
+            radiance_iterations=scaled(second.radiance_iterations),
+        ),
+    )
 
 
 def preset(name: str) -> Settings:

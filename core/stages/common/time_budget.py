@@ -120,6 +120,17 @@ def second_stage_schedule_scale(settings: SecondStageSettings, seconds: float, g
     return min(max(seconds / preset, SMALLEST_SCALE), SECOND_STAGE_LARGEST_SCALE) if preset > 0 else 1.0
 
 
+def joint_schedule_scale(iterations: int, seconds: float, step: float) -> float:
+    """Return the schedule scale of the joint optimisation that fits into a number of seconds, at most the published schedule.
+
+    Args:
+        iterations: of the schedule.
+        seconds: time left for it.
+        step: measured seconds per iteration.
+    """
+    return min(max(seconds / (step * iterations), 1 / iterations), 1.0)
+
+
 def scaled_iterations(schedule_scale: float, iterations: int) -> int:
     """Scale the length of a schedule.
 

@@ -26,6 +26,7 @@ from ..common.losses import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.preview import LONGEST, eight_bits
 from ..common.training_view import TrainingView, border_radiance, make_training_view
+from ..common.view_order import next_view
 from .densification import DensityControl, reset_opacity
 from .material_class import GEOMETRY_RATES, MaterialClass
 
@@ -189,10 +190,7 @@ class Trainer:
 
     def _next_view(self) -> int:
         """Draw a training view; each is drawn once per epoch."""
-        if not len(self.order):
-            order = torch.randperm(len(self.training_views), generator=self.generator)
-            self.order = order[~self.held_back[order]]
-        view, self.order = int(self.order[-1]), self.order[:-1]
+        view, self.order = next_view(self.order, self.held_back, self.generator)
         return view
 
     def test(self) -> float | None:

@@ -22,7 +22,7 @@ from ...scene.camera import Camera
 from ...scene.gaussians import METALLIC, Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...settings.schema import SecondStageSettings
-from ...shading.environment_lookup import from_light_frame, lookup, to_light_frame
+from ...shading.environment_lookup import from_light_frame, lookup, solid_angles, to_light_frame
 from ...shading.rendering_equation import reflect_light
 from ...shading.sampling import LightDistribution, Samples, draw
 from ..common.finite_check import check_due, require_finite
@@ -222,8 +222,10 @@ class Refinement:
         return s.albedo_smoothness * albedo.mean() + s.roughness_smoothness * roughness[0] + s.metallic_smoothness * metallic[0]
 
     def _white_balance(self, light: torch.Tensor) -> torch.Tensor:
-        """Return the weighted deviation of the mean light (H, 2H, 3) from grey."""
-        mean = light.mean((0, 1))
+        """Return the weighted deviation of the mean light (H, 2H, 3), over solid angle, from grey."""
+        height, width = light.shape[:2]
+        angles = solid_angles(height, width).to(light.device)
+        mean = (light * angles[:, None, None]).sum((0, 1)) / (4 * math.pi)
         return self.settings.white_balance * (mean - mean.mean()).abs().mean()
 
 

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second stage: environment light and materials by the rendering equation, with visibility and indirect light traced through Gaussians.
 
-The steps: normal alignment, multi-view samples, radiance transfer, light-material solver, shading normals, normal fit, assignment of
-materials to Gaussians, refinement, radiance refit.
+The steps of the closed solver: normal alignment, multi-view samples, radiance transfer, light-material solver, shading normals, normal fit,
+assignment of materials to Gaussians, refinement, radiance refit. `joint/` holds the joint optimisation, which replaces or refines it.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ import torch
 from scipy.spatial import KDTree
 
 from ...errors import Cancelled, IrgsppError
-from ...progress.protocol import Progress
+from ...progress.protocol import Checkpoint, Progress
 from ...rendering.secondary_rays import SecondaryTracer
 from ...rendering.turning_light import mean_over_lights
 from ...scene.camera import Camera
@@ -28,6 +29,7 @@ from ..common.preview import albedo_image
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
+from .joint.solve import optimise_jointly, refine_jointly
 from .light_material_solver import METALLIC_VALUES, STEPS, LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
 from .normal_alignment import align_normals
@@ -39,6 +41,7 @@ from .refinement import METAL_ON_AVERAGE, Refinement, is_metal_on_average
 
 LEAST_POINTS = 50  # with which the light is solved
 CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
+CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where the joint optimisation refines its result
 SIDE = 2  # rays through each texel of the light along a side
 
 
@@ -49,10 +52,9 @@ def solve_second_stage(
     settings: Settings,
     progress: Progress,
     deadline: float | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> tuple[Reconstruction, float]:
-    """Solve for materials and environment light, align the surfels' normals, and fit the radiance again to them.
-
-    Positions, scales and opacities do not change.
+    """Solve for materials and environment light by the solver of the settings.
 
     Args:
         reconstruction: result of the first stage.
@@ -62,13 +64,49 @@ def solve_second_stage(
         progress: receives the progress and may cancel.
         deadline: seconds on the monotonic clock at which this stage is to end, to which its schedules are scaled; None: schedules as in
             the settings.
+        checkpoint: storage of the joint optimisation's state; None for none.
 
     Returns:
         The reconstruction, and the schedule scale as a multiple of the settings' schedules.
 
     Raises:
         Cancelled: the user stopped the work.
+        InputError: the photographs do not fit the solver.
         IrgsppError: too few points of the surface are seen, or a value is not finite.
+    """
+    solver = settings.second.solver
+    if solver == "joint":
+        return optimise_jointly(reconstruction, dataset, settings, progress, deadline, checkpoint)
+    if solver == "closed":
+        return solve_in_closed_form(reconstruction, surface, dataset, settings, progress, deadline)
+    now = time.monotonic()
+    middle = None if deadline is None else now + CLOSED_FRACTION * (deadline - now)
+    solved, _ = solve_in_closed_form(reconstruction, surface, dataset, settings, progress, middle)
+    return refine_jointly(solved, dataset, settings, progress, deadline, checkpoint)
+
+
+def solve_in_closed_form(
+    reconstruction: Reconstruction,
+    surface: Surface,
+    dataset: Dataset,
+    settings: Settings,
+    progress: Progress,
+    deadline: float | None = None,
+) -> tuple[Reconstruction, float]:
+    """Solve for materials and environment light, align the surfels' normals, and fit the radiance again to them.
+
+    Positions, scales and opacities do not change. See `solve_second_stage`.
+
+    Args:
+        reconstruction: result of the first stage.
+        surface: fused from its depth.
+        dataset: training views.
+        settings: of the job.
+        progress: receives the progress and may cancel.
+        deadline: see `solve_second_stage`.
+
+    Returns:
+        The reconstruction, and the schedule scale as a multiple of the settings' schedules.
     """
     fraction = settings.second.mesh_normals
     # Reflections in the first stage determine a metal's normals better than smooth depth does.

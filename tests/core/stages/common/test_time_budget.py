@@ -16,6 +16,7 @@ from irgspp.core.stages.common.time_budget import (
     SMALLEST_SCALE,
     STEP_COST_GROWTH,
     first_stage_schedule_scale,
+    joint_schedule_scale,
     scaled_iterations,
     second_stage_schedule_scale,
     seconds_per_step,
@@ -63,3 +64,9 @@ def test_a_step_costs_its_median(monkeypatch):
     done = []
     assert seconds_per_step(lambda: done.append(1), 3) == 1.5
     assert len(done) == 3
+
+
+def test_the_joint_optimisation_is_shortened_and_never_lengthened():
+    assert joint_schedule_scale(10_000, 500.0, 0.25) == pytest.approx(0.2)
+    assert joint_schedule_scale(10_000, 1e6, 0.25) == 1.0
+    assert scaled_iterations(joint_schedule_scale(10_000, -5.0, 0.25), 10_000) == 1

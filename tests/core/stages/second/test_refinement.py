@@ -83,6 +83,16 @@ def test_only_what_is_no_metal_turns_and_may_become_one(start, photographs):
         assert not torch.equal(refined.material[:METALLIC], first.material[:METALLIC])
 
 
+def test_white_balance_is_a_mean_over_solid_angle(start, photographs):
+    """A tint of the two rows at the poles counts by their solid angle, not by their texels."""
+    trial = refinement(start(), photographs)
+    trial.settings = replace(trial.settings, white_balance=1.0)
+    light = torch.ones(8, 16, 3)
+    light[0, :, 0] = light[-1, :, 0] = 2.0
+    red = 1 - np.cos(np.pi / 8)  # fraction of the sphere
+    assert float(trial._white_balance(light)) == pytest.approx(4 / 9 * red, rel=1e-5)
+
+
 def test_the_step_ends_the_run(start, photographs):
     done = []
     refinement(start(), photographs).run(lambda count: done.append(count) or count == 2)

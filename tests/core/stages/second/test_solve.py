@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second stage: where metal is searched, and errors where it cannot be solved."""
 
+import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -102,3 +103,30 @@ def test_a_backdrop_is_part_of_the_light_but_hides_what_is_behind(sphere):
         assert torch.allclose(passed, torch.full((2,), free), atol=0.02)
         assert torch.allclose(radiance, torch.full((2, 3), 0.5 * (1 - free)), atol=0.02)
         assert float(transmittance(tracer.tree, origin, direction).max()) < 0.02
+
+
+@pytest.mark.parametrize(("solver", "expected"), [("closed", ["closed"]), ("joint", ["joint"]), ("closed+joint", ["closed", "refined"])])
+def test_the_setting_chooses_the_solver(sphere, sphere_dataset, camera_ring, monkeypatch, solver, expected):
+    make, surface = sphere
+    called, deadlines = [], []
+
+    def stand_in(name, result):
+        def solve(start, *rest):
+            called.append(name)
+            deadlines.append(next(one for one in rest if isinstance(one, float)))
+            return result, 0.5
+
+        return solve
+
+    first, results = make(), {name: make() for name in ("closed", "joint", "refined")}
+    monkeypatch.setattr(transport, "solve_in_closed_form", stand_in("closed", results["closed"]))
+    monkeypatch.setattr(transport, "optimise_jointly", stand_in("joint", results["joint"]))
+    monkeypatch.setattr(transport, "refine_jointly", stand_in("refined", results["refined"]))
+    dataset = sphere_dataset(camera_ring(2, size=16))
+    settings = with_overrides(SETTINGS, [f"second.solver={solver}"])
+    deadline = time.monotonic() + 100
+    result, scale = transport.solve_second_stage(first, surface, dataset, settings, Silent(), deadline)
+    assert called == expected and result is results[expected[-1]] and scale == 0.5
+    assert deadlines[-1] == deadline
+    if len(expected) == 2:
+        assert deadlines[0] == pytest.approx(deadline - 50, abs=1)  # half of what is left
