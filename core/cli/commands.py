@@ -13,6 +13,7 @@ from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import Settings, preset
 from .quick_imports import quick_imports
+from .renderer_options import relight_settings
 
 # torch and numba are imported inside the commands, so that `irgspp --help` answers at once.
 
@@ -119,6 +120,7 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     choices = {"protocol": args.protocol, "views": args.views, "samples": args.samples, "lpips": args.lpips}
+    choices |= {"relight": relight_settings(args), "backend": args.backend, "device": args.device}
     report = evaluate(args.run, posed_dataset(args.dataset, args.run), args.out, settings.data, terminal, args.cycles, **choices)
     terminal.end_line()
     print(table(report))

@@ -17,6 +17,7 @@ from ..settings.schema import PRESETS, preset
 from . import commands
 from . import render as render_command
 from . import serve as serve_command
+from .renderer_options import add_renderer_options
 
 
 def parser() -> argparse.ArgumentParser:
@@ -89,6 +90,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--protocol", choices=list(PROTOCOLS), default="plain", help=whose)
     one.add_argument("--views", type=_positive, metavar="N", help="number of views, evenly spread (default: all)")
     one.add_argument("--samples", type=_positive, metavar="N", help="light samples per pixel (default: 64; 512 in the protocols of papers)")
+    add_renderer_options(one)
     one.add_argument("--lpips", metavar="FILE", type=Path, help="LPIPS network as TorchScript, where the package lpips is not installed")
 
     one = _command(subparsers, "export", commands.export, "write the asset, Blender scene, Gaussians or light of a run as one file")

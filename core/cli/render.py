@@ -7,6 +7,7 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import DataSettings
 from .quick_imports import quick_imports
+from .renderer_options import add_renderer_options, relight_settings
 
 if TYPE_CHECKING:
     from ..scene.camera import Camera
@@ -37,19 +39,15 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
     with quick_imports():
         from ..machine.devices import best
         from ..relight.backends import best_backend, open_relighter
-        from ..relight.relighter import RelightSettings
         from ..relight.render_views import load_light, render_views
         from ..scene.reconstruction import Reconstruction
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     lights = [load_light(*one, progress=terminal) for one in _lights(args)]
-    reconstruction = Reconstruction.load(args.run).to(best())
-    relight = RelightSettings(
+    reconstruction = Reconstruction.load(args.run).to(best(args.device))
+    relight = replace(
+        relight_settings(args),
         samples=args.samples,
-        sampling=args.sampling,
-        denoise="off" if args.no_denoise else args.denoiser,
-        indirect=not args.no_indirect,
-        conserving=args.diffuse == "conserving",
         albedo_scale=tuple(args.albedo_scale),
         skip=with_overrides(settings, _skip_only(args.set)).skip,
         error=args.error,
@@ -122,7 +120,8 @@ def add_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the images")
     one.add_argument("--layers", type=_layers, default=LAYERS, metavar="A,B", help=f"layers to write (default: {','.join(LAYERS)})")
     _light_options(one)
-    _relight_options(one)
+    add_renderer_options(one)
+    _accuracy_options(one)
 
 
 def _light_options(one: argparse.ArgumentParser) -> None:
@@ -141,28 +140,13 @@ def _light_options(one: argparse.ArgumentParser) -> None:
     )
 
 
-def _relight_options(one: argparse.ArgumentParser) -> None:
+def _accuracy_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
     error = "adaptive sampling to this error in each part of the image: root mean square of the object in sRGB, 0.01 is 1 %%"
     error += "; an estimate, rough with the denoiser"
     one.add_argument("--error", type=_error, metavar="E", help=error)
     rules = "skip.reuse_visibility=off traces every shadow ray, skip.cache_rays=off traces again for each light; on, off or auto"
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=rules)
-    backend = "geometry for shadows and reflections (default: mesh where the run has one)"
-    one.add_argument("--backend", choices=("mesh", "gaussian"), help=backend)
-    one.add_argument(
-        "--sampling", choices=("mis", "stratified"), default="mis", help="light sampling (default: mis, which needs far fewer samples)"
-    )
-    one.add_argument(
-        "--denoiser",
-        choices=("demodulated", "paper"),
-        default="demodulated",
-        help="filter the light without the albedo (default), or the image as in the paper",
-    )
-    one.add_argument("--no-denoise", action="store_true", help="write the image without denoising")
-    one.add_argument("--no-indirect", action="store_true", help="shadows, but no interreflections of the object")
-    diffuse = "conserving (default) reduces diffuse by a dielectric's reflection, as Blender's Principled does; lambert does not"
-    one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
     scale = "factors of the albedo, whose brightness is ambiguous under unknown light; `irgspp evaluate` prints the best ones"
     one.add_argument("--albedo-scale", type=_factor, nargs=3, default=(1.0, 1.0, 1.0), metavar=("R", "G", "B"), help=scale)
 

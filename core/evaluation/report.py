@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import Cancelled, InputError
 from ..machine.devices import best
 from ..progress.protocol import Progress, Silent
-from ..relight.backends import best_backend, open_relighter
+from ..relight.backends import Backend, best_backend, open_relighter
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter, RelightSettings
 from ..rendering.gbuffer import render_gbuffer
@@ -52,6 +52,9 @@ def evaluate(
     views: int | None = None,
     samples: int | None = None,
     lpips: Path | None = None,
+    relight: RelightSettings | None = None,
+    backend: Backend | None = None,
+    device: str = "auto",
 ) -> dict[str, Any]:
     """Compare a run with the test views of a dataset (its training views where it has no others).
 
@@ -68,6 +71,9 @@ def evaluate(
         views: number of views, evenly spread; None: all.
         samples: light samples per pixel; None: the protocol's.
         lpips: LPIPS network as a TorchScript file; None: the package lpips, where it is installed.
+        relight: settings of the relit images; the number of samples is the protocol's. None: the defaults.
+        backend: what secondary rays are traced on; None: the mesh where the run has one.
+        device: to compute on, see `choose_device`.
 
     Returns:
         Content of the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split",
@@ -83,10 +89,11 @@ def evaluate(
     choices = protocol_named(protocol)
     choices = choices if samples is None else replace(choices, samples=samples)
     distances = {"": found} if lpips is not None and (found := find_lpips(lpips)) else _distances(choices)
-    reconstruction = Reconstruction.load(run).to(best())
+    reconstruction = Reconstruction.load(run).to(best(device))
     cases = read_cases(reconstruction, dataset, settings or DataSettings(), progress, choices.relit_views, views)
-    backend = best_backend(run)
-    relighter = open_relighter(run, reconstruction, backend, RelightSettings(samples=choices.samples))
+    backend = backend or best_backend(run)
+    relight = replace(relight or RelightSettings(), samples=choices.samples)
+    relighter = open_relighter(run, reconstruction, backend, relight)
     evaluation = Evaluation(cases, relighter, choices, distances, progress)
     evaluation.compare()
     report = evaluation.summary()
@@ -102,7 +109,7 @@ def evaluate(
         "split": cases.split,
         "choices": {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(choices).items()},
     }
-    conditions = _conditions(evaluation, report["albedo_scale"], backend)
+    conditions = _conditions(evaluation, report["albedo_scale"], describe_renderer(relight, backend))
     report["protocol"] = [*describe_protocol(choices), *conditions, *([CYCLES_PROTOCOL] if cycles else [])]
     _write(output or run / "evaluation", report, page(report, evaluation.shown, choices, asset))
     return report
@@ -199,13 +206,22 @@ class Evaluation:
         return self._prepared[name]
 
 
-def _conditions(evaluation: Evaluation, scale: Sequence[float] | None, backend: str) -> list[str]:
+def describe_renderer(relight: RelightSettings, backend: Backend) -> str:
+    """Describe how images were rendered, in words for a report."""
+    denoised = {"demodulated": "denoised", "paper": "denoised as in the paper", "off": "not denoised"}[relight.denoise]
+    parts = [f"{relight.samples} samples per pixel", f"{backend} backend", denoised]
+    parts += ["strata of the hemisphere"] if relight.sampling == "stratified" else []
+    parts += [] if relight.indirect else ["without indirect light"]
+    return ", ".join(parts if relight.conserving else [*parts, "Lambertian diffuse lobe"])
+
+
+def _conditions(evaluation: Evaluation, scale: Sequence[float] | None, renderer: str) -> list[str]:
     """Describe in lines of text under which conditions the images of this report were rendered."""
     cases, protocol, lpips = evaluation.cases, evaluation.protocol, evaluation.lpips
     unscaled = "its view's own" if protocol.scale_each_view else "as estimated (no true albedo is known)"
     factors = unscaled if scale is None else "times " + " ".join(f"{s:.4f}" for s in scale)
     lines = [
-        f"Shaded and relit images: {protocol.samples} samples per pixel, {backend} backend, denoised.",
+        f"Shaded and relit images: {renderer}.",
         f"Scale of the albedo: albedo {factors}.",
         f"LPIPS: {', '.join(one.name for one in lpips.values())}." if lpips else NO_LPIPS,
     ]

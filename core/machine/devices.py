@@ -98,9 +98,9 @@ def choose_device(name: str, probe: Callable[[], cuda.CudaInfo] = cuda.probe_cud
     return ChosenDevice(torch.device("cpu"), f"cuda can't be used: {obstacle[0]}")
 
 
-def best() -> torch.device:
-    """Return the GPU if one can be used, else the CPU."""
-    return choose_device("auto").device
+def best(name: str = "auto") -> torch.device:
+    """Return the device of a choice, see `choose_device`; by default the GPU if one can be used, else the CPU."""
+    return choose_device(name).device
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from irgspp.core.evaluation import contact_sheet as sheet
 from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips
 from irgspp.core.evaluation.protocols import PROTOCOLS, describe_protocol
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.relight.relighter import RelightSettings
 from markupsafe import escape
 from PIL import Image
 
@@ -122,6 +123,16 @@ def test_report_of_a_perfect_run_by_each_protocol(demo, known, tmp_path, name):
     for line in (*describe_protocol(how), "Only 3 of the 6 test views, evenly spread: published tables are of all.", NO_LPIPS):
         assert line in shown and escape(line) in html and line in found["protocol"]
     assert "8 samples per pixel" in shown
+
+
+def test_the_renderer_is_as_asked_and_the_report_says_so(demo, known, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(report, "open_relighter", lambda *words: asked.append(words[2:]) or known)
+    relight = RelightSettings(sampling="stratified", denoise="off", indirect=False, conserving=False)
+    found = report.evaluate(tmp_path, demo[0], views=1, samples=8, relight=relight, backend="gaussian", device="cpu")
+    assert asked == [("gaussian", replace(relight, samples=8))]
+    words = "8 samples per pixel, gaussian backend, not denoised, strata of the hemisphere, without indirect light, Lambertian diffuse lobe"
+    assert f"Shaded and relit images: {words}." in found["protocol"]
 
 
 def test_as_many_views_are_relit_as_the_protocol_says(demo, known, tmp_path, monkeypatch):

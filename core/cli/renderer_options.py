@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Options of the renderer that `render` and `evaluate` share: device, geometry of secondary rays, sampling, denoiser, BRDF."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..relight.relighter import RelightSettings
+
+
+def add_renderer_options(one: argparse.ArgumentParser) -> None:
+    """Add the options to a command's parser."""
+    one.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="device to compute on (default: auto)")
+    backend = "geometry for shadows and reflections (default: mesh where the run has one)"
+    one.add_argument("--backend", choices=("mesh", "gaussian"), help=backend)
+    one.add_argument(
+        "--sampling", choices=("mis", "stratified"), default="mis", help="light sampling (default: mis, which needs far fewer samples)"
+    )
+    one.add_argument(
+        "--denoiser",
+        choices=("demodulated", "paper"),
+        default="demodulated",
+        help="filter the light without the albedo (default), or the image as in the paper",
+    )
+    one.add_argument("--no-denoise", action="store_true", help="images without denoising")
+    one.add_argument("--no-indirect", action="store_true", help="shadows, but no interreflections of the object")
+    diffuse = "conserving (default) reduces diffuse by a dielectric's reflection, as Blender's Principled does; lambert does not"
+    one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
+
+
+def relight_settings(args: argparse.Namespace) -> RelightSettings:
+    """Return the relighter's settings that the options give; all others are at their defaults."""
+    from ..relight.relighter import RelightSettings  # imports torch
+
+    denoise = "off" if args.no_denoise else args.denoiser
+    return RelightSettings(sampling=args.sampling, denoise=denoise, indirect=not args.no_indirect, conserving=args.diffuse == "conserving")
