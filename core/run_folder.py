@@ -267,10 +267,12 @@ def _state(path: Path, settings: Settings, dataset: str, resume: bool, overwrite
 def _resumed(path: Path, settings: Settings, dataset: str) -> dict[str, Any]:
     state = read_run(path)
     other = differences(from_dict(state["settings"], path / "run.json"), settings)
-    if state.get("dataset") != dataset:
-        other.append(f"dataset: {state.get('dataset')} -> {dataset}")
+    before = str(state.get("dataset"))
+    if before != dataset and (Path(before).exists() or Path(before).name != Path(dataset).name):
+        other.append(f"dataset: {before} -> {dataset}")
     if other:
         raise InputError(path, f"was started with other options ({'; '.join(other)})", "give --resume the same options or none")
+    state["dataset"] = dataset  # a project that was moved as a whole has it at another place
     old = path / "checkpoint" / OLD_CHECKPOINT
     if old.is_file():
         old.replace(old.with_name(CHECKPOINT))

@@ -124,6 +124,20 @@ def test_resume_with_other_settings_is_refused(run, settings, dataset, words):
     reopen(run, resume=True).close()  # the refusal has let go of the folder
 
 
+def test_a_run_resumes_after_its_project_was_moved(tmp_path):
+    old, new = tmp_path / "old", tmp_path / "new"
+    (old / "photos").mkdir(parents=True)
+    folder = RunFolder.open(old / "run", Settings(), str(old / "photos"))
+    folder.close()
+    (new / "photos").mkdir(parents=True)
+    with pytest.raises(InputError, match="dataset"):  # a copy: which of the two is meant?
+        RunFolder.open(old / "run", Settings(), str(new / "photos"), resume=True)
+    old.rename(tmp_path / "moved")
+    again = RunFolder.open(tmp_path / "moved" / "run", Settings(), str(tmp_path / "moved" / "photos"), resume=True)
+    again.close()
+    assert read_run(tmp_path / "moved" / "run")["dataset"] == str(tmp_path / "moved" / "photos")
+
+
 def test_broken_run_json(run):
     (run.path / "run.json").write_text("{")
     with pytest.raises(InputError, match=r"run\.json: is broken"):
