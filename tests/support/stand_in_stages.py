@@ -102,9 +102,10 @@ class Stages:
         self.record("geometry")
         return TRIANGLE
 
-    def second_stage(self, first, surface, dataset, settings, progress, deadline):
+    def second_stage(self, first, surface, dataset, settings, progress, deadline, checkpoint):
         assert first.stage == "first"
         assert settings == self.settings and (deadline is None) == (settings.time is None)
+        assert checkpoint.load("joint") is None
         self.check(surface)
         self.record("second stage")
         return Result("second"), 1.0
