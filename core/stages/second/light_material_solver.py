@@ -9,7 +9,7 @@ given roughness and metallic, in the albedo a:
 where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and S, S' are the parts of the specular lobe that F0 scales
 and that Fresnel adds (core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect light. The albedo is
 eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes Gauss-Newton steps, and
-roughness and metallic come from a grid search that is smoothed among neighbours of similar colour.
+roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal: `material_regions.py`).
 
 "Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
 from the radiance itself would keep all shading.
@@ -17,17 +17,15 @@ from the radiance itself would keep all shading.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
-import numpy as np
 import torch
-from scipy.spatial import KDTree
 
-from ...io.srgb import encode_srgb
 from ...kernels.jacobian import jacobian
 from ...shading.brdf import DIELECTRIC_F0
 from ...shading.specular_albedo import diffuse_fraction
 from ..common.finite_check import require_finite
+from .material_regions import metal_regions, neighbourhood
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 
@@ -41,10 +39,8 @@ SAMPLE = 1000  # points that each point's colour is compared with
 OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
 SMOOTHNESS = 1e-7  # of the log light, per texel and squared difference
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
-METALLIC_VALUES = (0.0, 0.5, 1.0)  # searched
-HALF_METAL = 0.02  # penalty per view for metallic between 0 and 1: most materials are metal or not
+METAL_ROUGHNESS = 9  # leading roughness values that are searched for a metal: a rougher one could not be told from a dielectric
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
-NEIGHBOURS = 13  # points over which the grid search is smoothed, the point itself included
 
 
 class LightMaterialSolver:
@@ -68,7 +64,7 @@ class LightMaterialSolver:
         roughness: torch.Tensor,
         metallic: torch.Tensor,
         seed: int,
-        metallic_values: Sequence[float] = METALLIC_VALUES,
+        search_metal: bool = True,
     ) -> None:
         """Start with a constant albedo of 0.5 and a constant light.
 
@@ -78,9 +74,9 @@ class LightMaterialSolver:
             roughness: (P,) initial values.
             metallic: (P,) initial values.
             seed: of the points that colours are compared with.
-            metallic_values: values of metallic that are searched.
+            search_metal: some points may be metal; otherwise none is.
         """
-        self.samples, self.transfer, self._metallic_values = samples, transfer, samples.colour.new_tensor(metallic_values)
+        self.samples, self.transfer, self._search_metal = samples, transfer, search_metal
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
@@ -193,17 +189,22 @@ class LightMaterialSolver:
         return (similarity @ others / total).exp(), pull
 
     def _search_materials(self) -> None:
-        """Set roughness and metallic to the grid values with the least error over a point and its neighbours, each with its best albedo."""
-        knots, metallic_values = self._metallic_values.new_tensor(ROUGHNESS_VALUES), self._metallic_values
-        cost = self._costs(knots, metallic_values)
-        for _ in range(2):
-            cost = torch.einsum("pn,pnmr->pmr", self._similarity, cost[self._neighbours])
-        best, _ = cost.min(2)
-        best = best + (metallic_values % 1 > 0) * HALF_METAL * float(self.samples.lengths.float().mean())
-        metal = best.argmin(1)
-        self.metallic = metallic_values[metal]
-        self.roughness = _vertex(knots, cost[torch.arange(len(cost), device=cost.device), metal])
+        """Set roughness and metallic to the values with the least error over a point and its neighbours, each with its best albedo."""
+        knots = self.roughness.new_tensor(ROUGHNESS_VALUES)
+        metallic = self.roughness.new_tensor((0.0, 1.0) if self._search_metal else (0.0,))
+        cost = self._smoothed(self._smoothed(self._costs(knots, metallic)))
+        self.roughness, self.metallic = _vertex(knots, cost[:, 0]), torch.zeros_like(self.metallic)
+        if self._search_metal:
+            dielectric, metal = self._smoothed(cost).unbind(1)
+            gain = (dielectric.amin(1) - metal[:, :METAL_ROUGHNESS].amin(1)) / self.samples.lengths.float().mean()
+            found = metal_regions(gain, self._neighbours, self._similarity)
+            self.metallic = found.to(self.metallic)
+            self.roughness = torch.where(found, _vertex(knots[:METAL_ROUGHNESS], cost[:, 1, :METAL_ROUGHNESS]), self.roughness)
         self._trace_lobes()
+
+    def _smoothed(self, cost: torch.Tensor) -> torch.Tensor:
+        """Average costs (P, ...) over the neighbours of each point, by similarity of colour."""
+        return torch.einsum("pn,pnmr->pmr", self._similarity, cost[self._neighbours])
 
     def _costs(self, knots: torch.Tensor, metallic_values: torch.Tensor) -> torch.Tensor:
         """Return the robust error (P, metallic values, roughness knots), summed over the samples of each point."""
@@ -250,25 +251,6 @@ def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
         colour: (...,) linear.
     """
     return 0.44 / colour.clamp_min(3e-3) ** 0.58
-
-
-def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Find the nearest NEIGHBOURS of each point, itself included.
-
-    Args:
-        position: (P, 3).
-        colour: (P, 3) linear.
-
-    Returns:
-        Indices (P, N), and weights by similarity of colour (P, N) that sum to 1.
-    """
-    places = position.cpu().numpy()
-    _, nearest = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)))
-    index = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
-    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + 0.02), encode_srgb(colour)
-    difference = 15 * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1) + 3 * (encoded[:, None] - encoded[index]).abs().sum(-1)
-    similarity = torch.exp(-difference)
-    return index, similarity / similarity.sum(1, keepdim=True)
 
 
 def gram(rows: torch.Tensor) -> torch.Tensor:

@@ -30,7 +30,7 @@ from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
 from .joint.solve import optimise_jointly, refine_jointly
-from .light_material_solver import METALLIC_VALUES, STEPS, LightMaterialSolver
+from .light_material_solver import STEPS, LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
 from .normal_alignment import align_normals
 from .normal_improvement import improve_normals
@@ -145,7 +145,7 @@ def refine(
 ) -> tuple[Reconstruction, float]:
     """Refine the better of the possible starts, judged by held-back views.
 
-    The starts are the solver's result and, for metallic_values, the materials and the light of the first stage's reflections.
+    The starts are the solver's result and, for metals, the materials and the light of the first stage's reflections.
 
     Args:
         solved: materials and light of the solver.
@@ -266,11 +266,11 @@ def solve_light_materials(
     transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, step, rotations)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal.
-    metallic_values = METALLIC_VALUES if dataset.has_alpha or reconstruction.glossy else METALLIC_VALUES[:1]
-    solver = _solve_from_first_stage(reconstruction, samples, transfer, metallic_values, settings.seed, progress)
+    search_metal = dataset.has_alpha or reconstruction.glossy
+    solver = _solve_from_first_stage(reconstruction, samples, transfer, search_metal, settings.seed, progress)
     if not reconstruction.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
         progress.message("solved as metal, although the first stage found no reflections: solved again with none of it metal")
-        solver = _solve_from_first_stage(reconstruction, samples, transfer, METALLIC_VALUES[:1], settings.seed, progress)
+        solver = _solve_from_first_stage(reconstruction, samples, transfer, False, settings.seed, progress)
     return solver, tracer
 
 
@@ -278,15 +278,15 @@ def _solve_from_first_stage(
     reconstruction: Reconstruction,
     samples: MultiViewSamples,
     transfer: RadianceTransfer,
-    metallic_values: Sequence[float],
+    search_metal: bool,
     seed: int,
     progress: Progress,
 ) -> LightMaterialSolver:
-    """Run a solver that starts with the roughness and metallic of the nearest Gaussians and searches `metallic_values`."""
+    """Run a solver that starts with the roughness and metallic of the nearest Gaussians."""
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
-    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), seed, metallic_values)
+    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), seed, search_metal)
     progress.phase("second stage", STEPS)
     solver.run(lambda done: _report_step(progress, done) or progress.finish_early)
     progress.message(f"light and materials fit the photographs with a median error of {solver.error():.4f} (encoded, 0..1)")

@@ -17,7 +17,6 @@ from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from irgspp.core.stages.second import solve as transport
-from irgspp.core.stages.second.light_material_solver import METALLIC_VALUES
 from scipy.spatial import ConvexHull
 
 SETTINGS = with_overrides(Settings(), ["second.points=150", "second.rows=4"])
@@ -49,16 +48,16 @@ def sphere(splat_sphere):
 
 @pytest.fixture
 def tried(monkeypatch):
-    """Values of metallic that each solver searches; each solver finds metal everywhere if it may."""
+    """Whether each solver searches for metal; each solver finds it everywhere if it may."""
     calls = []
 
     class Found:
-        def __init__(self, metals):
-            self.metallic = torch.full((10,), metals[-1])
+        def __init__(self, metal):
+            self.metallic = torch.full((10,), float(metal))
 
-    def solver(reconstruction, seen, transfer, metals, seed, progress):
-        calls.append(tuple(metals))
-        return Found(metals)
+    def solver(reconstruction, seen, transfer, search_metal, seed, progress):
+        calls.append(search_metal)
+        return Found(search_metal)
 
     monkeypatch.setattr(transport, "_solve_from_first_stage", solver)
     return calls
@@ -67,10 +66,10 @@ def tried(monkeypatch):
 @pytest.mark.parametrize(
     ("masked", "glossy", "expected"),
     [
-        (True, True, [METALLIC_VALUES]),
-        (True, False, [METALLIC_VALUES, METALLIC_VALUES[:1]]),  # the first stage would have found reflections on so much metal
-        (False, False, [METALLIC_VALUES[:1]]),
-        (False, True, [METALLIC_VALUES]),  # only if the user sets the materials
+        (True, True, [True]),
+        (True, False, [True, False]),  # the first stage would have found reflections on so much metal
+        (False, False, [False]),
+        (False, True, [True]),  # only if the user sets the materials
     ],
 )
 def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, glossy, expected):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second import light_material_solver as module
-from irgspp.core.stages.second.light_material_solver import gram, neighbourhood, view_terms
+from irgspp.core.stages.second.light_material_solver import gram, view_terms
 from sphere_on_floor import TEXELS, make, start
 
 
@@ -117,22 +117,3 @@ def test_vertex_stays_within_the_knots():
     found = module._vertex(knots, torch.stack([falling, rising, flat, hollow]))
     assert found[:2].tolist() == pytest.approx([0.8, 0.1])
     assert 0.1 <= found[2] <= 0.4 and 0.2 < found[3] < 0.3
-
-
-def test_neighbours_are_near_and_count_by_likeness_of_colour():
-    random = np.random.default_rng(0)
-    position = torch.from_numpy(random.random((200, 3)).astype(np.float32))
-    colour = torch.where(position[:, :1] > 0.5, torch.tensor([0.8, 0.1, 0.1]), torch.tensor([0.1, 0.2, 0.7]))
-    index, share = neighbourhood(position, colour)
-    distance = torch.cdist(position, position)
-    assert torch.equal(index[:, 0], torch.arange(200))
-    np.testing.assert_allclose(distance.gather(1, index), distance.sort(1).values[:, : module.NEIGHBOURS], atol=1e-5)
-    np.testing.assert_allclose(share.sum(1), 1, rtol=1e-5)
-    other = (position[:, :1] > 0.5) != (position[index][..., 0] > 0.5)
-    assert other.any() and share[other].max() < 1e-3
-    np.testing.assert_allclose(share[~other.any(1)], 1 / module.NEIGHBOURS, rtol=1e-5)
-
-
-def test_few_points_are_all_neighbours():
-    index, share = neighbourhood(torch.rand(1, 3), torch.rand(1, 3))
-    assert index.shape == share.shape == (1, 1) and share.item() == 1
