@@ -143,7 +143,8 @@ def test_cancelled_and_continued_gives_the_same(solved, folder, shots, tmp_path,
     if phase != "find features":
         shutil.copy(folder / "database.db", tmp_path)
         (tmp_path / "poses.json").write_text(json.dumps({"key": json.loads((folder / "poses.json").read_text())["key"]}))
-    with pytest.raises(Cancelled, match="stopped after features were found in 3" if phase == "find features" else "stopped while"):
+    # Photographs that are at work while the third is finished may count as well.
+    with pytest.raises(Cancelled, match="stopped after features were found in [3-7] " if phase == "find features" else "stopped while"):
         find_poses(photographs, tmp_path, SETTINGS, 0, Steps(phase, 3))
     assert not (tmp_path / MODEL).exists()
     if phase != "match photographs":
