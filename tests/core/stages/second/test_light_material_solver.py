@@ -60,7 +60,7 @@ def test_gloss_is_found(scene, found):
 
 def test_metal_is_found_only_where_it_is_looked_for(scene):
     transfer, seen, _ = scene
-    solver = LightMaterialSolver(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, (0.0,))
+    solver = LightMaterialSolver(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, False)
     solver.run(lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
     assert (solver.metallic == 0).all() and solver.roughness.std() > 0.05
 
