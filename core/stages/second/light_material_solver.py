@@ -39,7 +39,7 @@ SAMPLE = 1000  # points that each point's colour is compared with
 OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
 SMOOTHNESS = 1e-7  # of the log light, per texel and squared difference
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
-METAL_ROUGHNESS = 9  # leading roughness values that are searched for a metal: a rougher one could not be told from a dielectric
+METAL_ROUGHNESS = 10  # leading roughness values that are searched for a metal: a rougher one could not be told from a dielectric
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
 
