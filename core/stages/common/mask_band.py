@@ -7,6 +7,7 @@ object, so it is continued from the pixels beside the band.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -54,7 +55,7 @@ def find_mask_band(view: View) -> MaskBand | None:
     return MaskBand(band, np.where(band[..., None], background, 0).astype(np.float32))
 
 
-def _changed(view: View, change) -> np.ndarray:
+def _changed(view: View, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
     """Return the mask dilated or eroded by its error."""
     assert view.alpha is not None
     side = 2 * round(view.mask_error) + 1

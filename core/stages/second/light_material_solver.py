@@ -39,7 +39,7 @@ SAMPLE = 1000  # points that each point's colour is compared with
 OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
 SMOOTHNESS = 1e-7  # of the log light, per texel and squared difference
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
-METAL_ROUGHNESS = 10  # leading roughness values that are searched for a metal: a rougher one could not be told from a dielectric
+METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
 
@@ -203,7 +203,7 @@ class LightMaterialSolver:
         self._trace_lobes()
 
     def _smoothed(self, cost: torch.Tensor) -> torch.Tensor:
-        """Average costs (P, ...) over the neighbours of each point, by similarity of colour."""
+        """Average costs (P, metallic values, roughness knots) over the neighbours of each point, by similarity of colour."""
         return torch.einsum("pn,pnmr->pmr", self._similarity, cost[self._neighbours])
 
     def _costs(self, knots: torch.Tensor, metallic_values: torch.Tensor) -> torch.Tensor:

@@ -85,11 +85,11 @@ def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, ran
     kept = np.sort(random.permutation(kept)[:count])
     ray = torch.from_numpy(kept).to(tracer.device)
     colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float().to(tracer.device)
-    toward = torch.nn.functional.normalize(direction.view(len(index), -1, 3).mean(1)[ray], dim=1)
+    toward = torch.nn.functional.normalize(direction.view(len(index), subpixels**2, 3).mean(1)[ray], dim=1)
     return PixelPool(
         select_rays(lists, kept),
         opacity[ray].float(),
-        origin[: len(ray)] + depth[ray].float()[:, None] * toward,
+        origin[:1] + depth[ray].float()[:, None] * toward,
         -toward,
         colour,
         colour >= SATURATED,

@@ -118,6 +118,13 @@ def test_radiance_is_fitted_and_nothing_else_moves(start, photographs):
 
 
 @pytest.mark.parametrize("subpixels", [1, 2])
+def test_a_view_without_the_object_gives_no_pixels(start, photographs, subpixels):
+    empty = replace(photographs[0], alpha=np.zeros_like(photographs[0].alpha))
+    pool = pool_pixels([empty, *photographs[1:]], SecondaryTracer(start()), SETTINGS.pool, np.random.default_rng(0), subpixels)
+    assert pool.count and 0 not in pool.number
+
+
+@pytest.mark.parametrize("subpixels", [1, 2])
 def test_drawn_views_and_known_surfels_agree(start, photographs, subpixels):
     first = start()
     tracer = SecondaryTracer(first)
