@@ -79,8 +79,8 @@ def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, ran
     origin, direction = (torch.from_numpy(a).float().to(tracer.device) for a in _pixel_rays(view.camera, index, subpixels))
     lists = merge_rays(hit_lists(tracer.tree, origin, direction), subpixels**2)
     weight, distance, length = (torch.as_tensor(a) for a in (lists.weight, lists.distance, lists.start[1:] - lists.start[:-1]))
-    opacity = torch.segment_reduce(weight.double(), "sum", lengths=length, initial=0.0)
-    depth = torch.segment_reduce(weight.double() * distance, "sum", lengths=length, initial=0.0) / opacity.clamp_min(1e-9)
+    opacity = torch.segment_reduce(weight.double(), "sum", lengths=length, initial=0.0, unsafe=True)  # the check fails for no rays
+    depth = torch.segment_reduce(weight.double() * distance, "sum", lengths=length, initial=0.0, unsafe=True) / opacity.clamp_min(1e-9)
     kept = np.flatnonzero(opacity.cpu().numpy() > INSIDE)
     kept = np.sort(random.permutation(kept)[:count])
     ray = torch.from_numpy(kept).to(tracer.device)
