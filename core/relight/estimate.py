@@ -10,6 +10,7 @@ import torch
 
 from ..shading.brdf import base_reflectance, bend_view_to_normal
 from ..shading.specular_albedo import diffuse_fraction
+from .indirect_light import SUMS
 from .prepared_light import PreparedLight
 from .primary_hits import PrimaryHits
 
@@ -47,20 +48,42 @@ def estimate_reflected_light(
     the ratio estimator of Heitz et al. 2018, "Combining analytic direct illumination and stochastic shadows".
 
     Args:
-        sums: (P, 2, 12) sums over even and odd samples.
+        sums: (P, 2, 12) sums over even and odd samples; with lamps (P, 2, 21), the last nine from `lamp_sums`.
         samples: samples per point, the same for all or (P, 1).
         surface: the P points.
         light: the light of the sums.
         conserving: reduce the diffuse lobe by what the specular lobe reflects, see `reflect_light`.
     """
+    sums, lamps = sums[..., :SUMS], sums[..., SUMS:]
     (irradiance, scaled, added, unoccluded), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
     known = light.irradiance(surface.normal)
     factor = torch.where(unoccluded > 0, known / unoccluded.clamp_min(1e-30), 1.0).clamp(1 / MAX_CORRECTION, MAX_CORRECTION)
-    body = diffuse_albedo(surface, conserving) / math.pi * factor
+    albedo = diffuse_albedo(surface, conserving) / math.pi
+    body = albedo * factor
     visible_fraction = irradiance / unoccluded.clamp_min(1e-30)
     f0 = base_reflectance(surface.albedo, surface.metallic[:, None])
     diffuse_split = body * (split[:, 0] - torch.where(unoccluded > 0, visible_fraction * split[:, 3], 0.0))
-    return Estimate(body * irradiance, f0 * scaled + added, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
+    estimate = Estimate(body * irradiance, f0 * scaled + added, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
+    return _plus_lamps(estimate, lamps, albedo, f0) if lamps.shape[-1] else estimate
+
+
+def _plus_lamps(estimate: Estimate, sums: torch.Tensor, albedo: torch.Tensor, f0: torch.Tensor) -> Estimate:
+    """Add the light of lamps to an estimate.
+
+    Args:
+        estimate: of P points under the light map.
+        sums: (P, 2, 9) of `lamp_sums`.
+        albedo: (P, 3) of the diffuse lobe over pi.
+        f0: (P, 3) reflectance at normal incidence.
+    """
+    (irradiance, scaled, added), split = sums.sum(1).view(-1, 3, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 3, 3)
+    return Estimate(
+        estimate.diffuse + albedo * irradiance,
+        estimate.specular + f0 * scaled + added,
+        estimate.diffuse_split + albedo * split[:, 0],
+        estimate.specular_split + f0 * split[:, 1] + split[:, 2],
+        estimate.samples,
+    )
 
 
 def diffuse_albedo(surface: PrimaryHits, conserving: bool) -> torch.Tensor:

@@ -50,18 +50,21 @@ class GaussianQuery:
             opacity = hit[:, -1]
             mean = hit / opacity[:, None]
             normal = torch.nn.functional.normalize(mean[:, 3:6], dim=1)
-        return Hits(ray, opacity, mean[:, 6:9], mean[:, 9].contiguous(), mean[:, 10], normal)
+            point = origin[ray] + mean[:, -2:-1] * direction[ray] + self._offset * normal
+        return Hits(ray, opacity, mean[:, 6:9], mean[:, 9].contiguous(), mean[:, 10], normal, point)
 
-    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-        """Return the occlusion (R,) of rays, see `SurfaceQuery`.
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the occlusion (R,) of rays, see `SurfaceQuery`; a ray's Gaussians count as one surface at their mean distance.
 
         Args:
             origin: (R, 3) world, float32.
             direction: (R, 3) unit, float32.
+            reach: (R,) distances up to which occluders count, float32; None: all occluders.
         """
         with torch.no_grad():
-            opacity = self._traced(self._materials[:0], origin, direction)[:, -1]
-        return torch.where(opacity > FAINTEST, opacity, 0.0)
+            distance, opacity = self._traced(self._materials[:0], origin, direction)[:, -2:].unbind(1)
+        counts = opacity > FAINTEST if reach is None else (opacity > FAINTEST) & (distance < reach * opacity)
+        return torch.where(counts, opacity, 0.0)
 
     def _traced(self, channels: torch.Tensor, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
         """Trace rays with `trace`, without spherical harmonics.

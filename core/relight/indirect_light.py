@@ -81,6 +81,24 @@ class HitReflectance:
 
 
 @dataclass(frozen=True, eq=False)
+class HitSurfaces:
+    """K hit surfaces as points that lamps light.
+
+    Attributes:
+        points: seen along the rays that met them; their origins lie above the surfaces.
+        f0: (K, 3) reflectance of the specular lobe at normal incidence.
+    """
+
+    points: ShadingPoints
+    f0: torch.Tensor
+
+    @property
+    def tensors(self) -> tuple[torch.Tensor, ...]:
+        """Return all tensors."""
+        return (*vars(self.points).values(), self.f0)
+
+
+@dataclass(frozen=True, eq=False)
 class SecondaryScene:
     """Scene as secondary rays see it: occluders, with or without the light that they reflect.
 
@@ -88,13 +106,15 @@ class SecondaryScene:
         query: mesh or Gaussians.
         scale: (3,) factor of the albedo of hit surfaces; None: they only cast shadows.
         conserving: reduce their diffuse lobe by what the specular lobe reflects, see `reflect_light`.
+        for_lamps: return the hit surfaces as well, for lamps to light them.
     """
 
     query: SurfaceQuery
     scale: torch.Tensor | None
     conserving: bool
+    for_lamps: bool = False
 
-    def trace(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, HitReflectance]:
+    def trace(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, HitReflectance, HitSurfaces | None]:
         """Trace rays.
 
         Args:
@@ -102,12 +122,20 @@ class SecondaryScene:
             direction: (R, 3) unit, float32.
 
         Returns:
-            (R,) int32 index of each ray's hit, -1 for none, and the reflectances of the K hits.
+            (R,) int32 index of each ray's hit, -1 for none; the reflectances of the K hits; and their surfaces, if asked for.
         """
         hits = self.query.hits(origin, direction)
         row = torch.full((len(origin),), -1, dtype=torch.int32, device=origin.device)
         row[hits.ray] = torch.arange(len(hits.ray), dtype=torch.int32, device=origin.device)
-        return row, self._reflectance(hits, -direction[hits.ray])
+        view = -direction[hits.ray]
+        return row, self._reflectance(hits, view), self._surfaces(hits, view)
+
+    def _surfaces(self, hits: Hits, view: torch.Tensor) -> HitSurfaces | None:
+        """Return the hits as points that lamps light; None where that is not asked for."""
+        if not self.for_lamps or self.scale is None:
+            return None
+        points = ShadingPoints.from_roughness(hits.point, view, hits.normal, hits.roughness)
+        return HitSurfaces(points, base_reflectance(hits.albedo * self.scale, hits.metallic[:, None]))
 
     def _reflectance(self, hits: Hits, view: torch.Tensor) -> HitReflectance:
         """Return the reflectance of hits towards `view` (K, 3): split-sum shading without its light."""
@@ -132,11 +160,13 @@ class SecondaryRays:
             the horizon.
         row: (P, M) int32 index of each ray's hit in `hits`, -1 for none.
         hits: reflectances of the K hits.
+        surfaces: the K hits as points that lamps light; None where there are no lamps.
     """
 
     terms: torch.Tensor
     row: torch.Tensor
     hits: HitReflectance
+    surfaces: HitSurfaces | None = None
 
     @property
     def traced(self) -> int:
@@ -146,7 +176,8 @@ class SecondaryRays:
     @property
     def size(self) -> int:
         """Return the bytes in memory."""
-        return sum(t.numel() * t.element_size() for t in (self.terms, self.row, *vars(self.hits).values()))
+        tensors = (self.terms, self.row, *vars(self.hits).values(), *(self.surfaces.tensors if self.surfaces else ()))
+        return sum(t.numel() * t.element_size() for t in tensors)
 
 
 def _warp_kernels() -> Any:
@@ -173,8 +204,8 @@ def trace_samples(scene: SecondaryScene, points: ShadingPoints, samples: Samples
         run_ranges(terms_range, even_ranges(len(terms), 4 * thread_count()), *(t.numpy() for t in tensors))
     above = torch.nonzero(terms[..., 2].flatten() > 0)[:, 0]
     row = torch.full((terms.shape[0] * count,), -1, dtype=torch.int32, device=terms.device)
-    row[above], hits = scene.trace(points.origin[above // count], samples.direction.view(-1, 3)[above])
-    return SecondaryRays(terms, row.view(-1, count), hits)
+    row[above], hits, surfaces = scene.trace(points.origin[above // count], samples.direction.view(-1, 3)[above])
+    return SecondaryRays(terms, row.view(-1, count), hits, surfaces)
 
 
 def gather(rays: SecondaryRays, light: PreparedLight, light_count: float) -> torch.Tensor:

@@ -68,14 +68,15 @@ class MeshQuery:
         """
         return self._closest(origin, direction)[0]
 
-    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
         """Return the occlusion (R,) of rays, see `SurfaceQuery`.
 
         Args:
             origin: (R, 3) world, float32.
             direction: (R, 3) unit, float32.
+            reach: (R,) distances up to which occluders count, float32; None: all occluders.
         """
-        return self._triangles.meet(origin, direction).float()
+        return self._triangles.meet(origin, direction, reach).float()
 
     def _visible_hits(self, surface: PrimaryHits) -> tuple[torch.Tensor, Hits, torch.Tensor]:
         """Find the pixels of a view that see the mesh at or in front of the Gaussians' surface.
@@ -97,7 +98,8 @@ class MeshQuery:
         triangle, u, v, distance = self.closest(origin, direction)
         ray = torch.nonzero(triangle >= 0)[:, 0]
         barycentric = torch.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1)
-        return self._hits(ray, triangle[ray].long(), barycentric, direction), distance[ray]
+        met = origin[ray] + distance[ray, None] * direction[ray]
+        return self._hits(ray, triangle[ray].long(), barycentric, direction, met), distance[ray]
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the first triangle that each ray meets, without materials.
@@ -111,13 +113,16 @@ class MeshQuery:
         """
         return self._triangles.closest(origin, direction)
 
-    def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, barycentric: torch.Tensor, direction: torch.Tensor) -> Hits:
-        """Interpolate the vertex attributes at K hits; `barycentric` is (K, 3)."""
+    def _hits(
+        self, ray: torch.Tensor, triangle: torch.Tensor, barycentric: torch.Tensor, direction: torch.Tensor, met: torch.Tensor
+    ) -> Hits:
+        """Interpolate the vertex attributes at K hits; `barycentric` and `met`, their positions, are (K, 3)."""
         values = torch.einsum("kc,kca->ka", barycentric, self._attributes[self._faces[triangle]])
         normal = torch.nn.functional.normalize(values[:, :3], dim=1)
         facing_away = (normal * direction[ray]).sum(1, keepdim=True) > 0
+        normal = torch.where(facing_away, -normal, normal)
         materials = (values[:, 3:6], values[:, 6].contiguous(), values[:, 7])
-        return Hits(ray, torch.ones_like(values[:, 0]), *materials, torch.where(facing_away, -normal, normal))
+        return Hits(ray, torch.ones_like(values[:, 0]), *materials, normal, met + CLEARANCE * self._radius * normal)
 
 
 def _centre(surface: PrimaryHits) -> torch.Tensor:

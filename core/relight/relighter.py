@@ -7,7 +7,6 @@ L_i = V L_new + (1 - V) SplitSum(a, r, m, n of the occluder, prefiltered L_new)
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -20,17 +19,21 @@ from ..errors import InputError
 from ..machine.backend import by_warp
 from ..machine.gpu_memory import rays_that_fit
 from ..scene.camera import Camera
+from ..scene.lamps import Lamp
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import SkipSettings
+from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
 from .adaptive_sampling import PILOT, ROUNDS, estimate_noise
 from .denoise import Guides, denoised
 from .direct_light import add_light_samples
 from .estimate import Estimate, estimate_reflected_light
-from .indirect_light import SecondaryRays, SecondaryScene, ShadingPoints, gather, trace_samples
+from .indirect_light import SUMS, SecondaryScene, ShadingPoints, gather, trace_samples
+from .lamp_light import bounced_sums, lamp_count, lamp_sums
 from .mesh_query import MeshQuery
 from .prepared_light import PreparedLight
 from .primary_hits import PrimaryHits, primary_hits
+from .ray_cache import CachedRays, RayCounter
 from .sample_counts import Counts, pixel_shifts, sample_counts
 from .secondary_query import SurfaceQuery
 from .visibility_cache import VisibilityCache, build_visibility_cache
@@ -66,54 +69,6 @@ class RelightSettings:
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     skip: SkipSettings = field(default_factory=SkipSettings)
     error: float | None = None
-
-
-class RayCounter(Counter[str]):
-    """Counter of rays over all images.
-
-    Keys: "traced", "kept" (taken from an earlier light), "open" (not traced because neighbouring rays met nothing); with
-    `RelightSettings.error` also "samples" and "pixels".
-    """
-
-    def add(self, kind: str, count: int) -> None:
-        """Increase a count.
-
-        Args:
-            kind: key.
-            count: number to add.
-        """
-        self[kind] += count
-
-    def __str__(self) -> str:
-        """Return the counts as one line for the user."""
-        total = self["traced"] + self["kept"] + self["open"]
-        text = f"{self['traced'] / 1e6:.1f} of {total / 1e6:.1f} million rays traced"
-        skipped = (("kept", "reused from another light"), ("open", "known to be unoccluded"))
-        reasons = [f"{self[kind] / 1e6:.1f} {reason}" for kind, reason in skipped if self[kind]]
-        text += f" ({', '.join(reasons)})" if reasons else ""
-        return text + (f"; {self['samples'] / self['pixels']:.0f} samples per pixel" if self["pixels"] else "")
-
-
-@dataclass(frozen=True, eq=False)
-class CachedRays:
-    """Everything that stays the same from light to light for some points of a surface.
-
-    Attributes:
-        points: P points to be lit.
-        shift: (P, 2) shift of each point's samples on the torus.
-        rays: cosine and visible-normal samples, traced.
-        visibility_cache: directions that these rays found unoccluded, for light-map samples.
-    """
-
-    points: ShadingPoints
-    shift: torch.Tensor
-    rays: SecondaryRays
-    visibility_cache: VisibilityCache
-
-    @property
-    def size(self) -> int:
-        """Return the bytes in memory."""
-        return self.rays.size + self.visibility_cache.size + 48 * len(self.shift)
 
 
 class Relighter:
@@ -168,46 +123,47 @@ class Relighter:
             surface = self.mesh.refined(surface, self.settings.mesh_normals)
         return dataclasses.replace(surface, origin=self.query.origins(surface))
 
-    def relit(self, surface: PrimaryHits, light: PreparedLight) -> torch.Tensor:
+    def relit(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp] = ()) -> torch.Tensor:
         """Render a surface under a light; further lights on the same surface take less time than the first.
 
         Args:
             surface: from `surface`.
             light: from `prepare`.
+            lamps: lamps that light it as well, in the frame of the reconstruction.
 
         Returns:
             (H, W, 4) linear premultiplied RGBA, on the CPU.
         """
-        return self._relit(surface, light.to(self.device)).cpu()
+        return self._relit(surface, light.to(self.device), lamps).cpu()
 
-    def reflected(self, surface: PrimaryHits, light: PreparedLight) -> Estimate:
-        """Estimate the diffuse and specular light that points reflect, not denoised; nothing where the light is black.
+    def reflected(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp] = ()) -> Estimate:
+        """Estimate the diffuse and specular light that points reflect, not denoised; nothing where there is no light.
 
         Args:
             surface: P points.
             light: from `prepare`.
+            lamps: lamps that light the points as well.
         """
-        if light.distribution is None:
+        if light.distribution is None and not lamps:
             black = torch.zeros_like(surface.albedo)
             return Estimate(black, black, black, black, sum(self.counts))
         with torch.no_grad():
-            sums = self._sums(surface, self.counts, light)
+            sums = self._sums(surface, self.counts, light, lamps)
             return estimate_reflected_light(sums, sum(self.counts), surface, light, self.settings.conserving)
 
-    def _relit(self, surface: PrimaryHits, light: PreparedLight) -> torch.Tensor:
+    def _relit(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
         """Render as `relit`, on the device."""
-        if light.distribution is None:
+        if light.distribution is None and not lamps:
             return surface.composite(torch.zeros_like(surface.albedo))
         with torch.no_grad():
             if self.settings.error is not None:
-                return surface.composite(self._render_to_error(surface, light, self.settings.error))
-            sums = self._sums(surface, self.counts, light)
-            estimate = estimate_reflected_light(sums, sum(self.counts), surface, light, self.settings.conserving)
+                return surface.composite(self._render_to_error(surface, light, lamps, self.settings.error))
+            estimate = self.reflected(surface, light, lamps)
             return surface.composite(denoised(estimate, surface, self._guides_of(surface), self.settings.denoise))
 
-    def _render_to_error(self, surface: PrimaryHits, light: PreparedLight, error: float) -> torch.Tensor:
+    def _render_to_error(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp], error: float) -> torch.Tensor:
         """Return colours (P, 3) with as many samples in each tile as the requested error needs."""
-        sums, samples = self._sums(surface, self._counts_of(PILOT), light), torch.full_like(surface.index, PILOT)
+        sums, samples = self._sums(surface, self._counts_of(PILOT), light, lamps), torch.full_like(surface.index, PILOT)
         for remaining in reversed(range(ROUNDS)):
             estimate = estimate_reflected_light(sums, samples[:, None], surface, light, self.settings.conserving)
             colour = denoised(estimate, surface, self._guides_of(surface), self.settings.denoise)
@@ -219,7 +175,7 @@ class Relighter:
             needed = noise.needed(error)[noise.tile]
             for count in needed[needed > samples].unique().tolist():
                 which = torch.nonzero((needed == count) & (needed > samples))[:, 0]
-                sums[which] = self._sums(surface.only(which), self._counts_of(count), light)
+                sums[which] = self._sums(surface.only(which), self._counts_of(count), light, lamps)
                 samples[which] = count
         self.tally.add("samples", int(samples.sum()))
         self.tally.add("pixels", len(samples))
@@ -236,17 +192,29 @@ class Relighter:
             self._guides[surface] = Guides(surface, self.reconstruction.bound.radius, keep_weights)
         return self._guides[surface]
 
-    def _sums(self, surface: PrimaryHits, counts: Counts, light: PreparedLight) -> torch.Tensor:
-        """Return sums over samples (P, 2, 12), see `gather`, computed in parts of limited memory."""
+    def _sums(self, surface: PrimaryHits, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
+        """Return sums over samples (P, 2, 12), see `gather`, and those of lamps if any, computed in parts of limited memory."""
         rays = rays_that_fit(self.device) if by_warp(surface.index) else RAYS
         count, step = len(surface.index), max(1, rays // sum(counts))
         parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
-        return torch.cat([self._gather_part(surface, part, counts, light) for part in parts])
+        return torch.cat([self._gather_part(surface, part, counts, light, lamps) for part in parts])
 
-    def _gather_part(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight) -> torch.Tensor:
+    def _gather_part(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
         """Return the sums over samples of some of the points."""
+        cached = self._cached_rays(surface, part, counts, light, bool(lamps))
+        sums = self._map_sums(cached, counts, light)
+        if not lamps:
+            return sums
+        by_lamps = lamp_sums(cached.points, lamps, cached.shift, lamp_count(counts, len(lamps)), self.query)
+        if cached.rays.surfaces is not None:
+            by_lamps += bounced_sums(cached.rays, lamps, self.query)
+        return torch.cat([sums, by_lamps.flatten(2)], -1)
+
+    def _map_sums(self, cached: CachedRays, counts: Counts, light: PreparedLight) -> torch.Tensor:
+        """Return the sums over samples of the light map, 0 where it is black."""
+        if light.distribution is None:
+            return cached.shift.new_zeros(len(cached.shift), 2, SUMS)
         by_light = counts[2] if self.settings.sampling == "mis" else 0
-        cached = self._cached_rays(surface, part, counts, light)
         sums = gather(cached.rays, light, by_light)
         if by_light:
             above, traced = add_light_samples(sums, cached.points, cached.shift, counts, light, cached.visibility_cache, self.query)
@@ -254,13 +222,15 @@ class Relighter:
             self.tally.add("open", above - traced)
         return sums
 
-    def _cached_rays(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight) -> CachedRays:
+    def _cached_rays(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight, for_lamps: bool) -> CachedRays:
         """Return what does not depend on the light for some of the points; it is kept for the next light if memory allows."""
         parts = self._ray_cache.setdefault(surface, {})
-        if part.start in parts:
-            self.tally.add("kept", parts[part.start].rays.traced)
-            return parts[part.start]
-        cached = self._trace_part(surface, part, counts, light)
+        kept = parts.pop(part.start, None)
+        if kept is not None and (not for_lamps or kept.rays.surfaces is not None or not self.settings.indirect):
+            self.tally.add("kept", kept.rays.traced)
+            parts[part.start] = kept
+            return kept
+        cached = self._trace_part(surface, part, counts, light, for_lamps)
         self.tally.add("traced", cached.rays.traced)
         if self.settings.skip.cache_rays != "off" and cached.size <= self._free_bytes():
             parts[part.start] = cached
@@ -271,15 +241,15 @@ class Relighter:
         rays = sum(one.size for parts in self._ray_cache.values() for one in parts.values())
         return CACHE_BYTES - rays - sum(guides.size for guides in self._guides.values())
 
-    def _trace_part(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight) -> CachedRays:
+    def _trace_part(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight, for_lamps: bool) -> CachedRays:
         """Draw and trace the cosine and visible-normal samples (all samples without MIS) of some of the points."""
-        assert light.distribution is not None
+        distribution = light.distribution or LightDistribution(light.radiance)  # uniform for a black map
         shift = pixel_shifts(surface.index[part], surface.camera.width)
         arguments = (surface.view[part], surface.normal[part], surface.roughness[part])
         counts = (*counts[:2], 0) if self.settings.sampling == "mis" else counts
-        drawn = draw(*arguments, counts, light.distribution, shift, self.settings.sampling)
+        drawn = draw(*arguments, counts, distribution, shift, self.settings.sampling)
         points = ShadingPoints.from_roughness(surface.origin[part], *arguments)
-        scene = SecondaryScene(self.query, self._scale if self.settings.indirect else None, self.settings.conserving)
+        scene = SecondaryScene(self.query, self._scale if self.settings.indirect else None, self.settings.conserving, for_lamps)
         rays = trace_samples(scene, points, Samples(drawn.direction, drawn.density * sum(counts)))
         if self.settings.skip.reuse_visibility == "off" or self.settings.sampling != "mis":
             return CachedRays(points, shift, rays, VisibilityCache.unknown(len(shift)))

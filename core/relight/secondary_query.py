@@ -22,6 +22,7 @@ class Hits:
         roughness: (K,) in 0..1.
         metallic: (K,) in 0..1.
         normal: (K, 3) unit, facing the ray; those of Gaussians may lean away by up to 17 degrees (`BEHIND` in kernels/constants.py).
+        point: (K, 3) world, above the hit surface: origins of further rays.
     """
 
     ray: torch.Tensor
@@ -30,6 +31,7 @@ class Hits:
     roughness: torch.Tensor
     metallic: torch.Tensor
     normal: torch.Tensor
+    point: torch.Tensor
 
 
 class SurfaceQuery(Protocol):
@@ -48,7 +50,7 @@ class SurfaceQuery(Protocol):
         """
         ...
 
-    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
         """Return the fraction of the light behind that is occluded, (R,) float32 in 0..1.
 
         It is the opacity of `hits`, 0 without a hit, and cheaper to compute.
@@ -56,5 +58,6 @@ class SurfaceQuery(Protocol):
         Args:
             origin: (R, 3) world, float32.
             direction: (R, 3) unit, float32.
+            reach: (R,) distances up to which occluders count, float32; None: all occluders.
         """
         ...

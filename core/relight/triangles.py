@@ -14,6 +14,8 @@ from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
 
+FAR = 1e37  # distance that counts as infinite, as in Embree's wrapper
+
 
 class Triangles(Protocol):
     """Triangle mesh that rays can be traced on."""
@@ -30,12 +32,13 @@ class Triangles(Protocol):
         """
         ...
 
-    def meet(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    def meet(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
         """Return True for rays that meet any triangle, (R,).
 
         Args:
             origin: (R, 3) world, float32.
             direction: (R, 3) unit, float32.
+            reach: (R,) distances up to which triangles count, float32; None: any distance.
         """
         ...
 
@@ -90,18 +93,21 @@ class EmbreeTriangles:
         run_ranges(run, even_ranges(len(origins), thread_count()))
         return torch.from_numpy(triangle), torch.from_numpy(u), torch.from_numpy(v), torch.from_numpy(distance)
 
-    def meet(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    def meet(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
         """Return True for rays that meet any triangle, (R,).
 
         Args:
             origin: (R, 3) world, float32.
             direction: (R, 3) unit, float32.
+            reach: (R,) distances up to which triangles count, float32; None: any distance.
         """
         origins, directions = origin.contiguous().numpy(), direction.contiguous().numpy()
         occluded = np.empty(len(origins), bool)
+        far = None if reach is None else reach.clamp_max(FAR).contiguous().numpy()
 
         def run(begin: int, end: int) -> None:
-            occluded[begin:end] = self._scene.run(origins[begin:end], directions[begin:end], query="OCCLUDED") >= 0
+            ends = None if far is None else far[begin:end]
+            occluded[begin:end] = self._scene.run(origins[begin:end], directions[begin:end], ends, query="OCCLUDED") >= 0
 
         run_ranges(run, even_ranges(len(origins), thread_count()))
         return torch.from_numpy(occluded)

@@ -128,10 +128,10 @@ class _Recorder:
         self.queries.append(("hits", origin, direction))
         return self._query.hits(origin, direction)
 
-    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
         """Record and answer a query of occlusion."""
         self.queries.append(("hidden", origin, direction))
-        return self._query.hidden(origin, direction)
+        return self._query.hidden(origin, direction, reach)
 
 
 def _rays(bench: Bench, scene: Scene) -> Measurement:

@@ -55,14 +55,16 @@ class DeviceMesh:
             launch(closest, len(origin), self._mesh.id, origin.contiguous(), direction.contiguous(), triangle, u, v, distance)
         return triangle, u, v, distance
 
-    def meet(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    def meet(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
         """Test rays for any hit.
 
         Args:
             origin: (R, 3) ray origins, world.
             direction: (R, 3) unit directions.
+            reach: (R,) distances up to which triangles count; None: any distance.
 
         Returns:
             (R,) bool, True for rays that hit the mesh.
         """
-        return self.closest(origin, direction)[0] >= 0
+        triangle, _, _, distance = self.closest(origin, direction)
+        return triangle >= 0 if reach is None else (triangle >= 0) & (distance < reach)

@@ -253,15 +253,16 @@ class ProgressQuery:
         self._count()
         return self._query.hits(origin, direction)
 
-    def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    def hidden(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
         """Return the occlusion (R,) of rays, see `SurfaceQuery`.
 
         Args:
             origin: (R, 3) world, float32.
             direction: (R, 3) unit, float32.
+            reach: (R,) distances up to which occluders count, float32; None: all occluders.
         """
         self._count()
-        return self._query.hidden(origin, direction)
+        return self._query.hidden(origin, direction, reach)
 
     def _count(self) -> None:
         """Report and count one call."""
