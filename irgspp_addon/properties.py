@@ -195,6 +195,11 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         description="Light the object by this scene's World; otherwise by the recovered light",
         default=True,
     )
+    use_lamps: BoolProperty(
+        name="Lamps",
+        description="Sun, point, spot and area lamps of the scene light the object as well",
+        default=True,
+    )
     relight_samples: IntProperty(
         name="Samples",
         description="Light samples per pixel of the finished image: more samples, less noise",

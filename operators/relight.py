@@ -3,6 +3,7 @@
 
 # pyright: reportInvalidTypeForm=false
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,24 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError, IrgsppError
 from ..core.run_folder import read_run
+from ..core.scene.lamps import Lamp, lamp_records
 from ..irgspp_addon.importer.run_frame import chosen_run, frame_of, run_object
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.properties import BACKENDS, EYES
 from ..irgspp_addon.relight import preview
+from ..irgspp_addon.relight.left_out import seen_objects
 from ..irgspp_addon.relight.session import session_of
+from ..irgspp_addon.world.scene_lamps import scene_lamps
 from ..irgspp_addon.world.world_light import save_light, world_light
 from .blocking import RUN, SKIP, WAIT, Queued, refuse, run_to_end
 
 MAP_ROWS = 256  # of an environment map
+USE_LAMPS = {
+    "name": "Lamps",
+    "description": "Sun, point, spot and area lamps of the scene light the object as well",
+    "default": True,
+    "options": SKIP,
+}
 
 
 class IRGSPP_OT_relight_preview(bpy.types.Operator):
@@ -40,6 +50,7 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
         default=True,
         options=SKIP,
     )
+    use_lamps: BoolProperty(**USE_LAMPS)
     resolution: IntProperty(
         name="Resolution", description="Longest side of the image, in pixels", min=16, max=16384, default=256, options=SKIP
     )
@@ -174,6 +185,7 @@ class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
         default=True,
         options=SKIP,
     )
+    use_lamps: BoolProperty(**USE_LAMPS)
     wait: BoolProperty(**WAIT)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -198,21 +210,43 @@ class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
         words += [] if self.denoise else ["--no-denoise"]
         if self.use_world:
             words += ["--environment", str(self._map(context, run, output)), "--name", "world", "--layers", "rgba"]
+        if self.use_lamps and (lamps := self._lamps(context, run)):
+            words += ["--lamps", str(_written(output, "lamps.json", json.dumps(lamp_records(lamps))))]
         return words
+
+    def _lamps(self, context: bpy.types.Context, run: Path) -> tuple[Lamp, ...]:
+        """Return the scene's lamps in the run's frame."""
+        thing = run_object(context.scene, run)
+        return frame_of(thing).lamps(scene_lamps(seen_objects(context.scene), thing))
 
     def _map(self, context: bpy.types.Context, run: Path, output: Path) -> Path:
         """Write the World, rotated to the run's frame, next to the images, and return the file."""
         frame = frame_of(run_object(context.scene, run))
         light = world_light(context.scene.world, context.scene.frame_current).turned(frame.rotation)
-        try:
-            output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(output, f"can't be made ({error.strerror})", "name another folder") from error
+        _make(output)
         save_light(light, output / "world.exr", MAP_ROWS)
         return output / "world.exr"
 
 
 CLASSES = (IRGSPP_OT_relight_preview, IRGSPP_OT_relight_stop, IRGSPP_OT_world_to_map, IRGSPP_OT_render_views)
+
+
+def _make(folder: Path) -> None:
+    """Make a folder, if it is not there; raise InputError where it can't be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(folder, f"can't be made ({error.strerror})", "name another folder") from error
+
+
+def _written(folder: Path, name: str, text: str) -> Path:
+    """Write a text file into a folder and return its path."""
+    _make(folder)
+    try:
+        (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(folder / name, f"can't be written ({error.strerror})", "name another folder") from error
+    return folder / name
 
 
 def _run(context: bpy.types.Context, named: str) -> Path:

@@ -17,6 +17,8 @@ from .result import object_of_run, shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
+OPTIONS = ("use_world", "use_lamps", "relight_eye", "preview_resolution", "relight_samples", "relight_denoise", "relight_backend")
+
 
 class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
     """Panel that relights the object."""
@@ -32,7 +34,7 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
             return
         draw_light(layout, context)
         column = settings_column(layout)
-        for name in ("use_world", "relight_eye", "preview_resolution", "relight_samples", "relight_denoise", "relight_backend"):
+        for name in OPTIONS:
             column.prop(settings, name)
         thing = object_of_run(context.scene, shown_run(context))
         if thing is not None and ALBEDO_SCALE in thing:  # imports of older versions lack it
@@ -40,7 +42,7 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
         draw_preview(layout, context)
         draw_engine(layout, context)
         if missing := left_out(context.scene, context.view_layer, shown_run(context)):
-            say(layout, context, f"{missing}. IRGS++ draws one reconstruction under the World.", icon="INFO")
+            say(layout, context, f"{missing}. IRGS++ draws one reconstruction under World and lamps.", icon="INFO")
 
 
 class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
@@ -68,6 +70,7 @@ class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
             denoise=settings.relight_denoise,
             backend=settings.relight_backend,
             use_world=settings.use_world,
+            use_lamps=settings.use_lamps,
         )
         button(column, "irgspp.world_to_map", "World as Light Map", "WORLD")
         draw_last(self.layout, context, "render", shown_run(context))

@@ -39,11 +39,12 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
     with quick_imports():
         from ..machine.devices import best
         from ..relight.backends import best_backend, open_relighter
-        from ..relight.render_views import load_light, render_views
+        from ..relight.render_views import load_lamps, load_light, render_views
         from ..scene.reconstruction import Reconstruction
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     lights = [load_light(*one, progress=terminal) for one in _lights(args)]
+    lamps = load_lamps(args.lamps) if args.lamps is not None else ()
     reconstruction = Reconstruction.load(args.run).to(best(args.device))
     relight = replace(
         relight_settings(args),
@@ -54,7 +55,7 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     relighter = open_relighter(args.run, reconstruction, args.backend or best_backend(args.run), relight)
     cameras = _cameras(args, settings.data, reconstruction)
-    render_views(relighter, cameras, args.out, terminal, layers=args.layers, lights=lights)
+    render_views(relighter, cameras, args.out, terminal, layers=args.layers, lights=lights, lamps=lamps)
     terminal.end_line()
     if "rgba" in args.layers:
         print(relighter.tally, file=sys.stderr)
@@ -138,6 +139,8 @@ def _light_options(one: argparse.ArgumentParser) -> None:
         metavar="X",
         help="factor of the light's radiance; once for all lights or once for each",
     )
+    lamps = "JSON list of lamps (core/scene/lamps.py) that add to each light, in the run's frame"
+    one.add_argument("--lamps", metavar="FILE", type=Path, help=lamps)
 
 
 def _accuracy_options(one: argparse.ArgumentParser) -> None:

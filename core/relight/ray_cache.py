@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the relighter keeps from light to light, and its counter of rays."""
+"""Rays that the relighter keeps from light to light, and its counter of rays."""
 
 from __future__ import annotations
 

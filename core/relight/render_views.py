@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from ..run_folder import write_atomic
 from ..scene.camera import Camera
 from ..scene.environment_files import read_environment
 from ..scene.gbuffer import EMPTY_ALPHA, GBuffer
+from ..scene.lamps import Lamp, read_lamps
 from ..settings.schema import DataSettings
 from ..shading.environment_lookup import rotate
 from .prepared_light import prepare_light
@@ -64,6 +66,22 @@ def load_light(
     return Light(name or path.stem, (rotate(image, rotation) * strength).astype(np.float32))
 
 
+def load_lamps(path: Path) -> tuple[Lamp, ...]:
+    """Read lamps from a JSON file, in the run's frame.
+
+    Args:
+        path: file with a list of lamps, see `core/scene/lamps.py`.
+
+    Raises:
+        InputError: when the file can't be read or a lamp is invalid.
+    """
+    try:
+        values = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"the lamps can't be read ({error})", "give a JSON list of lamps") from error
+    return read_lamps(values)
+
+
 def render_views(
     relighter: Relighter,
     cameras: Sequence[tuple[str, Camera]],
@@ -72,6 +90,7 @@ def render_views(
     *,
     layers: Sequence[str] = LAYERS,
     lights: Sequence[Light] = (),
+    lamps: Sequence[Lamp] = (),
 ) -> None:
     """Write `out/<view>/` for every camera, each as soon as it is finished: `rgba` under every light, and the other layers.
 
@@ -86,6 +105,7 @@ def render_views(
         progress: reports each view, and may cancel between two images.
         layers: names out of LAYERS.
         lights: lights to render under; none is the recovered light.
+        lamps: lamps that add to each of the lights.
 
     Raises:
         InputError: when a layer is unknown, two lights have the same name, or a folder can't be created.
@@ -108,7 +128,7 @@ def render_views(
             surface = relighter.surface(camera)
             for light_name, light in prepared:
                 _raise_if_cancelled(progress, i, len(cameras))
-                write_rgba(folder / (f"rgba_{light_name}" if light_name else "rgba"), relighter.relit(surface, light).numpy())
+                write_rgba(folder / (f"rgba_{light_name}" if light_name else "rgba"), relighter.relit(surface, light, lamps).numpy())
         if set(layers) - {"rgba"}:
             write_layers(folder, render_gbuffer(relighter.reconstruction, camera), layers)
         progress.step(i + 1)

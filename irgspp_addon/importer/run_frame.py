@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.scene.camera import Camera
+from ...core.scene.lamps import Lamp
 from .ownership import KEY, folder_of
 
 FAR = 300.0  # distance, in radii of the object, of the perspective camera that replaces an orthographic one
@@ -41,6 +42,11 @@ class Frame:
     def camera(self, camera: Camera) -> Camera:
         """Transform a camera from Blender's world into the run's frame."""
         return camera.moved(np.linalg.inv(self.matrix))
+
+    def lamps(self, lamps: Iterable[Lamp]) -> tuple[Lamp, ...]:
+        """Transform lamps from Blender's world into the run's frame."""
+        step = np.linalg.inv(self.matrix)
+        return tuple(lamp.moved(step) for lamp in lamps)
 
 
 ALBEDO_SCALE = "irgspp_albedo_scale"  # custom property of the mesh: albedo is recovered up to a factor, as the light is unknown

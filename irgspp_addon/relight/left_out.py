@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sentence about what IRGS++ leaves out of images: it draws one reconstruction under the World, without lamps or other objects."""
+"""Sentence about what IRGS++ leaves out of images: it draws one reconstruction under World and lamps, without other objects."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import bpy
 
 from ..importer.ownership import KEY, folder_of
 from ..importer.run_frame import run_object
+from ..world.scene_lamps import is_lamp
 from .world_follower import changes
 
 SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "POINTCLOUD", "CURVES", "GREASEPENCIL", "GPENCIL")
-KINDS = ("lamp", "other reconstruction", "collection instance", "object")  # in the order of the sentence
+KINDS = ("lamp with nodes", "other reconstruction", "collection instance", "object")  # in the order of the sentence
+PLURALS = {"lamp with nodes": "lamps with nodes"}
 
 _known: dict[tuple, tuple[int, str]] = {}  # by scene, view layer and run: the count of changes, and the text
 
@@ -35,20 +37,36 @@ def left_out(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, run: Path | Non
     return text
 
 
+def seen_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer | None = None, final: bool = False) -> list[bpy.types.Object]:
+    """Return the objects of a scene that are not hidden.
+
+    Args:
+        scene: original scene.
+        layer: view layer; None for the one that is shown, or the scene's first.
+        final: True for a final render, False for what 3D Views show.
+    """
+    if layer is None:
+        shown = bpy.context.view_layer
+        layer = shown if shown is not None and bpy.context.scene == scene else scene.view_layers[0]
+    assert layer is not None
+    return [thing for thing in layer.objects if not (thing.hide_render if final else not thing.visible_get(view_layer=layer))]
+
+
 def _sentence(kinds: list[str]) -> str:
     counts = {kind: kinds.count(kind) for kind in KINDS if kind in kinds}
-    parts = [f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in counts.items()]
+    parts = [f"{count} {kind if count == 1 else PLURALS.get(kind, kind + 's')}" for kind, count in counts.items()]
     return f"Not drawn: {', '.join(parts)}" if parts else ""
 
 
 def _kinds(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, run: Path | None, final: bool) -> Iterator[str]:
     """Yield the kind of each visible object that is not drawn."""
     drawn = run_object(scene, run, layer)
-    for thing in layer.objects:
-        if thing == drawn or (thing.hide_render if final else not thing.visible_get(view_layer=layer)):
+    for thing in seen_objects(scene, layer, final):
+        if thing == drawn:
             continue
         if thing.type == "LIGHT":
-            yield "lamp"
+            if scene.irgspp.use_lamps and not is_lamp(thing):
+                yield "lamp with nodes"
         elif thing.type == "EMPTY" and thing.instance_type == "COLLECTION" and thing.instance_collection is not None:
             yield "collection instance"
         elif folder_of(thing) is not None and thing.type == "MESH" and thing[KEY].endswith("#mesh"):

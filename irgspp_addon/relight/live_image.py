@@ -17,10 +17,13 @@ from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 
 from ...core.errors import InputError, IrgsppError
 from ...core.scene.camera import Camera
+from ...core.scene.lamps import Lamp
 from ..engine.process import engine_python, status
 from ..importer.run_frame import Frame, albedo_scale, chosen_run, frame_of, run_object
 from ..windows import redraw
+from ..world.scene_lamps import scene_lamps
 from ..world.world_light import forget
+from .left_out import seen_objects
 from .session import RelightRequest, Session, session_of
 from .world_follower import WorldFollower, changes
 
@@ -38,7 +41,7 @@ class Follower:
         run: run folder; None for the run that is chosen at each update.
         camera: function that returns the current camera in Blender's world, for an image of the given width and height.
         size: function that returns the image's current width and height in pixels.
-        settings: function that returns the current samples, denoise, backend, use_world and (optionally) backdrop.
+        settings: function that returns the current samples, denoise, backend, use_world, use_lamps and (optionally) backdrop.
         show: function called with each image (H, W, 4), the size of the finished image, and True for the finished one.
         visible: function that returns False when the image is no longer shown; then the follower ends.
     """
@@ -58,6 +61,7 @@ class Follower:
         self._camera, self._size, self._settings, self._show, self._visible = camera, size, settings, show, visible
         self._has_object = run is None or run_object(scene, run) is not None
         self._world = WorldFollower()
+        self._lamps: tuple[int, tuple[Lamp, ...]] | None = None  # `changes.count` when they were read, and the lamps
         self._session: Session | None = None
         self._requested: tuple | None = None  # key of the latest request
         self._requested_size = (1, 1)
@@ -124,7 +128,7 @@ class Follower:
             raise InputError(run.name, "its object was deleted from the scene, so there is nothing to relight", "import the run again")
         self._session = session_of(run)
         settings = self._settings(scene)
-        use_world = settings.pop("use_world")
+        use_world, use_lamps = settings.pop("use_world"), settings.pop("use_lamps")
         light = self._world.light(scene) if use_world else None
         if use_world and light is None:
             self.message = "Rendering the World"
@@ -132,10 +136,18 @@ class Follower:
         frame = frame_of(thing)
         width, height = self._size(scene)
         camera = frame.camera(self._camera(scene, frame, width, height))
-        request = RelightRequest(camera, light.turned(frame.rotation) if light else None, albedo_scale=albedo_scale(thing), **settings)
+        lamps = frame.lamps(self._scene_lamps(scene, thing)) if use_lamps else ()
+        turned = light.turned(frame.rotation) if light else None
+        request = RelightRequest(camera, turned, lamps, albedo_scale=albedo_scale(thing), **settings)
         if request.key() != self._requested:
             self._session.send(self.channel, request)
             self._requested, self._requested_size, self.done, self.share = request.key(), (width, height), False, 0.0
+
+    def _scene_lamps(self, scene: bpy.types.Scene, thing: bpy.types.Object | None) -> tuple[Lamp, ...]:
+        """Return the scene's lamps, which are read again when something has changed."""
+        if self._lamps is None or self._lamps[0] != changes.count:
+            self._lamps = changes.count, scene_lamps(seen_objects(scene), thing)
+        return self._lamps[1]
 
     def _read_answer(self) -> None:
         """Show the worker's latest image, if it is new."""

@@ -65,13 +65,14 @@ def preview_message() -> str:
 
 
 def settings_of(scene: bpy.types.Scene) -> dict[str, Any]:
-    """Return the scene's settings of relighting: samples, denoise, backend and use_world."""
+    """Return the scene's settings of relighting: samples, denoise, backend, use_world and use_lamps."""
     settings = scene.irgspp
     return {
         "samples": settings.relight_samples,
         "denoise": settings.relight_denoise,
         "backend": settings.relight_backend,
         "use_world": settings.use_world,
+        "use_lamps": settings.use_lamps,
     }
 
 

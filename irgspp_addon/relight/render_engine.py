@@ -14,8 +14,9 @@ from ...core.errors import Cancelled, InputError, IrgsppError
 from ...core.scene.camera import Camera
 from ..importer.run_frame import Frame, albedo_scale, camera_of, chosen_run, frame_of, run_object, scene_camera
 from ..windows import enlarged, redraw
+from ..world.scene_lamps import scene_lamps
 from ..world.world_light import world_light
-from .left_out import left_out
+from .left_out import left_out, seen_objects
 from .live_image import Follower, follow, follower_of, stop
 from .preview import settings_of
 from .session import Answer, RelightRequest, session_of
@@ -31,7 +32,7 @@ SHARED = {"EEVEE_WORLD_PT_surface", "EEVEE_MATERIAL_PT_context_material", "EEVEE
 
 
 class IRGSPP_RenderEngine(bpy.types.RenderEngine):
-    """Render engine that relights the reconstructed object by the scene's World."""
+    """Render engine that relights the reconstructed object by the scene's World and lamps."""
 
     bl_idname = ENGINE
     bl_label = "IRGS++"
@@ -62,7 +63,7 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
             finished = True
             scene = depsgraph.scene.original
             if missing := left_out(scene, scene.view_layers[depsgraph.view_layer.name], run, final=True):
-                self.report({"WARNING"}, f"{missing}. IRGS++ draws one reconstruction under the World")
+                self.report({"WARNING"}, f"{missing}. IRGS++ draws one reconstruction under World and lamps")
         finally:
             self.end_result(result, cancel=not finished)
 
@@ -116,10 +117,12 @@ def final_request(depsgraph: bpy.types.Depsgraph, size: tuple[int, int]) -> tupl
     frame = frame_of(thing.evaluated_get(depsgraph))
     camera = frame.camera(_cropped(scene_camera(scene, depsgraph, *_full_size(scene.render), frame), scene.render, size))
     settings = settings_of(scene)
-    use_world = settings.pop("use_world")
+    use_world, use_lamps = settings.pop("use_world"), settings.pop("use_lamps")
     light = world_light(depsgraph.scene.world, scene.frame_current).turned(frame.rotation) if use_world else None
     backdrop = use_world and not scene.render.film_transparent
-    return RelightRequest(camera, light, albedo_scale=albedo_scale(thing), backdrop=backdrop, **settings), run
+    things = seen_objects(scene, scene.view_layers[depsgraph.view_layer.name], final=True)
+    lamps = frame.lamps(scene_lamps(things, thing, depsgraph)) if use_lamps else ()
+    return RelightRequest(camera, light, lamps, albedo_scale=albedo_scale(thing), backdrop=backdrop, **settings), run
 
 
 def _full_size(render: bpy.types.RenderSettings) -> tuple[int, int]:

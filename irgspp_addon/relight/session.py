@@ -22,10 +22,12 @@ from ...core.errors import Cancelled, IrgsppError
 from ...core.io.atomic import replace
 from ...core.scene.camera import Camera
 from ...core.scene.environment_map import EnvironmentMap
+from ...core.scene.lamps import Lamp, lamp_records
 from ..engine.child import detached
 from ..engine.process import engine_command, engine_environment, require_engine
 
 STATE = ("gaussians.ply", "mesh.ply", "environment.exr", "reconstruction.json")  # files that a worker loads
+LENS = ("width", "height", "fx", "fy", "cx", "cy")
 PATIENCE = 180.0  # seconds that a worker may take to get ready
 
 
@@ -36,6 +38,7 @@ class RelightRequest:
     Attributes:
         camera: camera in the run's frame.
         light: environment map in the run's frame; None for the recovered light.
+        lamps: lamps in the run's frame.
         samples: light samples per pixel, or the name of a setting such as "hq".
         denoise: True to denoise the image.
         backend: "mesh" or "gaussian", the geometry that secondary rays are traced on.
@@ -46,6 +49,7 @@ class RelightRequest:
 
     camera: Camera
     light: EnvironmentMap | None
+    lamps: tuple[Lamp, ...] = ()
     samples: int | str = 32
     denoise: bool = True
     backend: str = "mesh"
@@ -58,7 +62,7 @@ class RelightRequest:
         c, light = self.camera, self.light
         view = (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.to_world.tobytes())
         lighting = None if light is None else (id(light.texels), light.turn.tobytes(), light.strength)
-        return (view, lighting, self.samples, self.denoise, self.backend, self.albedo_scale, self.backdrop, self.progressive)
+        return (view, lighting, self.lamps, self.samples, self.denoise, self.backend, self.albedo_scale, self.backdrop, self.progressive)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,13 +127,12 @@ class Session:
         Raises:
             IrgsppError: if the worker has stopped or the request can't be written.
         """
-        light = None
-        if request.light is not None:
-            turn = request.light.turn.reshape(-1).tolist()
-            light = {"map": self._light_file(request.light.texels), "turn": turn, "strength": float(request.light.strength)}
-        camera = {name: getattr(request.camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+        light, sent = request.light, None
+        if light is not None:
+            sent = {"map": self._light_file(light.texels), "turn": light.turn.reshape(-1).tolist(), "strength": float(light.strength)}
+        camera = {name: getattr(request.camera, name) for name in LENS} | {"to_world": request.camera.to_world.tolist()}
         values = {name: getattr(request, name) for name in ("samples", "denoise", "backend", "albedo_scale", "backdrop", "progressive")}
-        return self._write(channel, {"camera": {**camera, "to_world": request.camera.to_world.tolist()}, "light": light, **values})
+        return self._write(channel, {"camera": camera, "light": sent, "lamps": lamp_records(request.lamps), **values})
 
     def cancel(self, channel: str) -> None:
         """Cancel the channel's request."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the render engine does not draw is said: lamps, other objects, a second reconstruction, collection instances."""
+"""What the render engine does not draw is said: lamps with nodes, other objects, a second reconstruction, collection instances."""
 
 import shutil
 
@@ -24,6 +24,14 @@ def text(scene, run, final=False) -> str:
     return left_out(scene, bpy.context.view_layer, run.resolve() if run else None, final)
 
 
+def add_falloff(lamp) -> None:
+    """Give a lamp nodes that the engine does not know."""
+    lamp.data.use_nodes = True
+    tree = lamp.data.node_tree
+    emission = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeEmission")
+    tree.links.new(tree.nodes.new("ShaderNodeLightFalloff").outputs[0], emission.inputs["Strength"])
+
+
 def test_nothing_is_said_where_everything_is_drawn(scene, run_folder):
     assert text(scene, run_folder) == text(scene, run_folder, final=True) == ""
 
@@ -31,9 +39,15 @@ def test_nothing_is_said_where_everything_is_drawn(scene, run_folder):
 def test_lamps_and_other_objects(scene, run_folder):
     for name in ("Cube", "Light"):
         scene.objects[name].hide_set(False)
-    bpy.ops.object.light_add(type="SUN")
-    assert text(scene, run_folder) == "Not drawn: 2 lamps, 1 object"
-    assert text(scene, run_folder, final=True) == "Not drawn: 1 lamp"  # the others are still hidden in renders
+    for _ in range(2):
+        bpy.ops.object.light_add(type="SUN")
+        add_falloff(bpy.context.object)
+    bpy.ops.object.light_add(type="AREA")
+    assert text(scene, run_folder) == "Not drawn: 2 lamps with nodes, 1 object"
+    scene.objects["Sun"].hide_render = True
+    assert text(scene, run_folder, final=True) == "Not drawn: 1 lamp with nodes"  # the cube is still hidden in renders
+    scene.irgspp.use_lamps = False
+    assert text(scene, run_folder, final=True) == ""
 
 
 def test_a_second_reconstruction_and_a_collection_instance(scene, run_folder, tmp_path):
@@ -49,9 +63,10 @@ def test_the_panel_says_it(scene, run_folder):
     try:
         assert "Not drawn" not in draw(relight.IRGSPP_PT_relight).words
         bpy.ops.object.light_add(type="SUN")
+        add_falloff(bpy.context.object)
         bpy.context.view_layer.objects.active = next(thing for thing in scene.objects if "sphere" in thing.name and thing.type == "MESH")
         assert text(scene, run_folder)
-        assert "Not drawn: 1 lamp" in draw(relight.IRGSPP_PT_relight).words
+        assert "Not drawn: 1 lamp with nodes" in draw(relight.IRGSPP_PT_relight).words
     finally:
         (run_folder / "run.json").unlink()
         run_state._known.clear()

@@ -12,7 +12,7 @@ from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.irgspp_addon.engine.process import engine_command, engine_environment
 from irgspp.irgspp_addon.importer.run_frame import camera_of, frame_of, run_object, scene_camera
 from irgspp.irgspp_addon.relight import session as relight_session
-from mathutils import Matrix
+from mathutils import Matrix, Vector
 from relighting import difference, image_pixels, lamp, mapping
 
 TURN, MOVED = 50.0, 35.0  # degrees of the World's Mapping and of the object
@@ -96,9 +96,69 @@ def test_f12_says_what_it_leaves_out(scene, relightable, tmp_path, capfd):
     scene.irgspp.relight_samples, scene.render.resolution_percentage = 1, 25
     rendered(scene, tmp_path)
     assert "Not drawn" not in capfd.readouterr().out
-    bpy.ops.object.light_add(type="SUN")
+    bpy.ops.mesh.primitive_cube_add()
     rendered(scene, tmp_path)
-    assert "Not drawn: 1 lamp. IRGS++ draws one reconstruction" in capfd.readouterr().out
+    assert "Not drawn: 1 object. IRGS++ draws one reconstruction" in capfd.readouterr().out
+
+
+def add_lamps() -> None:
+    """Add a sun, a point, a spot and an area lamp about the object, which is where `move` has taken it."""
+    bpy.ops.object.empty_add()
+    bpy.context.object.name = "lamps"
+    root = bpy.context.object
+    for kind, energy, place in (("SUN", 2, (3, -2, 4)), ("POINT", 150, (-2, 2, 2)), ("SPOT", 400, (2, 2, 3)), ("AREA", 80, (-1, -3, 1))):
+        bpy.ops.object.light_add(type=kind)
+        lamp = bpy.context.object
+        lamp.data.energy, lamp.parent = energy, root
+        lamp.location, lamp.rotation_euler = place, Vector(place).to_track_quat("Z", "Y").to_euler()
+    bpy.context.view_layer.update()
+
+
+def test_lamps_are_those_of_cycles(scene, relightable, tmp_path):
+    """The moved and scaled sphere under four lamps and a dim World: previews, F12, files and Cycles agree."""
+    move(relightable)
+    add_lamps()
+    thing = run_object(scene, relightable)
+    top = thing.parent or thing
+    bpy.data.objects["lamps"].matrix_world = Matrix.Translation(top.matrix_world.to_translation())
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.1
+    bpy.context.view_layer.update()
+    scene.irgspp.relight_samples, scene.render.film_transparent = 128, True
+    shown, final = previewed(relightable, samples=128), rendered(scene, tmp_path)
+    assert difference(final, shown) < 1e-3
+    out = tmp_path / "files"
+    words = {"run": str(relightable), "views": "1", "output": str(out), "samples": "128", "backend": "mesh"}
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.device = 128, False, "CPU"
+    scene.render.filepath = str(tmp_path / "cycles.exr")
+    bpy.ops.render.render(write_still=True)
+    theirs = read_image(tmp_path / "cycles.exr", 4)
+    solid = (final[..., 3] > 0.999) & (theirs[..., 3] > 0.999)
+    assert solid.sum() > 300
+    error = (final - theirs)[solid][:, :3]
+    psnr = -10 * np.log10((error.astype(float) ** 2).mean() / theirs[solid].max() ** 2)
+    means = final[solid][:, :3].mean() / theirs[solid][:, :3].mean() - 1
+    print(f"lamps: PSNR {psnr:.1f} dB, means {means:+.4f}, pixels {np.abs(error).mean() / theirs[solid].mean():.4f}")
+    assert psnr > 32 and abs(means) < 0.03  # of Principled's coat, and of the mesh, whose triangles are large
+    without = previewed(relightable, samples=128, use_lamps=False)
+    assert without[..., :3].mean() < 0.5 * shown[..., :3].mean()
+    assert bpy.ops.irgspp.render_views(**words) == {"FINISHED"}
+    assert np.allclose(read_image(out / "orbit_000" / "rgba_world.exr", 4).mean(), shown.mean(), rtol=0.3)  # its own camera, lamps about it
+
+
+def test_animated_lamps(scene, relightable, tmp_path):
+    """The preview follows a lamp that the animation moves, and F12 renders each frame with its values."""
+    add_lamps()
+    sun = next(thing for thing in scene.objects if thing.type == "LIGHT" and thing.data.type == "SUN")
+    for frame, energy in ((1, 0.0), (3, 20.0)):
+        sun.data.energy = energy
+        sun.data.keyframe_insert("energy", frame=frame)
+    images = []
+    for frame in (1, 3):
+        scene.frame_set(frame)
+        images.append((previewed(relightable), rendered(scene, tmp_path)))
+    scene.frame_set(1)
+    assert images[1][0].mean() > 1.3 * images[0][0].mean() and images[1][1].mean() > 1.3 * images[0][1].mean()
 
 
 def test_border_percentage_and_pixel_aspect(scene, relightable, tmp_path):

@@ -19,6 +19,7 @@ from ...scene.camera import Camera
 from ...scene.camera_files import load_run_cameras
 from ...scene.environment_files import repair_environment
 from ...scene.environment_map import EnvironmentMap
+from ...scene.lamps import Lamp
 from ...scene.mesh_ply import load_mesh_ply
 from ...scene.reconstruction import Reconstruction
 from ..backends import Backend
@@ -71,6 +72,7 @@ class Request:
     Attributes:
         camera: in the run's frame.
         light: light source; None is the recovered light.
+        lamps: lamps that light the object as well, in the run's frame.
         backdrop: show the light behind the object as well.
         samples: see `RelightSettings`.
         denoise: apply the denoiser.
@@ -82,6 +84,7 @@ class Request:
 
     camera: Camera
     light: LightSource | None = None
+    lamps: tuple[Lamp, ...] = ()
     backdrop: bool = False
     samples: str | int = 32
     denoise: bool = True
@@ -172,8 +175,8 @@ class LoadedRun:
         surface = self._surface(relighter, request, camera)
         query = relighter.query
         assert isinstance(query, ProgressQuery)
-        query.begin(2 * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
-        image = relighter.relit(surface, light).numpy()
+        query.begin((2 + 2 * len(request.lamps)) * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
+        image = relighter.relit(surface, light, request.lamps).numpy()
         if request.backdrop and request.light is not None:
             image = self._with_backdrop(image, camera, request.light)
         return image

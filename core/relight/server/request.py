@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...scene.camera import Camera
+from ...scene.lamps import read_lamps
 from ..sample_counts import sample_counts
 from .loaded_run import LightSource, Request
 
@@ -20,7 +21,8 @@ def read_request(values: Any, session: Path) -> Request:
     """Parse a request.
 
     {"number", "camera": {width, height, fx, fy, cx, cy, to_world (4 x 4)}, "light": null or {"map": .npy in the session folder,
-    "turn": 9 numbers, "strength"}, "backdrop", "samples", "denoise", "indirect", "backend", "albedo_scale": [r, g, b], "progressive"}
+    "turn": 9 numbers, "strength"}, "lamps": list (`core/scene/lamps.py`), "backdrop", "samples", "denoise", "indirect",
+    "backend", "albedo_scale": [r, g, b], "progressive"}
 
     Args:
         values: decoded JSON.
@@ -34,7 +36,7 @@ def read_request(values: Any, session: Path) -> Request:
         light = _light(values["light"], session) if values.get("light") else None
         scale = tuple(float(factor) for factor in values.get("albedo_scale", (1, 1, 1)))
         options = {name: bool(values[name]) for name in ("denoise", "indirect", "progressive", "backdrop") if name in values}
-        samples, backend = values.get("samples", 32), values.get("backend", "mesh")
+        samples, backend, lamps = values.get("samples", 32), values.get("backend", "mesh"), values.get("lamps", [])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError("request", f"can't be understood ({error!r})") from error
     if not isinstance(samples, int | str):
@@ -42,7 +44,7 @@ def read_request(values: Any, session: Path) -> Request:
     if backend not in ("mesh", "gaussian") or len(scale) != 3 or not all(0 <= factor < float("inf") for factor in scale):
         raise InputError("request", f"backend {backend} must be mesh or gaussian, albedo scale {scale} three finite numbers >= 0")
     sample_counts(samples, glossy=False)
-    return Request(camera, light, samples=samples, backend=backend, albedo_scale=scale, **options)
+    return Request(camera, light, read_lamps(lamps), samples=samples, backend=backend, albedo_scale=scale, **options)
 
 
 def _camera(values: dict[str, Any]) -> Camera:
