@@ -16,9 +16,10 @@ from ..irgspp_addon.importer import materials, moved_project
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import timer as job_timer
 from ..irgspp_addon.preferences_page import IRGSPP_Preferences
+from ..irgspp_addon.relight import animation, render_engine
 from ..irgspp_addon.relight import live_image as relight_follow
-from ..irgspp_addon.relight import render_engine
 from ..irgspp_addon.relight import session as relight_session
+from ..operators import animation as animation_operators
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
 from ..operators import import_dataset, light, look_through, masks
@@ -52,6 +53,7 @@ CLASSES = (
     *masks.CLASSES,
     *result_operators.CLASSES,
     *relight_operators.CLASSES,
+    *animation_operators.CLASSES,
     render_engine.IRGSPP_RenderEngine,
     *PANELS,
 )
@@ -79,6 +81,7 @@ def register() -> None:
     relight_session.register()
     relight_follow.register()
     render_engine.register()
+    animation.register()
     _commands.append(bpy.utils.register_cli_command("irgspp", run_engine))
 
 
@@ -86,6 +89,7 @@ def unregister() -> None:
     """Unregister everything, in reverse order."""
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
+    animation.unregister()
     render_engine.unregister()
     relight_follow.unregister()
     relight_session.unregister()

@@ -8,6 +8,7 @@ import bpy
 from ..irgspp_addon.importer.run_frame import ALBEDO_SCALE
 from ..irgspp_addon.importer.scene_builder import recovered_light
 from ..irgspp_addon.relight import preview
+from ..irgspp_addon.relight.animation import animation
 from ..irgspp_addon.relight.left_out import left_out
 from ..irgspp_addon.relight.live_image import follower_of
 from ..irgspp_addon.relight.render_engine import ENGINE
@@ -74,6 +75,28 @@ class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
         )
         button(column, "irgspp.world_to_map", "World as Light Map", "WORLD")
         draw_last(self.layout, context, "render", shown_run(context))
+        draw_animation(self.layout, context)
+
+
+def draw_animation(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the buttons that render an animation of the light, or its progress and the button that stops it, and any error.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
+    one = animation()
+    if one is not None and not one.ended:
+        layout.progress(factor=one.fraction, text=one.text)
+        button(layout, "irgspp.stop_animation", "Stop Animation", "X")
+        return
+    column = layout.column(align=True)
+    button(column, "irgspp.render_animation", "Animation", "RENDER_ANIMATION")
+    button(column, "irgspp.render_animation", "One Turn of the Light", "FILE_REFRESH", turn=True)
+    if one is not None and one.error:
+        column = layout.column()
+        column.alert = True
+        say(column, context, one.error, icon="ERROR")
 
 
 def can_relight(context: bpy.types.Context) -> bool:

@@ -3,23 +3,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
 import numpy as np
 
-from ...core.errors import Cancelled, InputError, IrgsppError
+from ...core.errors import Cancelled, IrgsppError
 from ...core.scene.camera import Camera
-from ..importer.run_frame import Frame, albedo_scale, camera_of, chosen_run, frame_of, run_object, scene_camera
+from ..importer.run_frame import Frame, camera_of
 from ..windows import enlarged, redraw
-from ..world.scene_lamps import scene_lamps
-from ..world.world_light import world_light
-from .left_out import left_out, seen_objects
+from .final_request import final_request
+from .left_out import left_out
 from .live_image import Follower, follow, follower_of, stop
 from .preview import settings_of
-from .session import Answer, RelightRequest, session_of
+from .session import Answer, session_of
 
 ENGINE = "IRGSPP"
 WHOLE = 1 << 14  # upper limit of an image's width and height in pixels
@@ -97,45 +95,6 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
             view.draw(self, depsgraph.scene)
         missing = left_out(depsgraph.scene.original, context.view_layer, None)
         self.update_stats(f"IRGS++ | {missing}" if missing else "IRGS++", follower.message if follower is not None else "")
-
-
-def final_request(depsgraph: bpy.types.Depsgraph, size: tuple[int, int]) -> tuple[RelightRequest, Path]:
-    """Return the request for a final image and the run folder it is for.
-
-    Args:
-        depsgraph: evaluated dependency graph.
-        size: width and height in pixels, of the render border if there is one.
-
-    Raises:
-        InputError: if there is no run, object, camera or World to render.
-    """
-    scene = depsgraph.scene.original
-    run = chosen_run(scene, depsgraph.view_layer)
-    thing = run_object(scene, run, depsgraph.view_layer)
-    if thing is None:
-        raise InputError(f"scene {scene.name}", "has no object of the run", "import the run")
-    frame = frame_of(thing.evaluated_get(depsgraph))
-    camera = frame.camera(_cropped(scene_camera(scene, depsgraph, *_full_size(scene.render), frame), scene.render, size))
-    settings = settings_of(scene)
-    use_world, use_lamps = settings.pop("use_world"), settings.pop("use_lamps")
-    light = world_light(depsgraph.scene.world, scene.frame_current).turned(frame.rotation) if use_world else None
-    backdrop = use_world and not scene.render.film_transparent
-    things = seen_objects(scene, scene.view_layers[depsgraph.view_layer.name], final=True)
-    lamps = frame.lamps(scene_lamps(things, thing, depsgraph)) if use_lamps else ()
-    return RelightRequest(camera, light, lamps, albedo_scale=albedo_scale(thing), backdrop=backdrop, **settings), run
-
-
-def _full_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
-    scale = render.resolution_percentage / 100
-    return max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))
-
-
-def _cropped(camera: Camera, render: bpy.types.RenderSettings, size: tuple[int, int]) -> Camera:
-    """Crop a camera to the render border of `size` (width, height), whose origin is the bottom left corner."""
-    if size == (camera.width, camera.height):
-        return camera
-    left, top = int(render.border_min_x * camera.width), camera.height - int(render.border_min_y * camera.height) - size[1]
-    return replace(camera, width=size[0], height=size[1], cx=camera.cx - left, cy=camera.cy - top)
 
 
 def _fill(result: bpy.types.RenderResult, size: tuple[int, int], image: np.ndarray) -> None:
