@@ -200,6 +200,11 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         description="Sun, point, spot and area lamps of the scene light the object as well",
         default=True,
     )
+    ground_shadow: BoolProperty(
+        name="Ground Shadow",
+        description="The object casts its shadow on an invisible level ground at its foot: the shadow is in the image's alpha",
+        default=False,
+    )
     relight_samples: IntProperty(
         name="Samples",
         description="Light samples per pixel of the finished image: more samples, less noise",

@@ -18,7 +18,16 @@ from .result import object_of_run, shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
-OPTIONS = ("use_world", "use_lamps", "relight_eye", "preview_resolution", "relight_samples", "relight_denoise", "relight_backend")
+OPTIONS = (
+    "use_world",
+    "use_lamps",
+    "ground_shadow",
+    "relight_eye",
+    "preview_resolution",
+    "relight_samples",
+    "relight_denoise",
+    "relight_backend",
+)
 
 
 class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):

@@ -16,6 +16,7 @@ from ..importer.run_frame import albedo_scale, chosen_run, frame_of, run_object,
 from ..importer.scene_builder import recovered_light
 from ..world.scene_lamps import scene_lamps
 from ..world.world_light import world_light
+from .ground import ground_height, ground_plane
 from .left_out import seen_objects
 from .preview import settings_of
 from .session import RelightRequest
@@ -49,7 +50,8 @@ def final_request(depsgraph: bpy.types.Depsgraph, size: tuple[int, int], turn: f
     centre = _translation(frame.centre)
     step = centre @ around @ np.linalg.inv(centre)
     lamps = frame.lamps(lamp.moved(step) for lamp in scene_lamps(things, thing, depsgraph)) if use_lamps else ()
-    return RelightRequest(camera, light, lamps, albedo_scale=albedo_scale(thing), backdrop=backdrop, **settings), run
+    ground = ground_plane(ground_height(scene, things, thing.evaluated_get(depsgraph)), frame)
+    return RelightRequest(camera, light, lamps, albedo_scale=albedo_scale(thing), backdrop=backdrop, ground=ground, **settings), run
 
 
 def _evaluated(world: bpy.types.World | None, depsgraph: bpy.types.Depsgraph) -> bpy.types.World | None:

@@ -11,6 +11,7 @@ import bpy
 from ..importer.ownership import KEY, folder_of
 from ..importer.run_frame import run_object
 from ..world.scene_lamps import is_lamp
+from .ground import shadow_catcher
 from .world_follower import changes
 
 SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "POINTCLOUD", "CURVES", "GREASEPENCIL", "GPENCIL")
@@ -61,8 +62,10 @@ def _sentence(kinds: list[str]) -> str:
 def _kinds(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, run: Path | None, final: bool) -> Iterator[str]:
     """Yield the kind of each visible object that is not drawn."""
     drawn = run_object(scene, run, layer)
-    for thing in seen_objects(scene, layer, final):
-        if thing == drawn:
+    things = seen_objects(scene, layer, final)
+    catcher = shadow_catcher(things)
+    for thing in things:
+        if thing in (drawn, catcher):
             continue
         if thing.type == "LIGHT":
             if scene.irgspp.use_lamps and not is_lamp(thing):

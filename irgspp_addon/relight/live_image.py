@@ -23,6 +23,7 @@ from ..importer.run_frame import Frame, albedo_scale, chosen_run, frame_of, run_
 from ..windows import redraw
 from ..world.scene_lamps import scene_lamps
 from ..world.world_light import forget
+from .ground import ground_height, ground_plane
 from .left_out import seen_objects
 from .session import RelightRequest, Session, session_of
 from .world_follower import WorldFollower, changes
@@ -61,7 +62,7 @@ class Follower:
         self._camera, self._size, self._settings, self._show, self._visible = camera, size, settings, show, visible
         self._has_object = run is None or run_object(scene, run) is not None
         self._world = WorldFollower()
-        self._lamps: tuple[int, tuple[Lamp, ...]] | None = None  # `changes.count` when they were read, and the lamps
+        self._read: tuple[int, tuple[Lamp, ...], float | None] | None = None  # `changes.count` when lamps and ground were read
         self._session: Session | None = None
         self._requested: tuple | None = None  # key of the latest request
         self._requested_size = (1, 1)
@@ -136,18 +137,20 @@ class Follower:
         frame = frame_of(thing)
         width, height = self._size(scene)
         camera = frame.camera(self._camera(scene, frame, width, height))
-        lamps = frame.lamps(self._scene_lamps(scene, thing)) if use_lamps else ()
+        lamps, ground = self._surroundings(scene, thing)
+        settings["lamps"], settings["ground"] = frame.lamps(lamps) if use_lamps else (), ground_plane(ground, frame)
         turned = light.turned(frame.rotation) if light else None
-        request = RelightRequest(camera, turned, lamps, albedo_scale=albedo_scale(thing), **settings)
+        request = RelightRequest(camera, turned, albedo_scale=albedo_scale(thing), **settings)
         if request.key() != self._requested:
             self._session.send(self.channel, request)
             self._requested, self._requested_size, self.done, self.share = request.key(), (width, height), False, 0.0
 
-    def _scene_lamps(self, scene: bpy.types.Scene, thing: bpy.types.Object | None) -> tuple[Lamp, ...]:
-        """Return the scene's lamps, which are read again when something has changed."""
-        if self._lamps is None or self._lamps[0] != changes.count:
-            self._lamps = changes.count, scene_lamps(seen_objects(scene), thing)
-        return self._lamps[1]
+    def _surroundings(self, scene: bpy.types.Scene, thing: bpy.types.Object | None) -> tuple[tuple[Lamp, ...], float | None]:
+        """Return the scene's lamps and the height of its ground, which are read again when something has changed."""
+        if self._read is None or self._read[0] != changes.count:
+            things = seen_objects(scene)
+            self._read = changes.count, scene_lamps(things, thing), ground_height(scene, things, thing)
+        return self._read[1:]
 
     def _read_answer(self) -> None:
         """Show the worker's latest image, if it is new."""

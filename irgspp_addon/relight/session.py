@@ -27,6 +27,7 @@ from ..engine.child import detached
 from ..engine.process import engine_command, engine_environment, require_engine
 
 STATE = ("gaussians.ply", "mesh.ply", "environment.exr", "reconstruction.json")  # files that a worker loads
+OPTIONS = ("samples", "denoise", "backend", "albedo_scale", "backdrop", "progressive", "ground")  # of requests, sent as they are
 LENS = ("width", "height", "fx", "fy", "cx", "cy")
 PATIENCE = 180.0  # seconds that a worker may take to get ready
 
@@ -45,6 +46,7 @@ class RelightRequest:
         albedo_scale: RGB factors for the albedo.
         backdrop: True to show the light behind the object, False for a transparent background.
         progressive: True to receive coarse images before the finished one.
+        ground: plane in the run's frame that receives the object's shadow, unit normal and offset, or None.
     """
 
     camera: Camera
@@ -56,13 +58,14 @@ class RelightRequest:
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     backdrop: bool = False
     progressive: bool = True
+    ground: tuple[float, float, float, float] | None = None
 
     def key(self) -> tuple:
         """Return a key that is equal for requests of the same image."""
         c, light = self.camera, self.light
         view = (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.to_world.tobytes())
         lighting = None if light is None else (id(light.texels), light.turn.tobytes(), light.strength)
-        return (view, lighting, self.lamps, self.samples, self.denoise, self.backend, self.albedo_scale, self.backdrop, self.progressive)
+        return (view, lighting, self.lamps, *(getattr(self, name) for name in OPTIONS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +134,7 @@ class Session:
         if light is not None:
             sent = {"map": self._light_file(light.texels), "turn": light.turn.reshape(-1).tolist(), "strength": float(light.strength)}
         camera = {name: getattr(request.camera, name) for name in LENS} | {"to_world": request.camera.to_world.tolist()}
-        values = {name: getattr(request, name) for name in ("samples", "denoise", "backend", "albedo_scale", "backdrop", "progressive")}
+        values = {name: getattr(request, name) for name in OPTIONS}
         return self._write(channel, {"camera": camera, "light": sent, "lamps": lamp_records(request.lamps), **values})
 
     def cancel(self, channel: str) -> None:
@@ -206,10 +209,7 @@ class Session:
 
     def last_log_line(self) -> str:
         """Return the last line of the worker's log."""
-        try:
-            lines = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        except OSError:
-            lines = []
+        lines = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines() if self._log.is_file() else []
         return lines[-1].removeprefix("irgspp: ") if lines else "its log is empty"
 
     def _read(self, channel: str) -> dict[str, Any] | None:

@@ -255,3 +255,33 @@ def test_the_world_as_a_light_map(scene, tmp_path):
     assert np.abs(read_image(tmp_path / "map.exr") - np.roll(lamp(), 64, 1)).max() < 1e-4
     with pytest.raises(RuntimeError, match=r"\.exr or \.npy"):
         bpy.ops.irgspp.world_to_map(filepath=str(tmp_path / "map.png"))
+
+
+def test_ground_shadow_is_that_of_cycles(scene, relightable, tmp_path):
+    """The shadow of the moved sphere on the ground at its foot is in the alpha, as on a shadow catcher of Cycles."""
+    move(relightable)
+    thing = run_object(scene, relightable)
+    foot = min((thing.matrix_world @ vertex.co).z for vertex in thing.data.vertices)
+    centre = thing.matrix_world.to_translation()
+    bpy.ops.object.light_add(type="SUN", rotation=(0.6, 0.3, 0.0))
+    bpy.context.object.data.energy, bpy.context.object.data.angle = 2.0, 0.3
+    scene.irgspp.relight_samples, scene.render.film_transparent = 128, True
+    without = rendered(scene, tmp_path)
+    scene.irgspp.ground_shadow = True
+    switched = rendered(scene, tmp_path)
+    assert difference(previewed(relightable, samples=128), switched) < 1e-3
+    bpy.ops.mesh.primitive_plane_add(size=20, location=(centre.x, centre.y, foot))
+    bpy.context.object.is_shadow_catcher = True
+    scene.irgspp.ground_shadow = False
+    ours = rendered(scene, tmp_path)
+    assert difference(ours, switched) < 0.02
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.device = 128, False, "CPU"
+    scene.render.filepath = str(tmp_path / "cycles.exr")
+    bpy.ops.render.render(write_still=True)
+    theirs = read_image(tmp_path / "cycles.exr", 4)
+    ground = without[..., 3] == 0
+    apart = np.abs(ours[..., 3] - theirs[..., 3])[ground]
+    print(f"ground shadow: mean {apart.mean():.4f}, largest {apart.max():.3f}, alpha up to {ours[..., 3][ground].max():.2f}")
+    assert ours[..., 3][ground].max() > 0.5 and apart.mean() < 0.02 and np.quantile(apart, 0.99) < 0.15
+    assert np.allclose(ours[ground][:, :3], 0)

@@ -24,6 +24,7 @@ from ...scene.mesh_ply import load_mesh_ply
 from ...scene.reconstruction import Reconstruction
 from ..backends import Backend
 from ..gaussian_query import GaussianQuery
+from ..ground_shadow import Plane, over_shadow, plane_surface, shadow_alpha
 from ..mesh_query import MeshQuery
 from ..prepared_light import PreparedLight, prepare_light
 from ..primary_hits import PrimaryHits
@@ -79,6 +80,7 @@ class Request:
         indirect: see `RelightSettings`.
         backend: "mesh" or "gaussian".
         albedo_scale: see `RelightSettings`.
+        ground: plane that receives the object's shadow, see `Plane`; None: none.
         progressive: render images of lower quality first.
     """
 
@@ -92,6 +94,7 @@ class Request:
     backend: Backend = "mesh"
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     progressive: bool = True
+    ground: Plane | None = None
 
     def settings(self, samples: str | int) -> RelightSettings:
         """Return the settings of the relighter for a number of samples."""
@@ -153,6 +156,7 @@ class LoadedRun:
         file = run / "mesh.ply"
         self._mesh = MeshQuery(load_mesh_ply(file), self.reconstruction.bound.radius, self._device) if file.is_file() else None
         self._gaussians: GaussianQuery | None = None
+        self._grounds = LRUCache(3)  # with the surface that each is beside, so that its id stays its own
         self._maps, self._lights, self._surfaces, self._relighters = LRUCache(2), LRUCache(3), LRUCache(6), LRUCache(4)
 
     def image(self, request: Request, camera: Camera, samples: str | int) -> np.ndarray:
@@ -177,6 +181,8 @@ class LoadedRun:
         assert isinstance(query, ProgressQuery)
         query.begin((2 + 2 * len(request.lamps)) * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
         image = relighter.relit(surface, light, request.lamps).numpy()
+        if request.ground is not None:
+            image = over_shadow(image, shadow_alpha(relighter, self._ground(surface, request), light, request.lamps).numpy())
         if request.backdrop and request.light is not None:
             image = self._with_backdrop(image, camera, request.light)
         return image
@@ -207,6 +213,14 @@ class LoadedRun:
         """Return the surface of a view, cached: it does not depend on light and samples."""
         lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world.tobytes())
         return self._surfaces.get((*lens, request.backend, request.albedo_scale), lambda: relighter.surface(camera))
+
+    def _ground(self, surface: PrimaryHits, request: Request) -> PrimaryHits:
+        """Return the plane beside a view's surface, cached with it."""
+        assert request.ground is not None
+        plane, bound = request.ground, self.reconstruction.bound
+        return self._grounds.get(
+            (id(surface), plane), lambda: (surface, plane_surface(plane, surface.camera, surface.coverage, bound.centre, bound.radius))
+        )[1]
 
     def _light(self, source: LightSource | None) -> PreparedLight:
         """Return a prepared light, cached."""
