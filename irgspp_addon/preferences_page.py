@@ -70,6 +70,11 @@ class IRGSPP_Preferences(bpy.types.AddonPreferences):
         name="Package Index",
         description="Address of an additional package index for pip, such as the one with torch for CPU only. Empty: pip's default index",
     )
+    hdri_folder: StringProperty(
+        name="HDRI Folder",
+        description="Folder of images of surroundings (.hdr, .exr) that the panel Relight offers next to Blender's own",
+        subtype="DIR_PATH",
+    )
     keep_running: BoolProperty(
         name="Jobs Survive Blender",
         description="Jobs continue when Blender is closed. Otherwise they save their progress and stop, and can be resumed",
@@ -100,6 +105,7 @@ def draw_preferences(preferences: bpy.types.AddonPreferences, layout: bpy.types.
         column.label(text=line, icon=ICONS[engine.state] if number == 0 else "BLANK1")
     layout.operator("irgspp.check_engine", text="Check Engine", icon="FILE_REFRESH")
     layout.prop(preferences, "keep_running")
+    layout.prop(preferences, "hdri_folder")
 
 
 def _draw_managed(preferences: bpy.types.AddonPreferences, layout: bpy.types.UILayout) -> None:

@@ -19,10 +19,11 @@ from ..irgspp_addon.preferences_page import IRGSPP_Preferences
 from ..irgspp_addon.relight import animation, render_engine
 from ..irgspp_addon.relight import live_image as relight_follow
 from ..irgspp_addon.relight import session as relight_session
+from ..irgspp_addon.world import hdri_library
 from ..operators import animation as animation_operators
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
-from ..operators import import_dataset, light, look_through, masks
+from ..operators import import_dataset, light, look_through, masks, rotate_light
 from ..operators import jobs as job_operators
 from ..operators import relight as relight_operators
 from ..operators import result as result_operators
@@ -48,6 +49,7 @@ CLASSES = (
     IRGSPP_OT_import_run,
     *look_through.CLASSES,
     *light.CLASSES,
+    *rotate_light.CLASSES,
     *import_dataset.CLASSES,
     *capture_operators.CLASSES,
     *masks.CLASSES,
@@ -68,6 +70,7 @@ def register() -> None:
             cls.bl_description = cls.__doc__.removesuffix(".")  # the tooltip, to which Blender adds a full stop
         bpy.utils.register_class(cls)
     properties.register()
+    hdri_library.register()
     materials.register()
     moved_project.register()
     jobs.CHANGED.append(properties.show_jobs)
@@ -103,6 +106,7 @@ def unregister() -> None:
     jobs.CHANGED.remove(properties.show_jobs)
     moved_project.unregister()
     materials.unregister()
+    hdri_library.unregister()
     properties.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -18,6 +18,7 @@ from .result import object_of_run, shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
+THUMBNAIL = 4.0  # height of the chosen HDRI's thumbnail, rows of buttons
 OPTIONS = (
     "use_world",
     "use_lamps",
@@ -124,6 +125,7 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column = layout.column()
     column.enabled = lit
     column.template_ID(context.scene, "world", new="world.new")
+    layout.template_icon_view(context.window_manager, "irgspp_hdri", show_labels=True, scale=THUMBNAIL)
     row = layout.row(align=True)
     button(row, "irgspp.open_hdri", "Open HDRI", "FILE_IMAGE")
     light = recovered_light(shown_run(context))
@@ -134,7 +136,9 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if controls.image is not None:
         say(rows, context, controls.image.name, icon="IMAGE_DATA")
     if controls.rotation is not None:
-        rows.prop(controls.rotation, "default_value", index=UP, text="Rotation")
+        row = rows.row(align=True)
+        row.prop(controls.rotation, "default_value", index=UP, text="Rotation")
+        button(row, "irgspp.rotate_light", "", "MOUSE_MOVE")
     if controls.colour is not None:
         rows.prop(controls.colour, "default_value", text="Colour")
     if controls.strength is not None:

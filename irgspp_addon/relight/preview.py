@@ -174,7 +174,8 @@ def preview_image(width: int, height: int) -> bpy.types.Image:
         image = None
     if image is None:
         image = bpy.data.images.new(IMAGE, width, height, alpha=True, float_buffer=True)
-        image.alpha_mode, image.use_view_as_render = "PREMUL", True
+        image.alpha_mode = "PREMUL"
+    image.use_view_as_render = True  # also one that was saved without it: the scene's view transform applies, as to a render
     if tuple(image.size) != (width, height):
         image.scale(width, height)
     return image

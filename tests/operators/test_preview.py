@@ -6,7 +6,9 @@ from math import pi
 from types import SimpleNamespace
 
 import bpy
+import numpy as np
 import pytest
+from blender_side import read_image
 from irgspp.irgspp_addon.importer.run_frame import run_object
 from irgspp.irgspp_addon.relight import live_image as relight_follow
 from irgspp.irgspp_addon.relight import preview
@@ -25,6 +27,28 @@ def follow_until(what, seconds=300.0):
 
 def started(scene, run, **how):
     return preview.start_preview(scene, run, {"samples": 16, "use_world": True, **how}, 64, "camera")
+
+
+def test_the_preview_is_shown_through_the_scene_s_view_transform(scene, relightable, tmp_path):
+    """The Image Editor shows it like a render: saved through AgX, Filmic or Standard it is the file of F12."""
+    scene.irgspp.relight_samples, scene.render.film_transparent, scene.render.engine = 16, True, "IRGSPP"
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    image = bpy.data.images[preview.IMAGE]
+    assert image.use_view_as_render and image.is_float and image.alpha_mode == "PREMUL"
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGBA", "8"
+    shown = {}
+    for transform in ("AgX", "Filmic", "Standard"):
+        scene.view_settings.view_transform = transform
+        image.save_render(str(tmp_path / f"{transform}.png"), scene=scene)
+        scene.render.filepath = str(tmp_path / "f12.png")
+        bpy.ops.render.render(write_still=True)
+        shown[transform] = read_image(tmp_path / f"{transform}.png", 4)
+        assert np.abs(shown[transform] - read_image(tmp_path / "f12.png", 4)).max() < 0.02
+    assert np.abs(shown["AgX"] - shown["Standard"]).max() > 0.05
+    image.use_view_as_render = False  # as in a file of another add-on
+    assert preview.preview_image(*image.size) == image and image.use_view_as_render
 
 
 def test_the_preview_follows_world_camera_object_and_albedo(scene, relightable):

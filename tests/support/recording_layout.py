@@ -63,6 +63,10 @@ class RecordingLayout:
         assert 0.0 <= factor <= 1.0
         self.drawn.append(("progress", factor, text))
 
+    def template_icon_view(self, data: Any, name: str, show_labels: bool = False, scale: float = 6.0, **_: Any) -> None:
+        assert name in data.bl_rna.properties, f"{data} has no property {name}"
+        self.drawn.append(("icon_view", name))
+
     def template_icon(self, icon_value: int, scale: float) -> None:
         self.drawn.append(("picture", icon_value, scale))
 
