@@ -1,7 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panels: the tab "IRGS++" of the 3D View's sidebar, masks in the Image Editor's, and the render engine's in the Render tab."""
 
-from . import dataset, engine, headline, jobs, mask, reconstruct, relight, render_properties, result
+from . import asset, dataset, engine, headline, jobs, mask, reconstruct, relight, render_properties, result
 
-SIDEBAR = (*headline.CLASSES, *engine.CLASSES, *dataset.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *relight.CLASSES, *jobs.CLASSES)
+SIDEBAR = (
+    *headline.CLASSES,
+    *engine.CLASSES,
+    *dataset.CLASSES,
+    *reconstruct.CLASSES,
+    *result.CLASSES,
+    *asset.CLASSES,
+    *relight.CLASSES,
+    *jobs.CLASSES,
+)
 CLASSES = (*SIDEBAR, *mask.CLASSES, *render_properties.CLASSES)

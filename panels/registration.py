@@ -21,9 +21,9 @@ from ..irgspp_addon.relight import live_image as relight_follow
 from ..irgspp_addon.relight import session as relight_session
 from ..irgspp_addon.world import hdri_library
 from ..operators import animation as animation_operators
+from ..operators import asset_mark, import_dataset, light, look_through, masks, rotate_light
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
-from ..operators import import_dataset, light, look_through, masks, rotate_light
 from ..operators import jobs as job_operators
 from ..operators import relight as relight_operators
 from ..operators import result as result_operators
@@ -50,6 +50,7 @@ CLASSES = (
     *look_through.CLASSES,
     *light.CLASSES,
     *rotate_light.CLASSES,
+    *asset_mark.CLASSES,
     *import_dataset.CLASSES,
     *capture_operators.CLASSES,
     *masks.CLASSES,

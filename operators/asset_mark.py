@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operator that marks the reconstructed object as an asset, with a relit preview image."""
+
+# pyright: reportInvalidTypeForm=false
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import StringProperty
+
+from ..core.errors import InputError, IrgsppError
+from ..core.scene.camera import Camera, look_at
+from ..core.scene.camera_files import load_run_cameras
+from ..irgspp_addon.importer.asset_mark import AssetDetails, mark_asset, missing_images, set_preview
+from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
+from ..irgspp_addon.relight.session import RelightRequest, session_of
+from .blocking import RUN, SKIP, refuse
+from .result import chosen_run
+
+PREVIEW = 256  # side of the preview image in pixels
+AWAY = 4.0  # distance of its camera in radii of the object
+FILLED = 0.92  # fraction of the image's side that the object fills
+
+
+class IRGSPP_OT_mark_asset(bpy.types.Operator):
+    """Mark the object as an asset: it appears in the Asset Browser with preview image, author, licence, tags and catalogue."""
+
+    bl_idname = "irgspp.mark_asset"
+    bl_label = "Mark as Asset"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
+
+    run: StringProperty(**RUN)
+    author: StringProperty(name="Author", description="Who made the object")
+    licence: StringProperty(name="Licence", description="Licence under which the object may be used, such as CC-BY 4.0")
+    description: StringProperty(name="Description", description="What the object is", options=SKIP)
+    tags: StringProperty(name="Tags", description="Words to search by, separated by commas", default="reconstruction")
+    catalogue: StringProperty(
+        name="Catalogue",
+        description="Path of its catalogue in the asset library, such as Reconstructions/Toys. Empty: none",
+        default="Reconstructions",
+    )
+    picture: StringProperty(
+        name="Preview", description="Image file for the preview. Empty: the relit object", subtype="FILE_PATH", options=SKIP
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the details.
+
+        Args:
+            context: of the button.
+            event: ignored.
+        """
+        if bpy.app.background:
+            return self.execute(context)
+        if not bpy.data.filepath:
+            self.catalogue = ""
+        return context.window_manager.invoke_props_dialog(self, width=400)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Mark the object."""
+        try:
+            run = chosen_run(context, self.run)
+            thing = run_object(context.scene, run)
+            if thing is None:
+                raise InputError(run.name, "its object is not in this scene", "import the run")
+            words = tuple(dict.fromkeys(word.strip() for word in self.tags.split(",") if word.strip()))
+            mark_asset(thing, AssetDetails(self.author, self.licence, self.description, words, self.catalogue.strip()))
+            if missing := missing_images(thing):
+                self.report({"WARNING"}, f"{', '.join(missing)}: not packed, and their files are missing: others will not find them")
+            self._preview(thing, run)
+        except (IrgsppError, RuntimeError) as error:  # the latter is Blender's, for a file that is no image
+            return refuse(self, error)
+        return {"FINISHED"}
+
+    def _preview(self, thing: bpy.types.Object, run: Path) -> None:
+        """Give the asset its preview image; without an engine, the one that Blender renders."""
+        if self.picture:
+            path = Path(bpy.path.abspath(self.picture))
+            if not path.is_file():
+                raise InputError(path, "no such file", "choose an image for the preview")
+            with bpy.context.temp_override(id=thing):
+                bpy.ops.ed.lib_id_load_custom_preview(filepath=str(path))
+            return
+        try:
+            set_preview(thing, relit_preview(thing, run))
+        except IrgsppError as error:
+            self.report({"WARNING"}, f"The preview is Blender's own: {error}")
+            if not bpy.app.background:  # where Blender could crash without a graphics card
+                thing.asset_generate_preview()
+
+
+def relit_preview(thing: bpy.types.Object, run: Path) -> np.ndarray:
+    """Return an image of the object under its recovered light, (PREVIEW, PREVIEW, 4) linear premultiplied.
+
+    Args:
+        thing: object of the run.
+        run: run folder.
+
+    Raises:
+        IrgsppError: if there is no engine or it fails.
+    """
+    camera = preview_camera(thing, run)
+    request = RelightRequest(camera, None, albedo_scale=albedo_scale(thing), progressive=False)
+    return session_of(run).wait("asset", request)
+
+
+def preview_camera(thing: bpy.types.Object, run: Path) -> Camera:
+    """Return a camera, in the run's frame, from which the first photograph's side of the object fills a square image.
+
+    Args:
+        thing: object of the run.
+        run: run folder.
+
+    Raises:
+        InputError: if the object has no vertices.
+    """
+    vertices = np.empty(3 * len(thing.data.vertices), np.float32)
+    thing.data.vertices.foreach_get("co", vertices)
+    points = vertices.reshape(-1, 3).astype(float)
+    if not len(points):
+        raise InputError(thing.name, "has no vertices", "import the run again")
+    centre = (points.min(0) + points.max(0)) / 2
+    cameras = load_run_cameras(run / "cameras.json")
+    towards = cameras[0].camera.centre - centre if cameras else np.array([0.6, -0.7, 0.4])
+    eye = centre + AWAY * float(np.linalg.norm(points - centre, axis=1).max()) * towards / np.linalg.norm(towards)
+    to_world = look_at(eye, centre, frame_of(thing).rotation.T @ np.array([0.0, 0.0, 1.0]))
+    pixels, _ = Camera(PREVIEW, PREVIEW, 1.0, 1.0, 0.0, 0.0, to_world).project(points)
+    low, high = pixels.min(0), pixels.max(0)
+    focal = FILLED * PREVIEW / max(float((high - low).max()), 1e-9)
+    x, y = PREVIEW / 2 - focal * (low + high) / 2
+    return Camera(PREVIEW, PREVIEW, focal, focal, float(x), float(y), to_world)
+
+
+CLASSES = (IRGSPP_OT_mark_asset,)

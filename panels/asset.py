@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Panel that marks the object as an asset."""
+
+from __future__ import annotations
+
+import bpy
+
+from .result import FinishedRunPanel, object_of_run, shown_run
+from .sidebar import button, say
+
+
+class IRGSPP_PT_asset(FinishedRunPanel, bpy.types.Panel):
+    """Panel of the object as an asset of Blender's Asset Browser."""
+
+    bl_label = "Asset"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw what the asset is called and who made it, or how to make one."""
+        run = shown_run(context)
+        thing = object_of_run(context.scene, run)
+        if thing is None or run is None:
+            say(self.layout, context, "The object is not in this scene.", icon="INFO")
+            return
+        asset = thing.asset_data
+        if asset is not None:
+            parts = [thing.name, asset.author, asset.license, ", ".join(tag.name for tag in asset.tags)]
+            say(self.layout, context, " | ".join(part for part in parts if part), icon="ASSET_MANAGER")
+        button(self.layout, "irgspp.mark_asset", "Change Asset" if asset is not None else "Mark as Asset", "ASSET_MANAGER", run=str(run))
+
+
+CLASSES = (IRGSPP_PT_asset,)
