@@ -173,16 +173,17 @@ class LoadedRun:
         Raises:
             InputError: when the light can't be read or the mesh is missing.
         """
-        settings = request.settings(samples)
-        light = self._light(request.light)
+        settings, light = request.settings(samples), self._light(request.light)
         relighter = self._relighters.get((request.backend, settings), lambda: self._relighter(request.backend, settings))
         surface = self._surface(relighter, request, camera)
         query = relighter.query
         assert isinstance(query, ProgressQuery)
-        query.begin((2 + 2 * len(request.lamps)) * math.ceil(len(surface.index) / max(1, RAYS // sum(relighter.counts))))
+        ground = self._ground(surface, request) if request.ground is not None else None
+        points = len(surface.index) + (0 if ground is None else len(ground.index))
+        query.begin((2 + 2 * len(request.lamps)) * math.ceil(points / max(1, RAYS // sum(relighter.counts))))
         image = relighter.relit(surface, light, request.lamps).numpy()
-        if request.ground is not None:
-            image = over_shadow(image, shadow_alpha(relighter, self._ground(surface, request), light, request.lamps).numpy())
+        if ground is not None:
+            image = over_shadow(image, shadow_alpha(relighter, ground, light, request.lamps).numpy())
         if request.backdrop and request.light is not None:
             image = self._with_backdrop(image, camera, request.light)
         return image
