@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Image files of views: rotated and scaled lights, premultiplied and straight alpha, cameras in a run's world frame."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,9 +16,10 @@ from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.relight import render_views as rendering
-from irgspp.core.relight.render_views import Light, cameras_of, load_light, render_views, split_of, write_rgba
+from irgspp.core.relight.render_views import Light, cameras_of, load_lamps, load_light, render_views, split_of, write_rgba
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.gbuffer import GBuffer
+from irgspp.core.scene.lamps import Lamp, lamp_records
 from irgspp.core.settings.schema import DataSettings
 from irgspp.core.shading.environment_lookup import rotate
 from irgspp.core.shading.procedural_lights import map_directions
@@ -95,7 +97,7 @@ class FakeRelighter:
     def surface(self, camera):
         return camera
 
-    def relit(self, surface, light):
+    def relit(self, surface, light, lamps=()):
         self.asked.append((surface, float(light.radiance[0, 0, 0])))
         return torch.full((4, 6, 4), 0.25)
 
@@ -198,3 +200,15 @@ def test_cameras_come_into_the_world_of_the_run(tmp_path):
         pixels, depth = before.project(points)
         np.testing.assert_allclose(after.project(inside)[0], pixels, atol=1e-6)
         np.testing.assert_allclose(after.project(inside)[1], 2.5 * depth, atol=1e-6)
+
+
+def test_lamps_are_read_from_a_file(tmp_path):
+    file = tmp_path / "lamps.json"
+    lamps = (Lamp("sun", emission=(1.0, 2.0, 3.0), radius=0.1), Lamp("area", size=(1.0, 2.0), shadow=False))
+    file.write_text(json.dumps(lamp_records(lamps)))
+    assert load_lamps(file) == lamps
+    file.write_text("[{")
+    with pytest.raises(InputError, match=r"lamps\.json: the lamps can't be read"):
+        load_lamps(file)
+    with pytest.raises(InputError, match="can't be read"):
+        load_lamps(tmp_path / "gone.json")
