@@ -89,7 +89,7 @@ def test_stopping_keeps_finished_frames(animated, tmp_path):
     assert "Frame 2 of 3" in [entry[2] for entry in layout.drawn if entry[0] == "progress"] and 0.3 < one.fraction < 0.7
     assert bpy.ops.irgspp.stop_animation() == {"FINISHED"}
     assert one.ended and not one.error and not bpy.ops.irgspp.stop_animation.poll()
-    assert [file.name for file in tmp_path.glob("*.exr")] == ["0001.exr"]
+    assert [file.name for file in tmp_path.glob("0*.exr")] == ["0001.exr"]
     assert animated.frame_current == 1
 
 
