@@ -82,7 +82,9 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(subparsers, "evaluate", commands.evaluate, "compare a run with a dataset: all metrics that its ground truth allows")
     _run_argument(one)
-    one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of photographs with known cameras")
+    one.add_argument("dataset", metavar="DATASET", type=Path, nargs="?", help="folder or file of photographs with known cameras")
+    defects = "check mesh, UVs and textures for defects: a line each, asset.json; exit status 1 where there are some"
+    one.add_argument("--asset", action="store_true", help=defects)
     one.add_argument("-o", dest="out", metavar="REPORT", type=Path, help="folder for report.html and report.json (default: RUN/evaluation)")
     cycles = "also render N of the views in Cycles, from the exported object, and show them next to ours"
     one.add_argument("--cycles", type=_count, default=0, metavar="N", help=cycles)
