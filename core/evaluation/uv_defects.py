@@ -9,10 +9,8 @@ import numpy as np
 
 from ..scene.mesh import Mesh
 from ..surface import topology
-from ..surface.uv_overlap import covering_faces
+from ..surface.uv_overlap import GRID, UNMAPPED, covering_faces
 
-GRID = 4096  # cells along a side on which overlap is counted
-UNMAPPED = 1e-6  # least area of a face in the texture, texels
 QUANTILES = (0.05, 0.5, 0.95)  # of the texel density, over the surface's area
 
 
@@ -48,19 +46,20 @@ def uv_layout_of(mesh: Mesh, texture: int) -> UvLayout:
     """
     uv = mesh.uvs[mesh.faces].astype(np.float64)
     first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    signed = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2 * texture**2
+    signed = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+    least = UNMAPPED / 1024**2
     corner = mesh.vertices[mesh.faces].astype(np.float64)
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=-1) / 2
-    cells = np.bincount(covering_faces(mesh.uvs, mesh.faces, GRID).reshape(-1), minlength=2)
+    cells = np.bincount(covering_faces(mesh.uvs, mesh.faces).reshape(-1), minlength=2)
     used = int(cells[1:].sum())
     return UvLayout(
         charts=int(topology.face_components(mesh.faces, topology.edges_of(mesh.faces)).max()) + 1,
         covered=used / GRID**2,
         overlap=float(cells[2:].sum() / max(used, 1)),
         outside=int(((mesh.uvs < 0) | (mesh.uvs > 1)).any(-1).sum()),
-        unmapped=int((np.abs(signed) < UNMAPPED).sum()),
-        mirrored=int((signed <= -UNMAPPED).sum()),
-        density=_quantiles(np.sqrt(np.abs(signed) / np.maximum(area, 1e-300)), area),
+        unmapped=int((np.abs(signed) < least).sum()),
+        mirrored=int((signed <= -least).sum()),
+        density=_quantiles(texture * np.sqrt(np.abs(signed) / np.maximum(area, 1e-300)), area),
     )
 
 

@@ -61,30 +61,27 @@ def _dense_labels(labels: np.ndarray) -> np.ndarray:
     return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 
-def fans(faces: np.ndarray, edges: Edges, manifold_only: bool = False) -> np.ndarray:
+def fans(faces: np.ndarray, edges: Edges) -> np.ndarray:
     """Label the corners of faces so that corners at the same vertex have one label where a walk across edges leads from one to the other.
 
     Args:
         faces: (F, 3).
         edges: of these faces.
-        manifold_only: True to walk only across edges between exactly two faces that run in opposite directions.
 
     Returns:
         (3 F,) labels; a vertex is manifold where all its corners have one.
     """
-    begin = np.arange(3 * len(faces))
-    end = begin - begin % 3 + (begin + 1) % 3
-    if manifold_only:
-        sides, opposite = edges.pairs()
-        one, other = sides[opposite].T
-    else:
-        order = np.argsort(edges.of_side, kind="stable")
-        same = edges.of_side[order[1:]] == edges.of_side[order[:-1]]
-        one, other = order[:-1][same], order[1:][same]
-    vertex = np.asarray(faces).reshape(-1)
-    turned = vertex[begin[one]] == vertex[begin[other]]  # both sides begin at the same vertex
-    i = np.r_[begin[one], end[one]]
-    j = np.r_[np.where(turned, begin[other], end[other]), np.where(turned, end[other], begin[other])]
+    order = np.argsort(edges.of_side, kind="stable")
+    same = edges.of_side[order[1:]] == edges.of_side[order[:-1]]
+    return joined_corners(faces, np.stack([order[:-1][same], order[1:][same]], -1))
+
+
+def joined_corners(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Label the corners of faces (F, 3), (3 F,): equal for corners at the same vertex that pairs of sides (P, 2) of one edge connect."""
+    vertex, (one, other) = np.asarray(faces).reshape(-1), sides.T
+    after, behind = (side - side % 3 + (side + 1) % 3 for side in (one, other))
+    parallel = vertex[one] == vertex[other]  # both sides begin at the same vertex
+    i, j = np.r_[one, after], np.r_[np.where(parallel, other, behind), np.where(parallel, behind, other)]
     graph = sparse.coo_matrix((np.ones(len(i)), (i, j)), shape=(len(vertex),) * 2)
     return connected_components(graph, directed=False)[1]
 
