@@ -65,7 +65,7 @@ def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Sur
     fine = repair.filled(fine, HOLE * float(np.linalg.norm(np.ptp(fine.vertices, axis=0))))
     fine = meshing.smoothed(fine, settings.smoothing)
     normals = meshing.vertex_normals(fine, settings.normal_averages)
-    mesh = repair.manifold(meshing.cleaned(meshing.decimated(fine, settings.triangles)))
+    mesh = repair.without_folds(repair.manifold(meshing.cleaned(meshing.decimated(fine, settings.triangles))))
     mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb
     return Surface(mesh.vertices, meshing.carried_normals(fine, normals, mesh), mesh.faces, grid.voxel)
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from . import topology
-from .meshing import Triangles, unit, vertex_normals
+from .meshing import Triangles, cleaned, unit, vertex_normals
 
 PULL = 0.05  # of the way to its neighbours' mean by which a vertex that is divided moves, so that its copies are apart
 ROUNDS = 8  # repetitions at most: a division can leave another one to do
@@ -149,6 +149,31 @@ def unfolded(mesh: Triangles) -> Triangles:
         vertices[moving] += step - (step * normals[moving]).sum(-1, keepdims=True) * normals[moving]
         mesh = Triangles(vertices, mesh.faces)
     return mesh
+
+
+def without_folds(mesh: Triangles) -> Triangles:
+    """Unfold a mesh, and collapse the shortest edge of faces that stay folded."""
+    for _ in range(ROUNDS):
+        mesh = unfolded(mesh)
+        turned = folded_faces(mesh, vertex_normals(mesh, AVERAGES))
+        if not turned.any():
+            break
+        mesh = manifold(cleaned(_collapsed(mesh, turned)))
+    return mesh
+
+
+def _collapsed(mesh: Triangles, chosen: np.ndarray) -> Triangles:
+    """Collapse the shortest edge of the chosen faces (F,) bool, as far as they share no vertex, to its middle."""
+    faces = mesh.faces[chosen]
+    corner = mesh.vertices[faces]
+    shortest = np.linalg.norm(corner - np.roll(corner, -1, axis=1), axis=-1).argmin(-1)
+    vertices, target = mesh.vertices.copy(), np.arange(len(mesh.vertices))
+    for face, k in zip(faces, shortest, strict=True):
+        kept, removed = face[k], face[(k + 1) % 3]
+        if (target[face] == face).all() and not np.isin(face, target[target != np.arange(len(target))]).any():
+            vertices[kept] = (vertices[kept] + vertices[removed]) / 2
+            target[removed] = kept
+    return Triangles(vertices, target[mesh.faces])
 
 
 def facing_normals(mesh: Triangles, normals: np.ndarray) -> np.ndarray:
