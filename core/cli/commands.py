@@ -175,9 +175,12 @@ def export(args: argparse.Namespace, terminal: Terminal) -> int:
     """
     with quick_imports():
         from ..assets.export import export
+        from ..assets.options import AssetOptions
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    export(args.run, args.out, args.material or settings.export.material, terminal)
+    options = AssetOptions(args.lods, args.collision, args.textures, args.normal_map)
+    export(args.run, args.out, args.material or settings.export.material, terminal, options)
+    terminal.end_line()
     print(args.out)
     return 0
 

@@ -19,6 +19,8 @@ from . import render as render_command
 from . import serve as serve_command
 from .renderer_options import add_renderer_options
 
+EXPORTED = "ends with .glb, .usd, .usdc, .usda, .usdz, .obj or .fbx (asset), .blend (scene), .ply (Gaussians) or .exr (light)"
+
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the words after `irgspp`."""
@@ -97,8 +99,14 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(subparsers, "export", commands.export, "write the asset, Blender scene, Gaussians or light of a run as one file")
     _run_argument(one)
-    one.add_argument("-o", dest="out", metavar="FILE", type=Path, required=True, help="ends with .glb, .blend, .ply or .exr")
+    one.add_argument("-o", dest="out", metavar="FILE", type=Path, required=True, help=EXPORTED)
     one.add_argument("--material", choices=("textures", "attributes"), help="source of the material's values in a .blend")
+    one.add_argument("--lods", action="store_true", help="add levels of detail NAME_LOD1 and NAME_LOD2 that share the textures")
+    one.add_argument("--collision", action="store_true", help="add convex hulls UCX_NAME_00 and so on for game engines")
+    where = "textures inside the file, or beside it in NAME_textures (default: inside where the format can)"
+    one.add_argument("--textures", choices=("auto", "packed", "beside"), default="auto", help=where)
+    green = "direction of green in the normal map of .fbx and .obj (default: opengl; directx is the inverse)"
+    one.add_argument("--normal-map", choices=("opengl", "directx"), default="opengl", help=green)
 
     one = _command(subparsers, "bake", commands.bake, "bake a run again: other texture size, other triangles, or an edited mesh")
     _run_argument(one)
