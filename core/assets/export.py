@@ -10,10 +10,9 @@ from ..errors import InputError
 from ..io.atomic import atomic_file
 from ..machine.blender_process import check_written, run_in_blender
 from ..progress.protocol import Progress, Silent
-from .options import BY_BLENDER, AssetOptions
+from .options import ASSETS, SUFFIXES, AssetOptions
 
 COPIES = {".ply": "gaussians.ply", ".exr": "environment.exr"}
-SUFFIXES = (".glb", ".blend", *BY_BLENDER, *COPIES)
 
 
 def export(
@@ -43,7 +42,7 @@ def export(
     if not target.resolve().parent.is_dir():
         raise InputError(target.parent, "no such folder", "create it first")
     if suffix in COPIES and options != AssetOptions():
-        raise InputError(target, f"{suffix} has no levels of detail, hulls or textures", f"use {', '.join(SUFFIXES[:4])}")
+        raise InputError(target, f"{suffix} has no levels of detail, hulls or textures", f"use {', '.join((*ASSETS, '.blend'))}")
     if suffix in COPIES:
         _copy(run / COPIES[suffix], target)
     elif suffix == ".blend" and options == AssetOptions():

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..errors import InputError
 
-BY_BLENDER = (".usd", ".usdc", ".usda", ".usdz", ".obj", ".fbx")  # formats that only Blender writes
+ASSETS = (".glb", ".usd", ".usdc", ".usda", ".usdz", ".obj", ".fbx")  # the object for other programs
+PARTS = (".ply", ".exr")  # Gaussians and light
+SUFFIXES = (*ASSETS, ".blend", *PARTS)
 BESIDE = (".usd", ".usdc", ".usda", ".obj")  # whose files hold no textures
 INSIDE = (".glb", ".usdz")  # whose files hold their textures always
 OPENGL_ONLY = (".glb", ".usd", ".usdc", ".usda", ".usdz", ".blend")  # whose normal maps are OpenGL's by definition
@@ -28,6 +30,14 @@ class AssetOptions:
     collision: bool = False
     textures: str = "auto"
     normal_map: str = "opengl"
+
+    def fitting(self, suffix: str) -> AssetOptions:
+        """Return the choices with the defaults in place of those that files with this suffix can't have."""
+        if suffix in PARTS:
+            return AssetOptions()
+        unfit = (BESIDE, "packed"), (INSIDE, "beside")
+        textures = "auto" if any(suffix in formats and self.textures == choice for formats, choice in unfit) else self.textures
+        return replace(self, textures=textures, normal_map="opengl" if suffix in OPENGL_ONLY else self.normal_map)
 
     def packs(self, suffix: str) -> bool:
         """Return True where textures are packed into a file with this suffix.
