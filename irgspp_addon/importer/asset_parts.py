@@ -87,7 +87,7 @@ def add_hulls(full: bpy.types.Object, file: Path, name: str, offset: np.ndarray)
         offset: (3,) added to the vertices.
     """
     hulls = []
-    with np.load(file) as arrays:
+    with np.load(file, allow_pickle=False) as arrays:
         for i in range(min(len(arrays.files) // 2, MOST_HULLS)):
             mesh = bpy.data.meshes.new(f"UCX_{name}_{i:02d}")
             mesh.from_pydata((arrays[f"vertices{i}"] + offset).tolist(), [], arrays[f"faces{i}"].tolist())
