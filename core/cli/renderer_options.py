@@ -26,6 +26,8 @@ def add_renderer_options(one: argparse.ArgumentParser) -> None:
     )
     one.add_argument("--no-denoise", action="store_true", help="images without denoising")
     one.add_argument("--no-indirect", action="store_true", help="shadows, but no interreflections of the object")
+    unshadowed = "light that surfaces reflect onto each other arrives there without shadows, as in the paper"
+    one.add_argument("--no-transfer", action="store_true", help=unshadowed)
     diffuse = "conserving (default) reduces diffuse by a dielectric's reflection, as Blender's Principled does; lambert does not"
     one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
 
@@ -35,4 +37,5 @@ def relight_settings(args: argparse.Namespace) -> RelightSettings:
     from ..relight.relighter import RelightSettings  # imports torch
 
     denoise = "off" if args.no_denoise else args.denoiser
-    return RelightSettings(sampling=args.sampling, denoise=denoise, indirect=not args.no_indirect, conserving=args.diffuse == "conserving")
+    light = {"indirect": not args.no_indirect, "transfer": not args.no_transfer, "conserving": args.diffuse == "conserving"}
+    return RelightSettings(sampling=args.sampling, denoise=denoise, **light)

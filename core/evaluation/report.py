@@ -211,7 +211,7 @@ def describe_renderer(relight: RelightSettings, backend: Backend) -> str:
     denoised = {"demodulated": "denoised", "paper": "denoised as in the paper", "off": "not denoised"}[relight.denoise]
     parts = [f"{relight.samples} samples per pixel", f"{backend} backend", denoised]
     parts += ["strata of the hemisphere"] if relight.sampling == "stratified" else []
-    parts += [] if relight.indirect else ["without indirect light"]
+    parts += ["without indirect light"] if not relight.indirect else [] if relight.transfer else ["indirect light without shadows"]
     return ", ".join(parts if relight.conserving else [*parts, "Lambertian diffuse lobe"])
 
 

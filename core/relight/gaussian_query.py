@@ -50,7 +50,8 @@ class GaussianQuery:
             opacity = hit[:, -1]
             mean = hit / opacity[:, None]
             normal = torch.nn.functional.normalize(mean[:, 3:6], dim=1)
-        return Hits(ray, opacity, mean[:, 6:9], mean[:, 9].contiguous(), mean[:, 10], normal)
+            point = origin[ray] + mean[:, -2:-1] * direction[ray] + self._offset * normal
+        return Hits(ray, opacity, mean[:, 6:9], mean[:, 9].contiguous(), mean[:, 10], normal, point)
 
     def hidden(self, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
         """Return the occlusion (R,) of rays, see `SurfaceQuery`.

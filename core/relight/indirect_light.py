@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Secondary rays and the light that they gather: L_i = V L_env + (1 - V) L_reflected, as sums over samples.
 
-What does not depend on the light (hits, reflectances, weights) is computed once per surface and kept for the next light. The light
-reflected by a hit surface is split-sum shading with the prefiltered light, without further bounces.
+What does not depend on the light (hits, reflectances, weights) is computed once per surface and kept for the next light. A hit surface
+reflects the irradiance of the mesh's vertices around it, and the prefiltered light in the mirror direction (split-sum shading).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from ..shading.specular_albedo import diffuse_fraction, specular_albedo
 from ..shading.split_sum import reflect, stack_level
 from .prepared_light import PreparedLight
 from .secondary_query import Hits, SurfaceQuery
+from .vertex_transfer import VertexTransfer
 
 SUMS = 12  # three channels each: light for the diffuse lobe, F0, Fresnel, and the diffuse lobe without occlusion
 
@@ -67,12 +68,16 @@ class HitReflectance:
         diffuse: (K, 3) factor of the irradiance / pi at the hit.
         specular: (K, 3) factor of the prefiltered light in the mirror direction.
         place: (K, 5) u, v of the normal, u, v of the mirrored ray, level in the specular stack.
+        corner: (K, 3) int32 vertices of the mesh around the hit; 0 where their light is not known.
+        weight: (K, 3) weights of these vertices.
     """
 
     opacity: torch.Tensor
     diffuse: torch.Tensor
     specular: torch.Tensor
     place: torch.Tensor
+    corner: torch.Tensor
+    weight: torch.Tensor
 
     @property
     def tensors(self) -> list[torch.Tensor]:
@@ -88,11 +93,13 @@ class SecondaryScene:
         query: mesh or Gaussians.
         scale: (3,) factor of the albedo of hit surfaces; None: they only cast shadows.
         conserving: reduce their diffuse lobe by what the specular lobe reflects, see `reflect_light`.
+        transfer: of the mesh whose vertices light the hit surfaces; None: the unoccluded light does.
     """
 
     query: SurfaceQuery
     scale: torch.Tensor | None
     conserving: bool
+    transfer: VertexTransfer | None = None
 
     def trace(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, HitReflectance]:
         """Trace rays.
@@ -111,8 +118,9 @@ class SecondaryScene:
 
     def _reflectance(self, hits: Hits, view: torch.Tensor) -> HitReflectance:
         """Return the reflectance of hits towards `view` (K, 3): split-sum shading without its light."""
+        vertices = self._vertices(hits)
         if self.scale is None:
-            return HitReflectance(hits.opacity, torch.zeros_like(view), torch.zeros_like(view), view.new_zeros(len(view), 5))
+            return HitReflectance(hits.opacity, torch.zeros_like(view), torch.zeros_like(view), view.new_zeros(len(view), 5), *vertices)
         n_v = (view * hits.normal).sum(-1).clamp(1e-3, 1)
         albedo, metallic = hits.albedo * self.scale, hits.metallic[:, None]
         diffuse = (1 - metallic) * albedo
@@ -120,7 +128,16 @@ class SecondaryScene:
             diffuse = diffuse * diffuse_fraction(n_v, hits.roughness)[:, None]
         specular = specular_albedo(n_v, hits.roughness, base_reflectance(albedo, metallic))
         places = (*direction_to_uv(hits.normal), *direction_to_uv(reflect(view, hits.normal)), stack_level(hits.roughness))
-        return HitReflectance(hits.opacity, diffuse, specular, torch.stack(places, 1))
+        return HitReflectance(hits.opacity, diffuse, specular, torch.stack(places, 1), *vertices)
+
+    def _vertices(self, hits: Hits) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the vertices around hits, (K, 3) int32, and their weights (K, 3)."""
+        if self.transfer is None or self.scale is None:
+            nothing = hits.normal.new_zeros(hits.normal.shape)
+            return nothing.int(), nothing
+        if hits.corner is None or hits.weight is None:
+            return self.transfer.nearest(hits.point)
+        return hits.corner, hits.weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +194,7 @@ def trace_samples(scene: SecondaryScene, points: ShadingPoints, samples: Samples
     return SecondaryRays(terms, row.view(-1, count), hits)
 
 
-def gather(rays: SecondaryRays, light: PreparedLight, light_count: float) -> torch.Tensor:
+def gather(rays: SecondaryRays, light: PreparedLight, light_count: float, vertex_light: torch.Tensor | None = None) -> torch.Tensor:
     """Sum the light along rays, each weighted as in the rendering equation and divided by its density.
 
     Args:
@@ -186,6 +203,7 @@ def gather(rays: SecondaryRays, light: PreparedLight, light_count: float) -> tor
         light_count: number of light-map samples per point, drawn separately by `add_light_samples`. So many times the light's own density
             is added to the density of the rays where they see the light itself, but not where they see a hit surface: light-map samples
             add no reflected light, which therefore comes from these rays alone.
+        vertex_light: (V, 4) of `VertexTransfer.light`; None: surfaces that rays hit receive the unoccluded light, as in the paper.
 
     Returns:
         (P, 2, SUMS) float32 sums over samples 0, 2, 4... and over samples 1, 3, 5...
@@ -193,7 +211,8 @@ def gather(rays: SecondaryRays, light: PreparedLight, light_count: float) -> tor
     assert light.distribution is not None
     sums = rays.terms.new_zeros(len(rays.terms), 2, SUMS)
     maps = (light.radiance[None], light.diffuse[None], light.specular, light.distribution.texels)
-    tensors = (rays.terms, rays.row, *rays.hits.tensors, *(t.contiguous() for t in maps))
+    vertices = sums.new_zeros(0, 4) if vertex_light is None else vertex_light
+    tensors = (rays.terms, rays.row, *rays.hits.tensors, vertices, *(t.contiguous() for t in maps))
     if by_warp(sums):
         _warp_kernels().gather(*tensors, light_count, light.turn, sums)
     else:
@@ -202,13 +221,16 @@ def gather(rays: SecondaryRays, light: PreparedLight, light_count: float) -> tor
     return sums
 
 
-def gather_reference(rays: SecondaryRays, light: PreparedLight, light_count: float) -> torch.Tensor:
+def gather_reference(
+    rays: SecondaryRays, light: PreparedLight, light_count: float, vertex_light: torch.Tensor | None = None
+) -> torch.Tensor:
     """Compute `gather` in PyTorch operations, in double precision: its reference implementation.
 
     Args:
         rays: traced rays of P points.
         light: the light, possibly rotated.
         light_count: number of light-map samples per point, see `gather`.
+        vertex_light: (V, 4), see `gather`.
 
     Returns:
         (P, 2, SUMS) float64 sums.
@@ -219,8 +241,13 @@ def gather_reference(rays: SecondaryRays, light: PreparedLight, light_count: flo
     free = lookup(light.radiance.double(), direction.view(-1, 3))
     hit = torch.nonzero(rays.row.flatten() >= 0)[:, 0]
     k, hits = rays.row.flatten()[hit].long(), rays.hits
-    reflected = hits.diffuse[k] * _lookup_rotated(light.diffuse[None], hits.place[k, :2], light.turn, torch.zeros(len(k)))
-    reflected = reflected + hits.specular[k] * _lookup_rotated(light.specular, hits.place[k, 2:4], light.turn, hits.place[k, 4])
+    mirrored = _lookup_rotated(light.specular, hits.place[k, 2:4], light.turn, hits.place[k, 4])
+    if vertex_light is None:
+        irradiance = _lookup_rotated(light.diffuse[None], hits.place[k, :2], light.turn, torch.zeros(len(k)))
+    else:
+        at_hits = torch.einsum("kc,kca->ka", hits.weight[k].double(), vertex_light.double()[hits.corner[k].long()])
+        irradiance, mirrored = at_hits[:, :3], at_hits[:, 3:] * mirrored
+    reflected = hits.diffuse[k] * irradiance + hits.specular[k] * mirrored
     own_density, hidden = density.flatten()[hit, None], hits.opacity[k, None]
     free = free / (density + light_count * light.distribution.density(direction)).view(-1, 1)
     seen = free.index_copy(0, hit, (1 - hidden) * free[hit] + hidden * reflected / own_density)

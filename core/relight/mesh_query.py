@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from ..scene.mesh import Mesh
 from .primary_hits import PrimaryHits
 from .secondary_query import Hits
 from .triangles import triangles_of
+from .vertex_transfer import VertexTransfer
 
 # Fractions of the scene radius:
 CLEARANCE = 0.002  # distance of ray origins from the mesh
@@ -32,7 +34,12 @@ class MeshQuery:
         self._faces, self._radius = torch.from_numpy(mesh.faces.astype(np.int64)).to(device), radius
         rows = (mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None])
         self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32)).to(device)
-        self._triangles = triangles_of(mesh, device)
+        self._triangles, self._mesh, self._device = triangles_of(mesh, device), mesh, device
+
+    @cached_property
+    def transfer(self) -> VertexTransfer:
+        """Radiance transfer of the vertices, traced at the first use."""
+        return VertexTransfer(self._mesh, self._triangles, self._radius, self._device)
 
     def origins(self, surface: PrimaryHits) -> torch.Tensor:
         """Return ray origins (P, 3), see `SurfaceQuery`.
@@ -97,7 +104,8 @@ class MeshQuery:
         triangle, u, v, distance = self.closest(origin, direction)
         ray = torch.nonzero(triangle >= 0)[:, 0]
         barycentric = torch.stack([1 - u[ray] - v[ray], u[ray], v[ray]], 1)
-        return self._hits(ray, triangle[ray].long(), barycentric, direction), distance[ray]
+        met = origin[ray] + distance[ray, None] * direction[ray]
+        return self._hits(ray, triangle[ray].long(), barycentric, direction, met), distance[ray]
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the first triangle that each ray meets, without materials.
@@ -111,13 +119,17 @@ class MeshQuery:
         """
         return self._triangles.closest(origin, direction)
 
-    def _hits(self, ray: torch.Tensor, triangle: torch.Tensor, barycentric: torch.Tensor, direction: torch.Tensor) -> Hits:
-        """Interpolate the vertex attributes at K hits; `barycentric` is (K, 3)."""
-        values = torch.einsum("kc,kca->ka", barycentric, self._attributes[self._faces[triangle]])
+    def _hits(
+        self, ray: torch.Tensor, triangle: torch.Tensor, barycentric: torch.Tensor, direction: torch.Tensor, met: torch.Tensor
+    ) -> Hits:
+        """Interpolate the vertex attributes at K hits; `barycentric` and `met`, their positions, are (K, 3)."""
+        corner = self._faces[triangle]
+        values = torch.einsum("kc,kca->ka", barycentric, self._attributes[corner])
         normal = torch.nn.functional.normalize(values[:, :3], dim=1)
         facing_away = (normal * direction[ray]).sum(1, keepdim=True) > 0
-        materials = (values[:, 3:6], values[:, 6].contiguous(), values[:, 7])
-        return Hits(ray, torch.ones_like(values[:, 0]), *materials, torch.where(facing_away, -normal, normal))
+        normal = torch.where(facing_away, -normal, normal)
+        surface = (values[:, 3:6], values[:, 6].contiguous(), values[:, 7], normal, met + CLEARANCE * self._radius * normal)
+        return Hits(ray, torch.ones_like(values[:, 0]), *surface, corner.int(), barycentric)
 
 
 def _centre(surface: PrimaryHits) -> torch.Tensor:

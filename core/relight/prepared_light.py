@@ -55,10 +55,13 @@ class PreparedLight:
 
     def irradiance(self, normal: torch.Tensor) -> torch.Tensor:
         """Return the unoccluded irradiance (P, 3) of surfaces with unit normals (P, 3)."""
+        return lookup(self.diffuse, self.unturned(normal)) * math.pi
+
+    def unturned(self, direction: torch.Tensor) -> torch.Tensor:
+        """Rotate directions (P, 3) into the frame of the maps."""
         cosine, sine = math.cos(2 * math.pi * self.turn), math.sin(2 * math.pi * self.turn)
-        x, y, z = normal.unbind(-1)
-        back = torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], -1)
-        return lookup(self.diffuse, back) * math.pi
+        x, y, z = direction.unbind(-1)
+        return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], -1)
 
 
 def prepare_light(light: np.ndarray, device: torch.device | str = "cpu") -> PreparedLight:

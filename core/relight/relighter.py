@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relighter: the object under any light by the rendering equation at every pixel, with shadows and one bounce of indirect light.
+"""Relighter: the object under any light by the rendering equation at every pixel, with shadows and interreflections.
 
-L_i = V L_new + (1 - V) SplitSum(a, r, m, n of the occluder, prefiltered L_new)
+L_i = V L_new + (1 - V) (diffuse albedo E / pi + specular albedo prefiltered L_new) of the occluder, its irradiance E from `VertexTransfer`
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from .prepared_light import PreparedLight
 from .primary_hits import PrimaryHits, primary_hits
 from .sample_counts import Counts, pixel_shifts, sample_counts
 from .secondary_query import SurfaceQuery
+from .vertex_transfer import VertexTransfer
 from .visibility_cache import VisibilityCache, build_visibility_cache
 
 RAYS = 1 << 17  # rays traced at a time on the CPU: few enough for its cache, enough for every thread
@@ -48,6 +49,8 @@ class RelightSettings:
         sampling: "mis", or "stratified" for comparison.
         denoise: "demodulated", "paper" or "off".
         indirect: add the light that other parts of the object reflect; without it they only cast shadows.
+        transfer: these parts receive light with shadows and interreflections, see `VertexTransfer`, where there is a mesh; False: the
+            unoccluded light (the paper).
         conserving: reduce the diffuse lobe by what the specular lobe reflects (Blender's Principled BSDF); False: do not (the paper).
         mesh_normals: weight of the mesh's normals in the shading normals, 0..1, where there is a mesh.
         albedo_scale: factor of the albedo per channel: under an unknown light its brightness cannot be determined.
@@ -61,6 +64,7 @@ class RelightSettings:
     sampling: Literal["mis", "stratified"] = "mis"
     denoise: Literal["demodulated", "paper", "off"] = "demodulated"
     indirect: bool = True
+    transfer: bool = True
     conserving: bool = True
     mesh_normals: float = 0.5
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -241,13 +245,21 @@ class Relighter:
         rays = rays_that_fit(self.device) if by_warp(surface.index) else RAYS
         count, step = len(surface.index), max(1, rays // sum(counts))
         parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
-        return torch.cat([self._gather_part(surface, part, counts, light) for part in parts])
+        vertex_light = None if self._transfer is None else self._transfer.light(light, self._scale)
+        return torch.cat([self._gather_part(surface, part, counts, light, vertex_light) for part in parts])
 
-    def _gather_part(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight) -> torch.Tensor:
+    @property
+    def _transfer(self) -> VertexTransfer | None:
+        """Return the radiance transfer that lights hit surfaces; None: the unoccluded light does."""
+        return self.mesh.transfer if self.mesh is not None and self.settings.indirect and self.settings.transfer else None
+
+    def _gather_part(
+        self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight, vertex_light: torch.Tensor | None
+    ) -> torch.Tensor:
         """Return the sums over samples of some of the points."""
         by_light = counts[2] if self.settings.sampling == "mis" else 0
         cached = self._cached_rays(surface, part, counts, light)
-        sums = gather(cached.rays, light, by_light)
+        sums = gather(cached.rays, light, by_light, vertex_light)
         if by_light:
             above, traced = add_light_samples(sums, cached.points, cached.shift, counts, light, cached.visibility_cache, self.query)
             self.tally.add("traced", traced)
@@ -279,7 +291,7 @@ class Relighter:
         counts = (*counts[:2], 0) if self.settings.sampling == "mis" else counts
         drawn = draw(*arguments, counts, light.distribution, shift, self.settings.sampling)
         points = ShadingPoints.from_roughness(surface.origin[part], *arguments)
-        scene = SecondaryScene(self.query, self._scale if self.settings.indirect else None, self.settings.conserving)
+        scene = SecondaryScene(self.query, self._scale if self.settings.indirect else None, self.settings.conserving, self._transfer)
         rays = trace_samples(scene, points, Samples(drawn.direction, drawn.density * sum(counts)))
         if self.settings.skip.reuse_visibility == "off" or self.settings.sampling != "mis":
             return CachedRays(points, shift, rays, VisibilityCache.unknown(len(shift)))

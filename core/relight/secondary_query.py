@@ -22,6 +22,9 @@ class Hits:
         roughness: (K,) in 0..1.
         metallic: (K,) in 0..1.
         normal: (K, 3) unit, facing the ray; those of Gaussians may lean away by up to 17 degrees (`BEHIND` in kernels/constants.py).
+        point: (K, 3) world, above the hit surface: origins of further rays.
+        corner: (K, 3) int32 vertices of the triangle hit; None where no mesh was traced.
+        weight: (K, 3) barycentric weights of these vertices; None where no mesh was traced.
     """
 
     ray: torch.Tensor
@@ -30,6 +33,9 @@ class Hits:
     roughness: torch.Tensor
     metallic: torch.Tensor
     normal: torch.Tensor
+    point: torch.Tensor
+    corner: torch.Tensor | None = None
+    weight: torch.Tensor | None = None
 
 
 class SurfaceQuery(Protocol):

@@ -57,6 +57,17 @@ def point_set(count: int) -> torch.Tensor:
     return torch.stack([(i * 0.6180339887498949) % 1, (i + 0.5) / max(count, 1)], -1)
 
 
+def cosine_directions(normal: torch.Tensor, count: int, shift: torch.Tensor) -> torch.Tensor:
+    """Draw directions of density cos / pi about normals, (P, count, 3) unit.
+
+    Args:
+        normal: (P, 3) unit.
+        count: directions per normal.
+        shift: (P, 2) shifts of the point sets on the torus, in [0, 1).
+    """
+    return _cosine(_shifted(count, shift)) @ orthonormal_basis(normal).mT
+
+
 @cache
 def _points(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
     """Return `point_set` as a floating type on a device."""

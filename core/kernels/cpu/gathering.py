@@ -40,20 +40,32 @@ def _bilinear(maps, level, u, v):
 
 
 @helper
-def reflected(k, body, gloss, place, diffuse, specular, turn):
-    """Return the radiance that hit k reflects along its ray: its diffuse and specular albedo times prefiltered light.
+def reflected(k, body, gloss, place, corner, weight, vertices, diffuse, specular, turn):
+    """Return the radiance that hit k reflects along its ray: its diffuse and specular albedo times the light that reaches it.
 
-    place: (K, 5) u, v of the normal, u, v of the mirrored ray, level in the specular stack.
+    place: (K, 5) u, v of the normal, u, v of the mirrored ray, level in the specular stack. vertices: (V, 4) irradiance / pi and visible
+    fraction of the light at the mesh's vertices, of which `corner` (K, 3) are around the hit with `weight` (K, 3); V = 0: the unoccluded
+    light reaches every hit.
     """
-    red, green, blue = _bilinear(diffuse, 0, turned(float(place[k, 0]), turn), float(place[k, 1]))
+    visible = 1.0
+    if len(vertices) == 0:
+        red, green, blue = _bilinear(diffuse, 0, turned(float(place[k, 0]), turn), float(place[k, 1]))
+    else:
+        red, green, blue, visible = 0.0, 0.0, 0.0, 0.0
+        for c in range(3):
+            at, share = corner[k, c], float(weight[k, c])
+            red += share * vertices[at, 0]
+            green += share * vertices[at, 1]
+            blue += share * vertices[at, 2]
+            visible += share * vertices[at, 3]
     u, v, level = turned(float(place[k, 2]), turn), float(place[k, 3]), float(place[k, 4])
     low = min(int(level), specular.shape[0] - 2)
     f = level - low
     r0, g0, b0 = _bilinear(specular, low, u, v)
     r1, g1, b1 = _bilinear(specular, low + 1, u, v)
-    red = float(body[k, 0]) * red + float(gloss[k, 0]) * (r0 + f * (r1 - r0))
-    green = float(body[k, 1]) * green + float(gloss[k, 1]) * (g0 + f * (g1 - g0))
-    blue = float(body[k, 2]) * blue + float(gloss[k, 2]) * (b0 + f * (b1 - b0))
+    red = float(body[k, 0]) * red + visible * float(gloss[k, 0]) * (r0 + f * (r1 - r0))
+    green = float(body[k, 1]) * green + visible * float(gloss[k, 1]) * (g0 + f * (g1 - g0))
+    blue = float(body[k, 2]) * blue + visible * float(gloss[k, 2]) * (b0 + f * (b1 - b0))
     return red, green, blue
 
 
@@ -78,7 +90,9 @@ def terms_range(begin, end, view, normal, alpha, direction, density, terms):
 
 
 @kernel
-def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, diffuse, specular, texels, light_count, turn, sums):
+def gather_range(
+    begin, end, terms, row, opacity, body, gloss, place, corner, weight, vertices, light, diffuse, specular, texels, light_count, turn, sums
+):  # fmt: skip
     """Add to `sums` (P, 2, 12), for points begin..end, the light along rays: even samples to the first half, odd ones to the second.
 
     The twelve sums, three channels each: light for the diffuse lobe, for F0, for what Fresnel adds, and for the diffuse lobe without any
@@ -105,7 +119,7 @@ def gather_range(begin, end, terms, row, opacity, body, gloss, place, light, dif
             acc[at + 11] += n_l * b
             k = row[p, i]
             if k >= 0:
-                hr, hg, hb = reflected(k, body, gloss, place, diffuse, specular, turn)
+                hr, hg, hb = reflected(k, body, gloss, place, corner, weight, vertices, diffuse, specular, turn)
                 hidden, own = float(opacity[k]), 1 / float(terms[p, i, 5])
                 r, g, b = r + hidden * (own * hr - r), g + hidden * (own * hg - g), b + hidden * (own * hb - b)
             value, bias = float(terms[p, i, 3]), float(terms[p, i, 4])

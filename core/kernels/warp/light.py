@@ -54,16 +54,22 @@ def bilinear(maps: wp.array3d(dtype=wp.vec3), level: int, u: float, v: float) ->
 
 @wp.func
 def reflected(
-    k: int, body: wp.array(dtype=wp.vec3), gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float),
-    diffuse: wp.array3d(dtype=wp.vec3), specular: wp.array3d(dtype=wp.vec3), turn: float,
+    k: int, body: wp.array(dtype=wp.vec3), gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float), corner: wp.array2d(dtype=int),
+    weight: wp.array2d(dtype=float), vertices: wp.array(dtype=wp.vec4), diffuse: wp.array3d(dtype=wp.vec3),
+    specular: wp.array3d(dtype=wp.vec3), turn: float,
 ) -> wp.vec3:  # fmt: skip
     """Return the radiance that hit k reflects along its ray."""
-    diffuse_light = bilinear(diffuse, 0, turned(place[k, 0], turn), place[k, 1])
+    diffuse_light, visible = wp.vec3(), float(1.0)
+    if vertices.shape[0] == 0:
+        diffuse_light = bilinear(diffuse, 0, turned(place[k, 0], turn), place[k, 1])
+    else:
+        at_hit = vertices[corner[k, 0]] * weight[k, 0] + vertices[corner[k, 1]] * weight[k, 1] + vertices[corner[k, 2]] * weight[k, 2]
+        diffuse_light, visible = wp.vec3(at_hit[0], at_hit[1], at_hit[2]), at_hit[3]
     u, v, level = turned(place[k, 2], turn), place[k, 3], place[k, 4]
     low = wp.min(int(level), specular.shape[0] - 2)
     fraction = level - float(low)
     specular_light = bilinear(specular, low, u, v) * (1.0 - fraction) + bilinear(specular, low + 1, u, v) * fraction
-    return wp.cw_mul(body[k], diffuse_light) + wp.cw_mul(gloss[k], specular_light)
+    return wp.cw_mul(body[k], diffuse_light) + wp.cw_mul(gloss[k], specular_light) * visible
 
 
 @wp.func
@@ -102,7 +108,8 @@ def terms_kernel(
 @wp.kernel
 def gather_kernel(
     terms: wp.array3d(dtype=float), row: wp.array2d(dtype=int), opacity: wp.array(dtype=float), body: wp.array(dtype=wp.vec3),
-    gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float), light: wp.array3d(dtype=wp.vec3), diffuse: wp.array3d(dtype=wp.vec3),
+    gloss: wp.array(dtype=wp.vec3), place: wp.array2d(dtype=float), corner: wp.array2d(dtype=int), weight: wp.array2d(dtype=float),
+    vertices: wp.array(dtype=wp.vec4), light: wp.array3d(dtype=wp.vec3), diffuse: wp.array3d(dtype=wp.vec3),
     specular: wp.array3d(dtype=wp.vec3), texels: wp.array(dtype=float), light_count: float, turn: float, sums: wp.array3d(dtype=float),
 ):  # fmt: skip
     """Sum over half of the samples of a point, even or odd ones, to sums (P, 2, 12): see `gather_range` of the CPU."""
@@ -119,7 +126,8 @@ def gather_kernel(
             arriving = free
             k = row[p, i]
             if k >= 0:
-                arriving = free + (reflected(k, body, gloss, place, diffuse, specular, turn) / terms[p, i, 5] - free) * opacity[k]
+                surface = reflected(k, body, gloss, place, corner, weight, vertices, diffuse, specular, turn)
+                arriving = free + (surface / terms[p, i, 5] - free) * opacity[k]
             acc = lit(acc, n_l, terms[p, i, 3], terms[p, i, 4], arriving, free)
         i += 2
     for c in range(12):

@@ -35,20 +35,22 @@ def drawn(surface, counts, light, **how) -> Samples:
     return Samples(samples.direction, samples.density * sum(counts))
 
 
-def traced(one, surface, samples, scale=SCALE) -> SecondaryRays:
-    return trace_samples(SecondaryScene(one.query, scale, conserving=True), points_of(surface)[0], samples)
+def traced(one, surface, samples, scale=SCALE, transfer=None) -> SecondaryRays:
+    return trace_samples(SecondaryScene(one.query, scale, True, transfer), points_of(surface)[0], samples)
 
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
 @pytest.mark.parametrize("material", [(0.6, 0.4, 0.2, 0.7, 0.0), (0.9, 0.7, 0.3, 0.2, 1.0)])
-@pytest.mark.parametrize(("scale", "light_count"), [(SCALE, 0), (SCALE, 5), (None, 5)])
-def test_gather_equals_its_reference(relighter, camera, light, backend, material, scale, light_count):
+@pytest.mark.parametrize(("scale", "light_count", "by_vertices"), [(SCALE, 0, False), (SCALE, 5, True), (None, 5, False)])
+def test_gather_equals_its_reference(relighter, camera, light, backend, material, scale, light_count, by_vertices):
     one = relighter(backend, material)
     surface = one.surface(camera)
-    rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if light_count else COUNTS, light), scale)
+    transfer = relighter("mesh", material).mesh.transfer if by_vertices else None
+    rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if light_count else COUNTS, light), scale, transfer)
     assert 0 < len(rays.hits.opacity) < rays.row.numel() and rays.size > 20 * rays.row.numel()
     for seen in (light, light.turned(77)):
-        found, expected = (function(rays, seen, light_count) for function in (gather, gather_reference))
+        vertex_light = transfer.light(seen, scale) if transfer else None
+        found, expected = (function(rays, seen, light_count, vertex_light) for function in (gather, gather_reference))
         scaled = (found - expected).abs() / expected.abs().mean(0)
         assert scaled.quantile(0.999) < 2e-3 and scaled.mean() < 1e-4
 

@@ -12,7 +12,8 @@ def rays(met: torch.Tensor, above: torch.Tensor) -> SecondaryRays:
     """Rays of 16 points, RAYS in all: those `met` have a hit, those `above` lie above the horizon."""
     row = torch.where(met, 0, -1).int()
     nothing = torch.zeros(1, 3)
-    return SecondaryRays(above[..., None].float().repeat(1, 1, 6), row, HitReflectance(torch.ones(1), nothing, nothing, torch.zeros(1, 5)))
+    hits = HitReflectance(torch.ones(1), nothing, nothing, torch.zeros(1, 5), nothing.int(), nothing)
+    return SecondaryRays(above[..., None].float().repeat(1, 1, 6), row, hits)
 
 
 def scene():
