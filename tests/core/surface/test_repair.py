@@ -99,6 +99,18 @@ def test_folded_face_is_unfolded_and_the_rest_stays():
     assert repair.unfolded(ball) is ball
 
 
+def test_fold_that_stays_is_collapsed(monkeypatch):
+    monkeypatch.setattr(repair, "UNFOLDING", 0)
+    ball = sphere()
+    a, b, c = ball.faces[100]
+    tip = (ball.vertices[b] + ball.vertices[c]) / 2 * 1.3 - 0.3 * ball.vertices[a]
+    vertices, p = np.concatenate([ball.vertices, tip[None]]), len(ball.vertices)
+    folded = Triangles(vertices, np.concatenate([np.delete(ball.faces, 100, 0), [[a, b, p], [b, c, p], [c, a, p]]]))
+    whole = repair.without_folds(folded)
+    assert folds(whole) == 0 and counts(whole) == (0, 0, 0)
+    assert len(folded.faces) - 6 <= len(whole.faces) < len(folded.faces) and abs(body(whole).volume / body(ball).volume - 1) < 0.01
+
+
 def test_normals_that_a_face_turns_away_from_are_replaced():
     ball = sphere()
     normals = meshing.vertex_normals(ball)
