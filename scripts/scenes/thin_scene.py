@@ -36,12 +36,14 @@ def build_thin_scene() -> list[bpy.types.Object]:
 
 
 def plate_profile() -> np.ndarray:
-    """Return the outline of the plate from its lower to its upper middle, radius and height, (6, 2)."""
+    """Return the outline of the plate from its lower to its upper middle, radius and height, (8, 2)."""
     radius, thickness = PLATE
     top = HEIGHTS[0] - WIRE
     low, edge = top - thickness, thickness / 4
     outer = [(radius - edge, low), (radius, low + edge), (radius, top - edge), (radius - edge, top)]
-    return np.array([(0.0, low), *outer, (0.0, top)])
+    # Smooth shading turns the normals only between the edge and the rings of points beside it: the plate is shaded as flat as it is.
+    inner = [(radius - 2 * edge, height) for height in (low, top)]
+    return np.array([(0.0, low), inner[0], *outer, inner[1], (0.0, top)])
 
 
 def basket_radius(height: np.ndarray) -> np.ndarray:
