@@ -89,6 +89,17 @@ def _is_mesh(settings: "IRGSPP_SceneSettings", thing: bpy.types.Object) -> bool:
     return thing.type == "MESH"
 
 
+TEXTURE_PLACES = (
+    ("auto", "Automatic", "Inside the file where its format can, otherwise beside it"),
+    ("packed", "Inside", "Inside the file"),
+    ("beside", "Beside", "In a folder beside the file, which is found when both are moved together"),
+)
+NORMAL_MAPS = (
+    ("opengl", "OpenGL", "Green is up, as in Blender, Unity and Godot"),
+    ("directx", "DirectX", "Green is down, as in Unreal Engine; .fbx and .obj only"),
+)
+
+
 class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     """Settings stored in the .blend as `scene.irgspp`; settings of the machine are in the preferences."""
 
@@ -187,6 +198,17 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         description="Mesh that you edited or modelled, to bake the textures onto. Empty: the run's own mesh",
         type=bpy.types.Object,
         poll=_is_mesh,
+    )
+
+    export_lods: BoolProperty(
+        name="Levels of Detail", description="Add versions with a half and a quarter of the triangles, which share the textures"
+    )
+    export_collision: BoolProperty(
+        name="Collision Hulls", description="Add a few convex solids that game engines take as the collision shape (UCX_...)"
+    )
+    export_textures: EnumProperty(name="Textures", description="Place of the textures", items=TEXTURE_PLACES, default="auto")
+    export_normal_map: EnumProperty(
+        name="Normal Map", description="Direction of green in the normal map of .fbx and .obj", items=NORMAL_MAPS, default="opengl"
     )
 
     # Relight

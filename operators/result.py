@@ -6,9 +6,10 @@
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from mathutils import Matrix
 
+from ..core.assets.options import SUFFIXES
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.importer.edited_mesh import save_edited
 from ..irgspp_addon.importer.materials import source_of
@@ -17,7 +18,10 @@ from ..irgspp_addon.importer.scene_builder import run_of
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.properties import NORMAL_MAPS, TEXTURE_PLACES
 from .blocking import IMPORT, RUN, SKIP, WAIT, Queued, refuse, run_to_end
+
+ENDINGS = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
 
 
 class IRGSPP_OT_bake(Queued, bpy.types.Operator):
@@ -84,15 +88,27 @@ def import_bake(job: Job) -> None:
 
 
 class IRGSPP_OT_export(bpy.types.Operator):
-    """Write a finished run's asset (.glb), Blender scene (.blend), Gaussians (.ply) or light (.exr) as one file."""
+    """Write a finished run's asset (.glb, .usdc, .usdz, .fbx, .obj), Blender scene (.blend), Gaussians (.ply) or light (.exr)."""
 
     bl_idname = "irgspp.export"
     bl_label = "Export IRGS++ Result"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
     run: StringProperty(**RUN)
-    filepath: StringProperty(name="File", description="Ends with .glb, .blend, .ply or .exr", subtype="FILE_PATH", options=SKIP)
-    filter_glob: StringProperty(default="*.glb;*.blend;*.ply;*.exr", options={"HIDDEN"})
+    filepath: StringProperty(name="File", description=f"Ends with {ENDINGS}", subtype="FILE_PATH", options=SKIP)
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})
+    lods: BoolProperty(
+        name="Levels of Detail",
+        description="Add versions with a half and a quarter of the triangles, which share the textures",
+        options=SKIP,
+    )
+    collision: BoolProperty(
+        name="Collision Hulls", description="Add convex solids that game engines take as the collision shape (UCX_...)", options=SKIP
+    )
+    textures: EnumProperty(name="Textures", description="Place of the textures", items=TEXTURE_PLACES, default="auto", options=SKIP)
+    normal_map: EnumProperty(
+        name="Normal Map", description="Direction of green in the normal map of .fbx and .obj", items=NORMAL_MAPS, options=SKIP
+    )
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
     wait: BoolProperty(**WAIT)
 
@@ -117,9 +133,12 @@ class IRGSPP_OT_export(bpy.types.Operator):
         try:
             run = chosen_run(context, self.run)
             if not self.filepath:
-                raise InputError("filepath", "no file is named", "name a file that ends with .glb, .blend, .ply or .exr")
+                raise InputError("filepath", "no file is named", f"name a file that ends with {ENDINGS}")
             target = Path(bpy.path.abspath(self.filepath)).absolute()
             words = ["export", str(run), "-o", str(target), "--material", context.scene.irgspp.source]
+            words += ["--lods"] if self.lods else []
+            words += ["--collision"] if self.collision else []
+            words += ["--textures", self.textures, "--normal-map", self.normal_map]
             job = jobs.start("export", f"Export {target.name}", run, words, data={"file": str(target), "run": str(run)})
             return run_to_end(self, job) if self.wait else {"FINISHED"}
         except IrgsppError as error:

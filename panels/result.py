@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import bpy
 
+from ..core.assets.options import AssetOptions
 from ..irgspp_addon.importer.arrangement import cameras_shown, is_imported_camera
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.ownership import KEY, folder_of
@@ -85,16 +87,21 @@ class IRGSPP_PT_bake(FinishedRunPanel, bpy.types.Panel):
 
 
 class IRGSPP_PT_export(FinishedRunPanel, bpy.types.Panel):
-    """Panel that exports the result as one file."""
+    """Panel that exports the result for other programs."""
 
     bl_label = "Export"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw a button for each kind of file, and the job."""
-        run = shown_run(context)
+        """Draw the choices, a button for each kind of file, and the job."""
+        run, settings = shown_run(context), context.scene.irgspp
+        column = settings_column(self.layout.column())
+        for name in ("export_lods", "export_collision", "export_textures", "export_normal_map"):
+            column.prop(settings, name)
+        chosen = AssetOptions(settings.export_lods, settings.export_collision, settings.export_textures, settings.export_normal_map)
         column = self.layout.column(align=True)
         for text, icon, suffix in FILES:
-            button(column, "irgspp.export", text, icon, run=str(run), filepath=str(run / f"{run.name}{suffix}") if run else "")
+            file = str(run / f"{run.name}{suffix}") if run else ""
+            button(column, "irgspp.export", text, icon, run=str(run), filepath=file, **asdict(chosen.fitting(suffix)))
         draw_last(self.layout, context, "export", run)
         draw_exported(self.layout, run)
 
@@ -106,7 +113,11 @@ UNFINISHED = {
     "broken": "The run folder can't be read.",
 }
 FILES = (
-    ("Asset for Other Programs (.glb)", "FILE_3D", ".glb"),
+    ("glTF for Most Programs (.glb)", "FILE_3D", ".glb"),
+    ("USD (.usdc)", "FILE_3D", ".usdc"),
+    ("USD in One File (.usdz)", "FILE_3D", ".usdz"),
+    ("FBX (.fbx)", "FILE_3D", ".fbx"),
+    ("OBJ (.obj)", "FILE_3D", ".obj"),
     ("Blender File (.blend)", "FILE_BLEND", ".blend"),
     ("Gaussians (.ply)", "POINTCLOUD_DATA", ".ply"),
     ("Recovered Light (.exr)", "WORLD", ".exr"),

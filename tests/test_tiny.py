@@ -98,9 +98,15 @@ def test_evaluation_from_the_command_line(run, tmp_path, capsys):
 
 
 def test_exports_from_the_command_line(run, tmp_path):
-    for name, source in (("o.glb", "asset.glb"), ("o.ply", "gaussians.ply"), ("o.exr", "environment.exr")):
+    for name, source in (("o.ply", "gaussians.ply"), ("o.exr", "environment.exr")):
         assert main(["export", str(run), "-o", str(tmp_path / name)]) == 0
         assert (tmp_path / name).read_bytes() == (run / source).read_bytes()
+    assert main(["export", str(run), "-o", str(tmp_path / "o.glb")]) == 0
+    own, exported = (trimesh.load(path).geometry[name] for path, name in ((run / "asset.glb", "object"), (tmp_path / "o.glb", "o")))
+    moved = exported.vertices - own.vertices  # to its foot
+    np.testing.assert_allclose(moved, np.broadcast_to(moved[0], moved.shape), atol=1e-5)
+    np.testing.assert_allclose(exported.bounds[0, 1], 0, atol=1e-5)
+    assert main(["evaluate", str(run), "--asset", "-o", str(tmp_path / "report")]) == 0
     if (run / "scene.blend").exists():
         assert main(["export", str(run), "-o", str(tmp_path / "o.blend"), "--material", "attributes"]) == 0
         assert (tmp_path / "o.blend").stat().st_size > 10_000

@@ -21,7 +21,6 @@ from ..rendering.gbuffer_cache import GBufferCache
 from ..run_folder import RunFolder, read_run
 from ..scene.camera_files import load_run_cameras
 from ..scene.edited_mesh import EditedMesh, load_edited_mesh
-from ..scene.glb import save_glb
 from ..scene.mesh import Mesh
 from ..scene.mesh_ply import load_mesh_ply, save_mesh_ply
 from ..scene.reconstruction import Reconstruction
@@ -34,6 +33,7 @@ from ..surface.meshing import Triangles, vertex_normals
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
 from .export import write_blend
+from .mesh_files import save_asset_glb
 
 PARTIAL = "bake.part"  # folder in the run folder that is completed before any file of the run is replaced
 
@@ -145,7 +145,7 @@ def _replace(run: Path, mesh: Mesh) -> None:
         partial.mkdir(exist_ok=True)
         save_mesh_ply(mesh, partial / "mesh.ply")
         save_textures(mesh.textures, partial)
-        save_glb(mesh, partial / "asset.glb")
+        save_asset_glb(mesh, partial / "asset.glb")
         (run / "textures").mkdir(exist_ok=True)
         for name in mesh.textures:
             os.replace(partial / f"{name}.png", run / "textures" / f"{name}.png")

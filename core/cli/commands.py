@@ -7,6 +7,7 @@ import argparse
 import dataclasses
 import json
 
+from ..errors import InputError
 from ..progress.recorder import JobRecorder
 from ..progress.terminal import Terminal
 from ..run_folder import read_run
@@ -108,12 +109,21 @@ def settings_of(args: argparse.Namespace) -> Settings:
 
 
 def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Compare a run with a dataset's test views: print a table, write report.html and report.json.
+    """Compare a run with a dataset's test views, or check its asset: print a table, write the report; 1 where the asset has defects.
 
     Args:
         args: options of the command.
         terminal: receives the progress.
     """
+    if args.dataset is None and not args.asset:
+        raise InputError("evaluate", "no dataset is named", "name the one to compare with, or give --asset to check the asset alone")
+    if args.dataset is not None:
+        _compare(args, terminal)
+    return _check_asset(args) if args.asset else 0
+
+
+def _compare(args: argparse.Namespace, terminal: Terminal) -> None:
+    """Compare a run with a dataset's test views and print a table."""
     with quick_imports():
         from ..capture.source import posed_dataset
         from ..evaluation.report import evaluate, table
@@ -124,7 +134,16 @@ def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:
     report = evaluate(args.run, posed_dataset(args.dataset, args.run), args.out, settings.data, terminal, args.cycles, **choices)
     terminal.end_line()
     print(table(report))
-    return 0
+
+
+def _check_asset(args: argparse.Namespace) -> int:
+    """Check the asset of a run, print a line for each check, and return the exit status: 1 where it has defects."""
+    with quick_imports():
+        from ..evaluation.asset_check import asset_lines, check_asset
+
+    report = check_asset(args.run, args.out)
+    print(asset_lines(report))
+    return int(report["defects"] > 0)
 
 
 def batch(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -156,9 +175,12 @@ def export(args: argparse.Namespace, terminal: Terminal) -> int:
     """
     with quick_imports():
         from ..assets.export import export
+        from ..assets.options import AssetOptions
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    export(args.run, args.out, args.material or settings.export.material, terminal)
+    options = AssetOptions(args.lods, args.collision, args.textures, args.normal_map)
+    export(args.run, args.out, args.material or settings.export.material, terminal, options)
+    terminal.end_line()
     print(args.out)
     return 0
 

@@ -19,6 +19,8 @@ from . import render as render_command
 from . import serve as serve_command
 from .renderer_options import add_renderer_options
 
+EXPORTED = "ends with .glb, .usd, .usdc, .usda, .usdz, .obj or .fbx (asset), .blend (scene), .ply (Gaussians) or .exr (light)"
+
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the words after `irgspp`."""
@@ -82,7 +84,9 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(subparsers, "evaluate", commands.evaluate, "compare a run with a dataset: all metrics that its ground truth allows")
     _run_argument(one)
-    one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of photographs with known cameras")
+    one.add_argument("dataset", metavar="DATASET", type=Path, nargs="?", help="folder or file of photographs with known cameras")
+    defects = "check mesh, UVs and textures for defects: a line each, asset.json; exit status 1 where there are some"
+    one.add_argument("--asset", action="store_true", help=defects)
     one.add_argument("-o", dest="out", metavar="REPORT", type=Path, help="folder for report.html and report.json (default: RUN/evaluation)")
     cycles = "also render N of the views in Cycles, from the exported object, and show them next to ours"
     one.add_argument("--cycles", type=_count, default=0, metavar="N", help=cycles)
@@ -95,8 +99,14 @@ def parser() -> argparse.ArgumentParser:
 
     one = _command(subparsers, "export", commands.export, "write the asset, Blender scene, Gaussians or light of a run as one file")
     _run_argument(one)
-    one.add_argument("-o", dest="out", metavar="FILE", type=Path, required=True, help="ends with .glb, .blend, .ply or .exr")
+    one.add_argument("-o", dest="out", metavar="FILE", type=Path, required=True, help=EXPORTED)
     one.add_argument("--material", choices=("textures", "attributes"), help="source of the material's values in a .blend")
+    one.add_argument("--lods", action="store_true", help="add levels of detail NAME_LOD1 and NAME_LOD2 that share the textures")
+    one.add_argument("--collision", action="store_true", help="add convex hulls UCX_NAME_00 and so on for game engines")
+    where = "textures inside the file, or beside it in NAME_textures (default: inside where the format can)"
+    one.add_argument("--textures", choices=("auto", "packed", "beside"), default="auto", help=where)
+    green = "direction of green in the normal map of .fbx and .obj (default: opengl; directx is the inverse)"
+    one.add_argument("--normal-map", choices=("opengl", "directx"), default="opengl", help=green)
 
     one = _command(subparsers, "bake", commands.bake, "bake a run again: other texture size, other triangles, or an edited mesh")
     _run_argument(one)

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..errors import Cancelled, IrgsppError
+from ..errors import Cancelled, InputError, IrgsppError
 from .parent_watch import PARENT_WATCH
 
 LAUNCHER = Path(__file__).resolve().parents[2] / "irgspp_addon" / "launch.py"
@@ -71,6 +71,25 @@ def run_in_blender(module: str, arguments: Sequence[str], cancelled: Callable[[]
         errors.seek(0)
         lines = [line.strip() for line in errors if line.strip() and "not freed memory" not in line.lower()]
     return status, lines[-1] if lines else "no message"
+
+
+def check_written(status: int, line: str, target: Path, written: Path) -> None:
+    """Raise an error where a Blender process ended with a status or without its file.
+
+    Args:
+        status: exit status.
+        line: last line of its errors.
+        target: file that the user asked for.
+        written: file that the process should have written.
+
+    Raises:
+        InputError: when it refused its input.
+        IrgsppError: when it failed.
+    """
+    if status == InputError.exit_status:
+        raise InputError(target, f"not written: {line}")
+    if status or not written.is_file():
+        raise IrgsppError(f"{target}: Blender ended with status {status}: {line}")
 
 
 def _wait(child: subprocess.Popen, cancelled: Callable[[], bool]) -> int:

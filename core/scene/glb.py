@@ -17,12 +17,14 @@ from .mesh import Mesh
 from .textures import occlusion_roughness_metallic
 
 
-def save_glb(mesh: Mesh, path: Path) -> None:
+def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: str = "object") -> None:
     """Write the mesh atomically, with its textures if it has any, else with the albedo of its vertices; `_CONFIDENCE` is an attribute.
 
     Args:
         mesh: the mesh.
         path: the .glb to write.
+        tangents: (V, 4) that the normal texture refers to, as `surface.bake.tangents` returns them; viewers compute them where None.
+        name: of the object.
     """
     body = trimesh.Trimesh(_y_up(mesh.vertices), mesh.faces, vertex_normals=_y_up(mesh.normals), process=False, validate=False)
     if mesh.textures:
@@ -31,9 +33,19 @@ def save_glb(mesh: Mesh, path: Path) -> None:
         _colour_vertices(body, mesh)
     if mesh.confidence is not None:  # glTF's own attributes have no underscore
         body.vertex_attributes["_CONFIDENCE"] = mesh.confidence.astype(np.float32)
+    if tangents is not None:
+        body.vertex_attributes["_TANGENT"] = np.concatenate([_y_up(tangents), tangents[:, 3:]], -1).astype(np.float32)
     scene = trimesh.Scene()
-    scene.add_geometry(body, node_name="object", geom_name="object")
-    write_atomic(path, export_glb(scene, include_normals=True))
+    scene.add_geometry(body, node_name=name, geom_name=name)
+    write_atomic(path, export_glb(scene, include_normals=True, tree_postprocessor=_own_tangents))
+
+
+def _own_tangents(tree: dict) -> None:
+    """Rename the attribute _TANGENT: trimesh writes none of glTF's own but positions, normals, colours and UVs."""
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            if "_TANGENT" in primitive["attributes"]:
+                primitive["attributes"]["TANGENT"] = primitive["attributes"].pop("_TANGENT")
 
 
 def _y_up(vectors: np.ndarray) -> np.ndarray:

@@ -13,10 +13,12 @@ from ..scene.dataset import Bound
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
-from . import meshing
+from . import meshing, repair
 from .fusion import fuse
 from .silhouette import silhouette_offset
 from .voxel_grid import Grid, make_grid
+
+HOLE = 1.0  # diameters of the object: a shorter open border is a hole and is filled, a longer one is the end of the surface
 
 
 def extract_geometry(
@@ -48,6 +50,7 @@ def extract_geometry(
         offset = silhouette_offset(surface.vertices, surface.faces, [view.camera for view in views], masks)
         surface = Surface(surface.vertices + offset[:, None] * surface.normals, surface.normals, surface.faces, surface.voxel)
         progress.message(f"surface moved outward by {offset.mean():.2g} scene units on average to fill the masks")
+    surface = _unfolded(surface)
     progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
     if progress.cancelled:
         raise Cancelled("stopped during surface extraction")
@@ -59,7 +62,15 @@ def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Sur
     fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)
     if not len(fine.faces):
         raise IrgsppError("no surface: the largest one that the views' depths agree on is too small for an object")
+    fine = repair.filled(fine, HOLE * float(np.linalg.norm(np.ptp(fine.vertices, axis=0))))
     fine = meshing.smoothed(fine, settings.smoothing)
     normals = meshing.vertex_normals(fine, settings.normal_averages)
-    mesh = meshing.cleaned(meshing.decimated(fine, settings.triangles))
-    return Surface(mesh.vertices, meshing.carried_normals(fine, normals, mesh.vertices), mesh.faces, grid.voxel)
+    mesh = repair.without_folds(repair.manifold(meshing.cleaned(meshing.decimated(fine, settings.triangles))))
+    mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb
+    return Surface(mesh.vertices, meshing.carried_normals(fine, normals, mesh), mesh.faces, grid.voxel)
+
+
+def _unfolded(surface: Surface) -> Surface:
+    """Return the surface without folded faces, and with normals that face them."""
+    mesh = repair.unfolded(meshing.Triangles(surface.vertices, surface.faces))
+    return Surface(mesh.vertices, repair.facing_normals(mesh, surface.normals), mesh.faces, surface.voxel)

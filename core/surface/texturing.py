@@ -17,6 +17,7 @@ from . import meshing
 from .bake import add_normal_detail, colour_byte, rasterise, tangent_space, tangents, to_byte
 from .material_fusion import fuse_materials
 from .meshing import Triangles
+from .repair import facing_normals
 from .unwrap import unwrap
 
 
@@ -43,6 +44,7 @@ def textured_mesh(
     progress.phase("bake", 2 * len(views))
     fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
     normals = add_normal_detail(surface.normals, fused.normal, fused.weight > 0, settings.detail)
+    normals = facing_normals(Triangles(surface.vertices, surface.faces), normals)
     mesh = Mesh(
         vertices=surface.vertices[source].astype(np.float32),
         normals=normals[source].astype(np.float32),

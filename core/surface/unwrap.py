@@ -7,6 +7,7 @@ import numpy as np
 import xatlas
 
 from .meshing import Triangles
+from .uv_overlap import without_overlap
 
 PADDING = 4  # texels between charts
 
@@ -21,7 +22,7 @@ def unwrap(mesh: Triangles, texture: int) -> tuple[np.ndarray, np.ndarray, np.nd
     Returns:
         source: (V,) int64, vertex of `mesh` that each new vertex is a copy of; vertices on a seam have several copies.
         faces: (F, 3) int32 in the order of `mesh.faces`.
-        uvs: (V, 2) float32 in 0..1; no chart is mirrored, so that painted text stays readable.
+        uvs: (V, 2) float32 in 0..1; no chart is mirrored, so that painted text stays readable, and none overlaps.
     """
     # Scaled to size 1 around the origin: xatlas treats areas below an absolute limit as zero, and has float32 coordinates.
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
@@ -38,4 +39,5 @@ def unwrap(mesh: Triangles, texture: int) -> tuple[np.ndarray, np.ndarray, np.nd
     source, faces, uvs = atlas[0]
     # One scale for both axes keeps texels square where the atlas is not.
     uvs = uvs * np.array([atlas.width, atlas.height], np.float32) / max(atlas.width, atlas.height)
-    return source.astype(np.int64), faces.astype(np.int32), np.clip(uvs, 0, 1).astype(np.float32)
+    uvs = np.clip(uvs, 0, 1).astype(np.float32)
+    return without_overlap(mesh, source.astype(np.int64), faces.astype(np.int32), uvs, texture, PADDING)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ...core.errors import InputError
 from ...core.scene.camera_files import load_run_cameras
@@ -178,6 +179,25 @@ def _read_mesh(path: Path) -> dict[str, np.ndarray]:
     if missing:
         raise InputError(path, f"lacks {', '.join(missing)}", "choose the folder of a finished run")
     return elements
+
+
+def textured_mesh(path: Path, name: str, offset: np.ndarray) -> bpy.types.Mesh:
+    """Build the mesh of a run with its UVs and normals, without the materials at its vertices.
+
+    Args:
+        path: mesh.ply of the run.
+        name: of the mesh.
+        offset: (3,) added to the vertices.
+
+    Raises:
+        InputError: if the file is missing or no mesh of a run.
+    """
+    mesh = _mesh(_read_mesh(path), name)
+    for name in ("albedo", "roughness", "metallic", *OPTIONAL):
+        if name in mesh.attributes:
+            mesh.attributes.remove(mesh.attributes[name])
+    mesh.transform(Matrix.Translation(offset.tolist()))
+    return mesh
 
 
 def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:

@@ -4,18 +4,38 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
+import numpy as np
 
 from ...core.errors import IrgsppError
 from ...core.io.atomic import atomic_file
+from .asset_parts import add_hulls, add_levels
 from .scene_builder import SOURCES, import_run, show_as_photographed
 
 
-def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = True) -> None:
+@dataclass(frozen=True)
+class Extras:
+    """What a .blend gets beside the run's scene.
+
+    Attributes:
+        parts: job of levels of detail and collision hulls, as `core.assets.production.asset_job` returns it; None without them.
+        textures: folder of textures to link, which is moved together with the .blend; None to read the run's.
+        final: place that the .blend is moved to afterwards, where links to other files start; None where it stays.
+    """
+
+    parts: dict[str, Any] | None = None
+    textures: Path | None = None
+    final: Path | None = None
+
+
+def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = True, extras: Extras | None = None) -> None:
     """Replace the open file by the run's scene and save it atomically.
 
     Args:
@@ -23,17 +43,42 @@ def write_blend(run: Path, target: Path, source: str = "textures", pack: bool = 
         target: .blend file to write.
         source: source of the material's values, "textures" or "attributes".
         pack: True to pack textures and light into the .blend.
+        extras: levels of detail, collision hulls, textures beside the .blend.
 
     Raises:
         InputError: if the folder is not a finished run.
     """
+    extras = extras or Extras()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     imported = import_run(run, source, pack)
     show_as_photographed(bpy.context.scene, imported)
+    if extras.parts is not None:
+        _add_parts(imported.mesh, extras.parts)
     for image in bpy.data.images:
-        image.filepath = _relative(image.filepath, target.resolve().parent)
+        image.filepath = _relative(image.filepath, (extras.final or target).resolve().parent)
+    if extras.textures is not None:
+        _link_textures(imported.mesh, extras.textures)
     with atomic_file(target.resolve()) as partial:
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), compress=True, relative_remap=False)
+
+
+def _add_parts(full: bpy.types.Object, parts: dict[str, Any]) -> None:
+    """Add levels of detail, of which only the first is shown, and collision hulls, which are hidden."""
+    name = parts["name"]
+    levels = add_levels(full, parts["lods"], name) if parts["lods"] else []
+    hulls = add_hulls(full, Path(parts["hulls"]), name, np.zeros(3)) if parts["hulls"] else []
+    for thing in (*levels, *hulls):
+        thing.hide_render = True
+        thing.hide_set(True)
+
+
+def _link_textures(full: bpy.types.Object, folder: Path) -> None:
+    """Let the material read the textures of a folder beside the .blend, instead of packed ones."""
+    for node in full.active_material.node_tree.nodes:
+        if node.bl_idname == "ShaderNodeTexImage" and node.image is not None:
+            if node.image.packed_file is not None:
+                node.image.unpack(method="REMOVE")
+            node.image.filepath = f"//{folder.name}/{node.label}.png"
 
 
 def _relative(path: str, folder: Path) -> str:
@@ -51,9 +96,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("target", type=Path)
     parser.add_argument("--material", choices=SOURCES, default="textures")
     parser.add_argument("--no-pack", action="store_true", help="link textures and light instead of packing them")
+    parser.add_argument("--parts", type=Path, metavar="JOB.json", help="levels of detail and collision hulls")
+    parser.add_argument("--textures", type=Path, metavar="FOLDER", help="link the textures of this folder beside the .blend")
+    parser.add_argument("--final", type=Path, metavar="FILE", help="place that the .blend will be moved to")
     args = parser.parse_args(argv)
+    parts = json.loads(args.parts.read_text(encoding="utf-8")) if args.parts else None
     try:
-        write_blend(args.run, args.target, args.material, not args.no_pack)
+        write_blend(args.run, args.target, args.material, not args.no_pack, Extras(parts, args.textures, args.final))
     except IrgsppError as error:
         print(error, file=sys.stderr)
         return error.exit_status

@@ -119,6 +119,19 @@ def test_export(run, tmp_path, suffix):
     assert target.stat().st_size > 1000
 
 
+def test_export_for_other_programs_with_levels_and_textures_beside(run, tmp_path):
+    target = tmp_path / "chair.fbx"
+    chosen = {"lods": True, "collision": True, "textures": "beside", "normal_map": "directx"}
+    assert bpy.ops.irgspp.export(run=str(run), filepath=str(target), **chosen) == {"FINISHED"}
+    names = sorted(path.name for path in (tmp_path / "chair_textures").iterdir())
+    assert names == ["albedo.png", "confidence.png", "metallic.png", "normal.png", "orm.png", "roughness.png"]
+    before = set(bpy.data.objects)
+    bpy.ops.import_scene.fbx(filepath=str(target))
+    found = {thing.name for thing in set(bpy.data.objects) - before}
+    assert {"chair_LOD0", "chair_LOD1", "chair_LOD2", "UCX_chair_00"} <= found
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith((".", "chair"))) == ["chair.fbx", "chair_textures"]
+
+
 def test_bad_requests_are_errors_in_words(run, tmp_path):
     bpy.data.objects.new("nothing", None)
     bpy.ops.object.empty_add()
@@ -128,7 +141,7 @@ def test_bad_requests_are_errors_in_words(run, tmp_path):
         (lambda: bpy.ops.irgspp.bake(run=str(run), mesh=bpy.context.object.name), "is not a mesh"),
         (lambda: bpy.ops.irgspp.bake(run=str(run), size=3), "surface.texture"),
         (lambda: bpy.ops.irgspp.export(run=str(run)), "no file is named"),
-        (lambda: bpy.ops.irgspp.export(run=str(run), filepath=str(tmp_path / "a.obj")), "can't export to .obj"),
+        (lambda: bpy.ops.irgspp.export(run=str(run), filepath=str(tmp_path / "a.stl")), "can't export to .stl"),
         (lambda: bpy.ops.irgspp.export(filepath=str(tmp_path / "a.glb")), "select the imported object"),
     ]:
         with pytest.raises(RuntimeError, match=words) as caught:

@@ -2,6 +2,7 @@
 """Panels of a finished run in every state: result, baking, export, relighting."""
 
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -103,3 +104,19 @@ def test_folder_contact_sheet_and_exported_file_are_at_hand(settings, tmp_path):
     file.touch()
     (show,) = draw(result.IRGSPP_PT_export).buttons("wm.path_open")
     assert (show.text, show.values) == ("Show spot.glb", {"filepath": str(tmp_path / "out")})
+
+
+def test_export_offers_each_format_what_it_can_have(settings, tmp_path):
+    run = finished_run(tmp_path / "run")
+    settings.run = str(run)
+    settings.export_lods, settings.export_textures, settings.export_normal_map = True, "beside", "directx"
+    drawn = draw(result.IRGSPP_PT_export)
+    assert {"export_lods", "export_collision", "export_textures", "export_normal_map"} <= set(drawn.properties)
+    values = {Path(button.values["filepath"]).suffix: button.values for button in drawn.buttons("irgspp.export")}
+    assert list(values) == [".glb", ".usdc", ".usdz", ".fbx", ".obj", ".blend", ".ply", ".exr"]
+    assert {suffix for suffix in values if values[suffix]["lods"]} == {".glb", ".usdc", ".usdz", ".fbx", ".obj", ".blend"}
+    assert {suffix for suffix in values if values[suffix]["textures"] == "beside"} == {".usdc", ".fbx", ".obj", ".blend"}
+    assert {suffix for suffix in values if values[suffix]["normal_map"] == "directx"} == {".fbx", ".obj"}
+    settings.export_textures = "packed"
+    values = {Path(button.values["filepath"]).suffix: button.values for button in draw(result.IRGSPP_PT_export).buttons("irgspp.export")}
+    assert {suffix for suffix in values if values[suffix]["textures"] == "packed"} == {".glb", ".usdz", ".fbx", ".blend"}

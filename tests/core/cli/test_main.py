@@ -176,7 +176,9 @@ def test_export_of_an_unfinished_run(tmp_path, capsys):
     assert not target.exists()
     assert read_run(tmp_path / "run")["status"] == "running"
     assert main(["export", str(tmp_path / "run"), "-o", str(tmp_path / "a.fbx")]) == 2
-    assert ".fbx" in capsys.readouterr().err
+    assert "mesh.ply: no such file" in capsys.readouterr().err
+    assert main(["export", str(tmp_path / "run"), "-o", str(tmp_path / "a.stl")]) == 2
+    assert "can't export to .stl" in capsys.readouterr().err
 
 
 def test_package_has_the_demo_data():

@@ -199,7 +199,7 @@ def test_bad_arguments(tmp_path, registry):
 def test_the_lock_covers_the_engines_libraries():
     required, locked = install_engine.requirements((ROOT / "requirements.lock").read_text(), ["extra==1"])
     names = {pin.split("==")[0] for pin in required}
-    assert names == {name for name, _ in LIBRARIES.values()} | {"extra"}
+    assert names == {name for name, _ in LIBRARIES.values()} | {"extra", "coacd"}  # without coacd, collision hulls are simpler
     assert 'numpy==1.26.4; python_version < "3.13"' in required and not [pin for pin in locked if pin.startswith("bpy")]
     assert {"llvmlite", "sympy"} <= {pin.split("==")[0] for pin in locked}
 

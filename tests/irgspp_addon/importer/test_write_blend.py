@@ -51,9 +51,9 @@ def test_export_by_suffix(run_folder, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["light.exr", "scene.blend"]
 
 
-@pytest.mark.parametrize("name", ["a.obj", "a", "missing/a.glb", "a.glb"])
+@pytest.mark.parametrize("name", ["a.stl", "a", "missing/a.blend", "a.ply"])
 def test_bad_exports_are_errors(run_folder, tmp_path, name):
-    with pytest.raises(InputError):  # the fake run has no asset.glb
+    with pytest.raises(InputError):  # the fake run has no gaussians.ply
         export(run_folder, tmp_path / name)
     assert not list(tmp_path.iterdir())
 

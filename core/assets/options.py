@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Choices of an export, and the formats that can have them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ..errors import InputError
+
+ASSETS = (".glb", ".usd", ".usdc", ".usda", ".usdz", ".obj", ".fbx")  # the object for other programs
+PARTS = (".ply", ".exr")  # Gaussians and light
+SUFFIXES = (*ASSETS, ".blend", *PARTS)
+BESIDE = (".usd", ".usdc", ".usda", ".obj")  # whose files hold no textures
+INSIDE = (".glb", ".usdz")  # whose files hold their textures always
+OPENGL_ONLY = (".glb", ".usd", ".usdc", ".usda", ".usdz", ".blend")  # whose normal maps are OpenGL's by definition
+
+
+@dataclass(frozen=True)
+class AssetOptions:
+    """Choices of an export.
+
+    Attributes:
+        lods: True to add NAME_LOD1 and NAME_LOD2 with a half and a quarter of the triangles, which share the textures.
+        collision: True to add convex hulls UCX_NAME_00 and so on.
+        textures: "packed" into the file, "beside" it in the folder NAME_textures, or "auto": packed where the format can.
+        normal_map: "opengl" or "directx".
+    """
+
+    lods: bool = False
+    collision: bool = False
+    textures: str = "auto"
+    normal_map: str = "opengl"
+
+    def fitting(self, suffix: str) -> AssetOptions:
+        """Return the choices with the defaults in place of those that files with this suffix can't have."""
+        if suffix in PARTS:
+            return AssetOptions()
+        unfit = (BESIDE, "packed"), (INSIDE, "beside")
+        textures = "auto" if any(suffix in formats and self.textures == choice for formats, choice in unfit) else self.textures
+        return replace(self, textures=textures, normal_map="opengl" if suffix in OPENGL_ONLY else self.normal_map)
+
+    def packs(self, suffix: str) -> bool:
+        """Return True where textures are packed into a file with this suffix.
+
+        Raises:
+            InputError: if the format can't have them as chosen, or has no DirectX normal maps.
+        """
+        if self.textures == "packed" and suffix in BESIDE:
+            raise InputError("--textures", f"{suffix} holds no textures", "use beside, or a .glb, .usdz, .fbx or .blend")
+        if self.textures == "beside" and suffix in INSIDE:
+            raise InputError("--textures", f"{suffix} always holds its textures", "use packed, or a .usdc, .fbx, .obj or .blend")
+        if self.normal_map == "directx" and suffix in OPENGL_ONLY:
+            raise InputError("--normal-map", f"the normal maps of {suffix} are OpenGL's by definition", "use opengl, or a .fbx or .obj")
+        return suffix not in BESIDE and self.textures != "beside"

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Set of textures that production tools take: separate maps, occlusion-roughness-metallic in one, normals as OpenGL or DirectX has them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..scene.textures import CHANNELS, load_textures, occlusion_roughness_metallic, save_textures
+
+NORMAL_MAPS = ("opengl", "directx")  # +Y up, and +Y down
+
+
+def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> None:
+    """Write albedo (sRGB), roughness, metallic, normal, orm (red occlusion, green roughness, blue metallic) and confidence as PNG files.
+
+    Args:
+        run: folder of the finished run.
+        folder: to write to.
+        normal_map: "opengl" or "directx", whose green channel is the inverse.
+
+    Raises:
+        InputError: if the run lacks a texture.
+    """
+    textures = load_textures(run / "textures")
+    missing = [name for name in CHANNELS if name not in textures and name != "confidence"]
+    if missing:
+        raise InputError(run / "textures", f"lacks {', '.join(f'{name}.png' for name in missing)}", "bake the run again")
+    textures["orm"] = occlusion_roughness_metallic(textures)
+    if normal_map == "directx":
+        textures["normal"] = flipped_green(textures["normal"])
+    save_textures(textures, folder)
+
+
+def flipped_green(normal: np.ndarray) -> np.ndarray:
+    """Convert a normal map (T, T, 3) uint8 between OpenGL's and DirectX's direction of +Y."""
+    flipped = normal.copy()
+    flipped[..., 1] = 255 - flipped[..., 1]
+    return flipped

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Production asset: textures, choices that a format can't have, .glb with tangents, files that are replaced together, collision hulls."""
+
+import importlib.util
+import json
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from irgspp.core.assets import collision, production
+from irgspp.core.assets.export import export
+from irgspp.core.assets.options import AssetOptions
+from irgspp.core.assets.texture_set import flipped_green, save_texture_set
+from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.mesh import Mesh
+from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
+from irgspp.core.scene.textures import load_textures, save_textures
+from sphere_run import sphere
+
+
+@pytest.fixture
+def run(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    mesh = sphere(size=32)
+    save_mesh_ply(mesh, folder / "mesh.ply")
+    save_textures(mesh.textures, folder / "textures")
+    return folder
+
+
+class Messages(Silent):
+    def __init__(self):
+        self.lines = []
+
+    def message(self, text):
+        self.lines.append(text)
+
+
+def test_texture_set_has_packed_and_separate_maps(run, tmp_path):
+    from PIL import Image
+
+    save_texture_set(run, tmp_path / "set")
+    own = load_textures(run / "textures")
+    orm = np.asarray(Image.open(tmp_path / "set" / "orm.png"))
+    assert (orm[..., 0] == 255).all()
+    np.testing.assert_array_equal(orm[..., 1], own["roughness"])
+    np.testing.assert_array_equal(orm[..., 2], own["metallic"])
+    found = load_textures(tmp_path / "set")
+    assert all((found[name] == own[name]).all() for name in own)
+
+
+def test_directx_normals_have_the_other_green(run, tmp_path):
+    normal = load_textures(run / "textures")["normal"].copy()
+    normal[3, 4] = 200, 90, 210
+    save_textures({"normal": normal}, run / "textures")
+    save_texture_set(run, tmp_path / "set", "directx")
+    found = load_textures(tmp_path / "set")["normal"]
+    assert found[3, 4].tolist() == [200, 165, 210]
+    np.testing.assert_array_equal(flipped_green(found), normal)
+
+
+def test_missing_texture_is_named(run, tmp_path):
+    (run / "textures" / "metallic.png").unlink()
+    with pytest.raises(InputError, match=r"lacks metallic\.png"):
+        save_texture_set(run, tmp_path / "set")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "options", "words"),
+    [
+        (".obj", AssetOptions(textures="packed"), "holds no textures"),
+        (".usdc", AssetOptions(textures="packed"), "holds no textures"),
+        (".glb", AssetOptions(textures="beside"), "always holds its textures"),
+        (".usdz", AssetOptions(textures="beside"), "always holds its textures"),
+        (".glb", AssetOptions(normal_map="directx"), "OpenGL's by definition"),
+        (".blend", AssetOptions(normal_map="directx"), "OpenGL's by definition"),
+        (".ply", AssetOptions(lods=True), "no levels of detail"),
+        (".exr", AssetOptions(collision=True), "no levels of detail"),
+    ],
+)
+def test_choices_that_a_format_can_not_have_are_refused(run, tmp_path, suffix, options, words):
+    with pytest.raises(InputError, match=words):
+        export(run, tmp_path / f"a{suffix}", options=options)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_formats_pack_where_they_can():
+    assert [AssetOptions().packs(suffix) for suffix in (".glb", ".usdz", ".fbx", ".blend", ".usdc", ".obj")] == [True] * 4 + [False] * 2
+    assert not AssetOptions(textures="beside").packs(".fbx")
+
+
+def test_glb_stands_on_its_foot_and_has_tangents(run, tmp_path):
+    moved = load_mesh_ply(run / "mesh.ply")
+    save_mesh_ply(Mesh(**{**vars(moved), "vertices": moved.vertices + np.float32([3, 4, 5])}), run / "mesh.ply")
+    export(run, tmp_path / "ball.glb")
+    tree, attributes = read_glb(tmp_path / "ball.glb")
+    assert "ball" in {node.get("name") for node in tree["nodes"]}
+    used = np.unique(load_mesh_ply(run / "mesh.ply").faces)
+    place, normal, tangent = (attributes[name][used] for name in ("POSITION", "NORMAL", "TANGENT"))
+    np.testing.assert_allclose(place[:, 1].min(), 0, atol=1e-5)  # glTF's up is +Y
+    np.testing.assert_allclose((place.min(0) + place.max(0))[[0, 2]], 0, atol=1e-2)
+    np.testing.assert_allclose(np.linalg.norm(tangent[:, :3], axis=-1), 1, atol=1e-5)
+    assert np.abs((tangent[:, :3] * normal).sum(-1)).max() < 1e-5 and set(np.unique(tangent[:, 3])) == {1.0}
+    east = np.stack(
+        [-normal[:, 2], 0 * normal[:, 0], normal[:, 0]], -1
+    )  # u grows with the longitude, from x towards the world's y, -z here
+    inner = np.abs(normal[:, 1]) < 0.9
+    assert ((tangent[:, :3] * -east).sum(-1)[inner] > 0.4).all()
+
+
+def read_glb(path):
+    """Return the JSON of a .glb and the float attributes of its first primitive."""
+    data = path.read_bytes()
+    size = struct.unpack("<I", data[12:16])[0]
+    tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
+    attributes = {}
+    for name, number in tree["meshes"][0]["primitives"][0]["attributes"].items():
+        accessor = tree["accessors"][number]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        begin = tree["bufferViews"][accessor["bufferView"]].get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        values = np.frombuffer(binary, np.float32, accessor["count"] * width, begin)
+        attributes[name] = values.reshape(-1, width)
+    return tree, attributes
+
+
+def test_staged_files_replace_the_old_ones_together_or_not_at_all(tmp_path):
+    target = tmp_path / "a.obj"
+    (tmp_path / "a_textures").mkdir()
+    (tmp_path / "a_textures" / "old.png").write_text("old")
+    target.write_text("old")
+    with pytest.raises(IrgsppError), production.staged(target) as staging:
+        (staging / "a.obj").write_text("new")
+        raise IrgsppError("stopped")
+    assert target.read_text() == "old" and sorted(p.name for p in tmp_path.iterdir()) == ["a.obj", "a_textures"]
+    with production.staged(target) as staging:
+        (staging / "a_textures").mkdir()
+        (staging / "a_textures" / "new.png").write_text("new")
+        (staging / "a.obj").write_text("new")
+    assert target.read_text() == "new" and [p.name for p in (tmp_path / "a_textures").iterdir()] == ["new.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.obj", "a_textures"]
+
+
+def two_boxes() -> Mesh:
+    boxes = trimesh.util.concatenate([trimesh.creation.box((1, 1, 1)), trimesh.creation.box((2, 1, 1)).apply_translation((4, 0, 0))])
+    v = np.array(boxes.vertices, np.float32)
+    grey = np.full((len(v), 3), 0.5, np.float32)
+    return Mesh(v, v, v[:, :2], np.array(boxes.faces, np.int32), grey, grey[:, 0], grey[:, 0])
+
+
+def volumes(hulls) -> list[float]:
+    bodies = [trimesh.Trimesh(*hull) for hull in hulls]
+    assert all(body.is_convex and body.is_watertight for body in bodies)
+    return sorted(float(body.volume) for body in bodies)
+
+
+def test_without_coacd_each_component_gets_its_hull(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    progress = Messages()
+    hulls = collision.collision_hulls(two_boxes(), progress)
+    np.testing.assert_allclose(volumes(hulls), [1, 2], rtol=1e-6)
+    assert any("coacd is not installed" in line for line in progress.lines)
+
+
+def test_hull_of_many_corners_is_kept_small(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    (hull,) = collision.collision_hulls(sphere(), Silent())
+    assert len(hull[0]) <= collision.CORNERS and volumes([hull])[0] > 0.8 * 4 / 3 * np.pi
+
+
+def test_coacd_takes_a_concave_solid_apart():
+    pytest.importorskip("coacd")
+    ring = trimesh.creation.annulus(0.6, 1.0, 0.5, sections=24)
+    v = np.array(ring.vertices, np.float32)
+    grey = np.full((len(v), 3), 0.5, np.float32)
+    mesh = Mesh(v, v, v[:, :2], np.array(ring.faces, np.int32), grey, grey[:, 0], grey[:, 0])
+    hulls = collision.collision_hulls(mesh, Silent())
+    assert len(hulls) >= 3 and abs(sum(volumes(hulls)) / ring.volume - 1) < 0.25
+    assert not any(trimesh.Trimesh(*hull).contains([[0, 0, 0]])[0] for hull in hulls)
