@@ -54,10 +54,10 @@ class VertexTransfer:
         origin = torch.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)).to(device) + CLEARANCE * radius * self._normal
         parts = [self._traced(origin, triangles, begin) for begin in range(0, self.count, PART)]
         self._texel, self._vertex = (torch.cat(rows).int().contiguous() for rows in zip(*parts, strict=True))
-        self._lit: WeakKeyDictionary[PreparedLight, tuple[tuple[float, ...], torch.Tensor]] = WeakKeyDictionary()
+        self._lit: WeakKeyDictionary[PreparedLight, tuple[torch.Tensor, torch.Tensor]] = WeakKeyDictionary()
 
     def light(self, light: PreparedLight, scale: torch.Tensor) -> torch.Tensor:
-        """Return the light at all vertices, kept for the next call with the same light.
+        """Return the light at all vertices, kept for the next call with the same light and the same tensor `scale`.
 
         Args:
             light: the light, possibly rotated.
@@ -67,13 +67,13 @@ class VertexTransfer:
             (V, 4) float32: irradiance / pi with shadows and interreflections, and its brightness as a fraction, at most 1, of that of the
             unoccluded irradiance, by which reflections at the vertex are darkened.
         """
-        key = tuple(scale.tolist())
-        if light not in self._lit or self._lit[light][0] != key:
+        kept = self._lit.get(light)
+        if kept is None or kept[0] is not scale:
             unoccluded = light.irradiance(self._normal) / torch.pi
             arriving = (self.arriving if by_warp(scale) else self._by_kernels)(light, scale, unoccluded)
             fraction = (arriving.mean(1) / unoccluded.mean(1).clamp_min(1e-30)).clamp(0, 1)
-            self._lit[light] = key, torch.cat([arriving, fraction[:, None]], 1).contiguous()
-        return self._lit[light][1]
+            kept = self._lit[light] = scale, torch.cat([arriving, fraction[:, None]], 1).contiguous()
+        return kept[1]
 
     def nearest(self, point: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the vertices nearest to points as corners of degenerate triangles.

@@ -74,10 +74,10 @@ def test_a_rotated_light_equals_a_light_of_rotated_texels(bowl):
 
 
 def test_the_scale_of_the_albedo_counts_and_nothing_is_kept_for_another(bowl, studio):
-    transfer = transfer_of(bowl)
-    dark, bright = (transfer.light(studio, scale * ONE) for scale in (0.0, 1.5))
+    transfer, scale = transfer_of(bowl), 1.5 * ONE
+    dark, bright = transfer.light(studio, 0 * ONE), transfer.light(studio, scale)
     assert (bright[:, :3].mean(0) > 1.2 * dark[:, :3].mean(0)).all()
-    assert transfer.light(studio, 1.5 * ONE) is bright
+    assert transfer.light(studio, scale) is bright
 
 
 def test_the_inside_of_a_thin_wall_sends_no_light():
