@@ -25,8 +25,8 @@ ABOUT = (
     "The exported mesh with its textures under a new light, by us, by Mitsuba 3 (path tracer, our BRDF as its plugin, all bounces; it has "
     "no denoiser for a CPU) and by Cycles (all bounces, with and without OpenImageDenoise), in as many threads. Error: PSNR over the "
     "object's pixels, each renderer against its own converged image; the differences of these are listed too. Our camera rays see the "
-    "Gaussians, with one bounce of indirect light; the others see the mesh. Seconds: of a frame with the scene loaded and everything "
-    "compiled; all alternate."
+    "Gaussians, with light reflected between the mesh's vertices; the others see the mesh. Seconds: of a frame with the scene loaded and "
+    "everything compiled; all alternate."
 )
 ONCE = False
 PRINCIPLED = "Mitsuba, its own BRDF"
