@@ -18,6 +18,7 @@ from .fusion import fuse
 from .silhouette import silhouette_offset
 from .voxel_grid import Grid, make_grid
 
+DECIMATED = 0.99  # of the triangle budget: repair adds a few
 HOLE = 1.0  # diameters of the object: a shorter open border is a hole and is filled, a longer one is the end of the surface
 
 
@@ -62,10 +63,12 @@ def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Sur
     fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)
     if not len(fine.faces):
         raise IrgsppError("no surface: the largest one that the views' depths agree on is too small for an object")
-    fine = repair.filled(fine, HOLE * float(np.linalg.norm(np.ptp(fine.vertices, axis=0))))
+    longest = HOLE * float(np.linalg.norm(np.ptp(fine.vertices, axis=0)))
+    fine = repair.filled(fine, longest)
     fine = meshing.smoothed(fine, settings.smoothing)
     normals = meshing.vertex_normals(fine, settings.normal_averages)
-    mesh = repair.without_folds(repair.manifold(meshing.cleaned(meshing.decimated(fine, settings.triangles))))
+    mesh = repair.manifold(meshing.cleaned(meshing.decimated(fine, int(DECIMATED * settings.triangles))))
+    mesh = repair.filled(repair.without_folds(mesh), longest)  # where three sheets meet, a division leaves a hole
     mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb
     return Surface(mesh.vertices, meshing.carried_normals(fine, normals, mesh), mesh.faces, grid.voxel)
 

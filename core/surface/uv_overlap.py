@@ -97,7 +97,7 @@ def _placed(flat: np.ndarray, occupied: np.ndarray, padding: float) -> np.ndarra
     for i in np.argsort(-radius, kind="stable"):
         row, column = np.unravel_index(np.argmax(free), free.shape)
         room = max(float(free[row, column]) - padding, 0.1 / size)
-        factor = min(1.0, room / radius[i])
+        factor = min(1.0, room / max(radius[i], 1e-300))
         centre = np.array([x[row, column], y[row, column]])
         placed[i] = centre + factor * flat[i]
         taken = np.hypot(x - centre[0], y - centre[1]) - factor * radius[i]
