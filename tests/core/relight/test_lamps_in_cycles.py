@@ -14,7 +14,7 @@ from irgspp.core.relight.relighter import Relighter, RelightSettings
 from irgspp.core.scene.mesh import Mesh
 from scripts_folder import scripts_on_path
 
-pytest.importorskip("blender_side", reason="needs bpy")  # before bpy: it gives this process a folder of its own for Blender's user files
+pytest.importorskip("blender_side")  # before bpy: it gives this process a folder of its own for the user files of Blender
 bpy = pytest.importorskip("bpy")
 from irgspp.irgspp_addon.world.scene_lamps import is_lamp, scene_lamps  # noqa: E402
 from mathutils import Vector  # noqa: E402
