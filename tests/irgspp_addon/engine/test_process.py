@@ -42,7 +42,9 @@ def fake_python(path, text, status=0):
 def test_versions_agree_with_the_packages_own_description():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == VERSION
-    always = [word for word in project["dependencies"] if not word.startswith("bpy") and ";" not in word]  # not those of some platforms only
+    always = [
+        word for word in project["dependencies"] if not word.startswith("bpy") and ";" not in word
+    ]  # not those of some platforms only
     needed = dict(word.split(">=") for word in always)
     assert needed == dict(LIBRARIES.values())
 
