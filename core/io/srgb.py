@@ -32,6 +32,13 @@ def encode_srgb(linear: Array) -> Array:
     return xp.where(linear <= 0.0031308, 12.92 * xp.clip(linear, 0.0, None), power)
 
 
+def straight_srgb(rgba: np.ndarray) -> np.ndarray:
+    """Encode an image (H, W, 4), linear premultiplied, as sRGB with straight alpha, (H, W, 4) in 0..1; transparent pixels are black."""
+    alpha = np.clip(rgba[..., 3:], 0, 1)
+    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 1e-6)
+    return np.concatenate([np.clip(encode_srgb(straight), 0, 1), alpha], -1)
+
+
 def decode_srgb(encoded: Array) -> Array:
     """Decode sRGB-encoded values (...,) >= 0 of any shape to linear Rec.709; inverse of `encode_srgb`."""
     xp = _library(encoded)

@@ -19,7 +19,7 @@ from ..scene.lamps import Lamp
 from ..shading.brdf import sample_visible_normal, visible_normal_density
 from ..shading.lamp_sampling import LampLight, draw_lamp, has_extent, seen_lamp
 from ..shading.rendering_equation import weighted_sums_reference
-from ..shading.sampling import DENSITY_FLOOR, orthonormal_basis, point_set
+from ..shading.sampling import DENSITY_FLOOR, orthonormal_basis, shifted_points
 from .indirect_light import SecondaryRays, ShadingPoints
 from .sample_counts import Counts
 from .secondary_query import SurfaceQuery
@@ -104,10 +104,10 @@ def _samples(points: ShadingPoints, frame: torch.Tensor, lamp: Lamp, shift: torc
     if not has_extent(lamp):
         drawn = draw_lamp(lamp, points.origin, shift[:, None])
         return drawn, _above(points, drawn.direction)
-    u = _shifted(count, shift)
+    u = shifted_points(count, shift)
     local_view = (points.view[:, None] @ frame).expand(-1, 1, -1)
     alpha = points.alpha[:, None]
-    half = sample_visible_normal(local_view, alpha, _shifted(count // 2 // 2 * 2, shift))
+    half = sample_visible_normal(local_view, alpha, shifted_points(count // 2 // 2 * 2, shift))
     mirrored = torch.nn.functional.normalize((2 * (local_view * half).sum(-1, keepdim=True) * half - local_view) @ frame.mT, dim=-1)
     both = (draw_lamp(lamp, points.origin, u), seen_lamp(lamp, points.origin, mirrored))
     direction, distance, density, radiance = (torch.cat([getattr(part, f.name) for part in both], 1) for f in dataclasses.fields(LampLight))
@@ -120,12 +120,6 @@ def _samples(points: ShadingPoints, frame: torch.Tensor, lamp: Lamp, shift: torc
 def _above(points: ShadingPoints, direction: torch.Tensor) -> torch.Tensor:
     """Return which directions (P, N, 3) lie above the horizon."""
     return torch.einsum("pnc,pc->pn", direction, points.normal) > 0
-
-
-def _shifted(count: int, shift: torch.Tensor) -> torch.Tensor:
-    """Return `point_set` shifted for each of P points, (P, count, 2)."""
-    u = point_set(count).to(shift)[None] + shift[:, None]
-    return u - (u >= 1).to(u)
 
 
 def _unoccluded(points: ShadingPoints, lamp: Lamp, arriving: LampLight, lit: torch.Tensor, query: SurfaceQuery) -> torch.Tensor:

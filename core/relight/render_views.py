@@ -15,7 +15,7 @@ from PIL import Image
 from ..datasets.load import load_dataset_cameras
 from ..errors import Cancelled, InputError
 from ..io.exr import rgb_channels, write_exr
-from ..io.srgb import encode_srgb
+from ..io.srgb import straight_srgb
 from ..progress.protocol import Progress, Silent
 from ..rendering.gbuffer import render_gbuffer
 from ..rendering.layers import LAYERS
@@ -149,11 +149,8 @@ def write_rgba(stem: Path, rgba: np.ndarray) -> None:
         rgba: (H, W, 4) linear premultiplied.
     """
     write_exr(stem.with_name(stem.name + ".exr"), rgb_channels(rgba))
-    alpha = np.clip(rgba[..., 3:], 0, 1)
-    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 1e-6)
-    encoded = np.concatenate([np.clip(encode_srgb(straight), 0, 1), alpha], -1)
     data = io.BytesIO()
-    Image.fromarray(np.round(encoded * 255).astype(np.uint8)).save(data, "PNG")
+    Image.fromarray(np.round(straight_srgb(rgba) * 255).astype(np.uint8)).save(data, "PNG")
     write_atomic(stem.with_name(stem.name + ".png"), data.getvalue())
 
 

@@ -52,7 +52,7 @@ class VertexTransfer:
         self._albedo = torch.from_numpy(np.ascontiguousarray(mesh.albedo, np.float32)).to(device)
         self._faces = torch.from_numpy(mesh.faces.astype(np.int64)).to(device)
         origin = torch.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)).to(device) + CLEARANCE * radius * self._normal
-        parts = [self._traced(origin, triangles, begin) for begin in range(0, self.count, PART)]
+        parts = [self._traced(origin, triangles, begin) for begin in range(0, max(self.count, 1), PART)]
         self._texel, self._vertex = (torch.cat(rows).int().contiguous() for rows in zip(*parts, strict=True))
         self._lit: WeakKeyDictionary[PreparedLight, tuple[torch.Tensor, torch.Tensor]] = WeakKeyDictionary()
 

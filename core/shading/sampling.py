@@ -65,7 +65,7 @@ def cosine_directions(normal: torch.Tensor, count: int, shift: torch.Tensor) -> 
         count: directions per normal.
         shift: (P, 2) shifts of the point sets on the torus, in [0, 1).
     """
-    return _cosine(_shifted(count, shift)) @ orthonormal_basis(normal).mT
+    return _cosine(shifted_points(count, shift)) @ orthonormal_basis(normal).mT
 
 
 @cache
@@ -111,7 +111,7 @@ def draw(
             shift = torch.rand(len(view), 2, generator=shift, dtype=view.dtype, device=shift.device)
         frame, shift = orthonormal_basis(normal), shift.to(view)
         if method == "stratified":
-            local = _uniform(_shifted(sum(counts), shift))
+            local = _uniform(shifted_points(sum(counts), shift))
             return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
         local_view = bend_view_to_normal(view, normal)[:, None] @ frame
         use_kernel = view.dtype == torch.float32 and not by_warp(view)
@@ -143,10 +143,10 @@ def _mixture_reference(local_view, frame, alpha, counts, first: int, light: Ligh
     """Draw the mixture in PyTorch operations, for any floating type and device: the reference of `_mixture`, same arguments."""
     n_c, n_g, n_e = counts
     alpha = alpha[:, None]
-    half = sample_visible_normal(local_view, alpha, _shifted(n_g, shift))
+    half = sample_visible_normal(local_view, alpha, shifted_points(n_g, shift))
     mirrored = 2 * (local_view * half).sum(-1, keepdim=True) * half - local_view
-    local = torch.cat([_cosine(_shifted(n_c, shift)), mirrored], 1)
-    direction = torch.cat([local @ frame.mT, light.sample(_shifted(n_e, shift))], 1)
+    local = torch.cat([_cosine(shifted_points(n_c, shift)), mirrored], 1)
+    direction = torch.cat([local @ frame.mT, light.sample(shifted_points(n_e, shift))], 1)
     direction = torch.nn.functional.normalize(direction[:, first:], dim=-1)
     local = direction @ frame
     density = n_e * light.density(direction)
@@ -155,8 +155,13 @@ def _mixture_reference(local_view, frame, alpha, counts, first: int, light: Ligh
     return Samples(direction, (density / sum(counts)).clamp_min(DENSITY_FLOOR))
 
 
-def _shifted(count: int, shift: torch.Tensor) -> torch.Tensor:
-    """Return the point set shifted for each of P points, (P, count, 2)."""
+def shifted_points(count: int, shift: torch.Tensor) -> torch.Tensor:
+    """Return `point_set` shifted for each of P points, (P, count, 2) in [0, 1).
+
+    Args:
+        count: points of the set.
+        shift: (P, 2) shifts on the torus, in [0, 1).
+    """
     u = _points(count, shift.dtype, shift.device)[None] + shift[:, None]
     return u - (u >= 1).to(u)
 

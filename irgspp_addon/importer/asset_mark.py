@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.io.srgb import encode_srgb
+from ...core.io.srgb import straight_srgb
 
 CATALOGUES = "blender_assets.cats.txt"  # Blender's file of catalogues, in the folder of a library
 HEADER = "# This is an Asset Catalog Definition file for Blender.\n\nVERSION 1\n\n"
@@ -114,9 +114,7 @@ def set_preview(block: bpy.types.ID, image: np.ndarray) -> None:
         block: datablock.
         image: (H, W, 4) linear premultiplied, top row first.
     """
-    alpha = np.clip(image[..., 3:], 0, 1)
-    straight = np.divide(image[..., :3], alpha, out=np.zeros_like(image[..., :3]), where=alpha > 1e-6)
-    pixels = np.concatenate([np.clip(encode_srgb(straight), 0, 1), alpha], -1)[::-1]
+    pixels = straight_srgb(image)[::-1]
     preview = block.preview_ensure()
     assert preview is not None
     preview.image_size = (image.shape[1], image.shape[0])

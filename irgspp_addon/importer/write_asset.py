@@ -44,7 +44,8 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
     mesh.materials.append(material)
     full = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(full)
-    add_levels(full, job["lods"], name) if job["lods"] else None
+    if job["lods"]:
+        add_levels(full, job["lods"], name)
     if job["hulls"]:
         add_hulls(full, Path(job["hulls"]), name, np.array(job["offset"]))
     for target in targets:
