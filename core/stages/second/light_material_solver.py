@@ -25,6 +25,7 @@ from ...kernels.jacobian import jacobian
 from ...shading.brdf import DIELECTRIC_F0
 from ...shading.specular_albedo import diffuse_fraction
 from ..common.finite_check import require_finite
+from .light_prior import LightPrior
 from .material_regions import metal_regions, neighbourhood
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
@@ -37,7 +38,6 @@ PRIOR = (1.0, 0.03)  # first and last weight of the albedo's prior
 COLOURS = 0.15  # difference in log albedo below which two points count as being of one colour
 SAMPLE = 1000  # points that each point's colour is compared with
 OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
-SMOOTHNESS = 1e-7  # of the log light, per texel and squared difference
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
 METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
@@ -84,7 +84,7 @@ class LightMaterialSolver:
         self.albedo = torch.full_like(mean, 0.5)
         self.derivative = approximate_srgb_derivative(samples.colour)
         self.robust_weight = torch.ones_like(samples.colour)
-        self._smoothness = SMOOTHNESS * _laplacian(transfer.height).to(mean)
+        self._light_prior = LightPrior(transfer.height, mean.device)
         self.n_v = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
         self._start = torch.nn.functional.pad(samples.lengths.cumsum(0), (1, 0))
         self._rows = mean.new_empty(len(samples.point), len(self.light))
@@ -139,19 +139,26 @@ class LightMaterialSolver:
         anchor, pull = self._albedo_prior(done)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
-        residual = self.albedo[samples.point] * factor + rest - y
-        self.light = torch.stack([self._step_light(c, weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)], 1)
+        residual, smoothness = self.albedo[samples.point] * factor + rest - y, self._light_prior.form(self.light)
+        channels = [(weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)]
+        self.light = torch.stack([self._step_light(c, *channel, smoothness) for c, channel in enumerate(channels)], 1)
 
     def _step_light(
-        self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
+        self,
+        channel: int,
+        weight: torch.Tensor,
+        factor: torch.Tensor,
+        total: torch.Tensor,
+        residual: torch.Tensor,
+        smoothness: torch.Tensor,
     ) -> torch.Tensor:
         """Return one channel (T,) of the light after a damped Gauss-Newton step; the albedo follows the light (Schur complement)."""
         light = self.light[:, channel]
         hessian, gradient = self._equations(channel, weight, factor, total, residual)
         hessian, gradient = light[:, None] * hessian * light, light * gradient  # with respect to the logarithm of the light
-        damped = hessian + self._smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
+        damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
         log_light = light.log()
-        step = torch.linalg.solve(damped.double(), (gradient + self._smoothness @ log_light).double()).float()
+        step = torch.linalg.solve(damped.double(), (gradient + smoothness @ log_light).double()).float()
         return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp()
 
     def _equations(
@@ -268,13 +275,3 @@ def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
     below, least, above = cost[row, j - 1], cost[row, j], cost[row, j + 1]
     shift = ((below - above) / (2 * (below - 2 * least + above)).clamp_min(1e-6)).clamp(-1, 1)
     return knots[j] + torch.where(shift < 0, shift * (knots[j] - knots[j - 1]), shift * (knots[j + 1] - knots[j]))
-
-
-def _laplacian(height: int) -> torch.Tensor:
-    """Return the quadratic form (T, T) of the sum of squared differences between neighbours of a lat-long map of `height` rows."""
-    index = torch.arange(2 * height * height).view(height, -1)
-    pairs = torch.cat([torch.stack([index, index.roll(-1, 1)], -1).view(-1, 2), torch.stack([index[:-1], index[1:]], -1).view(-1, 2)])
-    form = torch.zeros(index.numel(), index.numel())
-    form.view(-1).index_add_(0, pairs[:, 0] * index.numel() + pairs[:, 1], torch.ones(len(pairs)))
-    off = form + form.T
-    return torch.diag(off.sum(1)) - off

@@ -90,19 +90,6 @@ def test_gram_is_the_product():
     assert torch.equal(gram(rows), gram(rows).T)
 
 
-def test_laplacian_sums_squared_differences_of_neighbours():
-    height, width = 4, 8
-    light = np.random.default_rng(0).random((height, width))
-    expected = 0.0
-    for i in range(height):
-        for j in range(width):
-            expected += (light[i, j] - light[i, (j + 1) % width]) ** 2  # around, across the seam
-            expected += (light[i, j] - light[i + 1, j]) ** 2 if i + 1 < height else 0.0
-    form, values = module._laplacian(height).double(), torch.from_numpy(light.reshape(-1))
-    assert float(values @ form @ values) == pytest.approx(expected, rel=1e-6)
-    assert torch.equal(form, form.T) and (form.sum(1) == 0).all()
-
-
 def test_vertex_of_a_parabola():
     knots = torch.arange(6.0)
     vertices = torch.tensor([0.0, 0.4, 1.0, 2.3, 3.5, 4.9, 5.0])

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The prior of the light: differences of neighbours on the sphere, counted less across edges."""
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.stages.second.light_prior import EDGE, SMOOTHNESS, LightPrior
+
+HEIGHT, WIDTH = 4, 8
+PAIRS = HEIGHT * WIDTH + (HEIGHT - 1) * WIDTH  # across, around the seam, and down
+
+
+@pytest.fixture(scope="module")
+def prior():
+    return LightPrior(HEIGHT, "cpu")
+
+
+def test_laplacian_sums_squared_differences_of_neighbours(prior):
+    light = np.random.default_rng(0).random((HEIGHT, WIDTH))
+    expected = 0.0
+    for i in range(HEIGHT):
+        for j in range(WIDTH):
+            expected += (light[i, j] - light[i, (j + 1) % WIDTH]) ** 2  # around, across the seam
+            expected += (light[i, j] - light[i + 1, j]) ** 2 if i + 1 < HEIGHT else 0.0
+    form, values = prior.laplacian(torch.ones(PAIRS, dtype=torch.float64)), torch.from_numpy(light.reshape(-1))
+    assert float(values @ form @ values) == pytest.approx(expected, rel=1e-9)
+    assert torch.equal(form, form.T) and (form.sum(1) == 0).all()
+
+
+def test_small_differences_count_in_full_and_edges_hardly(prior):
+    """The curvature across one edge of the map falls as 1 / (1 + (d / EDGE)^2)."""
+    for step in (1e-3, EDGE, 10 * EDGE):
+        log_light = torch.zeros(HEIGHT * WIDTH, 3, dtype=torch.float64)
+        log_light[0] = step
+        curvature = float(prior.form(log_light.exp())[0, 0])
+        assert curvature == pytest.approx(3 * SMOOTHNESS / (1 + (step / EDGE) ** 2), rel=1e-9)  # the texel has three neighbours
+
+
+def test_constant_light_costs_nothing_and_has_no_slope(prior):
+    light = torch.full((HEIGHT * WIDTH, 3), 0.7, dtype=torch.float64)
+    log_light = light[:, 0].log()
+    assert float((prior.form(light) @ log_light).abs().max()) < 1e-12 * SMOOTHNESS / EDGE
