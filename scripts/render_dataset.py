@@ -10,23 +10,20 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-import trimesh
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.io.exr import read_exr_rgb, rgb_channels, write_exr
-from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.shading.procedural_lights import LIGHTS
 from irgspp.irgspp_addon.world.light_to_world import bake_world, world_from_map
-from PIL import Image
 from scenes import cycles_ground_truth
 from scenes.catalogue import SCENES
+from scenes.dataset_files import save_photograph, write_layers, write_surface
 from scenes.table import add_table
 
 ANGLE_X = 0.6911112070083618  # horizontal field of view of the NeRF-synthetic cameras
 LENS_RADII = 4 / 1.3  # camera distance in object radii
 SEED = 7
 ABOVE_TABLE = 12.0  # elevation of the lowest camera where the object stands on a table, degrees
-Points = tuple[np.ndarray, np.ndarray]
 
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
@@ -45,7 +42,9 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--points", type=int, default=10_000, help="surface samples for mesh scores")
     parser.add_argument("--name", help="name of the scene (default: that of the .blend file or of the built-in scene)")
     parser.add_argument("--hdr", action="store_true", help="write photographs as linear EXR files, too")
-    parser.add_argument("--table", action="store_true", help="photographs of the object on a table, with the light map behind, without masks")
+    parser.add_argument(
+        "--table", action="store_true", help="photographs of the object on a table, with the light map behind, without masks"
+    )
     parser.add_argument("--threads", type=int, default=0, help="of Cycles; default: 0, as many as the machine has")
     return parser.parse_args(argv)
 
@@ -119,32 +118,6 @@ def write_lights(scene: bpy.types.Scene, args: argparse.Namespace) -> list[str]:
     return names
 
 
-def save_png(path: Path, rgba: np.ndarray) -> None:
-    """Write a linear premultiplied image as an 8-bit sRGB PNG file with straight alpha.
-
-    Args:
-        path: file to write.
-        rgba: (H, W, 4) linear premultiplied.
-    """
-    alpha = np.clip(rgba[..., 3:], 0, 1)
-    straight = np.where(alpha > 0, rgba[..., :3] / np.maximum(alpha, 1e-6), 0)
-    encoded = np.concatenate([encode_srgb(np.clip(straight, 0, 1)), alpha], -1)
-    Image.fromarray(np.round(255 * encoded).astype(np.uint8), "RGBA").save(path, optimize=True)
-
-
-def save_photograph(path: Path, rgba: np.ndarray, hdr: bool) -> None:
-    """Write an image as a PNG file, and with `hdr` as an EXR file next to it, linear and premultiplied.
-
-    Args:
-        path: PNG file to write.
-        rgba: (H, W, 4) linear premultiplied.
-        hdr: write the EXR file, too.
-    """
-    save_png(path, rgba)
-    if hdr:
-        write_exr(path.with_suffix(".exr"), {name: rgba[..., i] for i, name in enumerate("RGBA")}, half=True)
-
-
 def write_transforms(path: Path, cameras: list[Camera], pattern: str) -> None:
     """Write the cameras as a transforms.json.
 
@@ -174,9 +147,7 @@ def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path, hd
         save_photograph(folder / f"r_{i:03d}.png", cycles_ground_truth.render_image(scene)["rgba"], hdr)
 
 
-def render_test(
-    scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path, hdr: bool = False
-) -> None:
+def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path, hdr: bool = False) -> None:
     """Render every test view under every light, and once its material layers, which do not depend on the light.
 
     Args:
@@ -199,19 +170,6 @@ def render_test(
             if n == 0:
                 layers |= cycles_ground_truth.render_geometry(scene, camera)
                 write_layers(view, layers)
-
-
-def write_layers(view: Path, layers: dict[str, np.ndarray]) -> None:
-    """Write the ground truth of a view as EXR files.
-
-    Args:
-        view: folder of the view.
-        layers: albedo (H, W, 3), normal (H, W, 3), depth (H, W), material (H, W, 2).
-    """
-    write_exr(view / "albedo.exr", rgb_channels(layers["albedo"]), half=True)
-    write_exr(view / "normal.exr", rgb_channels(layers["normal"]), half=True)
-    write_exr(view / "depth.exr", {"Z": np.round(layers["depth"] * 16384) / 16384})
-    write_exr(view / "material.exr", {"R": layers["material"][..., 0], "G": layers["material"][..., 1]}, half=True)
 
 
 def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray, scene: bpy.types.Scene) -> None:
@@ -273,28 +231,10 @@ def render_dataset(args: argparse.Namespace) -> None:
     write_meta(args, lights, corners, scene)
     write_transforms(args.output / "transforms_train.json", train, "./train/r_{:03d}")
     write_transforms(args.output / "transforms_test.json", test, "./test/r_{:03d}/rgba")
-    write_surface(args, cycles_ground_truth.visible_points(triangles, train, args.points, SEED), triangles, around)
+    write_surface(args.output, cycles_ground_truth.visible_points(triangles, train, args.points, SEED), triangles, around)
     scene.world = worlds[lights[0]]
     render_train(scene, train, args.output / "train", args.hdr)
     render_test(scene, test, worlds, args.output / "test", args.hdr)
-
-
-def write_surface(args: argparse.Namespace, visible: Points, triangles: np.ndarray, around: Points) -> None:
-    """Write surface_points.npz and surface.ply: samples of the object, those of the table, and the object's triangles.
-
-    Args:
-        args: parsed options.
-        visible: samples that some camera sees, and their normals.
-        triangles: corners of the object's triangles (T, 3, 3).
-        around: points on the table and their normals, none without one.
-    """
-    points, normals = visible
-    arrays = {"points": points.astype(np.float32), "normals": normals.astype(np.float16)}
-    if len(around[0]):
-        arrays |= {"around": around[0].astype(np.float32)}
-    np.savez_compressed(args.output / "surface_points.npz", **arrays)
-    mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), process=True)
-    mesh.export(args.output / "surface.ply")
 
 
 def main(argv: list[str] | None = None) -> int:

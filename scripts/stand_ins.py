@@ -18,10 +18,9 @@ from pathlib import Path
 import render_dataset
 from formats.source import load_source
 from irgspp.core.errors import InputError, IrgsppError
+from reproduction.scenes import STAND_IN
 from stand_in.kinds import KINDS, Kind
 from stand_in.lights import write_light
-
-MARK = "stand_in.json"
 
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
@@ -77,7 +76,7 @@ def make_all(args: argparse.Namespace) -> None:
     """
     for name, kind in chosen(args.kinds).items():
         folder = args.out / name
-        mark = folder / MARK
+        mark = folder / STAND_IN
         made = json.loads(mark.read_text(encoding="utf-8"))["scenes"] if mark.is_file() else {}
         for scene in kind.scenes:
             if scene in made and (folder / made[scene]).is_dir():

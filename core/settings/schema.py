@@ -81,7 +81,8 @@ class SecondStageSettings:
     views: Annotated[int, Range(3, 1000)] = 8  # images sampled per point, at most
     rows: Annotated[int, Range(4, 32, 2)] = 16  # rows of the environment map in that solve
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the resulting environment map
-    indirect: bool = True  # trace interreflections of the object; its shadows are always traced
+    indirect: bool = True  # trace interreflections of the object
+    shadows: bool = True  # trace the object's shadows; off, and indirect off: no 2DGRT in training, for comparison
     surroundings: bool = True  # trace the table and other near surfaces of a capture, which shadow and light the object
     iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement per pixel
     pixels: Annotated[int, Range(1, 1_000_000)] = 256  # shaded in each iteration of the refinement

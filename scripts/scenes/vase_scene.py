@@ -47,6 +47,6 @@ def _smooth_outline(steps: int = 90) -> np.ndarray:
     fine = np.stack([np.interp(at, length, column) for column in points.T], -1)
     window = np.hanning(49)[:, None] / np.hanning(49).sum()
     padded = np.concatenate([np.repeat(fine[:1], 24, 0), fine, np.repeat(fine[-1:], 24, 0)])
-    rounded = np.stack([np.convolve(column, window[:, 0], "valid") for column in padded.T], -1)[:: 8]
+    rounded = np.stack([np.convolve(column, window[:, 0], "valid") for column in padded.T], -1)[::8]
     rounded[[0, -1], 0] = 0.0
     return rounded

@@ -39,9 +39,7 @@ KINDS = {
     "synthetic4relight": Kind(
         {"stone": "relief", "vase": "glazed-vase"}, ("outdoors", "indoors", "fireplace"), WRITERS["synthetic4relight"], ("--hdr",)
     ),
-    "glossy-synthetic": Kind(
-        {"monkey": "glossy", "vase": "vase"}, ("indoors", "corridor", "golf", "neon"), WRITERS["glossy-synthetic"]
-    ),
+    "glossy-synthetic": Kind({"monkey": "glossy", "vase": "vase"}, ("indoors", "corridor", "golf", "neon"), WRITERS["glossy-synthetic"]),
     "glossy-real": Kind({"monkey": "glossy", "vase": "vase"}, ("indoors",), WRITERS["glossy-real"], ("--table",)),
     # The sphere of interest goes by the scene's name, so these have published names.
     "ref-real": Kind({"sedan": "demo", "toycar": "vase"}, ("outdoors",), WRITERS["ref-real"], ("--table",)),

@@ -250,7 +250,7 @@ def solve_light_materials(
     """
     second, random = settings.second, np.random.default_rng(settings.seed)
     near = dataset.surroundings if second.surroundings and second.indirect else None  # shadows without their light would be wrong
-    tracer = SecondaryTracer(mean_over_lights(reconstruction, dataset.train), near)
+    tracer = SecondaryTracer(mean_over_lights(reconstruction, dataset.train), near, second.shadows)
     turns = light_rotations(dataset.train)
     rotations = None if turns is None else torch.from_numpy(turns).to(tracer.device)
     position, normal = surface.samples(second.points, random)

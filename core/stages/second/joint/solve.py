@@ -125,7 +125,7 @@ def _optimised(
     second, glossy = settings.second, start.glossy
     start = with_all_radiance(start, dataset.train, settings, progress)
     near = dataset.surroundings if second.surroundings and second.indirect else None
-    model = JointModel.of(start, near, settings.first.subpixels, second.indirect)
+    model = JointModel.of(start, near, settings.first.subpixels, second.indirect, second.shadows)
     weights, factor = GLOSSY if glossy else LOW_GLOSS, PUBLISHED
     if refining:
         smooth = REFINING_SMOOTHNESS
