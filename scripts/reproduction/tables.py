@@ -86,12 +86,14 @@ class Table:
         columns: heading by key.
         rows: lines of the table.
         notes: notes on how to read it.
+        heads: headings of the columns of text.
     """
 
     title: str
     columns: dict[str, str]
     rows: list[Row]
     notes: list[str]
+    heads: tuple[str, str, str] = ("scene", "by", "source")
 
 
 def benchmark_of(form: str) -> dict[str, Any]:
@@ -181,7 +183,7 @@ def as_markdown(tables: Sequence[Table]) -> str:
 
 def _markdown(table: Table) -> str:
     """Return a table as Markdown."""
-    lines = [f"## {table.title}", "", _line(["scene", "by", "source", *table.columns.values()])]
+    lines = [f"## {table.title}", "", _line([*table.heads, *table.columns.values()])]
     lines.append(_line(["---"] * 3 + ["---:"] * len(table.columns)))
     lines += [_line([row.of, row.by, row.source, *(formatted(row.figures.get(key)) for key in table.columns)]) for row in table.rows]
     return "\n".join([*lines, "", *(f"- {note}" for note in table.notes)])
@@ -224,7 +226,7 @@ def _page_table(table: Table) -> dict[str, Any]:
         rows.append(
             PageRow([*map(Cell, (row.of, row.by, row.source)), *numbers], "ours" if row.source in (MEASURED, MEASURED_STAND_IN) else "")
         )
-    columns = ["scene", "by", "source", *table.columns.values()]
+    columns = [*table.heads, *table.columns.values()]
     return {"title": table.title, "columns": columns, "rows": rows, "notes": table.notes}
 
 

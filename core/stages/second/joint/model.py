@@ -28,7 +28,7 @@ from ...common.training_view import TrainingView
 
 FOREGROUND = 0.5  # opacity above which a pixel is shaded
 REFITS = 15  # of the tree before it is built anew (3DGRUT)
-CONSERVING = True  # the diffuse lobe loses what the specular one reflects, as in relighting and in Blender; the paper's does not
+Reflect = Callable[..., tuple[torch.Tensor, torch.Tensor]]  # see `reflect_light`
 
 
 class SurfelTracer:
@@ -112,6 +112,7 @@ class JointModel:
         subpixels: rays along each side of a pixel.
         indirect: secondary rays bring the light that the object itself sends out.
         shadows: the object hides the light from itself.
+        reflect: rendering equation; by default the diffuse lobe loses what the specular one reflects, as in relighting and in Blender.
         kernels: operations.
     """
 
@@ -123,6 +124,7 @@ class JointModel:
     subpixels: int = 1
     indirect: bool = True
     shadows: bool = True
+    reflect: Reflect = reflect_light
     kernels: Kernels = field(default_factory=Kernels)
 
     @classmethod
@@ -242,7 +244,7 @@ class JointModel:
             radiance = radiance + traced[:, COLOUR] if self.indirect else radiance
         incoming = radiance.new_zeros(direction.numel() // 3, 3).index_copy(0, plan.above, radiance).view_as(direction)
         layers = (at.view, at.normal, at.albedo, at.roughness, at.metallic)
-        diffuse, specular = reflect_light(*layers, plan.samples, incoming, conserving=CONSERVING)
+        diffuse, specular = self.reflect(*layers, plan.samples, incoming)
         return diffuse + specular, incoming
 
     def _occluders(self, gaussians: Gaussians) -> Gaussians:

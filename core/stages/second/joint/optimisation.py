@@ -87,7 +87,7 @@ class JointOptimisation:
         self.held_back = every if hold_back else number < 0
         self.tested = torch.nonzero(every if every.any() else ~every)[:, 0].tolist()
         self.light = resized_light(start.environment, settings.light_height).clamp_min(DARKEST).log().contiguous().requires_grad_()
-        rates = {name: Rate(rate) for name, rate in RATES.items()}
+        rates = {name: Rate(rate) for name, rate in RATES.items() if name != "metallic" or settings.brdf != "irgs"}
         if settings.geometry_rate > 0:
             extent = camera_extent([view.camera for view in views])
             rates |= {name: Rate(settings.geometry_rate * rate) for name, rate in GEOMETRY.items()}
