@@ -63,7 +63,7 @@ def table(title: str, rows: list[tuple[str, str, Report]], notes: Sequence[str] 
     Args:
         title: title of the table.
         rows: label, samples and report of each row.
-        notes: notes besides the protocol's.
+        notes: notes on how to read it.
     """
     first = rows[0][2]["figures"].get("relight_psnr")
     lines = []
@@ -72,8 +72,7 @@ def table(title: str, rows: list[tuple[str, str, Report]], notes: Sequence[str] 
         difference = "" if first is None or relit is None or report is rows[0][2] else f"{relit - first:+.2f} dB"
         lines.append(Row(label, samples, difference, {key: report["figures"][key] for key in COLUMNS if key in report["figures"]}))
     keys = {key for line in lines for key in line.figures}
-    common = [line for line in rows[0][2]["protocol"] if all(line in report["protocol"] for _, _, report in rows)]
-    return Table(title, {key: text for key, text in COLUMNS.items() if key in keys}, lines, [*notes, *common], HEADS)
+    return Table(title, {key: text for key, text in COLUMNS.items() if key in keys}, lines, list(notes), HEADS)
 
 
 def training_job(training: Training, args: argparse.Namespace, out: Path) -> Job:
@@ -151,6 +150,7 @@ def ablate(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.training:
         tables.append(training_table(full, args, out, terminal))
     terminal.end_line()
+    tables[0].notes.extend(line for line in full["protocol"] if not line.startswith("Shaded and relit images"))
     text = as_markdown(tables)
     for suffix, content in (("md", text), ("json", json.dumps(as_json(tables), indent=1)), ("html", as_html(tables, []))):
         write_atomic(out / f"ablations.{suffix}", content.encode())

@@ -29,6 +29,7 @@ from ..common.preview import albedo_image
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
+from .joint.optimisation import resized_light
 from .joint.solve import optimise_jointly, refine_jointly
 from .light_material_solver import STEPS, LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
@@ -119,9 +120,8 @@ def solve_in_closed_form(
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
-    light = solver.light.T.reshape(1, 3, solver.transfer.height, -1)
-    height = max(settings.second.light_height, solver.transfer.height)
-    enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
+    light = solver.light.view(solver.transfer.height, -1, 3)
+    enlarged = resized_light(light, settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     solved = reconstruction.relabelled(torch.logit(materials), enlarged)
     result, schedule_scale = refine(solved, reconstruction, dataset, tracer, solver, settings, progress, deadline)
@@ -169,7 +169,8 @@ def refine(
         return solved, 1.0
     starts = [solved]
     if first.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
-        starts.append(first.relabelled(binarise_metallic_by_median(first.gaussians), first.environment))
+        light = resized_light(first.environment, settings.second.light_height)
+        starts.append(first.relabelled(binarise_metallic_by_median(first.gaussians), light))
     refinements = prepare_refinements(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
     before = [refinement.test() for refinement in refinements]
     best = int(np.argmax(before))

@@ -219,7 +219,7 @@ class JointOptimisation:
 def resized_light(light: torch.Tensor, height: int) -> torch.Tensor:
     """Return a light map (h, w, 3) with a number of rows, at least its own."""
     if light.shape[0] >= height:
-        return light
+        return light.contiguous()
     planes = light.permute(2, 0, 1)[None]
     return torch.nn.functional.interpolate(planes, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
 
