@@ -52,10 +52,7 @@ class RelightSettings:
         samples: "hq", "efficient" or the number of samples per pixel.
         sampling: "mis", or "stratified" for comparison.
         denoise: "demodulated", "paper" or "off".
-        allocation: proportions of cosine, visible-normal and light samples; None: by the object's material.
         indirect: add the light that other parts of the object reflect; without it they only cast shadows.
-        shadows: other parts of the object hide the light; False: for comparison, they only reflect.
-        ratio: the diffuse light's unoccluded part is known and not sampled, see `estimate_reflected_light`; False: it is (the paper).
         transfer: these parts receive light with shadows and interreflections, see `VertexTransfer`, where there is a mesh; False: the
             unoccluded light (the paper).
         conserving: reduce the diffuse lobe by what the specular lobe reflects (Blender's Principled BSDF); False: do not (the paper).
@@ -65,21 +62,24 @@ class RelightSettings:
             `SkipSettings`.
         error: root-mean-square error of the sRGB image to reach by adaptive sampling (`adaptive_sampling.py`), which then chooses the
             number of samples per tile instead of `samples`; None: not adaptive.
+        allocation: proportions of cosine, visible-normal and light samples; None: by the object's material.
+        shadows: other parts of the object hide the light; False: for comparison, they only reflect.
+        ratio: the diffuse light's unoccluded part is known and not sampled, see `estimate_reflected_light`; False: it is (the paper).
     """
 
     samples: str | int = "hq"
     sampling: Literal["mis", "stratified"] = "mis"
     denoise: Literal["demodulated", "paper", "off"] = "demodulated"
-    allocation: Counts | None = None
     indirect: bool = True
-    shadows: bool = True
-    ratio: bool = True
     transfer: bool = True
     conserving: bool = True
     mesh_normals: float = 0.5
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     skip: SkipSettings = field(default_factory=SkipSettings)
     error: float | None = None
+    allocation: Counts | None = None
+    shadows: bool = True
+    ratio: bool = True
 
 
 class Relighter:
