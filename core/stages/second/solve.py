@@ -18,7 +18,6 @@ from scipy.spatial import KDTree
 from ...errors import Cancelled, IrgsppError
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.secondary_rays import SecondaryTracer
-from ...rendering.turning_light import mean_over_lights
 from ...scene.camera import Camera
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.reconstruction import Reconstruction
@@ -39,6 +38,7 @@ from .pixel_pool import PixelPool, pool_pixels
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
 from .refinement import METAL_ON_AVERAGE, Refinement, is_metal_on_average
+from .secondary_tracer import secondary_tracer
 
 LEAST_POINTS = 50  # with which the light is solved
 CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
@@ -117,11 +117,11 @@ def solve_in_closed_form(
     if not _is_metal(reconstruction, solver):
         watch = (progress, lambda done: _report_step(progress, done))
         reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, *watch)
+        tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
-    light = solver.light.view(solver.transfer.height, -1, 3)
-    enlarged = resized_light(light, settings.second.light_height)
+    enlarged = resized_light(solver.light.view(solver.transfer.height, -1, 3), settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     solved = reconstruction.relabelled(torch.logit(materials), enlarged)
     result, schedule_scale = refine(solved, reconstruction, dataset, tracer, solver, settings, progress, deadline)
@@ -250,8 +250,7 @@ def solve_light_materials(
         IrgsppError: too few points are seen, or a value is not finite.
     """
     second, random = settings.second, np.random.default_rng(settings.seed)
-    near = dataset.surroundings if second.surroundings and second.indirect else None  # shadows without their light would be wrong
-    tracer = SecondaryTracer(mean_over_lights(reconstruction, dataset.train), near, second.shadows)
+    tracer = secondary_tracer(reconstruction, dataset, second)
     turns = light_rotations(dataset.train)
     rotations = None if turns is None else torch.from_numpy(turns).to(tracer.device)
     position, normal = surface.samples(second.points, random)

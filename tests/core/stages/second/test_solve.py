@@ -145,3 +145,26 @@ def test_every_start_of_a_metal_has_a_light_of_the_rows_that_the_setting_asks_fo
     with pytest.raises(Cancelled):
         transport.refine(solved, first, sphere_dataset(camera_ring(9, size=40)), SecondaryTracer(first), solver, settings, Silent(), None)
     assert rows == [32, 32]
+
+
+def test_materials_are_assigned_by_the_pixels_that_turned_surfels_cover(sphere, sphere_dataset, camera_ring, tried, monkeypatch):
+    make, surface = sphere
+    traced = []
+
+    def turn(reconstruction, surface, solver, tracer, *_):
+        g = reconstruction.gaussians
+        turned = replace(g, log_scale=g.log_scale - 3.0)  # as far as rays go, like surfels seen from the side
+        traced.append(tracer)
+        return replace(reconstruction, gaussians=turned), surface
+
+    def stop(gaussians, surface, views, tracer, *_):
+        traced.append(tracer)
+        raise Cancelled("enough")
+
+    monkeypatch.setattr(transport, "improve_normals", turn)
+    monkeypatch.setattr(transport, "assign_materials", stop)
+    with pytest.raises(Cancelled):
+        transport.solve_in_closed_form(make(), surface, sphere_dataset(camera_ring(12, size=48), False), SETTINGS, Silent())
+    ahead = torch.tensor([[0.0, 0.1, 4.0]]), torch.tensor([[0.0, 0.0, -1.0]])
+    before, after = (float(tracer.look(*ahead)[0]) for tracer in traced)
+    assert before < 0.05 and after > 0.5
