@@ -41,7 +41,7 @@ COLUMNS = {
     "frames_per_second": "FPS ↑",
 }
 SIGNS = ("nvs_psnr", "albedo_psnr", "relight_psnr")
-HEADS = ("variant", "samples", "difference")
+HEADS = ("variant", "samples", "relit, to the first row")
 
 
 def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
