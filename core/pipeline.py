@@ -15,6 +15,7 @@ from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
 from .datasets.load import load_dataset
 from .detail.albedo_detail import detailed_by_dataset
+from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
@@ -102,6 +103,8 @@ def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress:
 
 def _read(dataset: Path, run: Path, settings: Settings, device: ChosenDevice, progress: Progress) -> tuple[Dataset, MemoryLayout]:
     """Load a dataset, and check that the job fits on the disk and into memory."""
+    if settings.second.brdf != "principled" and settings.second.solver != "joint":
+        raise InputError("second.brdf", f"{settings.second.brdf} is of the joint optimisation alone", "add --set second.solver=joint")
     data = load_dataset(dataset, settings.data, progress)
     if settings.second.solver != "closed":
         check_joint(data.train)

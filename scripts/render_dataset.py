@@ -12,17 +12,18 @@ import bpy
 import numpy as np
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.io.exr import read_exr_rgb, rgb_channels, write_exr
-from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.shading.procedural_lights import LIGHTS
 from irgspp.irgspp_addon.world.light_to_world import bake_world, world_from_map
-from PIL import Image
 from scenes import cycles_ground_truth
 from scenes.catalogue import SCENES
+from scenes.dataset_files import save_photograph, write_layers, write_surface
+from scenes.table import add_table
 
 ANGLE_X = 0.6911112070083618  # horizontal field of view of the NeRF-synthetic cameras
 LENS_RADII = 4 / 1.3  # camera distance in object radii
 SEED = 7
+ABOVE_TABLE = 12.0  # elevation of the lowest camera where the object stands on a table, degrees
 
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
@@ -39,12 +40,17 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--relight", nargs="*", help="more lights for the test views; default: studio sunset")
     parser.add_argument("--light-height", type=int, default=128, help="rows of built-in and baked light maps")
     parser.add_argument("--points", type=int, default=10_000, help="surface samples for mesh scores")
+    parser.add_argument("--name", help="name of the scene (default: that of the .blend file or of the built-in scene)")
+    parser.add_argument("--hdr", action="store_true", help="write photographs as linear EXR files, too")
+    parser.add_argument(
+        "--table", action="store_true", help="photographs of the object on a table, with the light map behind, without masks"
+    )
     parser.add_argument("--threads", type=int, default=0, help="of Cycles; default: 0, as many as the machine has")
     return parser.parse_args(argv)
 
 
-def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolution: int) -> list[Camera]:
-    """Return cameras on an even spiral over the sphere from 30 degrees below the horizon to the top, all looking at the centre.
+def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolution: int, lowest: float = -30.0) -> list[Camera]:
+    """Return cameras on an even spiral over the sphere from an elevation to the top, all looking at the centre.
 
     Args:
         count: number of cameras.
@@ -52,11 +58,12 @@ def orbit(count: int, phase: float, centre: np.ndarray, radius: float, resolutio
         centre: centre of the object (3,).
         radius: radius of the object.
         resolution: pixels along a side of the image.
+        lowest: elevation of the lowest camera in degrees.
     """
     focal = 0.5 * resolution / np.tan(0.5 * ANGLE_X)
     cameras = []
     for i in range(count):
-        z = 1.0 - 1.5 * (i + 0.5) / count
+        z = 1.0 - (1.0 - np.sin(np.radians(lowest))) * (i + 0.5) / count
         azimuth = (i + phase) * np.pi * (3 - np.sqrt(5))
         away = np.array([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z])
         to_world = look_at(centre + away * radius * LENS_RADII, centre)
@@ -111,19 +118,6 @@ def write_lights(scene: bpy.types.Scene, args: argparse.Namespace) -> list[str]:
     return names
 
 
-def save_png(path: Path, rgba: np.ndarray) -> None:
-    """Write a linear premultiplied image as an 8-bit sRGB PNG file with straight alpha.
-
-    Args:
-        path: file to write.
-        rgba: (H, W, 4) linear premultiplied.
-    """
-    alpha = np.clip(rgba[..., 3:], 0, 1)
-    straight = np.where(alpha > 0, rgba[..., :3] / np.maximum(alpha, 1e-6), 0)
-    encoded = np.concatenate([encode_srgb(np.clip(straight, 0, 1)), alpha], -1)
-    Image.fromarray(np.round(255 * encoded).astype(np.uint8), "RGBA").save(path, optimize=True)
-
-
 def write_transforms(path: Path, cameras: list[Camera], pattern: str) -> None:
     """Write the cameras as a transforms.json.
 
@@ -136,23 +130,24 @@ def write_transforms(path: Path, cameras: list[Camera], pattern: str) -> None:
     path.write_text(json.dumps({"camera_angle_x": ANGLE_X, "frames": frames}, indent=1))
 
 
-def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path) -> None:
+def render_train(scene: bpy.types.Scene, cameras: list[Camera], folder: Path, hdr: bool = False) -> None:
     """Render the training views.
 
     Args:
         scene: scene with its World.
         cameras: training cameras.
         folder: folder to make.
+        hdr: write EXR files, too.
     """
     folder.mkdir()
     for i, camera in enumerate(cameras):
         log(f"training view {i + 1} of {len(cameras)}")
         cycles_ground_truth.place_camera(scene, camera)
         scene.cycles.seed = i
-        save_png(folder / f"r_{i:03d}.png", cycles_ground_truth.render_image(scene)["rgba"])
+        save_photograph(folder / f"r_{i:03d}.png", cycles_ground_truth.render_image(scene)["rgba"], hdr)
 
 
-def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path) -> None:
+def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str, bpy.types.World], folder: Path, hdr: bool = False) -> None:
     """Render every test view under every light, and once its material layers, which do not depend on the light.
 
     Args:
@@ -160,6 +155,7 @@ def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str,
         cameras: test cameras.
         worlds: Worlds by name of the light.
         folder: folder of the views.
+        hdr: write EXR files, too.
     """
     for n, (name, world) in enumerate(worlds.items()):
         scene.world = world
@@ -170,23 +166,10 @@ def render_test(scene: bpy.types.Scene, cameras: list[Camera], worlds: dict[str,
             cycles_ground_truth.place_camera(scene, camera)
             scene.cycles.seed = 1000 * (n + 1) + i
             layers = cycles_ground_truth.render_image(scene)
-            save_png(view / ("rgba.png" if n == 0 else f"rgba_{name}.png"), layers["rgba"])
+            save_photograph(view / ("rgba.png" if n == 0 else f"rgba_{name}.png"), layers["rgba"], hdr)
             if n == 0:
                 layers |= cycles_ground_truth.render_geometry(scene, camera)
                 write_layers(view, layers)
-
-
-def write_layers(view: Path, layers: dict[str, np.ndarray]) -> None:
-    """Write the ground truth of a view as EXR files.
-
-    Args:
-        view: folder of the view.
-        layers: albedo (H, W, 3), normal (H, W, 3), depth (H, W), material (H, W, 2).
-    """
-    write_exr(view / "albedo.exr", rgb_channels(layers["albedo"]), half=True)
-    write_exr(view / "normal.exr", rgb_channels(layers["normal"]), half=True)
-    write_exr(view / "depth.exr", {"Z": np.round(layers["depth"] * 16384) / 16384})
-    write_exr(view / "material.exr", {"R": layers["material"][..., 0], "G": layers["material"][..., 1]}, half=True)
 
 
 def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray, scene: bpy.types.Scene) -> None:
@@ -199,7 +182,7 @@ def write_meta(args: argparse.Namespace, lights: list[str], corners: np.ndarray,
         scene: rendered scene.
     """
     meta = {
-        "name": args.blend.stem if args.blend else args.scene,
+        "name": args.name or (args.blend.stem if args.blend else args.scene),
         "blender": bpy.app.version_string,
         "seed": SEED,
         "resolution": [args.resolution, args.resolution],
@@ -233,23 +216,25 @@ def render_dataset(args: argparse.Namespace) -> None:
     if args.output.exists() and any(args.output.iterdir()):
         raise InputError(args.output, "is not empty", "name a new folder")
     scene = load_scene(args.blend, args.scene)
-    cycles_ground_truth.prepare(scene, args.samples, SEED, args.threads)
+    triangles = cycles_ground_truth.world_triangles(scene)
+    corners = triangles.reshape(-1, 3)
+    around = add_table(corners) if args.table else (np.zeros((0, 3)), np.zeros((0, 3)))
+    cycles_ground_truth.prepare(scene, args.samples, SEED, args.threads, transparent=not args.table)
     lights = write_lights(scene, args)
     worlds = {name: world_from_map(args.output / "envs" / f"{name}.exr", name) for name in lights}
-    corners = cycles_ground_truth.world_triangles(scene).reshape(-1, 3)
     demo = args.blend is None and args.scene == "demo"  # its cameras look at the origin, not at the middle of the object
     centre = np.zeros(3) if demo else (corners.min(0) + corners.max(0)) / 2
     radius = 1.3 if demo else float(np.linalg.norm(corners - centre, axis=-1).max())
-    train = orbit(args.train, 0.0, centre, radius, args.resolution)
-    test = orbit(args.test, 0.37, centre, radius, args.resolution)
+    lowest = ABOVE_TABLE if args.table else -30.0
+    train = orbit(args.train, 0.0, centre, radius, args.resolution, lowest)
+    test = orbit(args.test, 0.37, centre, radius, args.resolution, lowest)
     write_meta(args, lights, corners, scene)
     write_transforms(args.output / "transforms_train.json", train, "./train/r_{:03d}")
     write_transforms(args.output / "transforms_test.json", test, "./test/r_{:03d}/rgba")
-    points, normals = cycles_ground_truth.visible_points(scene, train, args.points, SEED)
-    np.savez_compressed(args.output / "surface_points.npz", points=points.astype(np.float32), normals=normals.astype(np.float16))
+    write_surface(args.output, cycles_ground_truth.visible_points(triangles, train, args.points, SEED), triangles, around)
     scene.world = worlds[lights[0]]
-    render_train(scene, train, args.output / "train")
-    render_test(scene, test, worlds, args.output / "test")
+    render_train(scene, train, args.output / "train", args.hdr)
+    render_test(scene, test, worlds, args.output / "test", args.hdr)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -24,7 +24,7 @@ from irgspp.core.evaluation.protocols import PROTOCOLS
 from irgspp.core.progress.terminal import Terminal
 from irgspp.core.run_folder import read_run, write_atomic
 from irgspp.core.settings.schema import PRESETS
-from reproduction.scenes import Scene, find_scenes, job_of
+from reproduction.scenes import Scene, discard_stale_report, find_scenes, job_of
 from reproduction.tables import Result, as_html, as_json, as_markdown, benchmark_of, tables_of
 
 
@@ -79,11 +79,12 @@ def result_of(scene: Scene, states: Mapping[str, State], out: Path) -> Result:
     """
     run, report = out / "runs" / scene.name, out / "reports" / scene.name / "report.json"
     state = states.get(scene.name, State("failed", scene.trouble))
+    about = (scene.name, scene.known_as, scene.format)
     if state.state != "done":
-        return Result(scene.name, scene.known_as, scene.format, None, trouble=state.error or state.state)
+        return Result(*about, None, trouble=state.error or state.state, stand_in=scene.stand_in)
     seconds = sum(phase["seconds"] for phase in read_run(run)["phases"].values())
     found = json.loads(report.read_text(encoding="utf-8"))
-    return Result(scene.name, scene.known_as, scene.format, found, seconds / 60, sheet=run / "contact_sheet.png")
+    return Result(*about, found, seconds / 3600, sheet=run / "contact_sheet.png", stand_in=scene.stand_in)
 
 
 def write(out: Path, results: Sequence[Result], ours: str) -> str:
@@ -121,6 +122,8 @@ def reproduce(args: argparse.Namespace, terminal: Terminal) -> int:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(out, f"can't be made ({error.strerror})") from error
+    for job in jobs:
+        discard_stale_report(job)
     states = run_batch(jobs, batch_folder(out / "scenes"), lambda: terminal.cancelled, max(1, args.at_once), args.dask)
     results = [result_of(scene, states, out) for scene in scenes]
     print(write(out, results, f"ours, {args.preset}"))

@@ -38,7 +38,7 @@ def run_job(job: Job, batch: Path, threads: int | None = None) -> State:
         folder.prepare()
         state = replace(folder.read(), state="running", error="")
         folder.write(state)
-        for step in job.steps:
+        for number, step in enumerate(job.steps):
             if is_complete(job, step, state):
                 continue
             if (batch / CANCEL).exists():
@@ -50,7 +50,8 @@ def run_job(job: Job, batch: Path, threads: int | None = None) -> State:
                 return _ended(
                     folder, replace(state, state="cancelled" if status == 130 else "failed", error="" if status == 130 else message)
                 )
-            state = replace(state, finished=(*state.finished, tuple(step)))
+            # What later steps made of the former result is no longer true.
+            state = replace(state, finished=(*(done for done in state.finished if done in job.steps[:number]), tuple(step)))
             folder.write(state)
         return _ended(folder, replace(state, state="done"))
     except (OSError, IrgsppError) as error:

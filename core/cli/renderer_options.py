@@ -27,7 +27,14 @@ def add_renderer_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--no-denoise", action="store_true", help="images without denoising")
     one.add_argument("--no-indirect", action="store_true", help="shadows, but no interreflections of the object")
     unshadowed = "light that surfaces reflect onto each other arrives there without shadows, as in the paper"
+    seen_through = "the object does not hide the light from itself (for comparison; with --no-indirect: direct light alone)"
+    one.add_argument("--no-shadows", action="store_true", help=seen_through)
     one.add_argument("--no-transfer", action="store_true", help=unshadowed)
+    one.add_argument("--no-ratio", action="store_true", help="sample the unoccluded diffuse light, too, which is known (as in the paper)")
+    proportions = "proportions of cosine, visible-normal and light samples (default: 1:1:2; 1:4:3 for metal)"
+    one.add_argument("--allocation", type=_proportions, metavar="C:G:E", help=proportions)
+    share = "share of the mesh's normals in the shading normals, 0 (those of the Gaussians) to 1 (default: 0.5)"
+    one.add_argument("--mesh-normals", type=_fraction, default=0.5, metavar="W", help=share)
     diffuse = "conserving (default) reduces diffuse by a dielectric's reflection, as Blender's Principled does; lambert does not"
     one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
 
@@ -37,5 +44,21 @@ def relight_settings(args: argparse.Namespace) -> RelightSettings:
     from ..relight.relighter import RelightSettings  # imports torch
 
     denoise = "off" if args.no_denoise else args.denoiser
-    light = {"indirect": not args.no_indirect, "transfer": not args.no_transfer, "conserving": args.diffuse == "conserving"}
-    return RelightSettings(sampling=args.sampling, denoise=denoise, **light)
+    light = {"indirect": not args.no_indirect, "shadows": not args.no_shadows, "transfer": not args.no_transfer}
+    light |= {"ratio": not args.no_ratio, "conserving": args.diffuse == "conserving"}
+    return RelightSettings(sampling=args.sampling, denoise=denoise, allocation=args.allocation, mesh_normals=args.mesh_normals, **light)
+
+
+def _proportions(text: str) -> tuple[int, int, int]:
+    parts = text.split(":")
+    if len(parts) != 3 or not all(part.isdecimal() for part in parts) or not any(map(int, parts)):
+        raise argparse.ArgumentTypeError(f"{text} is not of the form 1:1:2")
+    cosine, ggx, light = map(int, parts)
+    return cosine, ggx, light
+
+
+def _fraction(text: str) -> float:
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} must be from 0 to 1")
+    return value

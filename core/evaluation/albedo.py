@@ -78,6 +78,7 @@ def albedo_row(
     alpha = truth.alpha[..., None]
     albedo, true = prediction.layer("albedo") * alpha, truth.albedo * alpha
     row = {"albedo_psnr": metrics.psnr(albedo * scale, true), "albedo_psnr_unscaled": metrics.psnr(albedo, true)}
+    row |= {"albedo_psnr_object": metrics.psnr(albedo * scale, true, truth.object)} if truth.object.any() else {}
     return row | _structure(albedo * scale, true, lpips)
 
 

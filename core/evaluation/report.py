@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,18 +21,21 @@ from ..relight.backends import Backend, best_backend, open_relighter
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter, RelightSettings
 from ..rendering.gbuffer import render_gbuffer
+from ..scene.camera import Camera
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import DataSettings
 from . import metrics
 from .cases import Case, Cases, read_cases, spread
+from .conditions import describe_conditions, describe_renderer
 from .cycles import compare
 from .ground_truth import SceneTruth, Truth
 from .html_report import SHOWN, page
-from .lpips import NO_LPIPS, Lpips, find_lpips
+from .lpips import Lpips, find_lpips
+from .mesh_normals import mesh_normals
 from .prediction import Prediction
 from .protocols import PLAIN, Protocol, describe_protocol, protocol_named
-from .view_metrics import Fits, averages, fitted_metrics, relit_metrics, view_metrics
+from .view_metrics import Fits, averages, fitted_metrics, mesh_metrics, relit_metrics, view_metrics
 
 CHAMFER_UNIT = 2000  # factor of Stanford-ORB's tables
 CYCLES_PROTOCOL = (
@@ -97,7 +101,7 @@ def evaluate(
     evaluation = Evaluation(cases, relighter, choices, distances, progress)
     evaluation.compare()
     report = evaluation.summary()
-    report["figures"] |= scene_metrics(run, reconstruction, cases.scene, choices, cases.unit)
+    report["figures"] |= scene_metrics(run, reconstruction, cases.scene, choices, cases.unit, evaluation.own_light)
     lights = cases.scene.lights or {"recovered": reconstruction.environment_map()}
     cameras = {cases.names[i]: cases.cameras[i] for i in spread(cases.own, cycles)}
     asset = compare(relighter, run, cameras, lights, progress) if cycles else []
@@ -109,7 +113,7 @@ def evaluate(
         "split": cases.split,
         "choices": {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(choices).items()},
     }
-    conditions = _conditions(evaluation, report["albedo_scale"], describe_renderer(relight, backend))
+    conditions = describe_conditions(cases, choices, distances, report["albedo_scale"], describe_renderer(relight, backend))
     report["protocol"] = [*describe_protocol(choices), *conditions, *([CYCLES_PROTOCOL] if cycles else [])]
     _write(output or run / "evaluation", report, page(report, evaluation.shown, choices, asset))
     return report
@@ -137,6 +141,8 @@ class Evaluation:
         self.fits, self.rows = Fits(protocol), [dict[str, float]() for _ in cases.views]
         self.shown: dict[str, tuple[Prediction, Truth]] = {}  # views shown in the report, with all their images
         self.lit_by: dict[str, None] = {}  # names of lights, in order
+        self.seconds: list[float] = []  # of each image under the recovered light
+        self.own_light: np.ndarray | None = None  # true light of the first view, where it is known view by view
         self._prepared: dict[str, PreparedLight] = {}
 
     def compare(self) -> None:
@@ -158,11 +164,15 @@ class Evaluation:
         """Return the metrics of all views, and their means, under the keys of report.json."""
         relights, scale = [name for name in self.lit_by if name != self.cases.scene.train_light], self.fits.albedo
         return {
-            "figures": averages(self.rows, relights, self.protocol),
+            "figures": averages(self.rows, relights, self.protocol) | self._speed(),
             "views": dict(zip(self.cases.names, self.rows, strict=True)),
             "novel": len(self.cases.views) - self.cases.own,
             "albedo_scale": None if scale is None else [float(s) for s in scale],
         }
+
+    def _speed(self) -> dict[str, float]:
+        """Return the rate of images under the recovered light, by the median time of one."""
+        return {"frames_per_second": 1 / max(float(np.median(self.seconds)), 1e-9)} if self.seconds else {}
 
     def _each_case(self, phase: str) -> Iterator[Case]:
         """Yield every view and report the progress."""
@@ -176,15 +186,25 @@ class Evaluation:
 
     def _compare_unscaled(self, case: Case, keep: bool) -> Prediction | None:
         """Compare the layers and the image under the recovered light; return the prediction where `keep` is set."""
-        own = case.view.light is None
-        shaded = self.relighter.relit(self.relighter.surface(case.camera), self._own_light).numpy() if own else None
-        prediction = Prediction(render_gbuffer(self.relighter.reconstruction, case.camera), shaded)
+        own, mesh = case.view.light is None, self.relighter.mesh
+        prediction = Prediction(render_gbuffer(self.relighter.reconstruction, case.camera), self._shaded(case.camera) if own else None)
         self.fits.gather(prediction, case.truth)
         self.rows[case.number] |= view_metrics(prediction, case.truth, self.protocol, self.lpips)
+        if mesh is not None and case.truth.normal is not None:
+            self.rows[case.number] |= mesh_metrics(*mesh_normals(mesh, case.camera), case.truth, self.protocol)
+        if own and self.own_light is None:
+            self.own_light = next(iter(case.truth.lights.values()), None)
         return prediction if keep else None
 
+    def _shaded(self, camera: Camera) -> np.ndarray:
+        """Render a view under the recovered light, (H, W, 4), and measure the time."""
+        light, began = self._recovered_light, time.perf_counter()
+        image = self.relighter.relit(self.relighter.surface(camera), light).numpy()
+        self.seconds.append(time.perf_counter() - began)
+        return image
+
     @cached_property
-    def _own_light(self) -> PreparedLight:
+    def _recovered_light(self) -> PreparedLight:
         return prepare_light(self.relighter.reconstruction.environment_map())
 
     def _relit(self, relighter: Relighter, case: Case) -> dict[str, np.ndarray]:
@@ -206,34 +226,13 @@ class Evaluation:
         return self._prepared[name]
 
 
-def describe_renderer(relight: RelightSettings, backend: Backend) -> str:
-    """Describe how images were rendered, in words for a report."""
-    denoised = {"demodulated": "denoised", "paper": "denoised as in the paper", "off": "not denoised"}[relight.denoise]
-    parts = [f"{relight.samples} samples per pixel", f"{backend} backend", denoised]
-    parts += ["strata of the hemisphere"] if relight.sampling == "stratified" else []
-    parts += ["without indirect light"] if not relight.indirect else [] if relight.transfer else ["indirect light without shadows"]
-    return ", ".join(parts if relight.conserving else [*parts, "Lambertian diffuse lobe"])
-
-
-def _conditions(evaluation: Evaluation, scale: Sequence[float] | None, renderer: str) -> list[str]:
-    """Describe in lines of text under which conditions the images of this report were rendered."""
-    cases, protocol, lpips = evaluation.cases, evaluation.protocol, evaluation.lpips
-    unscaled = "its view's own" if protocol.scale_each_view else "as estimated (no true albedo is known)"
-    factors = unscaled if scale is None else "times " + " ".join(f"{s:.4f}" for s in scale)
-    lines = [
-        f"Shaded and relit images: {renderer}.",
-        f"Scale of the albedo: albedo {factors}.",
-        f"LPIPS: {', '.join(one.name for one in lpips.values())}." if lpips else NO_LPIPS,
-    ]
-    if novel := len(cases.views) - cases.own:
-        lines.append(f"{novel} of {cases.novel} views are photographs under other lights, which only relit images are compared with.")
-    if cases.own < cases.of:
-        lines.append(f"Only {cases.own} of the {cases.of} {cases.split} views, evenly spread: published tables are of all.")
-    return lines
-
-
 def scene_metrics(
-    run: Path, reconstruction: Reconstruction, scene: SceneTruth, protocol: Protocol = PLAIN, unit: float = 1.0
+    run: Path,
+    reconstruction: Reconstruction,
+    scene: SceneTruth,
+    protocol: Protocol = PLAIN,
+    unit: float = 1.0,
+    light: np.ndarray | None = None,
 ) -> dict[str, float]:
     """Return the metrics of the light and of the mesh, where the ground truth is known.
 
@@ -243,10 +242,11 @@ def scene_metrics(
         scene: ground truth of the scene.
         protocol: of the comparison.
         unit: length in the run's world frame of one unit of the dataset.
+        light: (H, W, 3) true light, where it is not the scene's.
     """
-    values = {}
-    if scene.train_light in scene.lights:
-        values |= metrics.environment_metrics(reconstruction.environment_map(), scene.lights[scene.train_light], protocol.light_grid)
+    values, light = {}, scene.lights.get(scene.train_light or "", light)
+    if light is not None:
+        values |= metrics.environment_metrics(reconstruction.environment_map(), light, protocol.light_grid)
     if scene.points is not None and (run / "mesh.ply").is_file():
         mesh = load_mesh_ply(run / "mesh.ply")
         values |= metrics.mesh_distances(mesh, *scene.points)

@@ -94,22 +94,37 @@ def _layer_metrics(prediction: Prediction, truth: Truth, protocol: Protocol) -> 
     inside = truth.object
     if not inside.any():
         return {}
-    values = _normal_metrics(prediction, truth, protocol)
+    values = _normal_metrics(prediction.layer("normal"), prediction.buffers.alpha, truth, protocol)
     for name in ("depth", "roughness", "metallic"):
         true = getattr(truth, name)
         if true is not None:
-            values[f"{name}_mae"] = np.abs(prediction.layer(name) - true)[inside].mean()
+            difference = (prediction.layer(name) - true)[inside]
+            values[f"{name}_mae"] = np.abs(difference).mean()
+            values |= {"roughness_mse": np.square(difference).mean()} if name == "roughness" else {}
     return values
 
 
-def _normal_metrics(prediction: Prediction, truth: Truth, protocol: Protocol) -> dict[str, float]:
-    if truth.normal is None:
+def mesh_metrics(normal: np.ndarray, alpha: np.ndarray, truth: Truth, protocol: Protocol) -> dict[str, float]:
+    """Return the metrics of the extracted mesh's normals in a view.
+
+    Args:
+        normal: (H, W, 3) unit, world, 0 where no mesh is.
+        alpha: (H, W) 1 where the mesh is, else 0.
+        truth: of the view.
+        protocol: of the comparison.
+    """
+    return _labelled("mesh", _normal_metrics(normal, alpha, truth, protocol)) if truth.object.any() else {}
+
+
+def _normal_metrics(ours: np.ndarray, alpha: np.ndarray, truth: Truth, protocol: Protocol) -> dict[str, float]:
+    """Compare normals (H, W, 3) of opacity `alpha` (H, W)."""
+    true = truth.normal
+    if true is None:
         return {}
-    ours, true = prediction.layer("normal"), truth.normal
     angle = metrics.normal_angles(ours, true)
     values = {"normal_mae": angle[truth.object].mean()}
     if protocol.blended_normals:
-        faded = [_faded(ours, prediction.buffers.alpha), _faded(true, truth.alpha)]
+        faded = [_faded(ours, alpha), _faded(true, truth.alpha)]
         values["normal_mae_full"] = metrics.normal_angles(*faded).mean()
     else:
         covered = np.linalg.norm(true, axis=-1) > 0.5 if truth.depth is None else truth.depth > 0

@@ -40,7 +40,12 @@ class Estimate:
 
 
 def estimate_reflected_light(
-    sums: torch.Tensor, samples: int | torch.Tensor, surface: PrimaryHits, light: PreparedLight, conserving: bool
+    sums: torch.Tensor,
+    samples: int | torch.Tensor,
+    surface: PrimaryHits,
+    light: PreparedLight,
+    conserving: bool,
+    ratio: bool = True,
 ) -> Estimate:
     """Turn the sums of `gather` into reflected light.
 
@@ -53,16 +58,19 @@ def estimate_reflected_light(
         surface: the P points.
         light: the light of the sums.
         conserving: reduce the diffuse lobe by what the specular lobe reflects, see `reflect_light`.
+        ratio: use the known irradiance; False: the plain sums over samples, as in the paper.
     """
     sums, lamps = sums[..., :SUMS], sums[..., SUMS:]
     (irradiance, scaled, added, unoccluded), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
-    known = light.irradiance(surface.normal)
-    factor = torch.where(unoccluded > 0, known / unoccluded.clamp_min(1e-30), 1.0).clamp(1 / MAX_CORRECTION, MAX_CORRECTION)
     albedo = diffuse_albedo(surface, conserving) / math.pi
-    body = albedo * factor
-    visible_fraction = irradiance / unoccluded.clamp_min(1e-30)
     f0 = base_reflectance(surface.albedo, surface.metallic[:, None])
-    diffuse_split = body * (split[:, 0] - torch.where(unoccluded > 0, visible_fraction * split[:, 3], 0.0))
+    body, diffuse_split = albedo, albedo * split[:, 0]
+    if ratio:
+        known = light.irradiance(surface.normal)
+        factor = torch.where(unoccluded > 0, known / unoccluded.clamp_min(1e-30), 1.0).clamp(1 / MAX_CORRECTION, MAX_CORRECTION)
+        body = albedo * factor
+        visible_fraction = irradiance / unoccluded.clamp_min(1e-30)
+        diffuse_split = body * (split[:, 0] - torch.where(unoccluded > 0, visible_fraction * split[:, 3], 0.0))
     estimate = Estimate(body * irradiance, f0 * scaled + added, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
     return _plus_lamps(estimate, lamps, albedo, f0) if lamps.shape[-1] else estimate
 

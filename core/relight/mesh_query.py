@@ -28,18 +28,21 @@ class MeshQuery:
         mesh: triangles with materials at their vertices.
         radius: of the scene, the unit of the offsets.
         device: device that rays come from.
+
+    Attributes:
+        device: device that rays come from.
     """
 
     def __init__(self, mesh: Mesh, radius: float, device: torch.device | str = "cpu") -> None:
         self._faces, self._radius = torch.from_numpy(mesh.faces.astype(np.int64)).to(device), radius
         rows = (mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None])
         self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32)).to(device)
-        self._triangles, self._mesh, self._device = triangles_of(mesh, device), mesh, device
+        self._triangles, self._mesh, self.device = triangles_of(mesh, device), mesh, device
 
     @cached_property
     def transfer(self) -> VertexTransfer:
         """Radiance transfer of the vertices, traced at the first use."""
-        return VertexTransfer(self._mesh, self._triangles, self._radius, self._device)
+        return VertexTransfer(self._mesh, self._triangles, self._radius, self.device)
 
     def origins(self, surface: PrimaryHits) -> torch.Tensor:
         """Return ray origins (P, 3), see `SurfaceQuery`.

@@ -38,6 +38,7 @@ from .sample_counts import Counts, pixel_shifts, sample_counts
 from .secondary_query import SurfaceQuery
 from .vertex_transfer import VertexTransfer
 from .visibility_cache import VisibilityCache, build_visibility_cache
+from .without_shadows import WithoutShadows, gather_unoccluded
 
 RAYS = 1 << 17  # rays traced at a time on the CPU: few enough for its cache, enough for every thread
 CACHE_BYTES = 1 << 28  # largest size of the secondary rays kept from light to light
@@ -61,6 +62,9 @@ class RelightSettings:
             `SkipSettings`.
         error: root-mean-square error of the sRGB image to reach by adaptive sampling (`adaptive_sampling.py`), which then chooses the
             number of samples per tile instead of `samples`; None: not adaptive.
+        allocation: proportions of cosine, visible-normal and light samples; None: by the object's material.
+        shadows: other parts of the object hide the light; False: for comparison, they only reflect.
+        ratio: the diffuse light's unoccluded part is known and not sampled, see `estimate_reflected_light`; False: it is (the paper).
     """
 
     samples: str | int = "hq"
@@ -73,6 +77,9 @@ class RelightSettings:
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     skip: SkipSettings = field(default_factory=SkipSettings)
     error: float | None = None
+    allocation: Counts | None = None
+    shadows: bool = True
+    ratio: bool = True
 
 
 class Relighter:
@@ -97,10 +104,11 @@ class Relighter:
     def __init__(
         self, reconstruction: Reconstruction, query: SurfaceQuery, settings: RelightSettings, mesh: MeshQuery | None = None
     ) -> None:
+        query = query if settings.shadows or isinstance(query, WithoutShadows) else WithoutShadows(query)
         self.reconstruction, self.query, self.settings, self.mesh = reconstruction, query, settings, mesh
         if settings.error is not None and settings.denoise == "paper":
             raise InputError("--error", "the error of the paper's filter does not fall with more samples", "use another --denoiser")
-        self.counts = sample_counts(settings.samples, is_glossy(reconstruction))
+        self.counts = self._counts_of(settings.samples)
         self.device = reconstruction.environment.device
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
         self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[int, CachedRays]] = WeakKeyDictionary()
@@ -153,7 +161,11 @@ class Relighter:
             return Estimate(black, black, black, black, sum(self.counts))
         with torch.no_grad():
             sums = self._sums(surface, self.counts, light, lamps)
-            return estimate_reflected_light(sums, sum(self.counts), surface, light, self.settings.conserving)
+            return self._estimate(sums, sum(self.counts), surface, light)
+
+    def _estimate(self, sums: torch.Tensor, samples: int | torch.Tensor, surface: PrimaryHits, light: PreparedLight) -> Estimate:
+        """Return the reflected light of sums over samples, see `estimate_reflected_light`."""
+        return estimate_reflected_light(sums, samples, surface, light, self.settings.conserving, self.settings.ratio)
 
     def _relit(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
         """Render as `relit`, on the device."""
@@ -169,7 +181,7 @@ class Relighter:
         """Return colours (P, 3) with as many samples in each tile as the requested error needs."""
         sums, samples = self._sums(surface, self._counts_of(PILOT), light, lamps), torch.full_like(surface.index, PILOT)
         for remaining in reversed(range(ROUNDS)):
-            estimate = estimate_reflected_light(sums, samples[:, None], surface, light, self.settings.conserving)
+            estimate = self._estimate(sums, samples[:, None], surface, light)
             colour = denoised(estimate, surface, self._guides_of(surface), self.settings.denoise)
             raw, split = estimate.diffuse + estimate.specular, estimate.diffuse_split + estimate.specular_split
             noise = estimate_noise(raw, split, colour, samples, surface, self.settings.denoise != "off")
@@ -185,9 +197,9 @@ class Relighter:
         self.tally.add("pixels", len(samples))
         return colour
 
-    def _counts_of(self, samples: int) -> Counts:
-        """Return the samples of each strategy for a total number of samples."""
-        return sample_counts(samples, is_glossy(self.reconstruction))
+    def _counts_of(self, samples: str | int) -> Counts:
+        """Return the samples of each strategy for a number of samples."""
+        return sample_counts(samples, is_glossy(self.reconstruction), self.settings.allocation)
 
     def _guides_of(self, surface: PrimaryHits) -> Guides:
         """Return the guide layers of a surface, kept as long as it lives."""
@@ -234,7 +246,8 @@ class Relighter:
         if light.distribution is None:
             return cached.shift.new_zeros(len(cached.shift), 2, SUMS)
         by_light = counts[2] if self.settings.sampling == "mis" else 0
-        sums = gather(cached.rays, light, by_light, vertex_light)
+        collect = gather if self.settings.shadows else gather_unoccluded
+        sums = collect(cached.rays, light, by_light, vertex_light)
         if by_light:
             above, traced = add_light_samples(sums, cached.points, cached.shift, counts, light, cached.visibility_cache, self.query)
             self.tally.add("traced", traced)

@@ -14,12 +14,13 @@ HQ, EFFICIENT, EFFICIENT_GLOSSY = 512, 32, 16  # totals; a glossy object receive
 MAX_SAMPLES = 1 << 16
 
 
-def sample_counts(samples: str | int, glossy: bool) -> Counts:
+def sample_counts(samples: str | int, glossy: bool, allocation: Counts | None = None) -> Counts:
     """Divide a number of samples among the strategies.
 
     Args:
         samples: "hq", "efficient", or the total number.
         glossy: True for a mostly metallic object.
+        allocation: proportions of the strategies; None: those for such an object.
 
     Returns:
         Numbers of cosine, GGX visible-normal and light-map samples.
@@ -34,7 +35,7 @@ def sample_counts(samples: str | int, glossy: bool) -> Counts:
         total = 0
     if not 1 <= total <= MAX_SAMPLES:
         raise InputError("--samples", f"{samples} is not a valid number of samples", f"use hq, efficient, or 1 to {MAX_SAMPLES}")
-    cosine, ggx, light = GLOSSY if glossy else MATT
+    cosine, ggx, light = allocation or (GLOSSY if glossy else MATT)
     parts = cosine + ggx + light
     ggx_count, light_count = total * ggx // parts, total * light // parts
     return (total - ggx_count - light_count, ggx_count, light_count)

@@ -24,6 +24,7 @@ class SecondaryTracer:
         reconstruction: result of the first stage. If it is glossy, its SH hold the diffuse radiance only, and the split-sum reflections
             are added.
         surroundings: near surfaces that also block rays and reflect light, or None.
+        shadows: surfels hide the light behind them; False: for comparison, they only reflect.
 
     Attributes:
         repack: lay the surfels' channels out again for each call instead of once; for comparison only, since they do not change.
@@ -33,8 +34,8 @@ class SecondaryTracer:
         device: device of the Gaussians.
     """
 
-    def __init__(self, reconstruction: Reconstruction, surroundings: Surroundings | None = None) -> None:
-        g = reconstruction.gaussians
+    def __init__(self, reconstruction: Reconstruction, surroundings: Surroundings | None = None, shadows: bool = True) -> None:
+        g, self._shadows = reconstruction.gaussians, shadows
         with torch.no_grad():
             self.tree = build_tree(g.position, g.quaternion, g.log_scale, g.opacity)
             inside, mirrored = inside_bound(reconstruction), reconstruction.mirrored()
@@ -84,7 +85,7 @@ class SecondaryTracer:
         elif self._stack is not None:
             hit = torch.nonzero(opacity > FAINTEST)[:, 0]
             radiance[hit] = self._reflective_radiance(sums[hit] / opacity[hit, None], direction[hit], self._stack) * opacity[hit, None]
-        return 1 - opacity, radiance
+        return 1 - opacity if self._shadows else torch.ones_like(opacity), radiance
 
     @staticmethod
     def _reflective_radiance(mean: torch.Tensor, direction: torch.Tensor, stack: torch.Tensor) -> torch.Tensor:

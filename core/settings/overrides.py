@@ -84,6 +84,25 @@ def differences(a: Settings, b: Settings) -> list[str]:
     return [f"{key}: {old[key]} -> {new[key]}" for key in old if old[key] != new[key]]
 
 
+def overrides_from(base: Settings, settings: Settings) -> list[str]:
+    """Return the overrides that turn `base` into `settings`, except its preset's name; see `with_overrides`.
+
+    Args:
+        base: settings, such as those of a preset.
+        settings: settings to reach.
+    """
+    old = {key: value for key, _, value in _leaves(base)}
+    changed = [(key, value) for key, _, value in _leaves(settings) if value != old[key] and key != "preset"]
+    return [f"{key}={_text(value)}" for key, value in changed]
+
+
+def _text(value: Any) -> str:
+    """Write a value as `_parse` reads it."""
+    if isinstance(value, tuple):
+        return ",".join(map(_text, value))
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def _build(cls: type, data: dict[str, Any]) -> Any:
     hints = get_type_hints(cls)
     values: dict[str, Any] = {}

@@ -77,11 +77,14 @@ class SecondStageSettings:
     joint_iterations: Annotated[int, Range(1, 1_000_000)] = 10_000  # of the joint optimisation, one view each
     # Of the joint optimisation: factor of the published learning rates of position, scale, rotation and opacity; 0: fixed, as in IRGS.
     geometry_rate: Annotated[float, Range(0)] = 0.01
+    # Of the joint optimisation; irgs: a baseline with IRGS' BRDF, without metal, from its constant materials and light.
+    brdf: Literal["principled", "irgs"] = "principled"
     points: Annotated[int, Range(100, 1_000_000)] = 2500  # surface points from which light and materials are solved
     views: Annotated[int, Range(3, 1000)] = 8  # images sampled per point, at most
     rows: Annotated[int, Range(4, 32, 2)] = 16  # rows of the environment map in that solve
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the resulting environment map
-    indirect: bool = True  # trace interreflections of the object; its shadows are always traced
+    indirect: bool = True  # trace interreflections of the object
+    shadows: bool = True  # trace the object's shadows; off, and indirect off: no 2DGRT in training, for comparison
     surroundings: bool = True  # trace the table and other near surfaces of a capture, which shadow and light the object
     iterations: Annotated[int, Range(0, 1_000_000)] = 300  # of the refinement per pixel
     pixels: Annotated[int, Range(1, 1_000_000)] = 256  # shaded in each iteration of the refinement

@@ -30,9 +30,10 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
         save_png(scene / "images" / name, over(shot.rgba, BACKDROP))
     width, height = source.size
     points = moved_points(WORLD, source.points)
+    solved = np.concatenate([points, moved_points(WORLD, source.around)])
     parameters = [source.focal, width / 2, height / 2, 0.0]
     poses = {name: placed(WORLD, s.pose) for name, s in shots.items()}
-    write_model(scene / "colmap" / "sparse" / "0", "SIMPLE_RADIAL", source.size, parameters, poses, points)
+    write_model(scene / "colmap" / "sparse" / "0", "SIMPLE_RADIAL", source.size, parameters, poses, solved)
     save_ply(scene / "object_point_cloud.ply", points)
     directions = np.stack([WORLD[:3, 2], WORLD[:3, 0]]) / np.cbrt(np.linalg.det(WORLD[:3, :3]))  # up and forward
     np.savetxt(scene / "meta_info.txt", directions)

@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
 from irgspp.core.errors import InputError
 from irgspp.core.io.exr import read_exr, read_exr_rgb, rgb_channels, write_exr
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
@@ -28,12 +29,14 @@ class Shot:
         rgba: (H, W, 4) uint8, encoded, straight alpha.
         layers: of a test view: albedo (H, W, 3) linear, normal (H, W, 3) in the world, depth (H, W) planar, material (H, W, 2) where known.
         relit: (H, W, 4) uint8 by light.
+        hdr: (H, W, 4) linear premultiplied by light, "" for the training light; empty where the scene was rendered without.
     """
 
     pose: np.ndarray
     rgba: np.ndarray
     layers: dict[str, np.ndarray] = field(default_factory=dict)
     relit: dict[str, np.ndarray] = field(default_factory=dict)
+    hdr: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def alpha(self) -> np.ndarray:
@@ -44,6 +47,13 @@ class Shot:
     def linear(self) -> np.ndarray:
         """Straight linear colour (H, W, 3), float32."""
         return decode_srgb(self.rgba[..., :3].astype(np.float32) / 255)
+
+    def radiance(self, light: str = "") -> np.ndarray:
+        """Return the linear premultiplied image (H, W, 4) under a light, "" for the training light; clipped where there is no HDR file."""
+        if light in self.hdr:
+            return self.hdr[light]
+        rgba = self.relit.get(light, self.rgba).astype(np.float32) / 255
+        return np.concatenate([decode_srgb(rgba[..., :3]) * rgba[..., 3:], rgba[..., 3:]], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +68,8 @@ class Source:
         lights: linear light maps (H, W, 3) by name, the training light first.
         points: surface samples (N, 3).
         normals: their normals (N, 3).
+        around: points of the surroundings (P, 3).
+        surface: the object's mesh; None where it is not known.
     """
 
     name: str
@@ -67,6 +79,8 @@ class Source:
     lights: dict[str, np.ndarray]
     points: np.ndarray
     normals: np.ndarray
+    around: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    surface: trimesh.Trimesh | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -109,21 +123,37 @@ def load_source(folder: Path) -> Source:
     lights = {name: read_exr_rgb(folder / "envs" / f"{name}.exr") for name in names}
     with np.load(folder / "surface_points.npz") as data:
         points, normals = data["points"].astype(np.float64), data["normals"].astype(np.float64)
-    return Source(meta["name"], content["train"]["camera_angle_x"], shots["train"], shots["test"], lights, points, normals)
+        around = data["around"].astype(np.float64) if "around" in data else np.zeros((0, 3))
+    mesh = folder / "surface.ply"
+    surface = trimesh.load_mesh(mesh) if mesh.is_file() else None
+    angle = content["train"]["camera_angle_x"]
+    return Source(meta["name"], angle, shots["train"], shots["test"], lights, points, normals, around, surface)
 
 
 def _shot(folder: Path, frame: dict[str, Any], relights: list[str]) -> Shot:
     """Read a view."""
     file = folder / (frame["file_path"] + ".png")
     pose = np.array(frame["transform_matrix"])
+    hdr = {name: _read_hdr(f) for name, f in _hdr_files(file, relights).items() if f.is_file()}
     if not (file.parent / "depth.exr").is_file():
-        return Shot(pose, read_rgba(file))
+        return Shot(pose, read_rgba(file), hdr=hdr)
     layers = {"albedo": read_exr_rgb(file.parent / "albedo.exr"), "normal": read_exr_rgb(file.parent / "normal.exr")}
     layers["depth"] = read_exr(file.parent / "depth.exr")["Z"]
     if (file.parent / "material.exr").is_file():
         material = read_exr(file.parent / "material.exr")
         layers["material"] = np.stack([material["R"], material["G"]], -1)
-    return Shot(pose, read_rgba(file), layers, {name: read_rgba(file.with_name(f"rgba_{name}.png")) for name in relights})
+    return Shot(pose, read_rgba(file), layers, {name: read_rgba(file.with_name(f"rgba_{name}.png")) for name in relights}, hdr)
+
+
+def _hdr_files(file: Path, relights: list[str]) -> dict[str, Path]:
+    """Return the HDR files that there may be of a view, by light."""
+    return {"": file.with_suffix(".exr")} | {name: file.with_name(f"rgba_{name}.exr") for name in relights}
+
+
+def _read_hdr(file: Path) -> np.ndarray:
+    """Read an EXR image as (H, W, 4) float32."""
+    channels = read_exr(file)
+    return np.stack([channels[c] for c in "RGBA"], -1).astype(np.float32)
 
 
 def read_rgba(file: Path) -> np.ndarray:

@@ -7,21 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from irgspp.core.io.srgb import decode_srgb, encode_srgb
+from irgspp.core.io.srgb import encode_srgb
 
-from .source import Shot, Source, over, placed, save_exr, save_json, save_png, similarity
+from .source import Shot, Source, placed, save_exr, save_json, save_png, similarity
 
 WORLDS = [similarity((0, 0, 35.0 * i + 20), 0.8 + 0.1 * i, (0.1 * i, -0.2, 0.05)) for i in range(8)]  # each capture has its own frame
-BACKDROP = 0.4
+BACKDROP = 0.15  # linear grey behind the object
 
 
-def write(source: Source, folder: Path, hdr: bool = True) -> tuple[Path, np.ndarray]:
+def write(source: Source, folder: Path, hdr: bool = True, trained: int | None = None) -> tuple[Path, np.ndarray]:
     """Write folder/blender_HDR (or _LDR) with a capture for each light, the training light's first, and folder/ground_truth.
 
     Args:
         source: scene to write.
         folder: folder of the collection.
         hdr: True for EXR photographs, False for PNG.
+        trained: so many of the captures have training views; None: all.
 
     Returns:
         The first capture's folder, and the similarity (4, 4) from the scene's world to its frame.
@@ -29,16 +30,17 @@ def write(source: Source, folder: Path, hdr: bool = True) -> tuple[Path, np.ndar
     root = folder / ("blender_HDR" if hdr else "blender_LDR")
     for number, light in enumerate(source.lights):
         train = source.train if number == 0 else source.test
-        _capture(source, train, light, number, root, hdr)
+        splits = {"train": train, "test": source.test} if trained is None or number < trained else {"test": source.test}
+        _capture(source, splits, light, number, root, hdr)
     _novel(source, root / _name(source, 0))
     truth = folder / "ground_truth" / _name(source, 0)
     for i, shot in enumerate(source.test):
         _layers(shot, truth, f"{i:04d}")
     mesh = truth / "mesh_blender" / "mesh.obj"
     mesh.parent.mkdir(parents=True, exist_ok=True)
-    cloud = trimesh.convex.convex_hull(source.points)
-    cloud.apply_transform(WORLDS[0])
-    cloud.export(mesh)
+    surface = trimesh.convex.convex_hull(source.points) if source.surface is None else source.surface.copy()
+    surface.apply_transform(WORLDS[0])
+    surface.export(mesh)
     return root / _name(source, 0), WORLDS[0]
 
 
@@ -47,29 +49,29 @@ def _name(source: Source, number: int) -> str:
     return f"{source.name}_scene{number + 1:03d}"
 
 
-def _capture(source: Source, train: list[Shot], light: str, number: int, root: Path, hdr: bool) -> None:
+def _capture(source: Source, splits: dict[str, list[Shot]], light: str, number: int, root: Path, hdr: bool) -> None:
     """Write a capture with its own images, and the light maps of its test views."""
     scene = root / _name(source, number)
-    for split, shots in (("train", train), ("test", source.test)):
+    for split, shots in splits.items():
         frames = []
         for i, shot in enumerate(shots):
             pose = placed(WORLDS[number], shot.pose)
             frames.append({"file_path": f"{split}/{i:04d}", "transform_matrix": pose.tolist()})
-            _image(scene, split, f"{i:04d}", shot.relit.get(light, shot.rgba), hdr)
+            _image(scene, split, f"{i:04d}", shot.radiance(light if light in shot.relit else ""), hdr)
             if split == "test":
                 truth = root.parent / "ground_truth" / scene.name / "env_map"
                 save_exr(truth / f"{i:04d}.exr", camera_map(source.lights[light], shot.pose[:3, :3]))
         save_json(scene / f"transforms_{split}.json", {"camera_angle_x": source.angle, "frames": frames})
 
 
-def _image(scene: Path, split: str, name: str, rgba: np.ndarray, hdr: bool) -> None:
-    """Write a photograph and its mask."""
-    pixels = over(rgba, BACKDROP)
+def _image(scene: Path, split: str, name: str, radiance: np.ndarray, hdr: bool) -> None:
+    """Write a photograph, of linear premultiplied radiance (H, W, 4), and its mask."""
+    linear = radiance[..., :3] + BACKDROP * (1 - radiance[..., 3:])
     if hdr:
-        save_exr(scene / split / f"{name}.exr", decode_srgb(pixels.astype(np.float32) / 255))
+        save_exr(scene / split / f"{name}.exr", linear)
     else:
-        save_png(scene / split / f"{name}.png", pixels)
-    save_png(scene / f"{split}_mask" / f"{name}.png", (255 * (rgba[..., 3] > 127)).astype(np.uint8))
+        save_png(scene / split / f"{name}.png", encode_srgb(np.clip(linear, 0, 1)))
+    save_png(scene / f"{split}_mask" / f"{name}.png", (255 * (radiance[..., 3] > 0.5)).astype(np.uint8))
 
 
 def _novel(source: Source, scene: Path) -> None:

@@ -29,8 +29,8 @@ def write(source: Source, folder: Path) -> tuple[Path, np.ndarray]:
         frames = [{"file_path": f"{split}/{i:03d}", "transform_matrix": s.pose.tolist()} for i, s in enumerate(shots)]
         save_json(scene / f"transforms_{split}.json", {"camera_angle_x": source.angle, "frames": frames})
     for i, shot in enumerate(source.train):
-        alpha = shot.alpha[..., None]
-        save_exr(scene / "train" / f"{i:03d}_rgb.exr", (shot.linear * alpha + BACKDROP * (1 - alpha)).astype(np.float32))
+        radiance = shot.radiance()
+        save_exr(scene / "train" / f"{i:03d}_rgb.exr", radiance[..., :3] + BACKDROP * (1 - radiance[..., 3:]))
         save_png(scene / "train" / f"{i:03d}_mask.png", (255 * (shot.alpha > 0.5)).astype(np.uint8))
     for i, shot in enumerate(source.test):
         _test(source, shot, scene, f"{i:03d}")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from irgspp.core.errors import InputError
 from irgspp.core.settings.schema import DataSettings
 
 DEEPEST = 3  # levels of folders below the root
+STAND_IN = "stand_in.json"  # file in the folder of a collection of stand-ins
 TRUTH = {"relight_gt", "ground_truth"}  # folders of ground truth next to scenes, which have cameras of their own
 
 
@@ -25,12 +27,14 @@ class Scene:
         path: folder of the dataset.
         format: name of the format.
         trouble: reason why it can't be read; "" where it can.
+        stand_in: it stands in for a published scene, see scripts/stand_ins.py.
     """
 
     name: str
     path: Path
     format: str
     trouble: str = ""
+    stand_in: bool = False
 
     @property
     def known_as(self) -> str:
@@ -64,7 +68,8 @@ def _scenes(folder: Path, root: Path, deeper: int) -> Iterator[Scene]:
     """Yield the datasets in and below a folder, `deeper` levels deep at most."""
     name = "_".join(folder.relative_to(root).parts) or root.resolve().name
     try:
-        yield Scene(name, folder, parse_dataset(folder, DataSettings()).format)
+        parsed = parse_dataset(folder, DataSettings())
+        yield Scene(name, folder, parsed.format, stand_in=any((above / STAND_IN).is_file() for above in folder.parents[:2]))
     except NoDataset:
         for below in sorted(folder.iterdir()) if deeper else []:
             if below.is_dir() and below.name not in TRUTH and not below.name.startswith("."):
@@ -86,3 +91,15 @@ def job_of(scene: Scene, out: Path, protocol: str, reconstruct: Sequence[str], e
     run, report, dataset = out / "runs" / scene.name, out / "reports" / scene.name, str(scene.path.resolve())
     first = ("reconstruct", dataset, "-o", str(run), *reconstruct)
     return Job(scene.name, run, (first, ("evaluate", str(run), dataset, "-o", str(report), "--protocol", protocol, *evaluate)), out)
+
+
+def discard_stale_report(job: Job) -> None:
+    """Remove the report of a job whose run is newer, or that is not whole, so that it is evaluated again.
+
+    Args:
+        job: from `job_of`.
+    """
+    run, folder = job.run / "run.json", Path(job.steps[1][job.steps[1].index("-o") + 1])
+    report = folder / "report.json"
+    if folder.is_dir() and not (report.is_file() and run.is_file() and report.stat().st_mtime >= run.stat().st_mtime):
+        shutil.rmtree(folder)

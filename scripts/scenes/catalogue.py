@@ -13,6 +13,7 @@ from .demo_scene import build_demo_scene
 from .print_scene import build_print_scene
 from .relief_scene import build_relief_scene
 from .thin_scene import build_thin_scene
+from .vase_scene import build_vase_scene
 
 SCENES: dict[str, Callable[[], list[bpy.types.Object]]] = {
     "demo": build_demo_scene,
@@ -22,4 +23,6 @@ SCENES: dict[str, Callable[[], list[bpy.types.Object]]] = {
     "relief": build_relief_scene,
     "print": build_print_scene,
     "thin": build_thin_scene,
+    "vase": build_vase_scene,
+    "glazed-vase": partial(build_vase_scene, "mixed"),
 }

@@ -16,18 +16,19 @@ from mathutils.bvhtree import BVHTree
 ALBEDO, MATERIAL = "irgspp_albedo", "irgspp_material"
 
 
-def prepare(scene: bpy.types.Scene, samples: int, seed: int, threads: int = 0) -> None:
-    """Set a scene to complete light paths and a transparent film, and add AOVs of the layers to every material.
+def prepare(scene: bpy.types.Scene, samples: int, seed: int, threads: int = 0, transparent: bool = True) -> None:
+    """Set a scene to complete light paths, and add AOVs of the layers to every material.
 
     Args:
         scene: scene to render.
         samples: samples per pixel.
         seed: seed of Cycles.
         threads: threads of Cycles, or 0 for as many as the machine has.
+        transparent: images are transparent beside the objects; otherwise they show the World there.
     """
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = ("FIXED", threads) if threads else ("AUTO", scene.render.threads)
-    scene.render.film_transparent = True
+    scene.render.film_transparent = transparent
     scene.render.use_persistent_data = True
     cycles = scene.cycles
     cycles.samples, cycles.seed, cycles.use_adaptive_sampling = samples, seed, False
@@ -155,11 +156,11 @@ def _stack(channels: dict[str, np.ndarray], layer: str, names: str) -> np.ndarra
     return np.stack([channels[f"{layer}.{name}"] for name in names], -1)
 
 
-def visible_points(scene: bpy.types.Scene, cameras: list[Camera], count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def visible_points(triangles: np.ndarray, cameras: list[Camera], count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Draw area-uniform samples of the surface that some camera sees.
 
     Args:
-        scene: scene with the surface.
+        triangles: corners of the surface's triangles (T, 3, 3).
         cameras: cameras that may see it.
         count: number of samples at most.
         seed: seed of the samples.
@@ -167,7 +168,6 @@ def visible_points(scene: bpy.types.Scene, cameras: list[Camera], count: int, se
     Returns:
         Positions (N, 3) and geometric normals (N, 3), N <= count.
     """
-    triangles = world_triangles(scene)
     tree = BVHTree.FromPolygons(triangles.reshape(-1, 3).tolist(), np.arange(3 * len(triangles)).reshape(-1, 3).tolist())
     a, b, c = triangles.transpose(1, 0, 2)
     cross = np.cross(b - a, c - a)

@@ -2,7 +2,10 @@
 """Reproduction of published tables: scenes are found, each is done once, and results stand next to published rows; commands are stubs."""
 
 import json
+import os
 import re
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +36,8 @@ else:
     bright = {"hotdog": 30.0, "lego": 32.0}.get(pathlib.Path(words[1]).name, 20.0)
     figures = {"nvs_psnr": bright + 5, "relight_psnr": bright, "normal_mae_full": 4.0, "mesh_chamfer": 0.5}
     protocol = words[words.index("--protocol") + 1]
-    (out / "report.json").write_text(json.dumps({"figures": figures, "protocol": [f"Protocol {protocol}: x.", "Scale of the albedo: 1"]}))
+    said = {"choices": {"name": protocol}, "protocol": [f"Protocol {protocol}: x.", "Scale of the albedo: 1"]}
+    (out / "report.json").write_text(json.dumps({"figures": figures, **said}))
 """
 
 
@@ -87,13 +91,13 @@ def test_a_benchmark_ends_in_tables_with_published_rows(bench, tmp_path, capsys)
     assert first.startswith("reconstruct") and first.endswith("--preset draft --set seed=3")
     assert "--protocol irgs --views 2" in (tmp_path / "commands.txt").read_text()
     tensoir, other = json.loads((tmp_path / "out" / "tables.json").read_text())
-    assert other["title"] == "Other scenes" and "Protocol plain: x." in other["notes"]
+    assert other["title"] == "Other scenes (protocol plain)" and "Protocol plain: x." in other["notes"]
     rows = {(row["of"], row["by"]): row for row in tensoir["rows"]}
     assert rows["mean", "IRGS"]["figures"]["relight_psnr"] == 30.63 and rows["mean", "IRGS"]["source"] == "IRGS++ paper"
     ours = rows["mean of 2", "ours, draft"]["figures"]
-    assert ours == {"nvs_psnr": 36.0, "relight_psnr": 31.0, "normal_mae_full": 4.0, "minutes": 1.5}
+    assert ours == {"nvs_psnr": 36.0, "relight_psnr": 31.0, "normal_mae_full": 4.0, "hours": 0.025}
     assert rows["tensoir_lego", "ours, draft"]["figures"]["relight_psnr"] == 32
-    assert "relit dB ↑" in tensoir["columns"].values() and "mesh_chamfer" not in tensoir["columns"]
+    assert "relit, full frame, dB ↑" in tensoir["columns"].values() and "mesh_chamfer" not in tensoir["columns"]
     assert any("Ours is not a mean over the published scenes (armadillo, ficus, hotdog, lego)" in note for note in tensoir["notes"])
     html = (tmp_path / "out" / "tables.html").read_text()
     assert html.count("<img") == 3 and set(re.findall(r'src="([^"]{5})', html)) == {"data:"} and html.count('class="ours"') == 5
@@ -102,7 +106,7 @@ def test_a_benchmark_ends_in_tables_with_published_rows(bench, tmp_path, capsys)
 def test_what_is_done_is_not_done_again_and_what_failed_is(bench, tmp_path, capsys):
     assert bench() == 1
     text = capsys.readouterr().out
-    assert "tensoir_lego is missing: lego: no surface" in text and "mean of 1" in text
+    assert "| tensoir_lego | ours, draft | no run: lego: no surface | – |" in text and "mean of 1" in text
     assert "transforms.json" in (tmp_path / "out" / "tables.html").read_text()  # the damaged one is told of
     assert commands(tmp_path) == ["reconstruct", "evaluate"] * 2 + ["reconstruct"]
     (tmp_path / "well").touch()
@@ -153,8 +157,41 @@ def test_published_tables_are_whole(script):
 
 def test_scenes_of_a_paper_have_its_rows_beside_them(script):
     tables = script("reproduction.tables")
-    report = {"figures": {"relight_psnr": 20.0, "relight_psnr_scaled": 25.5}, "protocol": []}
+    report = {"figures": {"relight_psnr": 20.0, "relight_psnr_scaled": 25.5}, "protocol": [], "choices": {"name": "glossy"}}
     result = tables.Result("glossy_cat_blender", "cat", "glossy-synthetic", report)
     (table,) = tables.tables_of([result], "ours")
     assert [(row.of, row.by) for row in table.rows[-2:]] == [("glossy_cat_blender", "IRGS++, 512 samples"), ("glossy_cat_blender", "ours")]
     assert table.rows[-2].figures["relight_psnr_scaled"] == 27.21
+    (table,) = tables.tables_of([replace(result, stand_in=True)], "ours")
+    assert [row.by for row in table.rows if row.of == result.scene] == ["ours"]  # the published cat is another one
+    assert "stand-ins" in table.title and any("can't be compared" in note for note in table.notes)
+
+
+def test_protocols_are_never_mixed_in_a_table(script):
+    tables = script("reproduction.tables")
+    results = [
+        tables.Result(name, name, "tensoir", {"figures": {"relight_psnr": value}, "protocol": [], "choices": {"name": protocol}})
+        for name, value, protocol in (("lego", 30.0, "irgs"), ("hotdog", 25.0, "plain"))
+    ]
+    irgs, plain = tables.tables_of(results, "ours")
+    assert irgs.title == "TensoIR synthetic (protocol irgs)" and plain.title == "TensoIR synthetic (protocol plain)"
+    assert {row.of for row in irgs.rows} == {"mean", "mean of 1", "lego"} and {row.of for row in plain.rows} == {
+        "mean",
+        "mean of 1",
+        "hotdog",
+    }
+    assert any(note.startswith("Ours are by protocol plain, published rows by irgs") for note in plain.notes)
+    assert "lego has no true albedo, true normals, true light." in irgs.notes
+
+
+def test_a_changed_setting_evaluates_again_and_so_does_a_newer_run(bench, tmp_path):
+    (tmp_path / "well").touch()
+    only = ("--scenes", "mine")
+    assert bench(*only) == bench(*only) == 0
+    assert commands(tmp_path) == ["reconstruct", "evaluate"]
+    assert bench(*only, "--set", "seed=4") == 0
+    assert commands(tmp_path) == ["reconstruct", "evaluate"] * 2
+    later = time.time() + 100
+    os.utime(tmp_path / "out" / "runs" / "mine" / "run.json", (later, later))
+    assert bench(*only, "--set", "seed=4") == 0
+    assert commands(tmp_path) == ["reconstruct", "evaluate"] * 2 + ["evaluate"]

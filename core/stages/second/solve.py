@@ -18,7 +18,6 @@ from scipy.spatial import KDTree
 from ...errors import Cancelled, IrgsppError
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.secondary_rays import SecondaryTracer
-from ...rendering.turning_light import mean_over_lights
 from ...scene.camera import Camera
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.reconstruction import Reconstruction
@@ -29,6 +28,7 @@ from ..common.preview import albedo_image
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
 from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
+from .joint.optimisation import resized_light
 from .joint.solve import optimise_jointly, refine_jointly
 from .light_material_solver import STEPS, LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
@@ -38,6 +38,7 @@ from .pixel_pool import PixelPool, pool_pixels
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
 from .refinement import METAL_ON_AVERAGE, Refinement, is_metal_on_average
+from .secondary_tracer import secondary_tracer
 
 LEAST_POINTS = 50  # with which the light is solved
 CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
@@ -116,12 +117,11 @@ def solve_in_closed_form(
     if not _is_metal(reconstruction, solver):
         watch = (progress, lambda done: _report_step(progress, done))
         reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, *watch)
+        tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
-    light = solver.light.T.reshape(1, 3, solver.transfer.height, -1)
-    height = max(settings.second.light_height, solver.transfer.height)
-    enlarged = torch.nn.functional.interpolate(light, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
+    enlarged = resized_light(solver.light.view(solver.transfer.height, -1, 3), settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     solved = reconstruction.relabelled(torch.logit(materials), enlarged)
     result, schedule_scale = refine(solved, reconstruction, dataset, tracer, solver, settings, progress, deadline)
@@ -169,7 +169,8 @@ def refine(
         return solved, 1.0
     starts = [solved]
     if first.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
-        starts.append(first.relabelled(binarise_metallic_by_median(first.gaussians), first.environment))
+        light = resized_light(first.environment, settings.second.light_height)
+        starts.append(first.relabelled(binarise_metallic_by_median(first.gaussians), light))
     refinements = prepare_refinements(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
     before = [refinement.test() for refinement in refinements]
     best = int(np.argmax(before))
@@ -249,8 +250,7 @@ def solve_light_materials(
         IrgsppError: too few points are seen, or a value is not finite.
     """
     second, random = settings.second, np.random.default_rng(settings.seed)
-    near = dataset.surroundings if second.surroundings and second.indirect else None  # shadows without their light would be wrong
-    tracer = SecondaryTracer(mean_over_lights(reconstruction, dataset.train), near)
+    tracer = secondary_tracer(reconstruction, dataset, second)
     turns = light_rotations(dataset.train)
     rotations = None if turns is None else torch.from_numpy(turns).to(tracer.device)
     position, normal = surface.samples(second.points, random)

@@ -50,7 +50,7 @@ def known(demo, monkeypatch):
 
         def __init__(self, brightness=0.67):
             self.brightness = brightness
-            self.reconstruction = known
+            self.reconstruction, self.mesh = known, None
 
         def scaled(self, scale):
             return self if scale is None else KnowingRelighter(float(np.mean(scale)))

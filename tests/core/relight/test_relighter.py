@@ -71,6 +71,41 @@ def test_shadow_and_indirect_light(relighter, camera):
     assert shadowed[rows, column, 1].mean() < 0.8 * alone[rows, column, 1].mean()
 
 
+def test_without_shadows_all_light_arrives_and_what_surfaces_reflect_adds_to_it(relighter, camera):
+    """Two balls then are lit as each alone, and their reflections on each other only add."""
+    light = prepare_light(studio_light(32, 64))
+    images = {}
+    for shadows in (True, False):
+        for indirect in (True, False):
+            one = relighter("mesh", indirect=indirect, shadows=shadows, denoise="off", samples=64)
+            images[shadows, indirect] = one.relit(one.surface(camera), light)[..., :3]
+    assert (images[False, False] - images[True, False]).min() > -2e-3 and (images[False, False] - images[True, False]).max() > 0.05
+    added, reflected = images[False, True] - images[False, False], images[True, True] - images[True, False]
+    assert added.min() > -1e-4 and added.max() > 0.01
+    assert (added - reflected).abs().max() < 0.35 * reflected.max()  # the same light; the ratio estimator scales it differently
+    single = relighter("mesh", balls=BALL, denoise="off", samples=64)
+    surface = single.surface(camera)
+    alone, open_pair = single.relit(surface, light)[..., :3], images[False, False]
+    below = (slice(33, 40), slice(40, 56))  # on the large ball, beside the small one
+    assert torch.allclose(open_pair[below], alone[below], atol=0.02)
+
+
+def test_samples_are_divided_as_asked(relighter):
+    assert relighter("mesh", samples=32).counts == (8, 8, 16)
+    assert relighter("mesh", samples=32, allocation=(1, 4, 3)).counts == (4, 16, 12)
+
+
+def test_without_the_known_irradiance_the_noise_is_larger_and_the_mean_the_same(relighter, camera):
+    light = prepare_light(studio_light(32, 64))
+    exact, plain, many = (
+        relighter("mesh", samples=count, ratio=ratio, denoise="off") for count, ratio in ((16, True), (16, False), (1024, False))
+    )
+    truth = many.relit(many.surface(camera), light)
+    errors = [(one.relit(one.surface(camera), light) - truth).square().mean().sqrt() for one in (exact, plain)]
+    assert errors[0] < 0.7 * errors[1]
+    assert abs(float((plain.relit(plain.surface(camera), light) - truth).mean())) < 0.01
+
+
 def test_rays_start_on_the_mesh_where_a_pixel_s_mean_depth_lies_inside_it(relighter, camera):
     """As at a silhouette before another surface; where the mesh lies far behind, floating surfels are lit where they are."""
     one = relighter("mesh", balls=BALL)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from irgspp.core.errors import InputError
 from irgspp.core.relight.sample_counts import sample_counts
-from irgspp.core.settings.overrides import check, differences, from_dict, to_dict, with_overrides
+from irgspp.core.settings.overrides import check, differences, from_dict, overrides_from, to_dict, with_overrides
 from irgspp.core.settings.schema import PRESETS, Settings, preset
 
 
@@ -95,3 +95,11 @@ def test_settings_of_another_version_are_refused():
 
 def test_differences_name_the_setting():
     assert differences(preset("draft"), with_overrides(preset("draft"), ["seed=3"])) == ["seed: 0 -> 3"]
+
+
+def test_overrides_lead_from_one_settings_to_another():
+    texts = ["data.centre=1.0,-2.5,0.3", "data.radius=2.0", "second.indirect=false", "first.normal_weight=1e-07", "seed=4"]
+    changed = with_overrides(preset("draft"), texts)
+    found = overrides_from(preset("draft"), changed)
+    assert set(found) == set(texts) and with_overrides(preset("draft"), found) == changed
+    assert overrides_from(changed, preset("draft"))[:1] == ["seed=0"] and "data.radius=none" in overrides_from(changed, preset("draft"))

@@ -28,7 +28,7 @@ from ...common.training_view import TrainingView
 
 FOREGROUND = 0.5  # opacity above which a pixel is shaded
 REFITS = 15  # of the tree before it is built anew (3DGRUT)
-CONSERVING = True  # the diffuse lobe loses what the specular one reflects, as in relighting and in Blender; the paper's does not
+Reflect = Callable[..., tuple[torch.Tensor, torch.Tensor]]  # see `reflect_light`
 
 
 class SurfelTracer:
@@ -111,6 +111,8 @@ class JointModel:
         background: (h, w, 3) linear map behind the object, None where masks separate it.
         subpixels: rays along each side of a pixel.
         indirect: secondary rays bring the light that the object itself sends out.
+        shadows: the object hides the light from itself.
+        reflect: rendering equation; by default the diffuse lobe loses what the specular one reflects, as in relighting and in Blender.
         kernels: operations.
     """
 
@@ -121,10 +123,14 @@ class JointModel:
     background: torch.Tensor | None
     subpixels: int = 1
     indirect: bool = True
+    shadows: bool = True
+    reflect: Reflect = reflect_light
     kernels: Kernels = field(default_factory=Kernels)
 
     @classmethod
-    def of(cls, start: Reconstruction, surroundings: Surroundings | None, subpixels: int, indirect: bool) -> JointModel:
+    def of(
+        cls, start: Reconstruction, surroundings: Surroundings | None, subpixels: int, indirect: bool = True, shadows: bool = True
+    ) -> JointModel:
         """Make the model of a reconstruction.
 
         Args:
@@ -132,11 +138,12 @@ class JointModel:
             surroundings: near surfaces, or None.
             subpixels: rays along each side of a pixel.
             indirect: see the attribute.
+            shadows: see the attribute.
         """
         device = start.gaussians.position.device
         near = None if surroundings is None else surroundings_surfels(surroundings).to(device)
         centre = torch.tensor(start.bound.centre, dtype=torch.float32, device=device)
-        return cls(start.bound.radius, centre, inside_bound(start), near, start.background, subpixels, indirect)
+        return cls(start.bound.radius, centre, inside_bound(start), near, start.background, subpixels, indirect, shadows)
 
     def render(self, gaussians: Gaussians, view: TrainingView) -> torch.Tensor:
         """Return the sums (13, H, W) of a view's G-buffer, not divided by opacity; see `rasterize`."""
@@ -229,14 +236,15 @@ class JointModel:
         origin = point + OFFSET * self.radius * at.normal
         direction = plan.samples.direction
         ray, pixel = direction.view(-1, 3)[plan.above].contiguous(), plan.above // direction.shape[1]
-        # index_select: the gradient of indexing is summed in an order that depends on the threads.
-        traced = self.kernels.trace(self._occluders(gaussians), origin.index_select(0, pixel), ray)
-        radiance = lookup(light, ray) * (1 - traced[:, -1:])
-        if self.indirect:
-            radiance = radiance + traced[:, COLOUR]
+        radiance = lookup(light, ray)
+        if self.shadows or self.indirect:
+            # index_select: the gradient of indexing is summed in an order that depends on the threads.
+            traced = self.kernels.trace(self._occluders(gaussians), origin.index_select(0, pixel), ray)
+            radiance = radiance * (1 - traced[:, -1:]) if self.shadows else radiance
+            radiance = radiance + traced[:, COLOUR] if self.indirect else radiance
         incoming = radiance.new_zeros(direction.numel() // 3, 3).index_copy(0, plan.above, radiance).view_as(direction)
         layers = (at.view, at.normal, at.albedo, at.roughness, at.metallic)
-        diffuse, specular = reflect_light(*layers, plan.samples, incoming, conserving=CONSERVING)
+        diffuse, specular = self.reflect(*layers, plan.samples, incoming)
         return diffuse + specular, incoming
 
     def _occluders(self, gaussians: Gaussians) -> Gaussians:

@@ -87,7 +87,7 @@ class JointOptimisation:
         self.held_back = every if hold_back else number < 0
         self.tested = torch.nonzero(every if every.any() else ~every)[:, 0].tolist()
         self.light = resized_light(start.environment, settings.light_height).clamp_min(DARKEST).log().contiguous().requires_grad_()
-        rates = {name: Rate(rate) for name, rate in RATES.items()}
+        rates = {name: Rate(rate) for name, rate in RATES.items() if name != "metallic" or settings.brdf != "irgs"}
         if settings.geometry_rate > 0:
             extent = camera_extent([view.camera for view in views])
             rates |= {name: Rate(settings.geometry_rate * rate) for name, rate in GEOMETRY.items()}
@@ -219,7 +219,7 @@ class JointOptimisation:
 def resized_light(light: torch.Tensor, height: int) -> torch.Tensor:
     """Return a light map (h, w, 3) with a number of rows, at least its own."""
     if light.shape[0] >= height:
-        return light
+        return light.contiguous()
     planes = light.permute(2, 0, 1)[None]
     return torch.nn.functional.interpolate(planes, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
 

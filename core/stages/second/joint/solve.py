@@ -17,6 +17,7 @@ from ....settings.schema import Settings
 from ...common.optimizer import Rate
 from ...common.preview import albedo_image
 from ...common.time_budget import joint_schedule_scale, scale_schedule
+from .irgs import irgs_start, reflect_as_irgs
 from .losses import GLOSSY, LOW_GLOSS
 from .model import JointModel
 from .optimisation import PUBLISHED, JointOptimisation
@@ -125,7 +126,9 @@ def _optimised(
     second, glossy = settings.second, start.glossy
     start = with_all_radiance(start, dataset.train, settings, progress)
     near = dataset.surroundings if second.surroundings and second.indirect else None
-    model = JointModel.of(start, near, settings.first.subpixels, second.indirect)
+    model = JointModel.of(start, near, settings.first.subpixels, second.indirect, second.shadows)
+    if second.brdf == "irgs":
+        start, model = irgs_start(start), replace(model, reflect=reflect_as_irgs)
     weights, factor = GLOSSY if glossy else LOW_GLOSS, PUBLISHED
     if refining:
         smooth = REFINING_SMOOTHNESS

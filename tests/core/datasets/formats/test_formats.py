@@ -211,4 +211,4 @@ def test_a_job_and_its_evaluation(name, every, tmp_path, monkeypatch):
     figures = evaluate(run, every[name].path, settings=settings.data, samples=8)["figures"]
     assert all(np.isfinite(v) for v in figures.values()) and figures["radiance_psnr"] > 15
     assert (figures.get("relight_psnr", 0) > 12) == (name in LIGHTS)  # 15 to 20 dB after so few steps
-    assert ("environment_psnr" in figures) == (name in ("tensoir", "synthetic4relight"))
+    assert ("environment_psnr" in figures) == (name in ("tensoir", "synthetic4relight", "stanford-orb"))

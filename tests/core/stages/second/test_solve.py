@@ -3,11 +3,12 @@
 
 import time
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from irgspp.core.errors import IrgsppError
+from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.kernels.trace import transmittance
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
@@ -129,3 +130,41 @@ def test_the_setting_chooses_the_solver(sphere, sphere_dataset, camera_ring, mon
     assert deadlines[-1] == deadline
     if len(expected) == 2:
         assert deadlines[0] == pytest.approx(deadline - 50, abs=1)  # half of what is left
+
+
+def test_every_start_of_a_metal_has_a_light_of_the_rows_that_the_setting_asks_for(sphere, sphere_dataset, camera_ring, monkeypatch):
+    first, rows = sphere[0](glossy=True), []
+    solved = first.relabelled(first.gaussians.material, torch.ones(32, 64, 3))
+
+    def stop(starts, *_):
+        rows.extend(start.environment.shape[0] for start in starts)
+        raise Cancelled("enough")
+
+    monkeypatch.setattr(transport, "prepare_refinements", stop)
+    settings, solver = with_overrides(SETTINGS, ["second.light_height=32"]), SimpleNamespace(metallic=torch.ones(10))
+    with pytest.raises(Cancelled):
+        transport.refine(solved, first, sphere_dataset(camera_ring(9, size=40)), SecondaryTracer(first), solver, settings, Silent(), None)
+    assert rows == [32, 32]
+
+
+def test_materials_are_assigned_by_the_pixels_that_turned_surfels_cover(sphere, sphere_dataset, camera_ring, tried, monkeypatch):
+    make, surface = sphere
+    traced = []
+
+    def turn(reconstruction, surface, solver, tracer, *_):
+        g = reconstruction.gaussians
+        turned = replace(g, log_scale=g.log_scale - 3.0)  # as far as rays go, like surfels seen from the side
+        traced.append(tracer)
+        return replace(reconstruction, gaussians=turned), surface
+
+    def stop(gaussians, surface, views, tracer, *_):
+        traced.append(tracer)
+        raise Cancelled("enough")
+
+    monkeypatch.setattr(transport, "improve_normals", turn)
+    monkeypatch.setattr(transport, "assign_materials", stop)
+    with pytest.raises(Cancelled):
+        transport.solve_in_closed_form(make(), surface, sphere_dataset(camera_ring(12, size=48), False), SETTINGS, Silent())
+    ahead = torch.tensor([[0.0, 0.1, 4.0]]), torch.tensor([[0.0, 0.0, -1.0]])
+    before, after = (float(tracer.look(*ahead)[0]) for tracer in traced)
+    assert before < 0.05 and after > 0.5

@@ -15,6 +15,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surroundings import Surroundings
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, paced, preset
+from irgspp.core.stages.second.joint.irgs import irgs_start
 from irgspp.core.stages.second.joint.model import JointModel
 from irgspp.core.stages.second.joint.optimisation import JointOptimisation, camera_extent, resized_light
 from irgspp.core.stages.second.joint.radiance_start import with_all_radiance
@@ -91,6 +92,33 @@ def test_geometry_stays_where_its_rate_is_zero(start, dataset):
     for name, value in result.gaussians.tensors().items():
         assert torch.equal(value, start.gaussians.tensors()[name]) == (name not in ("sh", "material")), name
     assert not has_moved(result, start)
+
+
+def test_indirect_light_and_visibility_can_be_left_out_alone(start, dataset):
+    """Rays that start inside a closed surface meet it: its radiance arrives with indirect light, the light map's without visibility."""
+    view = optimisation(start, dataset).training_views[0]
+    light, incoming = torch.full((8, 16, 3), 2.0), {}
+    for shadows in (True, False):
+        for indirect in (True, False):
+            model = JointModel.of(start, None, 1, indirect, shadows)
+            sums = model.render(start.gaussians, view)
+            plan = model.plan(sums, view, model.foreground(sums, view)[::9], light, (8, 4, 4), torch.Generator().manual_seed(0))
+            inside = replace(model, radius=-5 * SPHERE.radius)  # of which a small part lies between surface and origin
+            incoming[shadows, indirect] = inside.shade(start.gaussians, light, sums, view, plan)[1].flatten(0, 1)[plan.above]
+    assert torch.allclose(incoming[False, False], torch.tensor(2.0), atol=1e-5)
+    own = incoming[True, True] - incoming[True, False]
+    assert torch.allclose(incoming[False, True], 2.0 + own, atol=1e-5) and own.mean() > 0.05
+    assert incoming[True, False].mean() < 0.8
+
+
+def test_the_baseline_has_no_metal_and_starts_with_constants(start, dataset):
+    settings = with_overrides(SETTINGS, ["second.brdf=irgs", "second.geometry_rate=0", "second.joint_iterations=3"])
+    fresh = irgs_start(start)
+    assert torch.allclose(fresh.gaussians.materials().mean(1), torch.tensor([0.3, 0.3, 0.3, 0.6, 0.0]), atol=1e-4)
+    assert (fresh.environment == 1.5).all()
+    result, _ = optimise_jointly(start, dataset, settings, Listener())
+    albedo, roughness, metallic = result.gaussians.materials().split([3, 1, 1])
+    assert metallic.max() < 1e-4 and 0 < (albedo - 0.3).abs().max() < 0.05 and 0 < (roughness - 0.6).abs().max() < 0.05
 
 
 def test_held_back_views_are_never_drawn(start, dataset):
