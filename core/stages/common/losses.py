@@ -7,6 +7,8 @@ import torch
 
 from ...scene.camera import Camera
 
+LIGHT_EDGE = 0.2  # difference of neighbouring texels' log radiance from which it counts as an edge
+
 
 def camera_rays(camera: Camera) -> torch.Tensor:
     """Return (3, H, W) float32 rays through the pixel centres in OpenCV's camera axes with z = 1: planar depth times ray is the point."""
@@ -17,6 +19,16 @@ def camera_rays(camera: Camera) -> torch.Tensor:
 
 
 def light_variation(log_light: torch.Tensor) -> torch.Tensor:
-    """Return the mean squared difference of neighbouring texels of a lat-long map (H, W, 3) of log radiance, which wraps around in W."""
-    across = log_light - torch.roll(log_light, 1, 1)
-    return across.square().mean() + (log_light[1:] - log_light[:-1]).square().mean()
+    """Return the variation of a light map, robust so that windows and lamps keep sharp outlines.
+
+    Each pair of neighbouring texels costs c^2 log(1 + (d / c)^2) with c = LIGHT_EDGE: d^2 for a small difference d, hardly more for a
+    larger one.
+
+    Args:
+        log_light: (H, W, 3) log radiance, lat-long; it wraps around in W.
+
+    Returns:
+        The mean over pairs along rows, plus that along columns.
+    """
+    across, down = log_light - torch.roll(log_light, 1, 1), log_light[1:] - log_light[:-1]
+    return LIGHT_EDGE**2 * sum((difference / LIGHT_EDGE).square().log1p().mean() for difference in (across, down))

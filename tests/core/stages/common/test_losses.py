@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rays of a camera, and the smoothness of a light map."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.common.losses import camera_rays, light_variation
+from irgspp.core.stages.common.losses import LIGHT_EDGE, camera_rays, light_variation
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +26,12 @@ def test_rays_are_the_cameras(camera, rotation):
 
 def test_variation_wraps_around_the_seam():
     light = torch.zeros(4, 8, 3)
-    light[:, 0] = 1
-    assert light_variation(light) == pytest.approx(2 / 8)  # up and down again, once across the seam
+    light[:, 0] = 1e-3
+    assert light_variation(light) == pytest.approx(1e-6 * 2 / 8, rel=1e-4)  # up and down again, once across the seam
     assert light_variation(torch.ones(4, 8, 3)) == 0
+
+
+def test_an_edge_counts_less_than_its_square():
+    light = torch.zeros(4, 8, 3)
+    light[:, :4] = 10 * LIGHT_EDGE
+    assert light_variation(light) == pytest.approx(LIGHT_EDGE**2 * math.log(101) * 2 / 8, rel=1e-5)
