@@ -23,7 +23,8 @@ class LightPrior:
     """
 
     def __init__(self, height: int, device: torch.device | str) -> None:
-        index = torch.arange(2 * height * height, device=device).view(height, -1)
+        self._texels = 2 * height * height
+        index = torch.arange(self._texels, device=device).view(height, -1)
         across, down = (index, index.roll(-1, 1)), (index[:-1], index[1:])
         self._pairs = torch.cat([torch.stack(pair, -1).view(-1, 2) for pair in (across, down)])
 
@@ -39,8 +40,7 @@ class LightPrior:
 
     def laplacian(self, weight: torch.Tensor) -> torch.Tensor:
         """Return the quadratic form (T, T) of the sum of the squared differences of neighbours, weighted by `weight`, one of each pair."""
-        count = int(self._pairs.max()) + 1
-        form = weight.new_zeros(count, count)
-        form.view(-1).index_add_(0, self._pairs[:, 0] * count + self._pairs[:, 1], weight)
+        form = weight.new_zeros(self._texels, self._texels)
+        form.view(-1).index_add_(0, self._pairs[:, 0] * self._texels + self._pairs[:, 1], weight)
         off = form + form.T
         return torch.diag(off.sum(1)) - off
