@@ -15,7 +15,7 @@ from ..core.scene.camera_files import load_run_cameras
 from ..irgspp_addon.importer.asset_mark import AssetDetails, mark_asset, missing_images, set_preview
 from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
 from ..irgspp_addon.relight.session import RelightRequest, session_of
-from .blocking import RUN, SKIP, refuse
+from .blocking import RUN, SKIP, refusing
 from .result import chosen_run
 
 PREVIEW = 256  # side of the preview image in pixels
@@ -57,20 +57,18 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
             self.catalogue = ""
         return context.window_manager.invoke_props_dialog(self, width=400)
 
+    @refusing(RuntimeError)  # the latter is Blender's, for a file that is no image
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Mark the object."""
-        try:
-            run = chosen_run(context, self.run)
-            thing = run_object(context.scene, run)
-            if thing is None:
-                raise InputError(run.name, "its object is not in this scene", "import the run")
-            words = tuple(dict.fromkeys(word.strip() for word in self.tags.split(",") if word.strip()))
-            mark_asset(thing, AssetDetails(self.author, self.licence, self.description, words, self.catalogue.strip()))
-            if missing := missing_images(thing):
-                self.report({"WARNING"}, f"{', '.join(missing)}: not packed, and their files are missing: others will not find them")
-            self._preview(thing, run)
-        except (IrgsppError, RuntimeError) as error:  # the latter is Blender's, for a file that is no image
-            return refuse(self, error)
+        run = chosen_run(context, self.run)
+        thing = run_object(context.scene, run)
+        if thing is None:
+            raise InputError(run.name, "its object is not in this scene", "import the run")
+        words = tuple(dict.fromkeys(word.strip() for word in self.tags.split(",") if word.strip()))
+        mark_asset(thing, AssetDetails(self.author, self.licence, self.description, words, self.catalogue.strip()))
+        if missing := missing_images(thing):
+            self.report({"WARNING"}, f"{', '.join(missing)}: not packed, and their files are missing: others will not find them")
+        self._preview(thing, run)
         return {"FINISHED"}
 
     def _preview(self, thing: bpy.types.Object, run: Path) -> None:

@@ -6,11 +6,11 @@
 import bpy
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
 from ..irgspp_addon.importer.arrangement import cameras_in, is_imported_camera, show_alone, show_cameras
 from ..irgspp_addon.importer.cameras import look_through
 from ..irgspp_addon.importer.scene_builder import run_of
-from .blocking import refuse
+from .blocking import refusing
 
 
 class IRGSPP_OT_look_through(bpy.types.Operator):
@@ -22,12 +22,10 @@ class IRGSPP_OT_look_through(bpy.types.Operator):
 
     camera: StringProperty(name="Camera", description="Name of an imported camera. Empty: the active object", options={"SKIP_SAVE"})
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Look through the camera."""
-        try:
-            _look(context, self._camera(context))
-        except IrgsppError as error:
-            return refuse(self, error)
+        _look(context, self._camera(context))
         return {"FINISHED"}
 
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object:

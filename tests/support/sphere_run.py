@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run folder of an analytic sphere; numpy suffices to import this, the engine's Python writes it: `python sphere_run.py FOLDER [SIZE [CONFIDENCE]]`."""
+"""Run folder of an analytic sphere; numpy suffices to import this, the engine's Python writes it: `python sphere_run.py FOLDER ...`."""
 
 from __future__ import annotations
 
