@@ -12,13 +12,14 @@ from ..irgspp_addon.relight.animation import animation
 from ..irgspp_addon.relight.left_out import left_out
 from ..irgspp_addon.relight.live_image import follower_of
 from ..irgspp_addon.relight.render_engine import ENGINE
+from ..irgspp_addon.world.hdri_library import unreadable_folder
 from ..irgspp_addon.world.light_controls import UP, light_controls
 from .job_card import draw_last
 from .result import object_of_run, shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
-THUMBNAIL = 4.0  # height of the chosen HDRI's thumbnail, rows of buttons
+THUMBNAIL = 6.0  # height of the chosen HDRI's thumbnail, rows of buttons
 OPTIONS = (
     "use_world",
     "use_lamps",
@@ -125,7 +126,9 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column = layout.column()
     column.enabled = lit
     column.template_ID(context.scene, "world", new="world.new")
-    layout.template_icon_view(context.window_manager, "irgspp_hdri", show_labels=True, scale=THUMBNAIL)
+    layout.template_icon_view(context.scene, "irgspp_hdri", show_labels=True, scale=THUMBNAIL)
+    if (folder := unreadable_folder()) is not None:
+        say(layout, context, f"The HDRI folder {folder} is not there; choose it again in the preferences.", icon="ERROR")
     row = layout.row(align=True)
     button(row, "irgspp.open_hdri", "Open HDRI", "FILE_IMAGE")
     light = recovered_light(shown_run(context))
