@@ -67,8 +67,8 @@ class IRGSPP_OT_stop_animation(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True while an animation is rendered."""
-        one = animation.animation()
-        if one is None or one.ended:
+        last = animation.animation()
+        if last is None or last.ended:
             cls.poll_message_set("No animation is rendered")
             return False
         return True

@@ -16,7 +16,7 @@ from ..irgspp_addon.importer.asset_mark import AssetDetails, mark_asset, missing
 from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
 from ..irgspp_addon.relight.session import RelightRequest, session_of
 from .blocking import RUN, SKIP, refusing
-from .result import chosen_run
+from .result import named_run
 
 PREVIEW = 256  # side of the preview image in pixels
 AWAY = 4.0  # distance of its camera in radii of the object
@@ -60,7 +60,7 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
     @refusing(RuntimeError)  # the latter is Blender's, for a file that is no image
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Mark the object."""
-        run = chosen_run(context, self.run)
+        run = named_run(context, self.run)
         thing = run_object(context.scene, run)
         if thing is None:
             raise InputError(run.name, "its object is not in this scene", "import the run")

@@ -13,7 +13,7 @@ from ..irgspp_addon.importer.scene_builder import recovered_light
 from ..irgspp_addon.world.light_controls import SUFFIXES, use_hdri
 from .blocking import RUN, SKIP, refusing
 from .file_dialog import FileDialog
-from .result import chosen_run
+from .result import named_run
 
 
 class IRGSPP_OT_open_hdri(FileDialog, bpy.types.Operator):
@@ -48,7 +48,7 @@ class IRGSPP_OT_use_recovered_light(bpy.types.Operator):
     @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Light the scene."""
-        run = chosen_run(context, self.run)
+        run = named_run(context, self.run)
         world = recovered_light(run)
         if world is None:
             raise InputError(run.name, "its recovered light is not in this file", "import the run")

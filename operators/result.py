@@ -47,7 +47,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
     @refusing(RuntimeError)
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the baking as a job."""
-        run = chosen_run(context, self.run)
+        run = named_run(context, self.run)
         arguments, data = self._arguments(context, run), self._data(context, run)
         on_done = "import_bake" if self.import_result and not self.wait else None
         job = jobs.start("bake", f"Bake {run.name}", run, arguments, on_done, data)
@@ -111,7 +111,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
         """
         self.wait = bpy.app.background
         try:
-            run = chosen_run(context, self.run)
+            run = named_run(context, self.run)
         except IrgsppError as error:
             return refuse(self, error)
         self.run, self.filepath = str(run), self.filepath or str(run / f"{run.name}.glb")
@@ -121,7 +121,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
     @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the export as a job."""
-        run = chosen_run(context, self.run)
+        run = named_run(context, self.run)
         if not self.filepath:
             raise InputError("filepath", "no file is named", f"name a file that ends with {ENDINGS}")
         target = Path(bpy.path.abspath(self.filepath)).absolute()
@@ -133,7 +133,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
         return run_to_end(self, job) if self.wait else {"FINISHED"}
 
 
-def chosen_run(context: bpy.types.Context, path: str) -> Path:
+def named_run(context: bpy.types.Context, path: str) -> Path:
     """Return a run folder: the given one, else the active object's, else the panel's.
 
     Args:

@@ -96,18 +96,18 @@ def draw_animation(layout: bpy.types.UILayout, context: bpy.types.Context) -> No
         layout: to draw into.
         context: of the panel.
     """
-    one = animation()
-    if one is not None and not one.ended:
-        layout.progress(factor=one.fraction, text=one.text)
+    last = animation()
+    if last is not None and not last.ended:
+        layout.progress(factor=last.fraction, text=last.text)
         button(layout, "irgspp.stop_animation", "Stop Animation", "X")
         return
     column = layout.column(align=True)
     button(column, "irgspp.render_animation", "Animation", "RENDER_ANIMATION")
     button(column, "irgspp.render_animation", "One Turn of the Light", "FILE_REFRESH", turn=True)
-    if one is not None and one.error:
+    if last is not None and last.error:
         column = layout.column()
         column.alert = True
-        say(column, context, one.error, icon="ERROR")
+        say(column, context, last.error, icon="ERROR")
 
 
 def can_relight(context: bpy.types.Context) -> bool:

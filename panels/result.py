@@ -168,11 +168,10 @@ def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     button(row, "irgspp.step_photograph", "", "TRIA_LEFT", step=-1)
     through = context.scene.camera if is_imported_camera(context.scene.camera) else None
     photograph = shown_photograph(context.scene)
-    name = Path(photograph.image.filepath).stem if photograph is not None else through.name if through else "Photographs"
-    button(row, "irgspp.step_photograph", name, step=1)
+    button(row, "irgspp.step_photograph", through.name if through else "Photographs", step=1)
     button(row, "irgspp.step_photograph", "", "TRIA_RIGHT", step=1)
     if photograph is not None:
-        layout.prop(context.scene, "irgspp_photograph", slider=True)
+        layout.prop(context.scene, "irgspp_photograph", text="Photograph", slider=True)
     button(layout, "irgspp.show_cameras", "Hide Cameras" if shown else "Show Cameras", "CAMERA_DATA", show=not shown)
 
 

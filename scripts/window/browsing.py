@@ -154,6 +154,16 @@ def frame_selected() -> Iterator[float]:
     yield 1.0
 
 
+def open_image_editor() -> bpy.types.Area:
+    """Open an Image Editor in a part of the 3D View's area."""
+    before = {area.as_pointer() for area in driver.window().screen.areas}
+    with driver.override():
+        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
+    new = next(area for area in driver.window().screen.areas if area.as_pointer() not in before)
+    new.ui_type = "IMAGE_EDITOR"
+    return new
+
+
 def scrolled(operator: str) -> Iterator[float]:
     """Scroll the sidebar to its end ("scroll_down") or its beginning ("scroll_up")."""
     with driver.override("UI"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Story of relighting a finished run (run.py --run): HDRI thumbnail, light rotated by dragging, lamp, ground shadow, a turn of the light, asset."""
+"""Story of relighting a finished run (run.py --run): HDRI thumbnail, dragged light, lamp, ground shadow, turn of the light, asset."""
 
 import os
 import shutil
@@ -58,9 +58,7 @@ def fade_photograph() -> Iterator[float]:
 
 def start_preview() -> Iterator[float]:
     """Start the preview beside the 3D View."""
-    with driver.override():
-        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
-    min((area for area in driver.window().screen.areas if area.type == "VIEW_3D"), key=lambda area: area.x).ui_type = "IMAGE_EDITOR"
+    browsing.open_image_editor()
     yield 1.0
     yield from browsing.frame_selected()
     yield from browsing.press_button("irgspp.relight_preview")

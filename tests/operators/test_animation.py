@@ -93,6 +93,14 @@ def test_stopping_keeps_finished_frames(animated, tmp_path):
     assert animated.frame_current == 1
 
 
+def test_opening_another_file_ends_it(animated, tmp_path):
+    one = animation.LightAnimation(animated, bpy.context.view_layer, [1, 2, 3], f"{tmp_path}/", turn=False)
+    animation.start(one)
+    one.tick()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert one.ended and not one.error and animation.animation() is None
+
+
 def test_errors_are_one_line(animated, tmp_path):
     words = {"output": f"{tmp_path}/"}
     if bpy.app.version >= (5, 0, 0):
