@@ -79,17 +79,20 @@ def hdri_items(scene: bpy.types.Scene, context: bpy.types.Context | None) -> lis
     now = time.monotonic()
     if now - _read > CHECK_SECONDS:
         _read, _files[:] = now, library()
-    shown = shown_hdri(scene)
-    if shown is None:
-        return [OTHER, *map(_item, _files)]
-    return [_item(file) for file in (_files if shown in _files else [shown, *_files])]
+    items, shown = [_item(file) for file in _files], _shown_item(scene)
+    return items if shown in items else [shown, *items]
 
 
-def _item(file: Path) -> Item:
-    """Return the choice of a file, whose number stays its own when others come or go."""
+def _item(file: Path, name: str = "") -> Item:
+    """Return the choice of a file, whose number stays its own when others come or go.
+
+    Args:
+        file: image of the surroundings.
+        name: shown below the thumbnail; "": that of the file.
+    """
     path = str(file)
     if path not in _items:
-        _items[path] = (path, file.stem, f"Light the scene by {path}", _icon(path), len(_items) + 1)
+        _items[path] = (path, name or file.stem, f"Light the scene by {path}", _icon(path), len(_items) + 1)
     return _items[path]
 
 
@@ -98,10 +101,14 @@ def _icon(path: str) -> int:
     return 0 if _previews is None else _previews.load(path, path, "IMAGE").icon_id
 
 
+def _shown_item(scene: bpy.types.Scene) -> Item:
+    """Return the choice that the World shows."""
+    file = shown_hdri(scene)
+    return OTHER if file is None else _item(file, "" if file in _files else scene.world.name)
+
+
 def _shown_number(scene: bpy.types.Scene) -> int:
-    """Return the number of the choice that the World shows."""
-    shown = shown_hdri(scene)
-    return OTHER[4] if shown is None else _item(shown)[4]
+    return _shown_item(scene)[4]
 
 
 def _choose(scene: bpy.types.Scene, number: int) -> None:

@@ -69,13 +69,12 @@ def start_preview() -> Iterator[float]:
 
 def choose_thumbnail() -> Iterator[float]:
     """Choose one of Blender's HDRIs by its thumbnail."""
-    before = bpy.context.scene.world
-    yield from browsing.press_button("irgspp_hdri")
-    yield 3.0  # thumbnails are made in the background
+    before, place = bpy.context.scene.world, driver.region()
+    x, y = yield from browsing.reach("irgspp.open_hdri", across=0.25)
+    yield from driver.click_at(x, y + 70)  # the thumbnail above that button is none that Blender tells the name of
+    yield 5.0  # thumbnails are made in the background
     driver.shot("72_thumbnails")
-    driver.key("Right")
-    yield 1.0
-    driver.key("Return")
+    yield from driver.click_at(place.x + place.width - 720, y - 50)  # the second of eight in the pop-up's first row
     yield from driver.wait(lambda: bpy.context.scene.world != before, 10)
     yield from updated()
     driver.shot("73_other_hdri")
