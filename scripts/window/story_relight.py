@@ -85,7 +85,7 @@ def drag_light() -> Iterator[float]:
     """Rotate the light by dragging the mouse, and confirm by a click."""
     controls = driver.extension_module("irgspp_addon.world.light_controls").light_controls
     before = controls(bpy.context.scene.world).rotation.default_value[2]
-    yield from browsing.press_button("irgspp.rotate_light", across=0.93)
+    yield from browsing.press_button("irgspp.rotate_light", across=0.825)
     place = driver.region()
     driver.move(place.x - 100, place.y + 300)
     yield 1.0
