@@ -15,6 +15,7 @@ from ..core.scene.camera_files import load_run_cameras
 from ..irgspp_addon.importer.asset_mark import AssetDetails, mark_asset, missing_images, set_preview
 from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
 from ..irgspp_addon.relight.session import RelightRequest, session_of
+from ..irgspp_addon.windows import redraw
 from .blocking import RUN, SKIP, refusing
 from .result import named_run
 
@@ -55,7 +56,13 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
             return self.execute(context)
         if not bpy.data.filepath:
             self.catalogue = ""
-        return context.window_manager.invoke_props_dialog(self, width=400)
+        return context.window_manager.invoke_props_dialog(self, width=400, confirm_text=self.bl_label)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the details that the dialog asks for."""
+        self.layout.use_property_split, self.layout.use_property_decorate = True, False
+        for name in ("author", "licence", "description", "tags", "catalogue", "picture"):
+            self.layout.prop(self, name)
 
     @refusing(RuntimeError)  # the latter is Blender's, for a file that is no image
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -69,6 +76,7 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
         if missing := missing_images(thing):
             self.report({"WARNING"}, f"{', '.join(missing)}: not packed, and their files are missing: others will not find them")
         self._preview(thing, run)
+        redraw("VIEW_3D", "FILE_BROWSER")  # the panel, and Asset Browsers
         return {"FINISHED"}
 
     def _preview(self, thing: bpy.types.Object, run: Path) -> None:

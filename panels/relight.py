@@ -104,6 +104,8 @@ def draw_animation(layout: bpy.types.UILayout, context: bpy.types.Context) -> No
     column = layout.column(align=True)
     button(column, "irgspp.render_animation", "Animation", "RENDER_ANIMATION")
     button(column, "irgspp.render_animation", "One Turn of the Light", "FILE_REFRESH", turn=True)
+    if last is not None and last.folder is not None:
+        button(column, "wm.path_open", f"Show Frames in {last.folder.name}", "FILE_FOLDER", filepath=str(last.folder))
     if last is not None and last.error:
         column = layout.column()
         column.alert = True
@@ -141,7 +143,7 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if controls.rotation is not None:
         row = rows.row(align=True)
         row.prop(controls.rotation, "default_value", index=UP, text="Rotation")
-        button(row, "irgspp.rotate_light", "", "MOUSE_MOVE")
+        button(row, "irgspp.rotate_light", "", "CON_ROTLIKE")
     if controls.colour is not None:
         rows.prop(controls.colour, "default_value", text="Colour")
     if controls.strength is not None:

@@ -51,6 +51,7 @@ class LightAnimation:
         self._frames, self._back = list(frames), scene.frame_current
         self._session: Session | None = None
         self.finished, self.share, self.error, self.ended = 0, 0.0, "", False
+        self.folder: Path | None = None  # of the latest file
 
     @property
     def fraction(self) -> float:
@@ -113,7 +114,9 @@ class LightAnimation:
             return
         self.share = answer.fraction
         if answer.done and answer.image is not None:
-            _save(scene, answer.image, _path(scene, self._output, self._frames[self.finished]))
+            path = _path(scene, self._output, self._frames[self.finished])
+            _save(scene, answer.image, path)
+            self.folder = path.parent
             self._session = None
             self._next()
 
