@@ -93,7 +93,7 @@ def geometry_of(mesh: Mesh) -> Geometry:
     )
 
 
-def _borders(points: np.ndarray, edges: topology.Edges, diameter: float) -> dict[str, int]:
+def _borders(points: np.ndarray, edges: topology.Edges, diameter: float) -> dict[str, Any]:
     """Return the counts of border edges, and of short and long loops of them."""
     loop, count = topology.border_loops(edges)
     ends = points[edges.vertices[edges.border]]
@@ -122,7 +122,7 @@ def _components(faces: np.ndarray, edges: topology.Edges, area: np.ndarray, volu
     }
 
 
-def _redundant_vertices(mesh: Mesh) -> dict[str, int]:
+def _redundant_vertices(mesh: Mesh) -> dict[str, Any]:
     """Return the counts of vertices that equal another one in position, normal and UV, and of vertices without a face."""
     different = len(np.unique(np.c_[mesh.vertices, mesh.normals, mesh.uvs], axis=0))
     return {
