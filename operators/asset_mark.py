@@ -12,11 +12,11 @@ from bpy.props import StringProperty
 from ..core.errors import InputError, IrgsppError
 from ..core.scene.camera import Camera, look_at
 from ..core.scene.camera_files import load_run_cameras
-from ..irgspp_addon.importer.asset_mark import AssetDetails, mark_asset, missing_images, set_preview
+from ..irgspp_addon.importer.asset_mark import AssetDetails, details_of, mark_asset, missing_images, set_preview
 from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
 from ..irgspp_addon.relight.session import RelightRequest, session_of
 from ..irgspp_addon.windows import redraw
-from .blocking import RUN, SKIP, refusing
+from .blocking import RUN, SKIP, refuse, refusing
 from .result import named_run
 
 PREVIEW = 256  # side of the preview image in pixels
@@ -54,9 +54,20 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
         """
         if bpy.app.background:
             return self.execute(context)
+        try:
+            self.take_details(run_object(context.scene, named_run(context, self.run)))
+        except IrgsppError as error:
+            return refuse(self, error)
+        return context.window_manager.invoke_props_dialog(self, width=400, confirm_text=self.bl_label)
+
+    def take_details(self, thing: bpy.types.Object | None) -> None:
+        """Begin with the details of an object that is an asset already; without a saved file there is no catalogue."""
+        known = details_of(thing) if thing is not None else None
+        if known is not None:
+            self.author, self.licence, self.description = known.author, known.licence, known.description
+            self.tags, self.catalogue = ", ".join(known.tags), known.catalogue
         if not bpy.data.filepath:
             self.catalogue = ""
-        return context.window_manager.invoke_props_dialog(self, width=400, confirm_text=self.bl_label)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the details that the dialog asks for."""

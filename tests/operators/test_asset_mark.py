@@ -59,6 +59,12 @@ def test_details_and_catalogue(library, relightable):
     ).read_text()
 
 
+def test_the_dialog_of_an_asset_begins_with_its_details(library, relightable):
+    tool = SimpleNamespace()
+    IRGSPP_OT_mark_asset.take_details(tool, run_object(bpy.context.scene, relightable))
+    assert vars(tool) == {**DETAILS, "tags": "ball, metal"}
+
+
 def test_the_preview_is_the_relit_object(library, relightable):
     preview = run_object(bpy.context.scene, relightable).preview
     width, height = preview.image_size
