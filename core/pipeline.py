@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from .assets.export import write_blend
+from .assets.blend_file import write_blend
 from .assets.mesh_files import save_mesh_files
 from .capture.second_cut import cut_again, support_plane_of
 from .capture.source import FOLDER as CAPTURE

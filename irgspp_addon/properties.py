@@ -9,51 +9,12 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+from . import shared_properties as shared
+
 # From Blender 4.5 on, a property must declare that it accepts paths relative to the .blend file (`//`).
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")  # suffixes of videos that the engine reads
-UP_AXES = [
-    ("AS_IS", "As It Is", "Keep the up direction that the engine estimated", 0),
-    ("Y_UP", "+Y Up", "The dataset's Y axis becomes Blender's Z", 1),
-    ("NEG_Y_UP", "-Y Up", "The dataset's Y axis points down, as in COLMAP", 2),
-    ("X_UP", "+X Up", "The dataset's X axis becomes Blender's Z", 3),
-    ("NEG_X_UP", "-X Up", "The dataset's X axis points down", 4),
-    ("NEG_Z_UP", "-Z Up", "The dataset is upside down", 5),
-    ("Z_UP", "+Z Up", "Keep the dataset's own axes", 6),
-]
-PRESETS = [
-    ("draft", "Draft", "For a first impression: photographs reduced to 320 pixels, few steps; a minute or two", 0),
-    ("balanced", "Balanced", "For most objects: photographs reduced to 640 pixels; several minutes on a CPU", 1),
-    ("paper", "Paper", "The published schedule: 50,000 steps, photographs of 800 pixels; hours, for a GPU", 2),
-]
-MATERIALS = [
-    ("auto", "Find Out", "Try both material classes briefly and keep the one that reproduces held-out photographs better", 0),
-    ("low-gloss", "Low Gloss", "Cloth, wood, plaster, plastic: the object reflects no clear images", 1),
-    ("glossy", "Glossy", "Metal, glaze, lacquer: the object reflects its surroundings", 2),
-]
-DEVICES = [
-    ("auto", "Best", "A graphics card if the engine can use one, otherwise the processor", 0),
-    ("cpu", "CPU", "The processor", 1),
-    ("cuda", "CUDA", "An NVIDIA graphics card", 2),
-]
-TURNTABLE = [
-    ("auto", "Automatic", "Decided by whether a background with texture stays at its place"),
-    ("on", "Yes", "The camera was fixed and the object turned before it"),
-    ("off", "No", "The camera moved around the object"),
-]
-SOURCES = [
-    ("textures", "Textures", "The material reads textures through the UV map", 0),
-    ("attributes", "Attributes", "The material reads attributes at the mesh's vertices", 1),
-]
-BACKENDS = [
-    ("mesh", "Mesh", "Trace shadows and reflections between parts of the object on its mesh: fast", 0),
-    ("gaussian", "Gaussians", "Trace them through the fitted Gaussians: slower, but exactly as reconstructed", 1),
-]
-EYES = [
-    ("camera", "Camera", "Look through the scene's camera", 0),
-    ("view", "3D View", "Look from the same place as this 3D View", 1),
-]
 
 
 CHOSEN: list[Callable[[bpy.types.Scene], None]] = []  # called with the scene where the user chooses other photographs
@@ -89,17 +50,6 @@ def _is_mesh(settings: "IRGSPP_SceneSettings", thing: bpy.types.Object) -> bool:
     return thing.type == "MESH"
 
 
-TEXTURE_PLACES = (
-    ("auto", "Automatic", "Inside the file where its format can, otherwise beside it"),
-    ("packed", "Inside", "Inside the file"),
-    ("beside", "Beside", "In a folder beside the file, which is found when both are moved together"),
-)
-NORMAL_MAPS = (
-    ("opengl", "OpenGL", "Green is up, as in Blender, Unity and Godot"),
-    ("directx", "DirectX", "Green is down, as in Unreal Engine; .fbx and .obj only"),
-)
-
-
 class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     """Settings stored in the .blend as `scene.irgspp`; settings of the machine are in the preferences."""
 
@@ -113,7 +63,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     )
     saved_in: StringProperty(description="Folder of the .blend file when it was saved last", options={"HIDDEN"})
     inspected: StringProperty(description="Description of the dataset by the engine, as JSON", options={"HIDDEN"})
-    up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES, default="AS_IS")
+    up_axis: EnumProperty(**shared.UP_AXIS, default="AS_IS")
     scale: FloatProperty(
         name="Scale",
         description="Scale of imported objects in Blender, relative to the dataset's own units",
@@ -123,7 +73,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         soft_min=0.01,
         soft_max=100.0,
     )
-    recentre: BoolProperty(name="Recentre", description="Move the object's centre to Blender's origin", default=False)
+    recentre: BoolProperty(**shared.RECENTRE, default=False)
     with_photographs: BoolProperty(
         name="Photographs Behind Cameras", description="Each camera shows its photograph when you look through it", default=True
     )
@@ -138,12 +88,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         step=0.1,
         precision=4,
     )
-    capture_turntable: EnumProperty(
-        name="Turntable",
-        description="The object turns before a fixed camera",
-        items=TURNTABLE,
-        default="auto",
-    )
+    capture_turntable: EnumProperty(**shared.TURNED, default="auto")
 
     # Reconstruct
     run: StringProperty(
@@ -152,9 +97,9 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options=RELATIVE,
     )
-    preset: EnumProperty(name="Preset", description="Quality and duration of the reconstruction", items=PRESETS, default="balanced")
-    materials: EnumProperty(name="Material", description="Material class of the object", items=MATERIALS, default="auto")
-    device: EnumProperty(name="Device", description="Hardware that computes the reconstruction", items=DEVICES, default="auto")
+    preset: EnumProperty(**shared.PRESET)
+    materials: EnumProperty(**shared.MATERIAL, default="auto")
+    device: EnumProperty(**shared.DEVICE, default="auto")
     seed: IntProperty(
         name="Seed", description="Seed of all random numbers: the same seed on the same machine gives the same result", default=0, min=0
     )
@@ -165,12 +110,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     import_result: BoolProperty(name="Import When Done", description="Import the object into this scene when it is finished", default=True)
 
     # Result
-    source: EnumProperty(
-        name="Material Reads",
-        description="Source of the values in the object's material",
-        items=SOURCES,
-        default="textures",
-    )
+    source: EnumProperty(**shared.SOURCE, default="textures")
     pack: BoolProperty(
         name="Pack",
         description="Keep textures and light inside the .blend instead of linking to the run folder",
@@ -200,46 +140,23 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         poll=_is_mesh,
     )
 
-    export_lods: BoolProperty(
-        name="Levels of Detail", description="Add versions with a half and a quarter of the triangles, which share the textures"
-    )
-    export_collision: BoolProperty(
-        name="Collision Hulls", description="Add a few convex solids that game engines take as the collision shape (UCX_...)"
-    )
-    export_textures: EnumProperty(name="Textures", description="Place of the textures", items=TEXTURE_PLACES, default="auto")
-    export_normal_map: EnumProperty(
-        name="Normal Map", description="Direction of green in the normal map of .fbx and .obj", items=NORMAL_MAPS, default="opengl"
-    )
+    export_lods: BoolProperty(**shared.LODS)
+    export_collision: BoolProperty(**shared.COLLISION)
+    export_textures: EnumProperty(**shared.TEXTURES, default="auto")
+    export_normal_map: EnumProperty(**shared.NORMAL_MAP, default="opengl")
 
     # Relight
-    use_world: BoolProperty(
-        name="Light from World",
-        description="Light the object by this scene's World; otherwise by the recovered light",
-        default=True,
-    )
-    use_lamps: BoolProperty(
-        name="Lamps",
-        description="Sun, point, spot and area lamps of the scene light the object as well",
-        default=True,
-    )
+    use_world: BoolProperty(**shared.USE_WORLD)
+    use_lamps: BoolProperty(**shared.USE_LAMPS)
     ground_shadow: BoolProperty(
         name="Ground Shadow",
         description="The object casts its shadow on an invisible level ground at its foot: the shadow is in the image's alpha",
         default=False,
     )
-    relight_samples: IntProperty(
-        name="Samples",
-        description="Light samples per pixel of the finished image: more samples, less noise",
-        default=32,
-        min=1,
-        max=65536,
-        soft_max=512,
-    )
-    relight_denoise: BoolProperty(name="Denoise", description="Smooth the noise of few samples without blurring edges", default=True)
-    relight_backend: EnumProperty(
-        name="Trace", description="Geometry on which shadows and reflections are traced", items=BACKENDS, default="mesh"
-    )
-    relight_eye: EnumProperty(name="Seen From", description="Point of view of the image", items=EYES, default="view")
+    relight_samples: IntProperty(**shared.SAMPLES)
+    relight_denoise: BoolProperty(**shared.DENOISE)
+    relight_backend: EnumProperty(**shared.BACKEND, default="mesh")
+    relight_eye: EnumProperty(**shared.EYE, default="view")
     preview_resolution: IntProperty(
         name="Resolution", description="Longest side of the preview in pixels", default=256, min=16, max=4096, soft_min=64, soft_max=1024
     )

@@ -6,14 +6,13 @@
 import bpy
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
-from ..core.errors import IrgsppError
 from ..irgspp_addon.importer.run_frame import chosen_run
 from ..irgspp_addon.relight import animation
 from ..irgspp_addon.relight.session import session_of
-from .blocking import SKIP, refuse
+from .blocking import SKIP, StartedByButton, refusing
 
 
-class IRGSPP_OT_render_animation(bpy.types.Operator):
+class IRGSPP_OT_render_animation(StartedByButton, bpy.types.Operator):
     """Render the scene's frames, or one turn of the light, by IRGS++ to numbered files, while Blender stays usable."""
 
     bl_idname = "irgspp.render_animation"
@@ -36,27 +35,16 @@ class IRGSPP_OT_render_animation(bpy.types.Operator):
         name="Frames", description="Frames of a turn of the light; 0: as many as the scene has", default=0, min=0, max=100_000, options=SKIP
     )
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Start the animation without waiting for it.
-
-        Args:
-            context: of the button or menu.
-            event: ignored.
-        """
-        if bpy.app.background:
-            return self.execute(context)
-        try:
-            animation.start(self._animation(context))
-        except IrgsppError as error:
-            return refuse(self, error)
+    @refusing()
+    def start(self, context: bpy.types.Context) -> set[str]:
+        """Start the animation without waiting for it."""
+        animation.start(self._animation(context))
         return {"FINISHED"}
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Render the animation and return when it is finished."""
-        try:
-            animation.finish(self._animation(context))
-        except IrgsppError as error:
-            return refuse(self, error)
+        animation.finish(self._animation(context))
         return {"FINISHED"}
 
     def _animation(self, context: bpy.types.Context) -> animation.LightAnimation:
@@ -79,8 +67,8 @@ class IRGSPP_OT_stop_animation(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True while an animation is rendered."""
-        one = animation.animation()
-        if one is None or one.ended:
+        last = animation.animation()
+        if last is None or last.ended:
             cls.poll_message_set("No animation is rendered")
             return False
         return True

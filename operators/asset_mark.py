@@ -12,11 +12,12 @@ from bpy.props import StringProperty
 from ..core.errors import InputError, IrgsppError
 from ..core.scene.camera import Camera, look_at
 from ..core.scene.camera_files import load_run_cameras
-from ..irgspp_addon.importer.asset_mark import AssetDetails, mark_asset, missing_images, set_preview
+from ..irgspp_addon.importer.asset_mark import AssetDetails, details_of, mark_asset, missing_images, set_preview
 from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
 from ..irgspp_addon.relight.session import RelightRequest, session_of
-from .blocking import RUN, SKIP, refuse
-from .result import chosen_run
+from ..irgspp_addon.windows import redraw
+from .blocking import RUN, SKIP, refuse, refusing
+from .result import named_run
 
 PREVIEW = 256  # side of the preview image in pixels
 AWAY = 4.0  # distance of its camera in radii of the object
@@ -53,24 +54,40 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
         """
         if bpy.app.background:
             return self.execute(context)
+        try:
+            self.take_details(run_object(context.scene, named_run(context, self.run)))
+        except IrgsppError as error:
+            return refuse(self, error)
+        return context.window_manager.invoke_props_dialog(self, width=400, confirm_text=self.bl_label)
+
+    def take_details(self, thing: bpy.types.Object | None) -> None:
+        """Begin with the details of an object that is an asset already; without a saved file there is no catalogue."""
+        known = details_of(thing) if thing is not None else None
+        if known is not None:
+            self.author, self.licence, self.description = known.author, known.licence, known.description
+            self.tags, self.catalogue = ", ".join(known.tags), known.catalogue
         if not bpy.data.filepath:
             self.catalogue = ""
-        return context.window_manager.invoke_props_dialog(self, width=400)
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the details that the dialog asks for."""
+        self.layout.use_property_split, self.layout.use_property_decorate = True, False
+        for name in ("author", "licence", "description", "tags", "catalogue", "picture"):
+            self.layout.prop(self, name)
+
+    @refusing(RuntimeError)  # the latter is Blender's, for a file that is no image
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Mark the object."""
-        try:
-            run = chosen_run(context, self.run)
-            thing = run_object(context.scene, run)
-            if thing is None:
-                raise InputError(run.name, "its object is not in this scene", "import the run")
-            words = tuple(dict.fromkeys(word.strip() for word in self.tags.split(",") if word.strip()))
-            mark_asset(thing, AssetDetails(self.author, self.licence, self.description, words, self.catalogue.strip()))
-            if missing := missing_images(thing):
-                self.report({"WARNING"}, f"{', '.join(missing)}: not packed, and their files are missing: others will not find them")
-            self._preview(thing, run)
-        except (IrgsppError, RuntimeError) as error:  # the latter is Blender's, for a file that is no image
-            return refuse(self, error)
+        run = named_run(context, self.run)
+        thing = run_object(context.scene, run)
+        if thing is None:
+            raise InputError(run.name, "its object is not in this scene", "import the run")
+        words = tuple(dict.fromkeys(word.strip() for word in self.tags.split(",") if word.strip()))
+        mark_asset(thing, AssetDetails(self.author, self.licence, self.description, words, self.catalogue.strip()))
+        if missing := missing_images(thing):
+            self.report({"WARNING"}, f"{', '.join(missing)}: not packed, and their files are missing: others will not find them")
+        self._preview(thing, run)
+        redraw("VIEW_3D", "FILE_BROWSER")  # the panel, and Asset Browsers
         return {"FINISHED"}
 
     def _preview(self, thing: bpy.types.Object, run: Path) -> None:

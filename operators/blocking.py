@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts that operators share: keywords, error reports, and waiting for a job to end."""
+"""Parts that operators share: keywords, error reports, start by a button, and waiting for a job to end."""
 
 import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
 
 import bpy
 
+from ..core.errors import IrgsppError
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
 
@@ -43,6 +47,42 @@ class Queued:
         """
         self.wait = bpy.app.background
         return self.execute(context)  # type: ignore[attr-defined]
+
+
+class StartedByButton:
+    """Base of operators whose button starts work and returns at once, by `start`; in scripts, `execute` returns when it is finished."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start the work as a button does, except in background mode.
+
+        Args:
+            context: of the button or menu.
+            event: ignored.
+        """
+        return self.execute(context) if bpy.app.background else self.start(context)  # type: ignore[attr-defined]
+
+
+Run = Callable[[Any, bpy.types.Context], set[str]]  # an operator's `execute`
+
+
+def refusing(*others: type[Exception]) -> Callable[[Run], Run]:
+    """Return a decorator of an operator's `execute`: an IrgsppError is reported, and the operator is cancelled.
+
+    Args:
+        *others: other errors that are reported, such as RuntimeError, which Blender's own operators raise.
+    """
+
+    def decorate(execute: Run) -> Run:
+        @wraps(execute)
+        def reporting(self: Any, context: bpy.types.Context) -> set[str]:  # Blender counts the arguments
+            try:
+                return execute(self, context)
+            except (IrgsppError, *others) as error:
+                return refuse(self, error)
+
+        return reporting
+
+    return decorate
 
 
 def refuse(operator: bpy.types.Operator, error: Exception | str) -> set[str]:

@@ -8,14 +8,15 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
+from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.capture_file import FILE, CaptureSummary, read_capture
 from ..irgspp_addon.importer.dataset_import import checked
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import TURNTABLE, VIDEOS, beside, set_quietly
-from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
+from ..irgspp_addon.properties import VIDEOS, beside, set_quietly
+from .blocking import IMPORT, SKIP, WAIT, Queued, refusing, run_to_end
 from .file_dialog import FileDialog
 from .reconstruct import capture_words, set_words
 
@@ -44,24 +45,22 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
     marker: FloatProperty(
         name="Marker", description="Side of the black square of a printed marker, in metres; 0: no marker", min=0.0, options=SKIP
     )
-    turntable: EnumProperty(name="Turntable", description="The object turns before a fixed camera", items=TURNTABLE, options=SKIP)
+    turntable: EnumProperty(**shared.TURNED, options=SKIP)
     seed: IntProperty(name="Seed", description="Seed of all random numbers", min=0, options=SKIP)
     settings: StringProperty(name="Settings", description="Single settings, as capture.key=value separated by spaces", options=SKIP)
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
 
+    @refusing(RuntimeError)
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the capture as a job."""
         self._take_from_scene(context.scene)
-        try:
-            job = self._start(context.scene)
-            ended = run_to_end(self, job) if self.wait else {"FINISHED"}
-            if self.wait and ended == {"FINISHED"} and self.import_result:
-                _use(context.scene, job, wait=True)
-                self.report({"INFO"}, found(read_capture(job.folder)))
-            return ended
-        except (IrgsppError, RuntimeError) as error:
-            return refuse(self, error)
+        job = self._start(context.scene)
+        ended = run_to_end(self, job) if self.wait else {"FINISHED"}
+        if self.wait and ended == {"FINISHED"} and self.import_result:
+            _use(context.scene, job, wait=True)
+            self.report({"INFO"}, found(read_capture(job.folder)))
+        return ended
 
     def _take_from_scene(self, scene: bpy.types.Scene) -> None:
         """Take the options that the caller did not give from the panel."""
@@ -134,16 +133,14 @@ class IRGSPP_OT_choose_video(FileDialog, bpy.types.Operator):
     filter_movie: BoolProperty(default=True, options={"HIDDEN"})
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Choose the video."""
-        try:
-            video = checked(self.filepath)
-            if not video.is_file() or video.suffix.lower() not in VIDEOS:
-                raise InputError(video, "is not a video", f"choose one that ends with {', '.join(VIDEOS)}")
-            context.scene.irgspp.dataset = str(video)
-            return {"FINISHED"}
-        except IrgsppError as error:
-            return refuse(self, error)
+        video = checked(self.filepath)
+        if not video.is_file() or video.suffix.lower() not in VIDEOS:
+            raise InputError(video, "is not a video", f"choose one that ends with {', '.join(VIDEOS)}")
+        context.scene.irgspp.dataset = str(video)
+        return {"FINISHED"}
 
 
 CLASSES = (IRGSPP_OT_capture, IRGSPP_OT_choose_video)

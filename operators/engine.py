@@ -8,35 +8,25 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..core.errors import IrgsppError
 from ..irgspp_addon.engine import managed as managed_engine
 from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.engine.preferences import preferences
 from ..irgspp_addon.jobs import engine_check as engine_check
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.preferences_page import DEVICES
-from .blocking import SKIP, WAIT, Queued, refuse, run_to_end
+from .blocking import SKIP, WAIT, Queued, StartedByButton, refuse, refusing, run_to_end
 
 
-class IRGSPP_OT_check_engine(bpy.types.Operator):
+class IRGSPP_OT_check_engine(StartedByButton, bpy.types.Operator):
     """Start the engine and show its version and the devices it can compute on."""
 
     bl_idname = "irgspp.check_engine"
     bl_label = "Check Engine"
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Check the engine in the background, so that the window stays responsive.
-
-        Args:
-            context: of the button or menu.
-            event: ignored.
-        """
-        if bpy.app.background:
-            return self.execute(context)
-        try:
-            job = engine_check.check_in_background()
-        except IrgsppError as error:
-            return refuse(self, error)
+    @refusing()
+    def start(self, context: bpy.types.Context) -> set[str]:
+        """Check the engine in the background, so that the window stays responsive."""
+        job = engine_check.check_in_background()
         self.report({"INFO"} if job else {"WARNING"}, "Checking the engine" if job else engine.status().text)
         return {"FINISHED"}
 
@@ -64,6 +54,7 @@ class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
     )
     wait: BoolProperty(**WAIT)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the installation as a job."""
         chosen = preferences()
@@ -71,18 +62,15 @@ class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
         device = self.device if given("device") or chosen is None else chosen.install_device
         folder = self.wheels if given("wheels") or chosen is None else chosen.wheels_folder
         wheels = Path(bpy.path.abspath(folder)) if folder else None
-        try:
-            if any(job.kind == "install" and not job.finished for job in jobs.all_jobs()):
-                return refuse(self, "The engine is already being installed")
-            index = chosen.package_index if chosen is not None else ""
-            arguments = managed_engine.install_arguments(device, wheels, index, bpy.app.online_access)
-            place = managed_engine.folder()
-            job = jobs.start("install", "Install engine", place, arguments, program=str(managed_engine.INSTALLER))
-            if chosen is not None:
-                chosen.engine_kind = "MANAGED"
-            return run_to_end(self, job) if self.wait else {"FINISHED"}
-        except IrgsppError as error:
-            return refuse(self, error)
+        if any(job.kind == "install" and not job.finished for job in jobs.all_jobs()):
+            return refuse(self, "The engine is already being installed")
+        index = chosen.package_index if chosen is not None else ""
+        arguments = managed_engine.install_arguments(device, wheels, index, bpy.app.online_access)
+        place = managed_engine.folder()
+        job = jobs.start("install", "Install engine", place, arguments, program=str(managed_engine.INSTALLER))
+        if chosen is not None:
+            chosen.engine_kind = "MANAGED"
+        return run_to_end(self, job) if self.wait else {"FINISHED"}
 
 
 class IRGSPP_OT_remove_engine(bpy.types.Operator):
@@ -111,12 +99,10 @@ class IRGSPP_OT_remove_engine(bpy.types.Operator):
         """
         return context.window_manager.invoke_confirm(self, event)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Delete the engine's folder."""
-        try:
-            managed_engine.remove()
-        except IrgsppError as error:
-            return refuse(self, error)
+        managed_engine.remove()
         return {"FINISHED"}
 
 

@@ -17,7 +17,7 @@ from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import CHOSEN, set_quietly
-from .blocking import WAIT, Queued, refuse, run_to_end
+from .blocking import WAIT, Queued, refuse, refusing, run_to_end
 from .import_run import select
 from .placed_import import PlacedImport
 
@@ -36,19 +36,17 @@ class IRGSPP_OT_inspect_dataset(Queued, bpy.types.Operator):
     directory: StringProperty(name="Dataset", description="Folder of photographs with known cameras", subtype="DIR_PATH")
     wait: BoolProperty(**WAIT)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the inspection as a job."""
-        try:
-            dataset = checked(self.directory)
-            data = {**result_import.place_of(context.scene), "dataset": str(dataset)}
-            words = ["inspect", str(dataset), "--json"]
-            job = jobs.start("inspect", f"Inspect {dataset.name}", None, words, None if self.wait else "show_inspection", data)
-            ended = run_to_end(self, job) if self.wait else {"FINISHED"}
-            if self.wait and ended == {"FINISHED"}:
-                show_inspection(job)
-            return ended
-        except IrgsppError as error:
-            return refuse(self, error)
+        dataset = checked(self.directory)
+        data = {**result_import.place_of(context.scene), "dataset": str(dataset)}
+        words = ["inspect", str(dataset), "--json"]
+        job = jobs.start("inspect", f"Inspect {dataset.name}", None, words, None if self.wait else "show_inspection", data)
+        ended = run_to_end(self, job) if self.wait else {"FINISHED"}
+        if self.wait and ended == {"FINISHED"}:
+            show_inspection(job)
+        return ended
 
 
 def inspect_chosen(scene: bpy.types.Scene) -> Job | None:
@@ -114,22 +112,20 @@ class IRGSPP_OT_import_dataset(PlacedImport, bpy.types.Operator):
         self.wait = bpy.app.background
         return super().invoke(context, event)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import the dataset, after a job that reads it where it has changed."""
-        try:
-            dataset = checked(self.directory)
-            folder = export_folder(dataset)
-            if not self.was_read and not is_fresh(dataset, folder):
-                data = {**result_import.place_of(context.scene), "options": {name: getattr(self, name) for name in OPTIONS}}
-                on_done = None if self.wait else "import_dataset"
-                job = jobs.start("inspect", f"Import {dataset.name}", None, export_arguments(dataset, folder), on_done, data)
-                ended = run_to_end(self, job) if self.wait else None
-                if ended != {"FINISHED"}:
-                    return ended or {"FINISHED"}
-            self._build(context, dataset, folder)
-            return {"FINISHED"}
-        except IrgsppError as error:
-            return refuse(self, error)
+        dataset = checked(self.directory)
+        folder = export_folder(dataset)
+        if not self.was_read and not is_fresh(dataset, folder):
+            data = {**result_import.place_of(context.scene), "options": {name: getattr(self, name) for name in OPTIONS}}
+            on_done = None if self.wait else "import_dataset"
+            job = jobs.start("inspect", f"Import {dataset.name}", None, export_arguments(dataset, folder), on_done, data)
+            ended = run_to_end(self, job) if self.wait else None
+            if ended != {"FINISHED"}:
+                return ended or {"FINISHED"}
+        self._build(context, dataset, folder)
+        return {"FINISHED"}
 
     def _build(self, context: bpy.types.Context, dataset: Path, folder: Path) -> None:
         imported = build_dataset(dataset, folder, self.placement(), self.photographs, self.points, context.scene)

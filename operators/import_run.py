@@ -8,14 +8,14 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
+from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.arrangement import arrange
 from ..irgspp_addon.importer.moved_project import IDENTITY, adopt_moved_run, run_identity
 from ..irgspp_addon.importer.run_frame import run_object
 from ..irgspp_addon.importer.scene_builder import import_run, show_as_photographed
-from ..irgspp_addon.properties import SOURCES
 from ..irgspp_addon.windows import show_selected
-from .blocking import refuse
+from .blocking import refusing
 from .placed_import import PlacedImport
 
 
@@ -25,7 +25,7 @@ class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
     bl_idname = "irgspp.import_run"
     bl_label = "Import IRGS++ Run"
     directory: StringProperty(name="Run Folder", subtype="DIR_PATH", options={"SKIP_SAVE", "SKIP_PRESET"})
-    material: EnumProperty(name="Material Reads", description="Source of the values in the object's material", items=SOURCES)
+    material: EnumProperty(**shared.SOURCE)
     pack: BoolProperty(
         name="Pack Textures", description="Keep textures and light inside the .blend instead of linking to the run folder", default=True
     )
@@ -53,15 +53,9 @@ class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
             self.arrange = True
         return super().invoke(context, event)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Import the run."""
-        try:
-            self._import(context)
-            return {"FINISHED"}
-        except IrgsppError as error:
-            return refuse(self, error)
-
-    def _import(self, context: bpy.types.Context) -> None:
         if not self.directory:
             raise InputError("run", "none is chosen", "choose the folder of a finished run")
         chosen = any(self.properties.is_property_set(name) for name in ("up_axis", "scale", "recentre"))
@@ -77,6 +71,7 @@ class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
             show_selected(context.scene)
         if self.as_photographed:
             show_as_photographed(context.scene, imported)
+        return {"FINISHED"}
 
 
 def select(context: bpy.types.Context, thing: bpy.types.Object) -> None:

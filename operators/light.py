@@ -8,12 +8,12 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
 from ..irgspp_addon.importer.scene_builder import recovered_light
 from ..irgspp_addon.world.light_controls import SUFFIXES, use_hdri
-from .blocking import RUN, SKIP, refuse
+from .blocking import RUN, SKIP, refusing
 from .file_dialog import FileDialog
-from .result import chosen_run
+from .result import named_run
 
 
 class IRGSPP_OT_open_hdri(FileDialog, bpy.types.Operator):
@@ -26,15 +26,13 @@ class IRGSPP_OT_open_hdri(FileDialog, bpy.types.Operator):
     filepath: StringProperty(name="File", description="Lat-long image (.hdr or .exr)", subtype="FILE_PATH", options=SKIP)
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})
 
+    @refusing(RuntimeError)  # the latter is Blender's, for a file that is no image
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Light the scene."""
-        try:
-            if not self.filepath:
-                raise InputError("open_hdri", "no file is named", "give filepath=")
-            use_hdri(context.scene, Path(bpy.path.abspath(self.filepath)).absolute())
-            context.scene.irgspp.use_world = True
-        except (IrgsppError, RuntimeError) as error:  # the latter is Blender's, for a file that is no image
-            return refuse(self, error)
+        if not self.filepath:
+            raise InputError("open_hdri", "no file is named", "give filepath=")
+        use_hdri(context.scene, Path(bpy.path.abspath(self.filepath)).absolute())
+        context.scene.irgspp.use_world = True
         return {"FINISHED"}
 
 
@@ -47,16 +45,14 @@ class IRGSPP_OT_use_recovered_light(bpy.types.Operator):
 
     run: StringProperty(**RUN)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Light the scene."""
-        try:
-            run = chosen_run(context, self.run)
-            world = recovered_light(run)
-            if world is None:
-                raise InputError(run.name, "its recovered light is not in this file", "import the run")
-            context.scene.world, context.scene.irgspp.use_world = world, True
-        except IrgsppError as error:
-            return refuse(self, error)
+        run = named_run(context, self.run)
+        world = recovered_light(run)
+        if world is None:
+            raise InputError(run.name, "its recovered light is not in this file", "import the run")
+        context.scene.world, context.scene.irgspp.use_world = world, True
         return {"FINISHED"}
 
 

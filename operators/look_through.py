@@ -6,11 +6,12 @@
 import bpy
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
 from ..irgspp_addon.importer.arrangement import cameras_in, is_imported_camera, show_alone, show_cameras
 from ..irgspp_addon.importer.cameras import look_through
+from ..irgspp_addon.importer.photograph_comparison import fade, opacity
 from ..irgspp_addon.importer.scene_builder import run_of
-from .blocking import refuse
+from .blocking import refusing
 
 
 class IRGSPP_OT_look_through(bpy.types.Operator):
@@ -22,12 +23,10 @@ class IRGSPP_OT_look_through(bpy.types.Operator):
 
     camera: StringProperty(name="Camera", description="Name of an imported camera. Empty: the active object", options={"SKIP_SAVE"})
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Look through the camera."""
-        try:
-            _look(context, self._camera(context))
-        except IrgsppError as error:
-            return refuse(self, error)
+        _look(context, self._camera(context))
         return {"FINISHED"}
 
     def _camera(self, context: bpy.types.Context) -> bpy.types.Object:
@@ -84,9 +83,11 @@ def cameras_to_step(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def _look(context: bpy.types.Context, camera: bpy.types.Object) -> None:
-    """Look through a camera, also in the 3D View that the button is in."""
+    """Look through a camera, also in the 3D View that the button is in; its photograph fades over the object as the one before did."""
+    faded = opacity(context.scene)
     show_alone(context.scene, camera)
     look_through(context.scene, camera)
+    fade(context.scene, faded)
     space = context.space_data
     if space is not None and space.type == "VIEW_3D":
         space.region_3d.view_perspective = "CAMERA"

@@ -8,10 +8,10 @@ from pathlib import Path
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
 from ..irgspp_addon.importer.mask_image import open_mask, save_masks
 from ..irgspp_addon.windows import fit_image, in_area, open_image_editor
-from .blocking import SKIP, refuse
+from .blocking import SKIP, refuse, refusing
 
 BRUSH = "IRGS++ Mask"
 
@@ -25,15 +25,13 @@ class IRGSPP_OT_edit_mask(bpy.types.Operator):
 
     camera: StringProperty(name="Camera", description="Name of an imported camera. Empty: the active object", options=SKIP)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Open the mask; in background mode only its image is made."""
-        try:
-            camera = context.scene.objects.get(self.camera) if self.camera else context.object
-            if camera is None:
-                raise InputError(self.camera or "edit_mask", "is not a camera of a captured dataset", "select one, or give camera=")
-            image = open_mask(camera)
-        except IrgsppError as error:
-            return refuse(self, error)
+        camera = context.scene.objects.get(self.camera) if self.camera else context.object
+        if camera is None:
+            raise InputError(self.camera or "edit_mask", "is not a camera of a captured dataset", "select one, or give camera=")
+        image = open_mask(camera)
         if not bpy.app.background:
             area = open_image_editor(image)
             area.spaces.active.ui_mode = "PAINT"
@@ -69,6 +67,7 @@ class IRGSPP_OT_mask_brush(bpy.types.Operator):
             return False
         return True
 
+    @refusing(RuntimeError)  # such as that the list of assets is not complete yet
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Choose the brush, a brush of our own, so that the user's brushes stay as they are."""
         brush = bpy.data.brushes.get(BRUSH) or bpy.data.brushes.new(BRUSH, mode="TEXTURE_PAINT")
@@ -78,11 +77,8 @@ class IRGSPP_OT_mask_brush(bpy.types.Operator):
             return {"FINISHED"}
         if brush.asset_data is None:
             brush.asset_mark()  # from Blender 4.3 on, brushes are assets, and only those can be chosen
-        try:
-            with in_area(context.area):
-                bpy.ops.brush.asset_activate(asset_library_type="LOCAL", relative_asset_identifier=f"Brush/{BRUSH}")
-        except RuntimeError as error:  # such as that the list of assets is not complete yet
-            return refuse(self, error)
+        with in_area(context.area):
+            bpy.ops.brush.asset_activate(asset_library_type="LOCAL", relative_asset_identifier=f"Brush/{BRUSH}")
         return {"FINISHED"}
 
 
@@ -93,12 +89,10 @@ class IRGSPP_OT_save_masks(bpy.types.Operator):
     bl_label = "Save Masks"
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the masks."""
-        try:
-            written = save_masks()
-        except IrgsppError as error:
-            return refuse(self, error)
+        written = save_masks()
         self.report({"INFO"}, f"{len(written)} mask{'' if len(written) == 1 else 's'} saved")
         return {"FINISHED"}
 

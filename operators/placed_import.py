@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
+from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.placement import Placement
-from ..irgspp_addon.properties import UP_AXES
 
 
 class PlacedImport:
@@ -23,9 +23,9 @@ class PlacedImport:
         execute: Callable[[bpy.types.Context], set[str]]
 
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-    up_axis: EnumProperty(name="Up", description="Axis of the dataset that becomes Blender's Z", items=UP_AXES)
+    up_axis: EnumProperty(**shared.UP_AXIS)
     scale: FloatProperty(name="Scale", description="Size in Blender, relative to the dataset's own units", default=1.0, min=1e-6, max=1e6)
-    recentre: BoolProperty(name="Recentre", description="Move the object's centre to Blender's origin", default=False)
+    recentre: BoolProperty(**shared.RECENTRE)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the folder where none is given.

@@ -9,15 +9,16 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
+from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.mask_image import save_masks
 from ..irgspp_addon.importer.object_sphere import bound_settings
 from ..irgspp_addon.importer.photographs import find_bare_photographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import DEVICES, MATERIALS, PRESETS, beside
-from .blocking import IMPORT, SKIP, WAIT, Queued, refuse, run_to_end
+from ..irgspp_addon.properties import beside
+from .blocking import IMPORT, SKIP, WAIT, Queued, refusing, run_to_end
 
 
 class IRGSPP_OT_reconstruct(bpy.types.Operator):
@@ -39,11 +40,9 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         subtype="DIR_PATH",
         options=SKIP,
     )
-    preset: EnumProperty(
-        name="Preset", description="Quality and duration of the reconstruction", items=PRESETS, default="balanced", options=SKIP
-    )
-    materials: EnumProperty(name="Material", description="Material class of the object", items=MATERIALS, options=SKIP)
-    device: EnumProperty(name="Device", description="Hardware that computes the reconstruction", items=DEVICES, options=SKIP)
+    preset: EnumProperty(**shared.PRESET, options=SKIP)
+    materials: EnumProperty(**shared.MATERIAL, options=SKIP)
+    device: EnumProperty(**shared.DEVICE, options=SKIP)
     seed: IntProperty(name="Seed", description="Seed of all random numbers", min=0, options=SKIP)
     settings: StringProperty(name="Settings", description="Single settings, as key=value separated by spaces", options=SKIP)
     resume: BoolProperty(name="Resume", description="Continue the run in the folder, with its own settings", options=SKIP)
@@ -64,20 +63,18 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
             return context.window_manager.invoke_confirm(self, event, icon="WARNING", **words)
         return self.execute(context)
 
+    @refusing(RuntimeError)
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the reconstruction as a job."""
         self._take_from_scene(context.scene)
-        try:
-            job = self._start(context.scene)
-            if not self.wait:
-                self.report({"INFO"}, f"{job.title}: {job.state}")
-                return {"FINISHED"}
-            ended = run_to_end(self, job)
-            if ended == {"FINISHED"} and self.import_result:
-                return import_now(context.scene, job.folder)
-            return ended
-        except (IrgsppError, RuntimeError) as error:
-            return refuse(self, error)
+        job = self._start(context.scene)
+        if not self.wait:
+            self.report({"INFO"}, f"{job.title}: {job.state}")
+            return {"FINISHED"}
+        ended = run_to_end(self, job)
+        if ended == {"FINISHED"} and self.import_result:
+            return import_now(context.scene, job.folder)
+        return ended
 
     def _take_from_scene(self, scene: bpy.types.Scene) -> None:
         """Take the options that the caller did not give from the panel."""
@@ -127,23 +124,21 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
 
+    @refusing(RuntimeError)
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the reconstruction as a job."""
         panel = context.scene.irgspp
-        try:
-            run = Path(bpy.path.abspath(self.folder)).absolute() if self.folder else demo_folder()
-            words = ["demo", "-o", str(run), *set_words(self.settings)]
-            on_done = "import_result" if self.import_result and not self.wait else None
-            place = result_import.place_of(context.scene, panel.source, panel.pack)
-            job = jobs.start("demo", "Demonstration", run, words, on_done, place)
-            if not self.wait:
-                return {"FINISHED"}
-            ended = run_to_end(self, job)
-            if ended == {"FINISHED"} and self.import_result:
-                return import_now(context.scene, run)
-            return ended
-        except (IrgsppError, RuntimeError) as error:
-            return refuse(self, error)
+        run = Path(bpy.path.abspath(self.folder)).absolute() if self.folder else demo_folder()
+        words = ["demo", "-o", str(run), *set_words(self.settings)]
+        on_done = "import_result" if self.import_result and not self.wait else None
+        place = result_import.place_of(context.scene, panel.source, panel.pack)
+        job = jobs.start("demo", "Demonstration", run, words, on_done, place)
+        if not self.wait:
+            return {"FINISHED"}
+        ended = run_to_end(self, job)
+        if ended == {"FINISHED"} and self.import_result:
+            return import_now(context.scene, run)
+        return ended
 
 
 def capture_words(metres: float, turntable: str) -> list[str]:

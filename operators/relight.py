@@ -10,29 +10,24 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..core.errors import InputError, IrgsppError
+from ..core.errors import InputError
 from ..core.run_folder import read_run
 from ..core.scene.lamps import Lamp, lamp_records
+from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.run_frame import chosen_run, frame_of, run_object
 from ..irgspp_addon.jobs import queue as jobs
-from ..irgspp_addon.properties import BACKENDS, EYES
 from ..irgspp_addon.relight import preview
 from ..irgspp_addon.relight.left_out import seen_objects
+from ..irgspp_addon.relight.live_image import Follower
 from ..irgspp_addon.relight.session import session_of
 from ..irgspp_addon.world.scene_lamps import scene_lamps
 from ..irgspp_addon.world.world_light import save_light, world_light
-from .blocking import RUN, SKIP, WAIT, Queued, refuse, run_to_end
+from .blocking import RUN, SKIP, WAIT, Queued, StartedByButton, refusing, run_to_end
 
 MAP_ROWS = 256  # of an environment map
-USE_LAMPS = {
-    "name": "Lamps",
-    "description": "Sun, point, spot and area lamps of the scene light the object as well",
-    "default": True,
-    "options": SKIP,
-}
 
 
-class IRGSPP_OT_relight_preview(bpy.types.Operator):
+class IRGSPP_OT_relight_preview(StartedByButton, bpy.types.Operator):
     """Relight the object with this scene's World in the image "IRGS++ Relight", updated while you work; scripts get a finished image."""
 
     bl_idname = "irgspp.relight_preview"
@@ -40,50 +35,35 @@ class IRGSPP_OT_relight_preview(bpy.types.Operator):
     bl_options = {"REGISTER"}  # noqa: RUF012 (Blender wants a plain set)
 
     run: StringProperty(**RUN)
-    samples: IntProperty(name="Samples", description="Light samples per pixel", min=1, max=65536, default=32, options=SKIP)
-    denoise: BoolProperty(name="Denoise", description="Remove the noise of few samples", default=True, options=SKIP)
-    backend: EnumProperty(name="Trace", description="Geometry on which shadows and reflections are traced", items=BACKENDS, options=SKIP)
-    eye: EnumProperty(name="Seen From", description="Camera of the image", items=EYES, options=SKIP)
-    use_world: BoolProperty(
-        name="Light from World",
-        description="Light the object by this scene's World; otherwise by the recovered light",
-        default=True,
-        options=SKIP,
-    )
-    use_lamps: BoolProperty(**USE_LAMPS)
+    samples: IntProperty(**shared.SAMPLES, options=SKIP)
+    denoise: BoolProperty(**shared.DENOISE, options=SKIP)
+    backend: EnumProperty(**shared.BACKEND, options=SKIP)
+    eye: EnumProperty(**shared.EYE, options=SKIP)
+    use_world: BoolProperty(**shared.USE_WORLD, options=SKIP)
+    use_lamps: BoolProperty(**shared.USE_LAMPS, options=SKIP)
     resolution: IntProperty(
         name="Resolution", description="Longest side of the image, in pixels", min=16, max=16384, default=256, options=SKIP
     )
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Start the preview and show its image, without waiting for it.
-
-        Args:
-            context: of the button or menu.
-            event: ignored.
-        """
-        if bpy.app.background:
-            return self.execute(context)
-        try:
-            self._start(context)
-            preview.show_image()
-        except IrgsppError as error:
-            return refuse(self, error)
+    @refusing()
+    def start(self, context: bpy.types.Context) -> set[str]:
+        """Start the preview and show its image, without waiting for it."""
+        self._follow(context)
+        preview.show_image()
         return {"FINISHED"}
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Render the image and return when it is finished."""
+        follower = self._follow(context)
         try:
-            follower = self._start(context)
-            try:
-                follower.finish()
-            finally:
-                preview.stop_preview()
-        except IrgsppError as error:
-            return refuse(self, error)
+            follower.finish()
+        finally:
+            preview.stop_preview()
         return {"FINISHED"}
 
-    def _start(self, context: bpy.types.Context):
+    def _follow(self, context: bpy.types.Context) -> Follower:
+        """Start the preview of the run with the given keywords, and return its follower."""
         scene = context.scene
         run = _run(context, self.run)
         session_of(run)  # raises at once where the engine is missing
@@ -147,16 +127,14 @@ class IRGSPP_OT_world_to_map(bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the environment map."""
-        try:
-            if not self.filepath:
-                raise InputError("world_to_map", "no file is named", "give filepath=")
-            path = Path(bpy.path.abspath(self.filepath)).absolute()
-            save_light(world_light(context.scene.world, context.scene.frame_current), path, self.height)
-            self.report({"INFO"}, f"The World is saved as {path.name}")
-        except IrgsppError as error:
-            return refuse(self, error)
+        if not self.filepath:
+            raise InputError("world_to_map", "no file is named", "give filepath=")
+        path = Path(bpy.path.abspath(self.filepath)).absolute()
+        save_light(world_light(context.scene.world, context.scene.frame_current), path, self.height)
+        self.report({"INFO"}, f"The World is saved as {path.name}")
         return {"FINISHED"}
 
 
@@ -177,26 +155,19 @@ class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
         name="Output", description="Folder for the images. Empty: `relit` in the run folder", subtype="DIR_PATH", options=SKIP
     )
     samples: StringProperty(name="Samples", description="Light samples per pixel: hq, efficient or a number", default="hq", options=SKIP)
-    denoise: BoolProperty(name="Denoise", description="Remove the noise of few samples", default=True, options=SKIP)
-    backend: EnumProperty(name="Trace", description="Geometry on which shadows and reflections are traced", items=BACKENDS, options=SKIP)
-    use_world: BoolProperty(
-        name="Light from World",
-        description="Light the object by this scene's World; otherwise by the recovered light",
-        default=True,
-        options=SKIP,
-    )
-    use_lamps: BoolProperty(**USE_LAMPS)
+    denoise: BoolProperty(**shared.DENOISE, options=SKIP)
+    backend: EnumProperty(**shared.BACKEND, options=SKIP)
+    use_world: BoolProperty(**shared.USE_WORLD, options=SKIP)
+    use_lamps: BoolProperty(**shared.USE_LAMPS, options=SKIP)
     wait: BoolProperty(**WAIT)
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the rendering as a job."""
-        try:
-            run = _run(context, self.run)
-            output = Path(bpy.path.abspath(self.output)).absolute() if self.output else run / "relit"
-            job = jobs.start("render", f"Render {run.name}", output, self._arguments(context, run, output), data={"run": str(run)})
-            return run_to_end(self, job) if self.wait else {"FINISHED"}
-        except IrgsppError as error:
-            return refuse(self, error)
+        run = _run(context, self.run)
+        output = Path(bpy.path.abspath(self.output)).absolute() if self.output else run / "relit"
+        job = jobs.start("render", f"Render {run.name}", output, self._arguments(context, run, output), data={"run": str(run)})
+        return run_to_end(self, job) if self.wait else {"FINISHED"}
 
     def _arguments(self, context: bpy.types.Context, run: Path, output: Path) -> list[str]:
         words = ["render", str(run), "-o", str(output), "--samples", self.samples, "--backend", self.backend]

@@ -11,6 +11,7 @@ from mathutils import Matrix
 
 from ..core.assets.options import SUFFIXES
 from ..core.errors import InputError, IrgsppError
+from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.edited_mesh import save_edited
 from ..irgspp_addon.importer.materials import source_of
 from ..irgspp_addon.importer.ownership import Owner
@@ -18,8 +19,7 @@ from ..irgspp_addon.importer.scene_builder import run_of
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import NORMAL_MAPS, TEXTURE_PLACES
-from .blocking import IMPORT, RUN, SKIP, WAIT, Queued, refuse, run_to_end
+from .blocking import IMPORT, RUN, SKIP, WAIT, Queued, refuse, refusing, run_to_end
 
 ENDINGS = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
 
@@ -44,19 +44,17 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
 
+    @refusing(RuntimeError)
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the baking as a job."""
-        try:
-            run = chosen_run(context, self.run)
-            arguments, data = self._arguments(context, run), self._data(context, run)
-            on_done = "import_bake" if self.import_result and not self.wait else None
-            job = jobs.start("bake", f"Bake {run.name}", run, arguments, on_done, data)
-            ended = run_to_end(self, job) if self.wait else {"FINISHED"}
-            if self.wait and self.import_result and ended == {"FINISHED"}:
-                import_bake(job)
-            return ended
-        except (IrgsppError, RuntimeError) as error:
-            return refuse(self, error)
+        run = named_run(context, self.run)
+        arguments, data = self._arguments(context, run), self._data(context, run)
+        on_done = "import_bake" if self.import_result and not self.wait else None
+        job = jobs.start("bake", f"Bake {run.name}", run, arguments, on_done, data)
+        ended = run_to_end(self, job) if self.wait else {"FINISHED"}
+        if self.wait and self.import_result and ended == {"FINISHED"}:
+            import_bake(job)
+        return ended
 
     def _arguments(self, context: bpy.types.Context, run: Path) -> list[str]:
         words = ["bake", str(run)]
@@ -97,18 +95,10 @@ class IRGSPP_OT_export(bpy.types.Operator):
     run: StringProperty(**RUN)
     filepath: StringProperty(name="File", description=f"Ends with {ENDINGS}", subtype="FILE_PATH", options=SKIP)
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})
-    lods: BoolProperty(
-        name="Levels of Detail",
-        description="Add versions with a half and a quarter of the triangles, which share the textures",
-        options=SKIP,
-    )
-    collision: BoolProperty(
-        name="Collision Hulls", description="Add convex solids that game engines take as the collision shape (UCX_...)", options=SKIP
-    )
-    textures: EnumProperty(name="Textures", description="Place of the textures", items=TEXTURE_PLACES, default="auto", options=SKIP)
-    normal_map: EnumProperty(
-        name="Normal Map", description="Direction of green in the normal map of .fbx and .obj", items=NORMAL_MAPS, options=SKIP
-    )
+    lods: BoolProperty(**shared.LODS, options=SKIP)
+    collision: BoolProperty(**shared.COLLISION, options=SKIP)
+    textures: EnumProperty(**shared.TEXTURES, options=SKIP)
+    normal_map: EnumProperty(**shared.NORMAL_MAP, options=SKIP)
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
     wait: BoolProperty(**WAIT)
 
@@ -121,31 +111,29 @@ class IRGSPP_OT_export(bpy.types.Operator):
         """
         self.wait = bpy.app.background
         try:
-            run = chosen_run(context, self.run)
+            run = named_run(context, self.run)
         except IrgsppError as error:
             return refuse(self, error)
         self.run, self.filepath = str(run), self.filepath or str(run / f"{run.name}.glb")
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    @refusing()
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the export as a job."""
-        try:
-            run = chosen_run(context, self.run)
-            if not self.filepath:
-                raise InputError("filepath", "no file is named", f"name a file that ends with {ENDINGS}")
-            target = Path(bpy.path.abspath(self.filepath)).absolute()
-            words = ["export", str(run), "-o", str(target), "--material", context.scene.irgspp.source]
-            words += ["--lods"] if self.lods else []
-            words += ["--collision"] if self.collision else []
-            words += ["--textures", self.textures, "--normal-map", self.normal_map]
-            job = jobs.start("export", f"Export {target.name}", run, words, data={"file": str(target), "run": str(run)})
-            return run_to_end(self, job) if self.wait else {"FINISHED"}
-        except IrgsppError as error:
-            return refuse(self, error)
+        run = named_run(context, self.run)
+        if not self.filepath:
+            raise InputError("filepath", "no file is named", f"name a file that ends with {ENDINGS}")
+        target = Path(bpy.path.abspath(self.filepath)).absolute()
+        words = ["export", str(run), "-o", str(target), "--material", context.scene.irgspp.source]
+        words += ["--lods"] if self.lods else []
+        words += ["--collision"] if self.collision else []
+        words += ["--textures", self.textures, "--normal-map", self.normal_map]
+        job = jobs.start("export", f"Export {target.name}", run, words, data={"file": str(target), "run": str(run)})
+        return run_to_end(self, job) if self.wait else {"FINISHED"}
 
 
-def chosen_run(context: bpy.types.Context, path: str) -> Path:
+def named_run(context: bpy.types.Context, path: str) -> Path:
     """Return a run folder: the given one, else the active object's, else the panel's.
 
     Args:

@@ -22,7 +22,7 @@ from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
 
 THUMBNAIL = 3.2  # height of a photograph in rows of buttons
-SHOWN = ("format", "views", "pictures", "masks", "points")  # rows of an inspection that the panel shows
+SHOWN = ("format", "views", "images", "masks", "points")  # rows of an inspection that the panel shows
 
 
 class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):

@@ -102,7 +102,7 @@ def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     elif sphere is not None and is_changed(sphere):
         say(layout, context, f"What is inside the sphere {sphere.name} is reconstructed.", icon="SPHERE")
     elif sphere is not None:
-        say(layout, context, f"Move or scale the sphere {sphere.name} if it does not surround the object.", icon="SPHERE")
+        say(layout, context, f'Move or scale the sphere "{sphere.name}" if it does not surround the object.', icon="SPHERE")
 
 
 def current_job(run: Path | None) -> Job | None:

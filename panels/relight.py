@@ -12,13 +12,14 @@ from ..irgspp_addon.relight.animation import animation
 from ..irgspp_addon.relight.left_out import left_out
 from ..irgspp_addon.relight.live_image import follower_of
 from ..irgspp_addon.relight.render_engine import ENGINE
+from ..irgspp_addon.world.hdri_library import unreadable_folder
 from ..irgspp_addon.world.light_controls import UP, light_controls
 from .job_card import draw_last
 from .result import object_of_run, shown_run
 from .run_state import run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 
-THUMBNAIL = 4.0  # height of the chosen HDRI's thumbnail, rows of buttons
+THUMBNAIL = 6.0  # height of the chosen HDRI's thumbnail, rows of buttons
 OPTIONS = (
     "use_world",
     "use_lamps",
@@ -95,18 +96,20 @@ def draw_animation(layout: bpy.types.UILayout, context: bpy.types.Context) -> No
         layout: to draw into.
         context: of the panel.
     """
-    one = animation()
-    if one is not None and not one.ended:
-        layout.progress(factor=one.fraction, text=one.text)
+    last = animation()
+    if last is not None and not last.ended:
+        layout.progress(factor=last.fraction, text=last.text)
         button(layout, "irgspp.stop_animation", "Stop Animation", "X")
         return
     column = layout.column(align=True)
     button(column, "irgspp.render_animation", "Animation", "RENDER_ANIMATION")
     button(column, "irgspp.render_animation", "One Turn of the Light", "FILE_REFRESH", turn=True)
-    if one is not None and one.error:
+    if last is not None and last.folder is not None:
+        button(column, "wm.path_open", f"Show Frames in {last.folder.name}", "FILE_FOLDER", filepath=str(last.folder))
+    if last is not None and last.error:
         column = layout.column()
         column.alert = True
-        say(column, context, one.error, icon="ERROR")
+        say(column, context, last.error, icon="ERROR")
 
 
 def can_relight(context: bpy.types.Context) -> bool:
@@ -125,7 +128,9 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column = layout.column()
     column.enabled = lit
     column.template_ID(context.scene, "world", new="world.new")
-    layout.template_icon_view(context.window_manager, "irgspp_hdri", show_labels=True, scale=THUMBNAIL)
+    layout.template_icon_view(context.scene, "irgspp_hdri", show_labels=True, scale=THUMBNAIL)
+    if (folder := unreadable_folder()) is not None:
+        say(layout, context, f"The HDRI folder {folder} is not there; choose it again in the preferences.", icon="ERROR")
     row = layout.row(align=True)
     button(row, "irgspp.open_hdri", "Open HDRI", "FILE_IMAGE")
     light = recovered_light(shown_run(context))
@@ -138,7 +143,7 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if controls.rotation is not None:
         row = rows.row(align=True)
         row.prop(controls.rotation, "default_value", index=UP, text="Rotation")
-        button(row, "irgspp.rotate_light", "", "MOUSE_MOVE")
+        button(row, "irgspp.rotate_light", "", "CON_ROTLIKE")
     if controls.colour is not None:
         rows.prop(controls.colour, "default_value", text="Colour")
     if controls.strength is not None:

@@ -30,7 +30,7 @@ class IRGSPP_PT_render_sampling(RenderPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings that the sidebar's panel Relight has too."""
         column = settings_column(self.layout)
-        for name in ("relight_samples", "relight_denoise", "relight_backend", "use_world"):
+        for name in ("relight_samples", "relight_denoise", "relight_backend", "use_world", "use_lamps", "ground_shadow"):
             column.prop(context.scene.irgspp, name)
 
 

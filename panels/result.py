@@ -12,6 +12,7 @@ from ..core.assets.options import AssetOptions
 from ..irgspp_addon.importer.arrangement import cameras_shown, is_imported_camera
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.ownership import KEY, folder_of
+from ..irgspp_addon.importer.photograph_comparison import shown_photograph
 from ..irgspp_addon.importer.scene_builder import RUN, find_roots, run_of
 from ..irgspp_addon.jobs import queue as jobs
 from .job_card import draw_last
@@ -155,7 +156,7 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
 
 
 def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the switch that shows the cameras, and the buttons that look through them one after the other.
+    """Draw the buttons that look through the cameras one after the other, the photograph's slider, and the switch that shows the cameras.
 
     Args:
         layout: to draw into.
@@ -166,8 +167,11 @@ def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     row, shown = layout.row(align=True), cameras_shown(context.scene)
     button(row, "irgspp.step_photograph", "", "TRIA_LEFT", step=-1)
     through = context.scene.camera if is_imported_camera(context.scene.camera) else None
+    photograph = shown_photograph(context.scene)
     button(row, "irgspp.step_photograph", through.name if through else "Photographs", step=1)
     button(row, "irgspp.step_photograph", "", "TRIA_RIGHT", step=1)
+    if photograph is not None:
+        layout.prop(context.scene, "irgspp_photograph", text="Photograph", slider=True)
     button(layout, "irgspp.show_cameras", "Hide Cameras" if shown else "Show Cameras", "CAMERA_DATA", show=not shown)
 
 

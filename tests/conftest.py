@@ -64,12 +64,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     Of several processes each begins with its part of the list. The tests in Blender's process come in the middle: with the kernels' cache
     empty, the second process would else compile what the first is compiling. For the same reason those of them come last that run jobs of
-    the engine.
+    the engine, and after them those that share relighting workers, which stay until the last of them.
     """
     marks = {item: item.get_closest_marker("long") for item in items}
     items.sort(key=lambda item: 0 if (mark := marks[item]) is None else -mark.kwargs.get("seconds", 30))
     in_blender = [item for item in items if not WITHOUT_KERNELS.isdisjoint(item.path.parents)]
-    in_blender.sort(key=lambda item: not WITH_ENGINE.isdisjoint((item.path, *item.path.parents)))
+    in_blender.sort(key=lambda item: (not WITH_ENGINE.isdisjoint((item.path, *item.path.parents)), "warm" in item.fixturenames))
     others = [item for item in items if WITHOUT_KERNELS.isdisjoint(item.path.parents)]
     half = len(items) // 2
     items[:] = others[:half] + in_blender + others[half:]

@@ -23,7 +23,7 @@ SOURCES = [ROOT / "__init__.py", ROOT / "__main__.py", *(f for part in PARTS for
 TREES = {file.relative_to(ROOT).as_posix(): ast.parse(file.read_text("utf-8")) for file in SOURCES}
 
 # Files that run code that is not imported by name: our own files, next to the one that runs them.
-RUNS_OUR_FILES = {"irgspp_addon/engine/worker.py", "irgspp_addon/launch.py", "irgspp_addon/world/bake_child.py"}
+RUNS_OUR_FILES = {"irgspp_addon/engine/worker.py", "irgspp_addon/launch.py"}
 CODE = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "runpy.run_path", "runpy.run_module", "subprocess.getoutput"}
 UNPICKLERS = {
     f"{module}.{name}" for module in ("pickle", "marshal", "dill", "cloudpickle", "joblib") for name in ("load", "loads", "Unpickler")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..io.atomic import atomic_file
-from ..machine.blender_process import check_written, run_in_blender
 from ..progress.protocol import Progress, Silent
+from .blend_file import write_blend
 from .options import ASSETS, SUFFIXES, AssetOptions
 
 COPIES = {".ply": "gaussians.ply", ".exr": "environment.exr"}
@@ -58,28 +58,6 @@ def _export_object(run: Path, target: Path, material: str, options: AssetOptions
         export_blend(run, target, material, options, progress)
     else:
         export_asset(run, target, options, progress)
-
-
-def write_blend(run: Path, target: Path, material: str, progress: Progress) -> None:
-    """Write the run as a .blend file in a separate Blender process.
-
-    Args:
-        run: folder of the finished run.
-        target: .blend file to write.
-        material: what the material reads, "textures" or "attributes".
-        progress: asked whether to stop.
-
-    Raises:
-        InputError: when the run has no mesh, or the file can't be written.
-        Cancelled: when the user stops the work.
-        NoBlender: when no Blender is found.
-        IrgsppError: when Blender fails.
-    """
-    if not (run / "mesh.ply").is_file():
-        raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
-    arguments = [str(run.resolve()), str(target.resolve()), "--material", material]
-    status, last_line = run_in_blender("irgspp_addon.importer.write_blend", arguments, lambda: progress.cancelled)
-    check_written(status, last_line, target, target)
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -20,6 +20,7 @@ from ..progress.protocol import Progress
 from ..scene.mesh import Mesh
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.textures import load_textures
+from .blend_file import write_blend
 from .collision import collision_hulls
 from .mesh_files import save_asset_glb
 from .options import AssetOptions
@@ -75,21 +76,17 @@ def export_blend(run: Path, target: Path, material: str, options: AssetOptions, 
         NoBlender: when no Blender is found.
         IrgsppError: when Blender fails.
     """
-    if not (run / "mesh.ply").is_file():
-        raise InputError(run / "mesh.ply", "is missing", "finish the reconstruction first")
     packed = options.packs(".blend")
     with tempfile.TemporaryDirectory() as scratch, staged(target) as staging:
-        words = [str(run.resolve()), str(staging / target.name), "--material", material]
         job = asset_job(run, run.resolve().name, options, Path(scratch), progress)
         (Path(scratch) / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        words += ["--parts", str(Path(scratch) / "job.json"), "--final", str(target.resolve())]
+        additions = ["--parts", str(Path(scratch) / "job.json")]
         if not packed:
             folder = staging / f"{target.stem}_textures"
             save_texture_set(run, folder)
-            words += ["--textures", str(folder)]
+            additions += ["--textures", str(folder)]
         progress.phase("write", 0)
-        status, line = run_in_blender("irgspp_addon.importer.write_blend", words, lambda: progress.cancelled)
-        check_written(status, line, target, staging / target.name)
+        write_blend(run, staging / target.name, material, progress, additions, target)
 
 
 def asset_job(run: Path, name: str, options: AssetOptions, scratch: Path, progress: Progress) -> dict:

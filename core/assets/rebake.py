@@ -21,6 +21,7 @@ from ..rendering.gbuffer_cache import GBufferCache
 from ..run_folder import RunFolder, read_run
 from ..scene.camera_files import load_run_cameras
 from ..scene.edited_mesh import EditedMesh, load_edited_mesh
+from ..scene.gbuffer import SurfaceSamples
 from ..scene.mesh import Mesh
 from ..scene.mesh_ply import load_mesh_ply, save_mesh_ply
 from ..scene.reconstruction import Reconstruction
@@ -32,7 +33,7 @@ from ..surface.extraction import extract_geometry
 from ..surface.meshing import Triangles, vertex_normals
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
-from .export import write_blend
+from .blend_file import write_blend
 from .mesh_files import save_asset_glb
 
 PARTIAL = "bake.part"  # folder in the run folder that is completed before any file of the run is replaced
@@ -117,17 +118,22 @@ def _mesh(
         surface = extract_geometry(views, samples, reconstruction.bound, settings, progress, masks)
         return textured_mesh(surface, views, samples, settings, progress), reconstruction
     voxel = make_grid(views, samples, reconstruction.bound, settings.voxels).voxel
-    if given is None:
-        mesh = load_mesh_ply(run / "mesh.ply")
-        progress.phase("bake", len(views))
-        textures = baked_textures(mesh, views, samples, voxel, settings, stoppable(progress))
-        return dataclasses.replace(mesh, textures=textures), reconstruction
+    if given is not None:
+        return _edited_mesh(given, views, samples, voxel, settings, progress), reconstruction
+    mesh = load_mesh_ply(run / "mesh.ply")
+    progress.phase("bake", len(views))
+    textures = baked_textures(mesh, views, samples, voxel, settings, stoppable(progress))
+    return dataclasses.replace(mesh, textures=textures), reconstruction
+
+
+def _edited_mesh(
+    given: EditedMesh, views: GBufferCache, samples: SurfaceSamples, voxel: float, settings: SurfaceSettings, progress: Progress
+) -> Mesh:
+    """Return an edited mesh with the run's materials; one without UVs is unwrapped."""
     normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
     if given.uvs is None:
-        surface = Surface(given.vertices, normals, given.faces, voxel)
-        return textured_mesh(surface, views, samples, settings, progress), reconstruction
-    arrays = given.vertices, normals, given.uvs, given.faces
-    return mesh_with_materials(*arrays, views, samples, voxel, settings, progress), reconstruction
+        return textured_mesh(Surface(given.vertices, normals, given.faces, voxel), views, samples, settings, progress)
+    return mesh_with_materials(given.vertices, normals, given.uvs, given.faces, views, samples, voxel, settings, progress)
 
 
 def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:

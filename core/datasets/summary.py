@@ -57,7 +57,7 @@ def _rows(dataset: Dataset) -> list[tuple[str, str]]:
         ("format", dataset.format),
         ("views", f"{len(dataset.train)} training, {len(dataset.test)} test"),
         *([("relit", _novel(dataset))] if dataset.novel else []),
-        ("pictures", _sizes([*dataset.train, *dataset.test])),
+        ("images", _sizes([*dataset.train, *dataset.test])),
         *(("camera" if i == 0 else "", line) for i, line in enumerate(_shortened(dataset.lenses))),
         ("used as", _pinholes(dataset.train)),
         ("distance", _distances(dataset)),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -74,12 +75,6 @@ def geometry_of(mesh: Mesh) -> Geometry:
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(cross, axis=-1) / 2
     edges = topology.edges_of(faces)
-    holes, borders = _holes(points, edges, diameter)
-    component = topology.face_components(faces, edges)
-    areas = np.bincount(component, area)
-    volume = np.bincount(component, ((corner[:, 0] - points.mean(0)) * cross).sum(-1) / 6)
-    closed = np.ones(len(areas), bool)
-    closed[component[np.nonzero(edges.border[edges.of_side])[0] // 3]] = False
     return Geometry(
         vertices=len(points),
         faces=len(faces),
@@ -87,29 +82,53 @@ def geometry_of(mesh: Mesh) -> Geometry:
         area=float(area.sum()),
         non_manifold_edges=int(edges.non_manifold.sum()),
         non_manifold_vertices=len(topology.non_manifold_vertices(faces, edges)),
-        border_edges=int(edges.border.sum()),
-        holes=holes,
-        borders=borders,
-        component_areas=[float(x) for x in np.sort(areas)[::-1] / max(area.sum(), 1e-300)],
-        floaters=int((areas < FLOATER * areas.max()).sum()),
         flipped=int(topology.flipped_faces(faces, edges, area).sum()),
-        inside_out=int((closed & (volume < 0)).sum()),
         folded=int(((mesh.normals[mesh.faces] * unit(cross)[:, None]).sum(-1) < 0).all(-1).sum()),
         flat=int((2 * area <= FLAT * _longest(corner) ** 2).sum()),
         repeated_faces=len(faces) - len(np.unique(np.sort(faces, -1), axis=0)),
         near_vertices=_near(points, NEAR * diameter),
-        doubled_vertices=len(mesh.vertices) - len(np.unique(np.c_[mesh.vertices, mesh.normals, mesh.uvs], axis=0)),
-        unused_vertices=len(mesh.vertices) - len(np.unique(mesh.faces)),
+        **_borders(points, edges, diameter),
+        **_components(faces, edges, area, ((corner[:, 0] - points.mean(0)) * cross).sum(-1) / 6),
+        **_redundant_vertices(mesh),
     )
 
 
-def _holes(points: np.ndarray, edges: topology.Edges, diameter: float) -> tuple[int, int]:
-    """Return the number of short and of long loops of border edges."""
+def _borders(points: np.ndarray, edges: topology.Edges, diameter: float) -> dict[str, Any]:
+    """Return the counts of border edges, and of short and long loops of them."""
     loop, count = topology.border_loops(edges)
     ends = points[edges.vertices[edges.border]]
     length = np.bincount(loop, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1), count)
     short = int((length < SMALL_HOLE * diameter).sum())
-    return short, count - short
+    return {"border_edges": int(edges.border.sum()), "holes": short, "borders": count - short}
+
+
+def _components(faces: np.ndarray, edges: topology.Edges, area: np.ndarray, volume: np.ndarray) -> dict[str, Any]:
+    """Return the areas of the components, and the counts of floaters and of closed components that are inside out.
+
+    Args:
+        faces: (F, 3).
+        edges: of the faces.
+        area: of each face (F,).
+        volume: signed volume of each face's tetrahedron with a fixed point (F,).
+    """
+    component = topology.face_components(faces, edges)
+    areas = np.bincount(component, area)
+    closed = np.ones(len(areas), bool)
+    closed[component[np.nonzero(edges.border[edges.of_side])[0] // 3]] = False
+    return {
+        "component_areas": [float(x) for x in np.sort(areas)[::-1] / max(area.sum(), 1e-300)],
+        "floaters": int((areas < FLOATER * areas.max()).sum()),
+        "inside_out": int((closed & (np.bincount(component, volume) < 0)).sum()),
+    }
+
+
+def _redundant_vertices(mesh: Mesh) -> dict[str, Any]:
+    """Return the counts of vertices that equal another one in position, normal and UV, and of vertices without a face."""
+    different = len(np.unique(np.c_[mesh.vertices, mesh.normals, mesh.uvs], axis=0))
+    return {
+        "doubled_vertices": len(mesh.vertices) - different,
+        "unused_vertices": len(mesh.vertices) - len(np.unique(mesh.faces)),
+    }
 
 
 def _longest(corner: np.ndarray) -> np.ndarray:

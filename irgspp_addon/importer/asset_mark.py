@@ -65,6 +65,24 @@ def mark_asset(thing: bpy.types.Object, details: AssetDetails) -> None:
         asset.catalog_id = catalogue
 
 
+def details_of(thing: bpy.types.Object) -> AssetDetails | None:
+    """Return the details of an object that is an asset; None for others.
+
+    Raises:
+        InputError: if the library's file of catalogues can't be read.
+    """
+    asset = thing.asset_data
+    if asset is None:
+        return None
+    file = library_folder() / CATALOGUES if bpy.data.filepath else None
+    try:
+        entries = _entries(file.read_text("utf-8")) if file is not None and file.is_file() else ()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(file, f"can't be read ({error})", "repair or remove it") from error
+    catalogue = next((path for path, identifier in entries if identifier == asset.catalog_id), "")
+    return AssetDetails(asset.author, asset.license, asset.description, tuple(tag.name for tag in asset.tags), catalogue)
+
+
 def catalogue_of(path: str) -> str:
     """Return the identifier of a catalogue of the present file's library, which is added to the library's file if it is new.
 

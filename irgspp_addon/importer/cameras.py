@@ -14,6 +14,8 @@ from ...core.scene.camera import Camera
 from ...core.scene.camera_files import PlacedCamera
 from .ownership import Owner, link, put
 
+BEHIND = 0.5  # opacity of a photograph behind the scene
+
 
 def place_cameras(
     owner: Owner, records: Sequence[PlacedCamera], root: bpy.types.Object, parent: bpy.types.Collection, photographs: bool = True
@@ -130,5 +132,5 @@ def set_background(lens: bpy.types.Camera, image: Path) -> None:
     """
     background = lens.background_images.new()
     background.image = bpy.data.images.load(str(image.resolve()), check_existing=True)
-    background.alpha, background.display_depth, background.frame_method = 0.5, "BACK", "STRETCH"
+    background.alpha, background.display_depth, background.frame_method = BEHIND, "BACK", "STRETCH"
     lens.show_background_images = True

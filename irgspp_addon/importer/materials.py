@@ -9,8 +9,8 @@ import bpy
 from bpy.props import EnumProperty
 
 from ...core.errors import InputError
-from ..properties import SOURCES as SOURCE_ITEMS
-from ..world.light_to_world import node_tree
+from ..shared_properties import SOURCE
+from ..world.shader_nodes import node_tree
 
 TEXTURES = ("albedo", "roughness", "metallic", "normal")
 SOURCES = ("textures", "attributes")
@@ -137,9 +137,7 @@ def _set_source(material: bpy.types.Material, value: int) -> None:
 
 def register() -> None:
     """Add the property `material.irgspp_source`, which stores nothing: it reads and changes the links between nodes."""
-    bpy.types.Material.irgspp_source = EnumProperty(
-        name="Material Reads", description="Source of the material's values", items=SOURCE_ITEMS, get=_get_source, set=_set_source
-    )
+    bpy.types.Material.irgspp_source = EnumProperty(**SOURCE, get=_get_source, set=_set_source)
 
 
 def unregister() -> None:

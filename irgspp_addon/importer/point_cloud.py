@@ -8,7 +8,7 @@ from itertools import pairwise
 import bpy
 import numpy as np
 
-from ..world.light_to_world import node_tree
+from ..world.shader_nodes import node_tree
 from .ownership import Owner, put
 
 COLOUR = "colour"  # the attribute's name

@@ -19,7 +19,9 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError, IrgsppError
-from ..world.light_to_world import load_image, node_tree
+from ..exit_status import exit_status
+from ..world.light_to_world import load_image
+from ..world.shader_nodes import node_tree
 from .asset_parts import add_hulls, add_levels
 from .materials import TEXTURES
 from .scene_builder import textured_mesh
@@ -138,12 +140,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("job", type=Path)
     parser.add_argument("targets", type=Path, nargs="+")
     args = parser.parse_args(argv)
-    try:
-        write_asset(json.loads(args.job.read_text(encoding="utf-8")), args.targets)
-    except IrgsppError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
-    return 0
+    return exit_status(lambda: write_asset(json.loads(args.job.read_text(encoding="utf-8")), args.targets))
 
 
 if __name__ == "__main__":

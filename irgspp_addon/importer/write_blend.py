@@ -14,15 +14,15 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.errors import IrgsppError
 from ...core.io.atomic import atomic_file
+from ..exit_status import exit_status
 from .asset_parts import add_hulls, add_levels
 from .scene_builder import SOURCES, import_run, show_as_photographed
 
 
 @dataclass(frozen=True)
 class Extras:
-    """What a .blend gets beside the run's scene.
+    """Additions to the run's scene in a .blend, and its place.
 
     Attributes:
         parts: job of levels of detail and collision hulls, as `core.assets.production.asset_job` returns it; None without them.
@@ -101,12 +101,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--final", type=Path, metavar="FILE", help="place that the .blend will be moved to")
     args = parser.parse_args(argv)
     parts = json.loads(args.parts.read_text(encoding="utf-8")) if args.parts else None
-    try:
-        write_blend(args.run, args.target, args.material, not args.no_pack, Extras(parts, args.textures, args.final))
-    except IrgsppError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
-    return 0
+    extras = Extras(parts, args.textures, args.final)
+    return exit_status(lambda: write_blend(args.run, args.target, args.material, not args.no_pack, extras))
 
 
 if __name__ == "__main__":

@@ -51,6 +51,7 @@ class LightAnimation:
         self._frames, self._back = list(frames), scene.frame_current
         self._session: Session | None = None
         self.finished, self.share, self.error, self.ended = 0, 0.0, "", False
+        self.folder: Path | None = None  # of the latest file
 
     @property
     def fraction(self) -> float:
@@ -113,7 +114,9 @@ class LightAnimation:
             return
         self.share = answer.fraction
         if answer.done and answer.image is not None:
-            _save(scene, answer.image, _path(scene, self._output, self._frames[self.finished]))
+            path = _path(scene, self._output, self._frames[self.finished])
+            _save(scene, answer.image, path)
+            self.folder = path.parent
             self._session = None
             self._next()
 
@@ -157,10 +160,10 @@ def animation() -> LightAnimation | None:
     return _running[0] if _running else None
 
 
-def start(one: LightAnimation) -> None:
+def start(rendering: LightAnimation) -> None:
     """Render an animation in the background of Blender, in place of an earlier one."""
     stop()
-    _running[:] = [one]
+    _running[:] = [rendering]
     if not bpy.app.timers.is_registered(_pulse):
         bpy.app.timers.register(_pulse)
 
@@ -171,36 +174,37 @@ def stop() -> None:
         _running[0].close()
 
 
-def finish(one: LightAnimation) -> None:
+def finish(rendering: LightAnimation) -> None:
     """Render an animation and wait for its end.
 
     Raises:
         IrgsppError: if it fails.
     """
-    while not one.ended:
-        one.tick()
+    while not rendering.ended:
+        rendering.tick()
         time.sleep(BEAT / 5)
-    if one.error:
-        raise IrgsppError(one.error)
+    if rendering.error:
+        raise IrgsppError(rendering.error)
 
 
 def _pulse() -> float | None:
-    one = animation()
-    if one is None or one.ended:
+    rendering = animation()
+    if rendering is None or rendering.ended:
         return None
-    one.tick()
+    rendering.tick()
     redraw("VIEW_3D")
-    return None if one.ended else BEAT
+    return None if rendering.ended else BEAT
 
 
 @persistent
-def _loaded(*_: Any) -> None:
-    _running.clear()  # its scene is gone with the file
+def _before_load(*_: Any) -> None:
+    stop()
+    _running.clear()  # its scene goes with the file
 
 
 def register() -> None:
     """Forget an animation where another file is opened."""
-    bpy.app.handlers.load_pre.append(_loaded)
+    bpy.app.handlers.load_pre.append(_before_load)
 
 
 def unregister() -> None:
@@ -209,4 +213,4 @@ def unregister() -> None:
     _running.clear()
     if bpy.app.timers.is_registered(_pulse):
         bpy.app.timers.unregister(_pulse)
-    bpy.app.handlers.load_pre.remove(_loaded)
+    bpy.app.handlers.load_pre.remove(_before_load)

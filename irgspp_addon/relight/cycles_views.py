@@ -19,9 +19,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ...core.errors import IrgsppError
 from ...core.machine.thread_pool import thread_count
 from ...core.scene.camera import Camera
+from ..exit_status import exit_status
 from ..importer.cameras import look_through, set_camera
 from ..importer.scene_builder import import_run
 from ..world.light_to_world import world_from_map
@@ -71,13 +71,13 @@ def _render_image(scene: bpy.types.Scene, samples: int, denoise: bool, target: P
 def main(argv: list[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     request, answer = sys.argv[1:] if argv is None else argv
-    try:
-        seconds = render(json.loads(Path(request).read_text(encoding="utf-8")))
-    except IrgsppError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
-    Path(answer).write_text(json.dumps(seconds), encoding="utf-8")
-    return 0
+    return exit_status(lambda: _answer(Path(request), Path(answer)))
+
+
+def _answer(request: Path, answer: Path) -> None:
+    """Render the images that a file asks for, and write their seconds into another one."""
+    seconds = render(json.loads(request.read_text(encoding="utf-8")))
+    answer.write_text(json.dumps(seconds), encoding="utf-8")
 
 
 if __name__ == "__main__":

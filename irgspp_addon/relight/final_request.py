@@ -43,8 +43,8 @@ def final_request(depsgraph: bpy.types.Depsgraph, size: tuple[int, int], turn: f
     settings = settings_of(scene)
     use_world, use_lamps = settings.pop("use_world"), settings.pop("use_lamps")
     around = _rotation(turn)
-    world = _evaluated(scene.world, depsgraph) if use_world else _recovered(run) if turn else None
-    light = None if world is None and not use_world else world_light(world, scene.frame_current).turned(around[:3, :3].T @ frame.rotation)
+    world = _world(depsgraph, run, use_world, bool(turn))
+    light = world_light(world, scene.frame_current).turned(around[:3, :3].T @ frame.rotation) if use_world or turn else None
     backdrop = use_world and not scene.render.film_transparent
     things = seen_objects(scene, scene.view_layers[depsgraph.view_layer.name], final=True)
     centre = _translation(frame.centre)
@@ -54,9 +54,19 @@ def final_request(depsgraph: bpy.types.Depsgraph, size: tuple[int, int], turn: f
     return RelightRequest(camera, light, lamps, albedo_scale=albedo_scale(thing), backdrop=backdrop, ground=ground, **settings), run
 
 
-def _evaluated(world: bpy.types.World | None, depsgraph: bpy.types.Depsgraph) -> bpy.types.World | None:
-    """Return a World with its animated values: the World of an evaluated scene is the original one."""
-    return world.evaluated_get(depsgraph) if world is not None else None
+def _world(depsgraph: bpy.types.Depsgraph, run: Path, use_world: bool, turned: bool) -> bpy.types.World | None:
+    """Return the World that lights the object; None without one.
+
+    Args:
+        depsgraph: evaluated dependency graph.
+        run: run folder.
+        use_world: True for the scene's World, False for the recovered light.
+        turned: True where the light is rotated; the engine itself has the recovered light as it was photographed.
+    """
+    if not use_world:
+        return _recovered(run) if turned else None
+    world = depsgraph.scene.original.world
+    return world.evaluated_get(depsgraph) if world is not None else None  # with animated values, which an evaluated scene's World lacks
 
 
 def _rotation(angle: float) -> np.ndarray:

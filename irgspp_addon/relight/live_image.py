@@ -128,22 +128,33 @@ class Follower:
             self.ended = self.run is not None
             raise InputError(run.name, "its object was deleted from the scene, so there is nothing to relight", "import the run again")
         self._session = session_of(run)
+        size = self._size(scene)
+        request = self._request(scene, thing, size)
+        if request is None:
+            self.message = "Rendering the World"
+        elif request.key() != self._requested:
+            self._session.send(self.channel, request)
+            self._requested, self._requested_size, self.done, self.share = request.key(), size, False, 0.0
+
+    def _request(self, scene: bpy.types.Scene, thing: bpy.types.Object | None, size: tuple[int, int]) -> RelightRequest | None:
+        """Return the request for the scene as it is now; None while its World is rendered for the first time.
+
+        Args:
+            scene: the scene.
+            thing: object of the run; None for a run that was not imported.
+            size: width and height of the image in pixels.
+        """
         settings = self._settings(scene)
         use_world, use_lamps = settings.pop("use_world"), settings.pop("use_lamps")
         light = self._world.light(scene) if use_world else None
         if use_world and light is None:
-            self.message = "Rendering the World"
-            return
+            return None
         frame = frame_of(thing)
-        width, height = self._size(scene)
-        camera = frame.camera(self._camera(scene, frame, width, height))
+        camera = frame.camera(self._camera(scene, frame, *size))
         lamps, ground = self._surroundings(scene, thing)
         settings["lamps"], settings["ground"] = frame.lamps(lamps) if use_lamps else (), ground_plane(ground, frame)
         turned = light.turned(frame.rotation) if light else None
-        request = RelightRequest(camera, turned, albedo_scale=albedo_scale(thing), **settings)
-        if request.key() != self._requested:
-            self._session.send(self.channel, request)
-            self._requested, self._requested_size, self.done, self.share = request.key(), (width, height), False, 0.0
+        return RelightRequest(camera, turned, albedo_scale=albedo_scale(thing), **settings)
 
     def _surroundings(self, scene: bpy.types.Scene, thing: bpy.types.Object | None) -> tuple[tuple[Lamp, ...], float | None]:
         """Return the scene's lamps and the height of its ground, which are read again when something has changed."""

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render the World of a .blend as an environment map, in a separate Blender that does not disturb the user's.
 
-blender --background --factory-startup --python bake_child.py -- WORLD.blend MAP.npy ROWS FRAME    or    python bake_child.py -- ...
+`launch.py irgspp_addon.world.bake_child WORLD.blend MAP.npy ROWS FRAME`
 """
 
-import importlib.util
 import os
 import sys
 import tempfile
@@ -13,14 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-
-def _world_module():
-    """Load `light_to_world.py` next to this file without the package; it needs nothing but Blender."""
-    spec = importlib.util.spec_from_file_location("irgspp_world", Path(__file__).with_name("light_to_world.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from .light_to_world import bake_world
 
 
 def bake(blend: str, target: str, rows: int, frame: int) -> None:
@@ -40,7 +32,7 @@ def bake(blend: str, target: str, rows: int, frame: int) -> None:
     bpy.context.scene.frame_set(frame)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "world.exr"
-        _world_module().bake_world(bpy.context.scene, file, rows)
+        bake_world(bpy.context.scene, file, rows)
         image = bpy.data.images.load(str(file))
         pixels = np.empty(rows * 2 * rows * image.channels, np.float32)
         image.pixels.foreach_get(pixels)
@@ -52,5 +44,4 @@ def bake(blend: str, target: str, rows: int, frame: int) -> None:
 
 
 if __name__ == "__main__":
-    arguments = sys.argv[sys.argv.index("--") + 1 :]
-    bake(arguments[0], arguments[1], int(arguments[2]), int(arguments[3]))
+    bake(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))

@@ -10,6 +10,7 @@ import bpy
 
 from ...core.errors import InputError
 from .light_to_world import world_from_map
+from .shader_nodes import uses_nodes
 
 HDRI = "irgspp_hdri"  # custom property of a World that `use_hdri` has made
 SUFFIXES = (".hdr", ".exr", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")  # of images that Blender reads as environment
@@ -35,8 +36,8 @@ class LightControls:
 
 def light_controls(world: bpy.types.World | None) -> LightControls:
     """Return the controls of a World with one Background node; none of them for other Worlds."""
-    tree = world.node_tree if world is not None else None
-    backgrounds = [node for node in tree.nodes if node.bl_idname == "ShaderNodeBackground"] if tree is not None else []
+    nodes = world.node_tree.nodes if world is not None and uses_nodes(world) else ()
+    backgrounds = [node for node in nodes if node.bl_idname == "ShaderNodeBackground"]
     if len(backgrounds) != 1:
         return LightControls()
     colour, strength = backgrounds[0].inputs["Color"], backgrounds[0].inputs["Strength"]

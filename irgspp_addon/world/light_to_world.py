@@ -7,6 +7,8 @@ from pathlib import Path
 
 import bpy
 
+from .shader_nodes import node_tree
+
 LEAST_SAMPLED, MOST_SAMPLED = 512, 4096  # width in texels of the table from which Cycles draws light samples
 
 
@@ -45,16 +47,6 @@ def _sample_at_resolution(world: bpy.types.World, width: int) -> None:
     if hasattr(world, "cycles"):
         world.cycles.sampling_method = "MANUAL"
         world.cycles.sample_map_resolution = min(max(width, LEAST_SAMPLED), MOST_SAMPLED)
-
-
-def node_tree(owner: bpy.types.World | bpy.types.Material) -> tuple[bpy.types.Nodes, bpy.types.NodeLinks]:
-    """Remove all shader nodes of a World or material and return its nodes and links; from Blender 5.0 `use_nodes` is deprecated."""
-    if bpy.app.version < (5, 0, 0):
-        owner.use_nodes = True
-    tree = owner.node_tree
-    assert tree is not None
-    tree.nodes.clear()
-    return tree.nodes, tree.links
 
 
 def load_image(path: Path, colour_space: str | None, pack: bool) -> bpy.types.Image:

@@ -9,6 +9,7 @@ from mathutils import Euler
 
 from ...core.errors import InputError
 from ...core.scene.environment_map import EnvironmentMap, reduced
+from .shader_nodes import uses_nodes
 
 LINEAR = ("Linear Rec.709", "Non-Color", "Linear", "Raw", "scene_linear")
 MOST_ROWS = 2048  # larger images are reduced to about this height, which is enough for lighting
@@ -27,10 +28,9 @@ def plain_light(world: bpy.types.World | None) -> EnvironmentMap | None:
     """
     if world is None:
         raise InputError("the scene", "has no World to light the object by", "add one in the World properties")
-    tree = world.node_tree
-    if tree is None or (bpy.app.version < (5, 0, 0) and not world.use_nodes):
+    if not uses_nodes(world):
         return _colour(world.color)
-    output = tree.get_output_node("CYCLES")
+    output = world.node_tree.get_output_node("CYCLES")
     surface = _source(output.inputs["Surface"]) if output else None
     if output is None or not output.inputs["Surface"].is_linked:
         return _colour((0.0, 0.0, 0.0))

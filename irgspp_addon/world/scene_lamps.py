@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.lamps import IDENTITY, Kind, Lamp
+from .shader_nodes import uses_nodes
 
 KINDS: dict[str, Kind] = {"SUN": "sun", "POINT": "point", "SPOT": "spot", "AREA": "area"}
 UNSHADED = 4.0  # Cycles' factor of a point or spot lamp of radius 0 whose power is not normalised by its size
@@ -98,10 +99,9 @@ def _rows(thing: bpy.types.Object) -> tuple[float, ...]:
 
 def _node_emission(data: bpy.types.Light) -> np.ndarray | None:
     """Return the factor (3,) of a lamp's nodes: 1 without nodes, None for nodes beyond an Emission with constant inputs."""
-    tree = data.node_tree
-    if tree is None or not getattr(data, "use_nodes", True):
+    if not uses_nodes(data):
         return np.ones(3)
-    output = tree.get_output_node("CYCLES")
+    output = data.node_tree.get_output_node("CYCLES")
     surface = output.inputs["Surface"] if output is not None else None
     if surface is None or len(surface.links) != 1 or surface.links[0].is_muted:
         return np.zeros(3)

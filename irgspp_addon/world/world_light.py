@@ -16,12 +16,13 @@ import numpy as np
 from ...core.errors import InputError, IrgsppError
 from ...core.scene.environment_map import EnvironmentMap
 from ..engine.child import detached
+from ..engine.managed import LAUNCHER
 from .fingerprint import fingerprint
 from .plain_world import forget_images, plain_light
 
 ROWS = 1024  # height of a rendered World in pixels; the sun of a Sky Texture is half a degree wide
 PATIENCE = 120.0  # seconds that rendering a World may take
-CHILD = Path(__file__).with_name("bake_child.py")
+CHILD = "irgspp_addon.world.bake_child"  # module that the other Blender runs
 
 _rendered: dict[str, EnvironmentMap] = {}  # by the key of `_key`, the latest few
 
@@ -93,7 +94,7 @@ class WorldBake:
     def _start(self, world: bpy.types.World, rows: int, frame: int) -> subprocess.Popen:
         blend = self._folder / "world.blend"
         bpy.data.libraries.write(str(blend), {world.original}, path_remap="ABSOLUTE", fake_user=True)
-        command = [*blender_command(CHILD), "--", str(blend), str(self._map), str(rows), str(frame)]
+        command = [*blender_command(), CHILD, str(blend), str(self._map), str(rows), str(frame)]
         with self._log.open("wb") as log:
             return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, **detached())
 
@@ -143,11 +144,11 @@ def forget() -> None:
     forget_images()
 
 
-def blender_command(script: Path) -> list[str]:
-    """Return the command line that runs a script in another Blender of this version, without the script's own arguments."""
+def blender_command() -> list[str]:
+    """Return the command line that runs a module of the extension in another Blender of this version, up to the module's name."""
     if bpy.app.binary_path:
-        return [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(script)]
-    return [sys.executable, str(script)]  # Blender as a module
+        return [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1", "--python", str(LAUNCHER), "--"]
+    return [sys.executable, str(LAUNCHER)]  # Blender as a module
 
 
 def save_light(light: EnvironmentMap, path: Path, rows: int) -> None:

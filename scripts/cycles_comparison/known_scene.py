@@ -13,7 +13,8 @@ import torch
 from irgspp.core.io.exr import read_exr, rgb_channels, write_exr
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.gaussians import SH_COEFFICIENTS, Gaussians, quaternion_to
-from irgspp.irgspp_addon.world.light_to_world import node_tree, world_from_map
+from irgspp.irgspp_addon.world.light_to_world import world_from_map
+from irgspp.irgspp_addon.world.shader_nodes import node_tree
 from scenes.cycles_ground_truth import place_camera
 
 RADIUS, HEIGHT = 0.5, 0.55  # of the sphere, which floats so that no ray starts between two touching surfaces

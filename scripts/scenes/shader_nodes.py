@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import bpy
-from irgspp.irgspp_addon.world.light_to_world import node_tree
+from irgspp.irgspp_addon.world.shader_nodes import node_tree
 
 Stops = list[tuple[float, tuple[float, float, float]]]  # position along a colour ramp, and linear colour
 

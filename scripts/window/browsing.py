@@ -82,13 +82,16 @@ def open_panels(*names: str) -> None:
         bpy.utils.register_class(cls)
 
 
-def reach(button: str, across: float = 0.4, part: str = "") -> Iterator[float]:
+def reach(button: str, across: float = 0.4, part: str = "") -> Generator[float, None, tuple[float, float]]:
     """Move the mouse to a button, wherever the sidebar has to be scrolled to.
 
     Args:
         button: operator or property of the button.
         across: place across the sidebar, 0..1.
         part: text in the button's command, where several buttons have the operator.
+
+    Returns:
+        The place of the mouse.
 
     Raises:
         RuntimeError: where there is no such button.
@@ -97,11 +100,11 @@ def reach(button: str, across: float = 0.4, part: str = "") -> Iterator[float]:
         if scroll:
             yield from scrolled(scroll)
         try:
-            yield from driver.find(button, across=across, part=part)
-            return
+            return (yield from driver.find(button, across=across, part=part))
         except RuntimeError:
             if scroll == "scroll_up":
                 raise
+    raise AssertionError("the last failure was raised")
 
 
 def press_button(button: str, across: float = 0.4, part: str = "") -> Iterator[float]:
@@ -152,6 +155,16 @@ def frame_selected() -> Iterator[float]:
     with driver.override():
         bpy.ops.view3d.view_selected()
     yield 1.0
+
+
+def open_image_editor() -> bpy.types.Area:
+    """Open an Image Editor in a part of the 3D View's area."""
+    before = {area.as_pointer() for area in driver.window().screen.areas}
+    with driver.override():
+        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
+    new = next(area for area in driver.window().screen.areas if area.as_pointer() not in before)
+    new.ui_type = "IMAGE_EDITOR"
+    return new
 
 
 def scrolled(operator: str) -> Iterator[float]:

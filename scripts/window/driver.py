@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -259,7 +259,9 @@ def is_button(copied: str, button: str, part: str) -> bool:
     return name == button and part in copied
 
 
-def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4, part: str = "") -> Iterator[float]:
+def find(
+    button: str, kind: str = "UI", area: bpy.types.Area | None = None, across: float = 0.4, part: str = ""
+) -> Generator[float, None, tuple[float, float]]:
     """Move the mouse down a region until it is over a button.
 
     Args:
@@ -268,6 +270,9 @@ def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, acro
         area: area; None: the 3D View.
         across: place across the region, 0..1.
         part: text in the button's command, where several buttons have the operator.
+
+    Returns:
+        The place of the mouse.
 
     Raises:
         RuntimeError: where there is no such button.
@@ -280,7 +285,7 @@ def find(button: str, kind: str = "UI", area: bpy.types.Area | None = None, acro
         if is_button(under_mouse(kind, area), button, part):
             yield 0.5  # on a busy machine the answer may be about the place before
             if is_button(under_mouse(kind, area), button, part):
-                return
+                return x, y
         y -= STEP
     raise RuntimeError(f"no button {button} is visible")
 

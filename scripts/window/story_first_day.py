@@ -120,7 +120,7 @@ def relight(hdri: Path) -> Iterator[float]:
     yield from browsing.confirm_files("10_hdri", directory=hdri.parent, file=hdri.name)
     yield from driver.wait(lambda: bpy.context.scene.world.name == hdri.stem, 10)
     controls = driver.extension_module("irgspp_addon.world.light_controls").light_controls(bpy.context.scene.world)
-    editor = open_image_editor()
+    editor = browsing.open_image_editor()
     yield 1.0
     yield from browsing.frame_selected()
     yield from browsing.scrolled("scroll_down")
@@ -146,16 +146,6 @@ def relight(hdri: Path) -> Iterator[float]:
     assert max(bpy.data.images[preview.IMAGE].size) == 128
     yield from driver.click("irgspp.relight_stop")
     assert not preview.preview_running()
-
-
-def open_image_editor() -> bpy.types.Area:
-    """Open an Image Editor in a part of the 3D View's area."""
-    before = {area.as_pointer() for area in driver.window().screen.areas}
-    with driver.override():
-        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
-    new = next(area for area in driver.window().screen.areas if area.as_pointer() not in before)
-    new.ui_type = "IMAGE_EDITOR"
-    return new
 
 
 def see_jobs() -> Iterator[float]:

@@ -24,9 +24,9 @@ def relightable(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def warm():
-    """The registered extension; render servers stay loaded from test to test of a module."""
+    """The registered extension; relighting workers stay loaded from test to test. Tests that need it come last, see `tests/conftest.py`."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("IRGSPP_PYTHON", blender_side.ENGINE)
         bpy.ops.wm.read_homefile(use_empty=True)

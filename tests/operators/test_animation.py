@@ -91,6 +91,18 @@ def test_stopping_keeps_finished_frames(animated, tmp_path):
     assert one.ended and not one.error and not bpy.ops.irgspp.stop_animation.poll()
     assert [file.name for file in tmp_path.glob("0*.exr")] == ["0001.exr"]
     assert animated.frame_current == 1
+    layout = RecordingLayout()
+    relight.draw_animation(layout, bpy.context)
+    (offer,) = layout.buttons("wm.path_open")
+    assert offer.values == {"filepath": str(tmp_path)}
+
+
+def test_opening_another_file_ends_it(animated, tmp_path):
+    one = animation.LightAnimation(animated, bpy.context.view_layer, [1, 2, 3], f"{tmp_path}/", turn=False)
+    animation.start(one)
+    one.tick()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert one.ended and not one.error and animation.animation() is None
 
 
 def test_errors_are_one_line(animated, tmp_path):

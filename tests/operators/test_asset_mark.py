@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The object as an asset: details, catalogue, preview; appended, linked and overridden in another file it keeps textures and relights."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -8,9 +10,10 @@ from blender_side import write_image
 from irgspp.irgspp_addon.importer.asset_mark import CATALOGUES
 from irgspp.irgspp_addon.importer.run_frame import run_object
 from irgspp.irgspp_addon.relight import session as relight_session
+from irgspp.operators.asset_mark import IRGSPP_OT_mark_asset
 from irgspp.panels import asset as asset_panel
 from irgspp.panels import run_state
-from recording_layout import draw
+from recording_layout import RecordingLayout, draw
 from relighting import image_pixels, lamp
 
 DETAILS = {"author": "A. Person", "licence": "CC-BY 4.0", "description": "a ball", "tags": "ball, metal,, ball", "catalogue": "Toys/Balls"}
@@ -54,6 +57,12 @@ def test_details_and_catalogue(library, relightable):
     assert (library.parent / CATALOGUES).read_text().startswith(catalogues) and asset.catalog_id in (
         library.parent / CATALOGUES
     ).read_text()
+
+
+def test_the_dialog_of_an_asset_begins_with_its_details(library, relightable):
+    tool = SimpleNamespace()
+    IRGSPP_OT_mark_asset.take_details(tool, run_object(bpy.context.scene, relightable))
+    assert vars(tool) == {**DETAILS, "tags": "ball, metal"}
 
 
 def test_the_preview_is_the_relit_object(library, relightable):
@@ -126,6 +135,12 @@ def test_errors_and_missing_engine(scene, relightable, tmp_path, monkeypatch, ca
     monkeypatch.setenv("IRGSPP_PYTHON", "/no/such/python")
     assert bpy.ops.irgspp.mark_asset(run=run, catalogue="") == {"FINISHED"}
     assert "The preview is Blender's own" in capfd.readouterr().out
+
+
+def test_the_dialog_asks_for_the_details_alone(scene):
+    layout = RecordingLayout()
+    IRGSPP_OT_mark_asset.draw(SimpleNamespace(layout=layout, bl_rna=bpy.ops.irgspp.mark_asset.get_rna_type()), bpy.context)
+    assert layout.properties == ["author", "licence", "description", "tags", "catalogue", "picture"]
 
 
 def test_the_panel(scene, relightable):

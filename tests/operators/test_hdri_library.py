@@ -28,39 +28,69 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "notes.txt").write_text("x")
     (tmp_path / "broken.hdr").write_text("x")
     monkeypatch.setattr(hdri_library, "preferences", lambda: SimpleNamespace(hdri_folder=str(tmp_path)))
-    monkeypatch.setattr(hdri_library, "_read", -hdri_library.CHECK_SECONDS)
+    read_again(monkeypatch)
     return tmp_path
+
+
+def read_again(monkeypatch) -> None:
+    """Let the library be listed anew at the next look, whenever the last one was."""
+    monkeypatch.setattr(hdri_library, "_read", -hdri_library.CHECK_SECONDS)
 
 
 def test_the_user_s_files_come_before_blender_s(scene, folder):
     names = [file.name for file in hdri_library.library()]
     assert names[:3] == ["A.exr", "b.exr", "broken.hdr"] and "studio.exr" in names[3:]
-    items = hdri_library.hdri_items(bpy.context.window_manager, bpy.context)
-    assert [item[1] for item in items[:2]] == ["A", "b"] and [item[4] for item in items] == list(range(len(items)))
-    assert hdri_library.hdri_items(bpy.context.window_manager, None) is items  # Blender keeps no reference to its strings
+    items = hdri_library.hdri_items(scene, bpy.context)
+    assert [item[1] for item in items[:3]] == ["Choose", "A", "b"] and len({item[4] for item in items}) == len(items)
+    assert hdri_library.hdri_items(scene, None)[1] is items[1]  # Blender keeps no reference to its strings
 
 
-def test_a_missing_folder_leaves_blender_s_files(scene, monkeypatch, tmp_path):
+def test_choices_keep_their_numbers_when_files_come(scene, folder, monkeypatch):
+    before = {item[0]: item[4] for item in hdri_library.hdri_items(scene, None)}
+    write_image(folder / "0.exr", lamp())
+    read_again(monkeypatch)
+    after = {item[0]: item[4] for item in hdri_library.hdri_items(scene, None)}
+    assert after.pop(str(folder / "0.exr")) not in before.values() and after == before
+
+
+def test_a_missing_folder_leaves_blender_s_files_and_is_told(scene, monkeypatch, tmp_path):
     monkeypatch.setattr(hdri_library, "preferences", lambda: SimpleNamespace(hdri_folder=str(tmp_path / "gone")))
     assert {file.suffix for file in hdri_library.library()} == {".exr"}
+    layout = RecordingLayout()
+    relight.draw_light(layout, bpy.context)
+    assert "is not there; choose it again" in layout.words
     monkeypatch.setattr(hdri_library, "preferences", lambda: None)
-    assert len(hdri_library.library()) >= 5
+    assert len(hdri_library.library()) >= 5 and hdri_library.unreadable_folder() is None
 
 
-def test_choosing_lights_the_scene_and_keeps_the_rotation(scene, folder):
+def test_choosing_lights_the_scene_and_keeps_the_rotation(scene, folder, capfd):
     scene.irgspp.use_world = False
-    manager = bpy.context.window_manager
-    manager.irgspp_hdri = str(folder / "b.exr")
+    assert scene.irgspp_hdri == "OTHER"
+    scene.irgspp_hdri = str(folder / "b.exr")
     assert scene.world.name == "b" and scene.irgspp.use_world
     assert bpy.ops.irgspp.rotate_light(angle=0.5) == {"FINISHED"}
-    manager.irgspp_hdri = next(item[0] for item in hdri_library.hdri_items(manager, None) if item[1] == "studio")
+    scene.irgspp_hdri = next(item[0] for item in hdri_library.hdri_items(scene, None) if item[1] == "studio")
     assert scene.world.name == "studio" and light_controls(scene.world).rotation.default_value[UP] == pytest.approx(0.5)
-    manager.irgspp_hdri = str(folder / "broken.hdr")
-    assert scene.world.name == "studio"
+    scene.irgspp_hdri = str(folder / "broken.hdr")
+    assert scene.world.name == "studio" and "can't be read" in capfd.readouterr().err
+
+
+def test_the_thumbnail_is_what_the_world_shows(scene, folder, tmp_path_factory):
+    elsewhere = write_image(tmp_path_factory.mktemp("elsewhere") / "own.exr", lamp())
+    bpy.ops.irgspp.open_hdri(filepath=str(elsewhere))
+    assert scene.irgspp_hdri == str(elsewhere) and hdri_library.hdri_items(scene, None)[0][1] == "own"
+    world = scene.world
+    scene.irgspp_hdri = str(elsewhere)
+    assert scene.world == world  # it is shown already
+    scene.irgspp_hdri = str(folder / "A.exr")
+    names = [item[1] for item in hdri_library.hdri_items(scene, None)]
+    assert names[0] == "A" and "own" not in names and "Choose" not in names
+    scene.world = None
+    assert scene.irgspp_hdri == "OTHER"
 
 
 def test_dragging_rotates_and_escape_restores(scene, folder):
-    bpy.context.window_manager.irgspp_hdri = str(folder / "A.exr")
+    scene.irgspp_hdri = str(folder / "A.exr")
     rotation, said, stays = light_controls(scene.world).rotation, [], {"RUNNING_MODAL"}
     rotation.default_value[UP] = 1.0
     manager = SimpleNamespace(modal_handler_add=lambda operator: None)
@@ -98,7 +128,7 @@ def test_the_panel_shows_the_library(scene, folder):
     layout = RecordingLayout()
     relight.draw_light(layout, bpy.context)
     assert ("icon_view", "irgspp_hdri") in layout.drawn and not layout.buttons("irgspp.rotate_light")
-    bpy.context.window_manager.irgspp_hdri = str(folder / "A.exr")
+    scene.irgspp_hdri = str(folder / "A.exr")
     layout = RecordingLayout()
     relight.draw_light(layout, bpy.context)
     assert layout.buttons("irgspp.rotate_light")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Looking through an imported camera sets the render resolution to its image's."""
+"""Looking through an imported camera sets the render resolution to its image's, and its photograph can be faded over the object."""
 
 import bpy
 import irgspp
 import pytest
-from irgspp.panels import dataset
-from recording_layout import draw
+from irgspp.panels import dataset, result
+from recording_layout import RecordingLayout, draw
 
 
 @pytest.fixture
@@ -39,3 +39,35 @@ def test_other_objects_are_refused(extension):
         with pytest.raises(RuntimeError, match="is not a camera of an imported"):
             bpy.ops.irgspp.look_through(camera=name)
     assert bpy.context.scene.camera is None
+
+
+def test_the_photograph_fades_over_the_object(extension, run_folder):
+    bpy.ops.irgspp.import_run(directory=str(run_folder))
+    scene = bpy.context.scene
+    scene.irgspp_photograph = 0.5  # without a camera there is no photograph
+    assert scene.irgspp_photograph == 0
+    assert bpy.ops.irgspp.step_photograph() == {"FINISHED"}
+    shown = scene.camera.data.background_images[0]
+    behind = shown.alpha
+    assert scene.irgspp_photograph == 0 and shown.display_depth == "BACK" and behind > 0
+    layout = RecordingLayout()
+    result.draw_cameras(layout, bpy.context)
+    assert "irgspp_photograph" in layout.properties
+    scene.irgspp_photograph = 0.75
+    assert (shown.display_depth, shown.alpha) == ("FRONT", 0.75)
+    first = scene.camera
+    bpy.ops.irgspp.step_photograph()
+    after = scene.camera.data.background_images[0]
+    assert scene.camera != first and (after.display_depth, after.alpha) == ("FRONT", 0.75)  # the next one fades as much
+    scene.irgspp_photograph = 0
+    assert (after.display_depth, after.alpha) == ("BACK", behind)
+
+
+def test_a_camera_without_a_photograph_has_no_slider(extension, run_folder):
+    bpy.ops.irgspp.import_run(directory=str(run_folder))
+    bpy.ops.irgspp.step_photograph()
+    bpy.context.scene.camera.data.background_images.clear()
+    layout = RecordingLayout()
+    result.draw_cameras(layout, bpy.context)
+    assert "irgspp_photograph" not in layout.properties
+    assert layout.buttons("irgspp.step_photograph")[1].text == bpy.context.scene.camera.name

@@ -127,7 +127,7 @@ def test_the_sphere_is_named_where_it_counts(settings, tmp_path, monkeypatch):
     bpy.context.scene.collection.objects.link(sphere)
     sphere[KEY], sphere[BOUND] = f"{(tmp_path / 'x_capture').resolve()}#object", [0.0, 0.0, 0.0, 1.0]
     sphere.empty_display_size = 1.0
-    assert "Move or scale the sphere x object" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    assert 'Move or scale the sphere "x object"' in draw(reconstruct.IRGSPP_PT_reconstruct).words
     sphere.location.x = 0.1
     assert "What is inside the sphere x object is reconstructed" in draw(reconstruct.IRGSPP_PT_reconstruct).words
 

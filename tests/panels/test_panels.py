@@ -16,7 +16,7 @@ from panel_states import add_job, finished_run
 from panel_states import settings as settings
 from recording_layout import draw
 
-ROWS = [["dataset", "/p"], ["format", "transforms"], ["views", "40 training, 6 test"], ["pictures", "64x64, png"], ["masks", "none"]]
+ROWS = [["dataset", "/p"], ["format", "transforms"], ["views", "40 training, 6 test"], ["images", "64x64, png"], ["masks", "none"]]
 
 
 def all_panels():

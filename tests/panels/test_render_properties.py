@@ -43,7 +43,7 @@ def test_samples_and_film_are_in_the_render_tab(context):
     assert {"IRGSPP_PT_render_sampling", "IRGSPP_PT_render_film", "RENDER_PT_color_management"} <= names
     assert not [name for name in names if "eevee" in name.lower() or "CYCLES" in name]  # their settings have no effect here
     drawn = [name for panel in ("sampling", "film") for name in draw(getattr(bpy.types, f"IRGSPP_PT_render_{panel}"), context).properties]
-    assert drawn == ["relight_samples", "relight_denoise", "relight_backend", "use_world", "film_transparent"]
+    assert drawn == ["relight_samples", "relight_denoise", "relight_backend", "use_world", "use_lamps", "ground_shadow", "film_transparent"]
 
 
 def test_other_engines_do_not_show_them(context):

@@ -22,7 +22,7 @@ def glowing_inputs(scene: bpy.types.Scene, material: bpy.types.Material, folder:
     layers = {}
     for name in INPUTS:
         tree.links.new(_half(tree, principled.inputs[name]) if name == "Normal" else _source(principled.inputs[name]), glow.inputs["Color"])
-        layers[name] = _render(scene, folder / f"{name}.exr", samples)
+        layers[name] = render(scene, folder / f"{name}.exr", samples)
     return layers
 
 
@@ -39,7 +39,8 @@ def _half(tree: bpy.types.NodeTree, socket: bpy.types.NodeSocket) -> bpy.types.N
     return half.outputs["Vector"]
 
 
-def _render(scene: bpy.types.Scene, path: Path, samples: int) -> np.ndarray:
+def render(scene: bpy.types.Scene, path: Path, samples: int) -> np.ndarray:
+    """Render a scene by Cycles over a transparent background into an EXR file; return (H, W, 4) linear premultiplied RGBA."""
     scene.render.engine, scene.render.film_transparent = "CYCLES", True
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = samples, False, False
     settings = scene.render.image_settings

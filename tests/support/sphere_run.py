@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run folder of an analytic sphere; numpy suffices to import this, the engine's Python writes it: `python sphere_run.py FOLDER [SIZE]`."""
+"""Run folder of an analytic sphere; numpy suffices to import this, the engine's Python writes it: `python sphere_run.py FOLDER ...`."""
 
 from __future__ import annotations
 
@@ -67,9 +67,16 @@ def cameras() -> list[Camera]:
     return placed
 
 
-def write_run(folder: Path, size: int = 128) -> None:
-    """Write mesh, textures, light and cameras of a finished run by the engine's own functions, and its photographs next to it."""
+def write_run(folder: Path, size: int = 128, confidence: int = 0) -> None:
+    """Write mesh, textures, light and cameras of a finished run by the engine's own functions, and its photographs next to it.
+
+    Args:
+        folder: of the run.
+        size: texels along a side of the textures.
+        confidence: 1 for a mesh with a confidence that grows with z from 0 to 1.
+    """
     import json
+    from dataclasses import replace
 
     from irgspp.core.io.exr import rgb_channels, write_exr
     from irgspp.core.scene.camera_files import save_cameras
@@ -82,7 +89,7 @@ def write_run(folder: Path, size: int = 128) -> None:
     for needed in (folder, photographs):
         needed.mkdir(parents=True, exist_ok=True)
     mesh, views = sphere(size=size), []
-    save_mesh_ply(mesh, folder / "mesh.ply")
+    save_mesh_ply(replace(mesh, confidence=0.5 + 0.5 * mesh.vertices[:, 2]) if confidence else mesh, folder / "mesh.ply")
     save_textures(mesh.textures, folder / "textures")
     write_exr(folder / "environment.exr", rgb_channels(axis_light()))
     for i, camera in enumerate(cameras()):

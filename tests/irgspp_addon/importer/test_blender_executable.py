@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from irgspp.core.assets.export import write_blend
+from irgspp.core.assets.blend_file import write_blend
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.machine import blender_process as blending
 from irgspp.core.machine.blender_process import BLENDER, NoBlender, blender_command

@@ -3,7 +3,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -13,7 +12,6 @@ from blender_side import write_sphere_run
 from cycles_layers import glowing_inputs
 from irgspp.core.errors import InputError
 from irgspp.core.scene.camera_files import load_run_cameras
-from irgspp.core.scene.mesh_ply import save_mesh_ply
 from irgspp.irgspp_addon.importer.materials import available_sources, source_of, use_source
 from irgspp.irgspp_addon.importer.placement import Placement
 from irgspp.irgspp_addon.importer.ply import read_ply
@@ -61,10 +59,7 @@ def test_mesh_is_welded_and_keeps_uvs_normals_and_attributes(run_folder):
 
 
 def test_confidence_of_the_mesh_is_an_attribute(run_folder, tmp_path):
-    shutil.copytree(run_folder, tmp_path / "run")
-    source = sphere_run.sphere()
-    save_mesh_ply(replace(source, confidence=0.5 + 0.5 * source.vertices[:, 2]), tmp_path / "run" / "mesh.ply")
-    mesh = import_run(tmp_path / "run").mesh.data
+    mesh = import_run(write_sphere_run(tmp_path / "run", confidence=True)).mesh.data
     place, stored = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", place)
     mesh.attributes["confidence"].data.foreach_get("value", stored)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object in formats of other programs, read again by Blender from a folder that was moved: shape, UVs, normals and textures."""
+"""The object in formats of other programs, read again by Blender from a folder that was moved: shape, UVs, normals, textures and look."""
 
 import json
 import shutil
@@ -7,10 +7,17 @@ import shutil
 import bpy
 import numpy as np
 import pytest
+from cycles_layers import render
 from irgspp.core.errors import InputError
+from irgspp.core.io.srgb import straight_srgb
+from irgspp.core.scene.camera import Camera, look_at
 from irgspp.irgspp_addon.importer import write_asset as writing
 from irgspp.irgspp_addon.importer.ply import read_ply
+from irgspp.irgspp_addon.importer.scene_builder import import_run
 from irgspp.irgspp_addon.importer.write_blend import Extras, write_blend
+from irgspp.irgspp_addon.world.light_to_world import world_from_map
+from mathutils import Matrix
+from relighting import see_through
 
 OFFSET = np.array([0.0, 0.0, 1.0])  # the sphere's foot is at -1
 READERS = {
@@ -39,7 +46,7 @@ def written(run_folder, hulls, tmp_path_factory):
     """Every format once, with levels of detail and hulls; then the folder is moved."""
     folder = tmp_path_factory.mktemp("written") / "here"
     shutil.copytree(run_folder / "textures", folder / "ball_textures")
-    shutil.copy(folder / "ball_textures" / "normal.png", folder / "ball_textures" / "orm.png")
+    save_orm(folder / "ball_textures")
     job = {"run": str(run_folder), "name": "ball", "textures": str(folder / "ball_textures"), "offset": OFFSET.tolist()}
     job |= {"lods": [0.5, 0.25], "hulls": str(hulls), "pack": False}
     (folder / "job.json").write_text(json.dumps(job))
@@ -47,6 +54,19 @@ def written(run_folder, hulls, tmp_path_factory):
     assert writing.main([str(folder / "job.json"), *targets]) == 0
     writing.write_asset({**job, "pack": True, "lods": [], "hulls": None}, [folder / "ball.usdz"])
     return folder.rename(folder.with_name("there"))
+
+
+def save_orm(folder) -> None:
+    """Write orm.png, red occlusion, green roughness, blue metallic, from the separate textures."""
+    maps = {name: bpy.data.images.load(str(folder / f"{name}.png")) for name in ("roughness", "metallic")}
+    packed = bpy.data.images.new("orm", *maps["roughness"].size, is_data=True)
+    pixels = np.ones(len(packed.pixels), np.float32)
+    for channel, image in enumerate(maps.values(), start=1):
+        image.colorspace_settings.name = "Non-Color"
+        pixels[channel::4] = np.array(image.pixels[:])[::4]
+    packed.pixels.foreach_set(pixels)
+    packed.file_format, packed.filepath_raw = "PNG", str(folder / "orm.png")
+    packed.save()
 
 
 def reread(folder, suffix):
@@ -121,6 +141,45 @@ def image_before(socket):
             if (image := image_before(before)) is not None:
                 return image
     return None
+
+
+def look(thing, run_folder, folder) -> np.ndarray:
+    """Render an object alone by Cycles under the run's light, as sRGB (H, W, 3) over black."""
+    scene = bpy.context.scene
+    for other in scene.objects:
+        other.hide_render = other != thing
+    scene.world = world_from_map(run_folder / "environment.exr")
+    see_through(scene, Camera(96, 96, 120.0, 120.0, 48.0, 48.0, look_at((2.6, -1.8, 1.9), OFFSET)), "eye")
+    scene.cycles.device = "CPU"
+    pixels = straight_srgb(render(scene, folder / "look.exr", 64))
+    return pixels[..., :3] * pixels[..., 3:]
+
+
+@pytest.fixture(scope="module")
+def look_of_the_blend(run_folder, tmp_path_factory):
+    bpy.ops.wm.read_homefile(use_empty=True)
+    thing = import_run(run_folder).mesh
+    thing.matrix_world = Matrix.Translation(OFFSET) @ thing.matrix_world
+    return look(thing, run_folder, tmp_path_factory.mktemp("blend"))
+
+
+@pytest.mark.parametrize("suffix", READERS)
+def test_the_look_comes_back(written, look_of_the_blend, run_folder, tmp_path, suffix):
+    """No format names the .blend's microfacet distribution, GGX of single scattering; Blender reads all as its own choice."""
+    thing = reread(written, suffix)["ball" if suffix == "usdz" else "ball_LOD0"]
+    (principled,) = [node for node in thing.active_material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled"]
+    if suffix == "obj":  # as the documentation says
+        for name in INPUTS[1:]:
+            image_before(principled.inputs[name]).colorspace_settings.name = "Non-Color"
+    as_read = psnr(look(thing, run_folder, tmp_path), look_of_the_blend)
+    principled.distribution = "GGX"
+    same = psnr(look(thing, run_folder, tmp_path), look_of_the_blend)
+    print(f"Blender {bpy.app.version_string}, .{suffix} read again: {as_read:.1f} dB, with the .blend's distribution {same:.1f} dB")
+    assert look_of_the_blend.std() > 0.1 and as_read > 42 and same > 60
+
+
+def psnr(image, reference) -> float:
+    return float(-10 * np.log10(max(((image - reference).astype(float) ** 2).mean(), 1e-12)))
 
 
 @pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != "usdz"])

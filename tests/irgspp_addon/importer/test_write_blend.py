@@ -3,7 +3,8 @@
 
 import bpy
 import pytest
-from irgspp.core.assets.export import export, write_blend
+from irgspp.core.assets.blend_file import write_blend
+from irgspp.core.assets.export import export
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.machine import blender_process as blending
 from irgspp.core.progress.protocol import Silent

@@ -10,8 +10,9 @@ from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.environment_map import EnvironmentMap, reduced, texel_directions
 from irgspp.irgspp_addon.world import world_light as module
 from irgspp.irgspp_addon.world.fingerprint import fingerprint
-from irgspp.irgspp_addon.world.light_to_world import bake_world, node_tree, world_from_map
+from irgspp.irgspp_addon.world.light_to_world import bake_world, world_from_map
 from irgspp.irgspp_addon.world.plain_world import plain_light
+from irgspp.irgspp_addon.world.shader_nodes import node_tree
 from irgspp.irgspp_addon.world.world_light import WorldBake, ask_world, save_light, world_light
 from relighting import see_through
 from sphere_run import axis_light
@@ -213,7 +214,7 @@ def test_worlds_without_light_are_errors(world, tmp_path):
 def test_a_failing_render_is_an_error(monkeypatch, tmp_path):
     broken = tmp_path / "broken.py"
     broken.write_text("raise SystemExit('no light today')")
-    monkeypatch.setattr(module, "CHILD", broken)
+    monkeypatch.setattr(module, "LAUNCHER", broken)
     bpy.context.scene.world = sky_world()
     with pytest.raises(IrgsppError, match=r"World sky: could not be rendered .*no light today"):
         world_light(bpy.context.scene.world)

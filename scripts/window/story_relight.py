@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Story of relighting a finished run (run.py --run): HDRI thumbnail, dragged light, lamp, ground shadow, turn of the light, asset."""
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+
+import bpy
+import browsing
+import driver
+import numpy as np
+
+
+def story() -> Iterator[float]:
+    """Run the story."""
+    work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
+    run = Path(shutil.copytree(os.environ["IRGSPP_RUN"], work / "spot"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(work / "relight.blend"))
+    browsing.open_panels("IRGSPP_PT_relight_files", "IRGSPP_PT_asset")
+    driver.time_callbacks()
+    yield from driver.open_sidebar("IRGS++")
+    yield from browsing.engine_ready()
+    with driver.override():
+        bpy.ops.irgspp.import_run("INVOKE_DEFAULT", directory=str(run))
+    yield from driver.wait(lambda: bpy.context.object and bpy.context.object.type == "MESH", 60)
+    yield from fade_photograph()
+    bpy.context.scene.irgspp.preview_resolution = 192
+    yield from start_preview()
+    yield from choose_thumbnail()
+    yield from drag_light()
+    yield from add_lamp()
+    yield from cast_shadow()
+    yield from turn_light(work / "turn")
+    yield from mark_asset()
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def fade_photograph() -> Iterator[float]:
+    """Look through a photograph's camera, with the photograph half over the object."""
+    thing = bpy.context.object
+    yield 15.0  # shaders are compiled
+    yield from browsing.press_button("irgspp.step_photograph", across=0.5)
+    yield from driver.wait(lambda: bpy.context.scene.camera.name != "Camera", 5)
+    bpy.context.scene.irgspp_photograph = 0.5
+    yield 2.0
+    driver.shot("70_photograph_over_object")
+    bpy.context.scene.irgspp_photograph = 0.0
+    space = driver.view3d().spaces[0]
+    space.region_3d.view_perspective, space.shading.type = "PERSP", "SOLID"
+    bpy.context.view_layer.objects.active = thing
+
+
+def start_preview() -> Iterator[float]:
+    """Start the preview beside the 3D View."""
+    browsing.open_image_editor()
+    yield 1.0
+    yield from browsing.frame_selected()
+    yield from browsing.press_button("irgspp.relight_preview")
+    yield from driver.wait(lambda: follower().done or follower().failed, 120)
+    assert not follower().failed, follower().message
+    driver.shot("71_preview")
+
+
+def choose_thumbnail() -> Iterator[float]:
+    """Choose one of Blender's HDRIs by its thumbnail."""
+    before, place = bpy.context.scene.world, driver.region()
+    x, y = yield from browsing.reach("irgspp.open_hdri", across=0.25)
+    yield from driver.click_at(x, y + 70)  # the thumbnail above that button is none that Blender tells the name of
+    yield 5.0  # thumbnails are made in the background
+    driver.shot("72_thumbnails")
+    yield from driver.click_at(place.x + place.width - 720, y - 50)  # the second of eight in the pop-up's first row
+    yield from driver.wait(lambda: bpy.context.scene.world != before, 10)
+    yield from updated()
+    driver.shot("73_other_hdri")
+    driver.sidebar_shot("73_other_hdri_sidebar")
+
+
+def drag_light() -> Iterator[float]:
+    """Rotate the light by dragging the mouse, and confirm by a click."""
+    controls = driver.extension_module("irgspp_addon.world.light_controls").light_controls
+    before = controls(bpy.context.scene.world).rotation.default_value[2]
+    yield from browsing.press_button("irgspp.rotate_light", across=0.825)
+    place = driver.region()
+    driver.move(place.x - 100, place.y + 300)
+    yield 1.0
+    driver.move(place.x - 300, place.y + 300)
+    yield 1.0
+    driver.shot("74_dragging")
+    driver.click_here()
+    yield 1.0
+    rotation = controls(bpy.context.scene.world).rotation.default_value[2]
+    assert abs(rotation - before) > 0.5, (before, rotation)
+    yield from updated(changed=False)
+    driver.shot("75_dragged")
+
+
+def add_lamp() -> Iterator[float]:
+    """Add a lamp, which lights the object in the preview too."""
+    before = pixels()
+    with driver.override():
+        bpy.ops.object.light_add(type="AREA", location=(2.0, -2.0, 2.0), rotation=(0.9, 0.0, 0.8))
+    bpy.context.object.data.energy, bpy.context.object.data.color = 300.0, (1.0, 0.3, 0.1)
+    yield from updated()
+    driver.shot("76_lamp")
+    after = pixels()
+    assert after[..., 0].sum() > 1.1 * before[..., 0].sum(), "the lamp does not light the object"
+
+
+def cast_shadow() -> Iterator[float]:
+    """Switch the ground shadow on by its button."""
+    before = pixels()
+    yield from browsing.press_button("ground_shadow", across=0.5)
+    assert bpy.context.scene.irgspp.ground_shadow
+    yield from updated()
+    driver.shot("77_ground_shadow")
+    assert pixels()[..., 3].sum() > before[..., 3].sum() + 100, "the image has no shadow"
+    yield from browsing.press_button("irgspp.relight_stop")
+
+
+def turn_light(folder: Path) -> Iterator[float]:
+    """Render one turn of the light by its button."""
+    scene = bpy.context.scene
+    scene.frame_end, scene.render.filepath = 4, f"{folder}/"
+    scene.render.resolution_x = scene.render.resolution_y = 128
+    yield from browsing.press_button("irgspp.render_animation", part="turn=True")
+    animation = driver.extension_module("irgspp_addon.relight.animation").animation
+    yield from driver.wait(lambda: animation().finished >= 1 or animation().error, 120, step=0.02)
+    yield 0.1
+    driver.sidebar_shot("78_turning")
+    yield from driver.wait(lambda: animation().ended, 120)
+    assert not animation().error, animation().error
+    files = sorted(folder.glob("*.png"))
+    assert len(files) == 4, files
+    yield 1.0
+    driver.sidebar_shot("79_turned")
+
+
+def mark_asset() -> Iterator[float]:
+    """Mark the object as an asset by its button and the dialog."""
+    yield from browsing.press_button("irgspp.mark_asset")
+    yield 1.0
+    driver.shot("80_asset_asked")
+    driver.key("Return")
+    thing = next(thing for thing in bpy.context.scene.objects if thing.type == "MESH" and thing.name != "Cube")
+    yield from driver.wait(lambda: thing.asset_data is not None, 60)
+    yield 1.0
+    driver.sidebar_shot("81_asset")
+
+
+def follower() -> Any:
+    """Return the follower of the preview."""
+    live_image, preview = (driver.extension_module(f"irgspp_addon.relight.{name}") for name in ("live_image", "preview"))
+    return live_image.follower_of(preview.CHANNEL)
+
+
+def updated(changed: bool = True) -> Iterator[float]:
+    """Wait until the preview has followed a change.
+
+    Args:
+        changed: False where it may have done so already.
+    """
+    if changed:
+        yield from driver.wait(lambda: not follower().done, 20, step=0.02)
+    yield from driver.wait(lambda: follower().done or follower().failed, 120)
+    assert not follower().failed, follower().message
+    yield 1.0
+
+
+def pixels() -> np.ndarray:
+    """Return the preview's pixels (H, W, 4)."""
+    image = bpy.data.images[driver.extension_module("irgspp_addon.relight.preview").IMAGE]
+    width, height = image.size
+    values = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(height, width, 4)
+
+
+driver.run_story(story)
