@@ -30,10 +30,10 @@ from .material_regions import metal_regions, neighbourhood
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 
-STEPS = 24
+STEPS = 40
 CONSTANT = 3  # steps with one albedo for all points
 RELEASE = 12  # steps over which the weight of the albedo's prior falls
-MATERIAL_STEPS = (8, 12, 16, 20)  # numbers of steps done when roughness and metallic are searched
+MATERIAL_STEPS = (8, 12, 16, 20, 28, 36)  # numbers of steps done when roughness and metallic are searched
 PRIOR = (1.0, 0.03)  # first and last weight of the albedo's prior
 COLOURS = 0.15  # difference in log albedo below which two points count as being of one colour
 SAMPLE = 1000  # points that each point's colour is compared with
