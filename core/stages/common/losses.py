@@ -31,4 +31,9 @@ def light_variation(log_light: torch.Tensor) -> torch.Tensor:
         The mean over pairs along rows, plus that along columns.
     """
     across, down = log_light - torch.roll(log_light, 1, 1), log_light[1:] - log_light[:-1]
-    return LIGHT_EDGE**2 * sum((difference / LIGHT_EDGE).square().log1p().mean() for difference in (across, down))
+    return _robust_mean(across) + _robust_mean(down)
+
+
+def _robust_mean(difference: torch.Tensor) -> torch.Tensor:
+    """Return the mean cost of differences (...,), a scalar."""
+    return LIGHT_EDGE**2 * (difference / LIGHT_EDGE).square().log1p().mean()
