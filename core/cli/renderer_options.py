@@ -43,10 +43,17 @@ def relight_settings(args: argparse.Namespace) -> RelightSettings:
     """Return the relighter's settings that the options give; all others are at their defaults."""
     from ..relight.relighter import RelightSettings  # imports torch
 
-    denoise = "off" if args.no_denoise else args.denoiser
-    light = {"indirect": not args.no_indirect, "shadows": not args.no_shadows, "transfer": not args.no_transfer}
-    light |= {"ratio": not args.no_ratio, "conserving": args.diffuse == "conserving"}
-    return RelightSettings(sampling=args.sampling, denoise=denoise, allocation=args.allocation, mesh_normals=args.mesh_normals, **light)
+    return RelightSettings(
+        sampling=args.sampling,
+        denoise="off" if args.no_denoise else args.denoiser,
+        allocation=args.allocation,
+        mesh_normals=args.mesh_normals,
+        indirect=not args.no_indirect,
+        shadows=not args.no_shadows,
+        transfer=not args.no_transfer,
+        ratio=not args.no_ratio,
+        conserving=args.diffuse == "conserving",
+    )
 
 
 def _proportions(text: str) -> tuple[int, int, int]:
