@@ -50,9 +50,9 @@ def shapes(tmp_path_factory):
 
 
 def test_built_in_scenes_fit_the_cameras_and_their_surfaces_are_closed(shapes):
-    assert {"demo", "low-gloss", "glossy", "print", "thin", *NAMES} == set(shapes)
+    assert {"demo", "low-gloss", "glossy", "print", "thin", "vase", "glazed-vase", *NAMES} == set(shapes)
     assert all(shape["radius"] < 1.3 for shape in shapes.values())
-    for name in (*NAMES, "print", "thin"):
+    for name in (*NAMES, "print", "thin", "vase", "glazed-vase"):
         assert shapes[name]["open"] == 0 and shapes[name]["volume"] > (0.05 if name == "thin" else 0.3), name
     assert shapes["bowl"]["things"] == 4 and shapes["relief"]["things"] == 1
 

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 
 from ...scene.camera import Camera
 
-LIGHT_EDGE = 0.2  # difference of neighbouring texels' log radiance from which it counts as an edge
+LIGHT_SLOPE = 4.1  # change of the log light per radian from which it counts as an edge; 0.2 between texels of a map of 64 rows
 
 
 def camera_rays(camera: Camera) -> torch.Tensor:
@@ -21,8 +23,8 @@ def camera_rays(camera: Camera) -> torch.Tensor:
 def light_variation(log_light: torch.Tensor) -> torch.Tensor:
     """Return the variation of a light map, robust so that windows and lamps keep sharp outlines.
 
-    Each pair of neighbouring texels costs c^2 log(1 + (d / c)^2) with c = LIGHT_EDGE: d^2 for a small difference d, hardly more for a
-    larger one.
+    Each pair of neighbouring texels costs c^2 log(1 + (d / c)^2) with c = LIGHT_SLOPE times the texel's width: d^2 for a small
+    difference d, hardly more for a larger one.
 
     Args:
         log_light: (H, W, 3) log radiance, lat-long; it wraps around in W.
@@ -31,9 +33,10 @@ def light_variation(log_light: torch.Tensor) -> torch.Tensor:
         The mean over pairs along rows, plus that along columns.
     """
     across, down = log_light - torch.roll(log_light, 1, 1), log_light[1:] - log_light[:-1]
-    return _robust_mean(across) + _robust_mean(down)
+    edge = LIGHT_SLOPE * math.pi / len(log_light)
+    return _robust_mean(across, edge) + _robust_mean(down, edge)
 
 
-def _robust_mean(difference: torch.Tensor) -> torch.Tensor:
-    """Return the mean cost of differences (...,), a scalar."""
-    return LIGHT_EDGE**2 * (difference / LIGHT_EDGE).square().log1p().mean()
+def _robust_mean(difference: torch.Tensor, edge: float) -> torch.Tensor:
+    """Return the mean cost of differences (...,) for c = `edge`, a scalar."""
+    return edge**2 * (difference / edge).square().log1p().mean()

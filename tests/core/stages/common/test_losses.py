@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.common.losses import LIGHT_EDGE, camera_rays, light_variation
+from irgspp.core.stages.common.losses import LIGHT_SLOPE, camera_rays, light_variation
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +32,7 @@ def test_variation_wraps_around_the_seam():
 
 
 def test_an_edge_counts_less_than_its_square():
+    edge = LIGHT_SLOPE * math.pi / 4  # between texels of a map of four rows
     light = torch.zeros(4, 8, 3)
-    light[:, :4] = 10 * LIGHT_EDGE
-    assert light_variation(light) == pytest.approx(LIGHT_EDGE**2 * math.log(101) * 2 / 8, rel=1e-5)
+    light[:, :4] = 10 * edge
+    assert light_variation(light) == pytest.approx(edge**2 * math.log(101) * 2 / 8, rel=1e-5)

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The prior of the light: differences of neighbours on the sphere, counted less across edges."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.light_prior import EDGE, SMOOTHNESS, LightPrior
+from irgspp.core.stages.second.light_prior import SLOPE, SMOOTHNESS, LightPrior
 
 HEIGHT, WIDTH = 4, 8
+EDGE = SLOPE * math.pi / HEIGHT
 PAIRS = HEIGHT * WIDTH + (HEIGHT - 1) * WIDTH  # across, around the seam, and down
 
 
