@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from ...io.srgb import encode_srgb
 
 NEIGHBOURS = 13  # of a point, the point itself included
-SURE = 0.4  # gain per view from which a point is metal; the gain is a difference of robust costs, see `LightMaterialSolver`
+SURE = 0.6  # gain per view from which a point is metal; the gain is a difference of robust costs, see `LightMaterialSolver`
 POSSIBLE = -0.3  # gain from which a point is metal where its neighbours are
 SHARE = 0.1  # share of the neighbours, by similarity of colour, that must be metal
 
