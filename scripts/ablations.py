@@ -19,7 +19,7 @@ from ablation.relighting import Report, evaluated
 from ablation.variants import FULL, TRAININGS, Training, Variant, relighting_tables
 from irgspp.core.batch.batch import batch_folder, run_batch
 from irgspp.core.batch.jobs import Job
-from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.errors import InputError
 from irgspp.core.evaluation.protocols import PROTOCOLS
 from irgspp.core.progress.terminal import Terminal
 from irgspp.core.relight.relighter import is_glossy
@@ -28,6 +28,7 @@ from irgspp.core.run_folder import read_run, write_atomic
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import from_dict, overrides_from
 from irgspp.core.settings.schema import preset
+from reproduction.command import run_command
 from reproduction.scenes import discard_stale_report
 from reproduction.tables import Row, Table, as_html, as_json, as_markdown
 
@@ -162,12 +163,7 @@ def ablate(args: argparse.Namespace, terminal: Terminal) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the tables and return the exit status."""
     args = arguments(argv)
-    try:
-        with Terminal().signals() as terminal:
-            return ablate(args, terminal)
-    except IrgsppError as error:
-        print(f"ablations: {error}", file=sys.stderr)
-        return error.exit_status
+    return run_command("ablations", lambda terminal: ablate(args, terminal))
 
 
 if __name__ == "__main__":

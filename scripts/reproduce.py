@@ -19,11 +19,12 @@ from irgspp.core.batch.batch import batch_folder, run_batch
 from irgspp.core.batch.job_state import State
 from irgspp.core.batch.jobs import Job
 from irgspp.core.cli.parser import check_words
-from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.errors import InputError
 from irgspp.core.evaluation.protocols import PROTOCOLS
 from irgspp.core.progress.terminal import Terminal
 from irgspp.core.run_folder import read_run, write_atomic
 from irgspp.core.settings.schema import PRESETS
+from reproduction.command import run_command
 from reproduction.scenes import Scene, discard_stale_report, find_scenes, job_of
 from reproduction.tables import Result, as_html, as_json, as_markdown, benchmark_of, tables_of
 
@@ -134,12 +135,7 @@ def reproduce(args: argparse.Namespace, terminal: Terminal) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Reproduce the tables and return the exit status."""
     args = arguments(argv)
-    try:
-        with Terminal().signals() as terminal:
-            return reproduce(args, terminal)
-    except IrgsppError as error:
-        print(f"reproduce: {error}", file=sys.stderr)
-        return error.exit_status
+    return run_command("reproduce", lambda terminal: reproduce(args, terminal))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,10 @@ def describe_renderer(relight: RelightSettings, backend: Backend) -> str:
     parts = [f"{relight.samples} samples per pixel", f"{backend} backend", denoised]
     parts += ["strata of the hemisphere"] if relight.sampling == "stratified" else []
     parts += [f"proportions {':'.join(map(str, relight.allocation))}"] if relight.allocation else []
-    parts += ["without indirect light"] if not relight.indirect else [] if relight.transfer else ["indirect light without shadows"]
+    if not relight.indirect:
+        parts.append("without indirect light")
+    elif not relight.transfer:
+        parts.append("indirect light without shadows")
     parts += [] if relight.shadows else ["without shadows"]
     parts += [] if relight.ratio else ["without the known irradiance"]
     parts += [] if relight.mesh_normals == RelightSettings().mesh_normals else [f"mesh normals {relight.mesh_normals:g}"]

@@ -100,7 +100,7 @@ def _text(value: Any) -> str:
     """Write a value as `_parse` reads it."""
     if isinstance(value, tuple):
         return ",".join(map(_text, value))
-    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+    return str(value).lower() if value is None or isinstance(value, bool) else str(value)
 
 
 def _build(cls: type, data: dict[str, Any]) -> Any:

@@ -3,7 +3,7 @@
 
 A single point hardly tells metal from a rough dielectric: wrong normals and shadows make either fit a little better. Two thresholds, as
 in Canny's edge detector, ask for strong evidence once and keep a region whole. On three scenes with metal parts the wrong points fell
-from 305 to 68 of 6900, against the better fit at each point.
+from 305 to 68 of 6900, against the better fit at each point (measured with SURE = 0.4).
 """
 
 from __future__ import annotations
