@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..constants import DIELECTRIC_F0
 from .directions import lightmap_place
 from .jit import helper, kernel
