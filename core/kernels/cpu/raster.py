@@ -177,6 +177,8 @@ def rasterize_backward_range(
     out, mine = slots[slot].reshape(-1), touched[slot]
     zero = splat(0.0)
     for tile in range(begin, end):
+        if hit_count[tile] == 0:
+            continue
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_total)
         s_run[:] = 0.0

@@ -46,7 +46,8 @@ class GaussianOptimizer:
         leaves: parameters of the Gaussians by name, shapes as in `Gaussians`; gradients flow to them.
         others: further optimised tensors by name, not per Gaussian.
         rates: learning rate of each group by name.
-        adam: the torch optimiser.
+        adam: the optimiser of the groups.
+        coefficients: leading SH coefficients of which any has had a gradient; a step changes no others.
     """
 
     def __init__(self, gaussians: Gaussians, rates: dict[str, Rate], others: dict[str, torch.Tensor] | None = None) -> None:
@@ -60,7 +61,7 @@ class GaussianOptimizer:
         Raises:
             IrgsppError: a value is not finite.
         """
-        self.rates, self.others, self._steps = rates, others or {}, 0
+        self.rates, self.others, self._steps, self.coefficients = rates, others or {}, 0, 0
         self.adopt(gaussians)
         self.check_finite()
 
@@ -82,10 +83,18 @@ class GaussianOptimizer:
         """The current parameters; gradients flow to them."""
         return Gaussians(**self.leaves)
 
-    def step(self, progress: float) -> None:
-        """Do one step with the rates at a progress of 0..1 through the schedule, then discard the gradients."""
+    def step(self, progress: float, coefficients: int = 16) -> None:
+        """Do one step, then discard the gradients.
+
+        Args:
+            progress: 0..1 through the schedule, which the rates depend on.
+            coefficients: leading SH coefficients that have a gradient.
+        """
+        self.coefficients = max(self.coefficients, coefficients)
         for group in self.adam.param_groups:
             group["lr"] = self.rates[group["name"]].at(progress)
+            if group["name"] == "sh_rest":
+                group["rows"] = min(self.coefficients - 1, len(group["params"][0]))
             if group["name"] not in self.others:
                 leaf, rows = ROWS.get(group["name"], (group["name"], slice(None)))
                 gradient = self.leaves[leaf].grad
@@ -193,6 +202,7 @@ class GaussianOptimizer:
             moments = {k.removeprefix(prefix): v.to(device) for k, v in state["moments"].items() if k.startswith(prefix)}
             if moments:
                 self.adam.state[group["params"][0]] = moments
+        self.coefficients = 16  # of the moments in a checkpoint, any may have been used
         self.check_finite()
 
 

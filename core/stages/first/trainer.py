@@ -138,7 +138,8 @@ class Trainer:
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
         view = self.training_views[self._next_view()].to(self.device)
-        image, sums, statistics = self.render(view, self._degree())
+        degree = self._degree()
+        image, sums, statistics = self.render(view, degree)
         loss = photometric_loss(view.bounded(image), view.image)
         if view.alpha is not None:
             loss = loss + self.settings.mask_weight * view.mask_difference(sums[-1])
@@ -149,7 +150,7 @@ class Trainer:
         if check_due(loss, self.done + 1):
             self._loss = self._finite_value(loss)
         loss.backward()
-        self.optimizer.step(self.done / self.settings.iterations)
+        self.optimizer.step(self.done / self.settings.iterations, (degree + 1) ** 2)
         self.done += 1
         self._control(statistics)
         return self._loss
