@@ -13,6 +13,7 @@ from irgspp.core.kernels.cpu.simd import (
     first_bit,
     floor,
     load,
+    log2,
     maximum,
     minimum,
     ramp,
@@ -60,6 +61,12 @@ def exponential(values, out):
 def bounded_exponential(values, out):
     for i in range(0, len(values), 8):
         store(out, i, bounded_exp(load(values, i)))
+
+
+@kernel
+def logarithm(values, out):
+    for i in range(0, len(values), 8):
+        store(out, i, log2(load(values, i)))
 
 
 @kernel
@@ -146,6 +153,13 @@ def test_bounded_exp_over_its_range():
     out = np.empty_like(x)
     bounded_exponential(x, out)
     assert np.abs(out / np.exp(x.astype(np.float64)) - 1).max() < 1e-6
+
+
+def test_log2_of_positive_values():
+    x = np.concatenate([np.exp2(np.linspace(-126, 127.9, 400_000)), np.linspace(0.5, 2, 8000)]).astype(np.float32)
+    out, exact = np.empty_like(x), np.log2(x.astype(np.float64))
+    logarithm(x, out)
+    assert (np.abs(out - exact) <= 2e-7 * np.abs(exact) + 6e-8).all()
 
 
 def test_totals_of_eight_vectors():
