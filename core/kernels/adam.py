@@ -47,19 +47,22 @@ class AdamTensor:
         return [(begin, min(begin + _PIECE, self.count), *arrays, *scalars) for begin in range(0, self.count, _PIECE)]
 
 
-def adam_step(tensors: Iterable[AdamTensor], betas: tuple[float, float], epsilon: float) -> None:
+def adam_step(tensors: Iterable[AdamTensor], betas: tuple[float, float], epsilon: float) -> bool:
     """Do one step of Adam (Kingma and Ba 2015).
 
     Args:
         tensors: what to step on.
         betas: decay of the two moments.
         epsilon: added to the root of the second moment.
+
+    Returns:
+        True where all new values are finite; False also where their sum overflows.
     """
     pieces = [piece for tensor in tensors for piece in tensor.pieces(betas, epsilon)]
-    run_ranges(_piece, [(i, i + 1) for i in range(len(pieces))], pieces)
+    sums = run_ranges(_step_on, [(i, i + 1) for i in range(len(pieces))], pieces)
+    return all(map(math.isfinite, sums))
 
 
-def _piece(begin: int, end: int, pieces: list[tuple[Any, ...]]) -> None:
-    """Step on the pieces begin..end."""
-    for piece in pieces[begin:end]:
-        adam_range(*piece)
+def _step_on(begin: int, _end: int, pieces: list[tuple[Any, ...]]) -> float:
+    """Step on one piece and return the sum of its new values."""
+    return adam_range(*pieces[begin])

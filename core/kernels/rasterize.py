@@ -86,17 +86,17 @@ class _Rasterize(torch.autograd.Function):
         ctx.lists = (start, hits, record, feature, columns, flat)
         ctx.layout = (stride, plane, blocks)
         ctx.shapes = [t.shape for t in (position, quaternion, log_scale, opacity, sh, extra)]
-        statistics.radius = torch.from_numpy((box[:, 2:] - box[:, :2]).max(1) + 1).clamp_min(0)
+        statistics.radius = torch.from_numpy(np.maximum(box[:, 2] - box[:, 0], box[:, 3] - box[:, 1]) + 1).clamp_min(0)
         return image
 
     @staticmethod
     def backward(ctx, gradient):
         stride, plane, blocks = ctx.layout
         start, hits, record, feature, columns, flat = ctx.lists
-        n = len(record)
+        n, subpixels = len(record), ctx.statistics.subpixels
         fine = np.empty(len(gradient) * plane, np.float32)
-        lines = even_ranges(plane // stride, thread_count())
-        run_ranges(spread_range, lines, gradient.contiguous().numpy(), ctx.statistics.subpixels, stride, plane, fine)
+        lines = even_ranges(-(-plane // stride // subpixels), thread_count())
+        run_ranges(spread_range, lines, gradient.contiguous().numpy(), subpixels, stride, plane, fine)
         tiles = balanced_ranges(hits[2] + 1, thread_count())
         slots = np.empty((len(tiles), n, -(-(SPLAT_GRADIENTS + feature.shape[1]) // 8) * 8), np.float32)
         touched = np.zeros(slots.shape[:2], np.uint8)
@@ -107,7 +107,7 @@ class _Rasterize(torch.autograd.Function):
         screen = torch.empty(n)
         outputs = [g.view(-1).numpy() for g in gradients]
         run_ranges(project_backward_range, blocks, *ctx.arrays[:5], ctx.coefficients, ctx.cam, n, slots, touched, *outputs, screen.numpy())
-        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)] * ctx.statistics.subpixels
+        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)] * subpixels
         return *gradients, None, None, None
 
 

@@ -24,13 +24,17 @@ class Adam(torch.optim.Adam):
     zero_grad = inspect.unwrap(torch.optim.Optimizer.zero_grad)
 
     @torch.no_grad()
-    def step(self) -> None:
-        """Do one step with the gradients of all parameters."""
+    def step(self) -> bool:
+        """Do one step with the gradients of all parameters.
+
+        Returns:
+            True where all new values are known to be finite; not on a GPU, which would have to be waited for.
+        """
         tensors = [(group, p) for group in self.param_groups for p in group["params"] if p.grad is not None]
         if any(p.device.type != "cpu" for _, p in tensors):
             inspect.unwrap(torch.optim.Adam.step)(self)
-        else:
-            adam_step([self._prepared(group, p) for group, p in tensors], self.defaults["betas"], self.defaults["eps"])
+            return False
+        return adam_step([self._prepared(group, p) for group, p in tensors], self.defaults["betas"], self.defaults["eps"])
 
     def _prepared(self, group: dict, p: torch.Tensor) -> AdamTensor:
         """Count the step of a parameter, which gets moments at its first; return what the kernel needs."""
