@@ -10,6 +10,8 @@ The modules at the top are the public interface: they call the numba kernels in 
 | trace 2D Gaussians | `trace.py` | `trace_autograd`, `bvh`, `trace`, ... | `trace`, `surfels`, `adjoint`, ... | `reference/trace.py` |
 | L1 + D-SSIM loss | `photometric.py` | `photometric` | `photometric` | `reference/photometric.py` |
 | normal consistency loss | `normal_consistency.py` | `normal_consistency` | none: PyTorch | `normal_consistency_reference` beside it |
+| step of Adam | `adam.py` | `adam` | none: PyTorch | `torch.optim.Adam` |
+| deferred split-sum shading | `split_sum.py` | `split_sum` | none: PyTorch | `core/rendering/deferred.py` |
 | BRDF-weighted sums over light samples | `reflection.py` | `reflection` | none: PyTorch | `core/shading/rendering_equation.py` |
 | specular lobe over the texels of a light | `lobes.py` | `lobes` | `lobes`, `reflection` | `specular_lobe` in `core/shading/brdf.py` |
 | Jacobian of views by the light's texels | `jacobian.py` | `jacobian` | none: PyTorch | `tests/core/kernels/test_jacobian.py` |
@@ -28,6 +30,6 @@ Operations without a module at the top are called directly by the module named h
 | cross-bilateral filter | `core/relight/denoise.py` | `bilateral` | `bilateral` | `tests/core/relight/test_denoise.py` |
 | closest hits on triangles | `core/relight/triangles.py` | none: Embree | `mesh` | none |
 
-Shared helpers: `cpu/jit.py` (compilation), `cpu/simd.py` (8-wide vectors), `cpu/frame.py` and `cpu/harmonics.py`; `warp/runtime.py`
-(launches) and `warp/harmonics.py`; `reference/compositing.py` and `reference/harmonics.py`.
+Shared helpers: `cpu/jit.py` (compilation), `cpu/simd.py` and `cpu/reductions.py` (8-wide vectors), `cpu/frame.py` and
+`cpu/harmonics.py`; `warp/runtime.py` (launches) and `warp/harmonics.py`; `reference/compositing.py` and `reference/harmonics.py`.
 """

@@ -47,6 +47,7 @@ SH_C3 = (
 )
 
 # --- specular lobe
+DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of what is no metal
 SHORTEST2 = 1e-7  # lower bound of |view + light direction|^2
 
 # --- SSIM: 11 x 11 Gaussian window of sigma 1.5

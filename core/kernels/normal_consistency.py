@@ -18,19 +18,24 @@ class _NormalConsistency(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image, rays, rotation):
-        x, r, turn = (t.detach().contiguous().numpy() for t in (image, rays, rotation))
-        _, height, width = x.shape
-        gradient, slopes = np.zeros_like(x), np.zeros((6, height + 2, width + 2), np.float32)
-        sums, floor = np.zeros(height), np.float32(FLOOR)
-        inner = [(a + 1, b + 1) for a, b in even_ranges(height - 2, thread_count())]
-        run_ranges(disagreement_range, inner, x, r, turn, floor, gradient, slopes, sums)
-        run_ranges(depth_gradient_range, even_ranges(height, thread_count()), x, r, floor, slopes, gradient)
+        value, gradient = consistency_gradient(*(t.detach().contiguous().numpy() for t in (image, rays, rotation)))
         ctx.save_for_backward(torch.from_numpy(gradient))
-        return torch.tensor(sums.sum() / (height * width), dtype=image.dtype)
+        return torch.tensor(value, dtype=image.dtype)
 
     @staticmethod
     def backward(ctx, upstream):
         return upstream * ctx.saved_tensors[0], None, None
+
+
+def consistency_gradient(image: np.ndarray, rays: np.ndarray, rotation: np.ndarray) -> tuple[float, np.ndarray]:
+    """Compute `normal_consistency` and its gradient by the image, (C, H, W), on the CPU; all arguments are float32."""
+    _, height, width = image.shape
+    gradient, slopes = np.zeros_like(image), np.zeros((6, height + 2, width + 2), np.float32)
+    sums, floor = np.zeros(height), np.float32(FLOOR)
+    inner = [(a + 1, b + 1) for a, b in even_ranges(height - 2, thread_count())]
+    run_ranges(disagreement_range, inner, image, rays, rotation, floor, gradient, slopes, sums)
+    run_ranges(depth_gradient_range, even_ranges(height, thread_count()), image, rays, floor, slopes, gradient)
+    return sums.sum() / (height * width), gradient
 
 
 def depth_normals(depth: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:

@@ -76,35 +76,38 @@ class _Rasterize(torch.autograd.Function):
         stride, plane = columns * TILE, rows * TILE * columns * TILE
         tiles = balanced_ranges(np.diff(start) + 1, thread_count())
         flat = np.empty((9 + extras) * plane, np.float32)
-        run_ranges(rasterize_range, tiles, start, entries, record, feature, box, columns, flat, stride, plane)
+        hits = (np.empty_like(entries), np.empty(len(entries), np.uint8), np.empty(columns * rows, np.int32))
+        run_ranges(rasterize_range, tiles, start, entries, record, feature, box, columns, flat, stride, plane, *hits)
         subpixels = statistics.subpixels
         image = torch.empty(8 + extras, height // subpixels, width // subpixels)
         lines = even_ranges(image.shape[1], thread_count())
         run_ranges(pool_range, lines, flat, stride, plane, subpixels, image.numpy())
         ctx.arrays, ctx.cam, ctx.coefficients, ctx.statistics = arrays, cam, coefficients, statistics
-        ctx.lists = (start, entries, record, feature, box, columns, flat)
-        ctx.layout = (stride, plane, tiles, blocks)
+        ctx.lists = (start, hits, record, feature, columns, flat)
+        ctx.layout = (stride, plane, blocks)
         ctx.shapes = [t.shape for t in (position, quaternion, log_scale, opacity, sh, extra)]
-        statistics.radius = torch.from_numpy((box[:, 2:] - box[:, :2]).max(1) + 1).clamp_min(0)
+        statistics.radius = torch.from_numpy(np.maximum(box[:, 2] - box[:, 0], box[:, 3] - box[:, 1]) + 1).clamp_min(0)
         return image
 
     @staticmethod
     def backward(ctx, gradient):
-        stride, plane, tiles, blocks = ctx.layout
-        start, entries, record, feature, box, columns, flat = ctx.lists
-        n = len(record)
+        stride, plane, blocks = ctx.layout
+        start, hits, record, feature, columns, flat = ctx.lists
+        n, subpixels = len(record), ctx.statistics.subpixels
         fine = np.empty(len(gradient) * plane, np.float32)
-        lines = even_ranges(plane // stride, thread_count())
-        run_ranges(spread_range, lines, gradient.contiguous().numpy(), ctx.statistics.subpixels, stride, plane, fine)
-        slots = np.zeros((len(tiles), n, SPLAT_GRADIENTS + feature.shape[1]), np.float32)
-        image = (flat, fine, stride, plane, slots)
-        run_ranges(rasterize_backward_range, tiles, start, entries, record, feature, box, columns, *image, numbered=True)
+        lines = even_ranges(-(-plane // stride // subpixels), thread_count())
+        run_ranges(spread_range, lines, gradient.contiguous().numpy(), subpixels, stride, plane, fine)
+        tiles = balanced_ranges(hits[2] + 1, thread_count())
+        slots = np.empty((len(tiles), n, -(-(SPLAT_GRADIENTS + feature.shape[1]) // 8) * 8), np.float32)
+        touched = np.zeros(slots.shape[:2], np.uint8)
+        image = (flat, fine, stride, plane, slots, touched)
+        run_ranges(rasterize_backward_range, tiles, start, *hits, record, feature, columns, *image, numbered=True)
         gradients = [torch.empty(shape) for shape in ctx.shapes]
         gradients[4][ctx.coefficients :] = 0.0  # the kernel does not write coefficients beyond the degree
         screen = torch.empty(n)
         outputs = [g.view(-1).numpy() for g in gradients]
-        run_ranges(project_backward_range, blocks, *ctx.arrays[:5], ctx.coefficients, ctx.cam, n, slots, *outputs, screen.numpy())
-        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)] * ctx.statistics.subpixels
+        run_ranges(project_backward_range, blocks, *ctx.arrays[:5], ctx.coefficients, ctx.cam, n, slots, touched, *outputs, screen.numpy())
+        ctx.statistics.gradient = screen[: len(ctx.statistics.radius)] * subpixels
         return *gradients, None, None, None
 
 

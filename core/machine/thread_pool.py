@@ -69,11 +69,11 @@ def balanced_ranges(cost: np.ndarray, parts: int) -> list[tuple[int, int]]:
 
 
 def run_ranges(kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], *args: object, numbered: bool = False) -> list[Any]:
-    """Call a kernel for every range on the thread pool.
+    """Call a kernel for every range, in the calling thread and on the thread pool, each in the next thread that is free.
 
     Args:
         kernel: called as `kernel(begin, end, *args)`.
-        ranges: (begin, end) of each range; a single range is computed in the calling thread.
+        ranges: (begin, end) of each range.
         args: further arguments of each call.
         numbered: pass the index of the range as the kernel's first argument.
 
@@ -81,9 +81,23 @@ def run_ranges(kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], *a
         The kernel's results in the order of the ranges.
     """
     calls = [((i, a, b) if numbered else (a, b)) for i, (a, b) in enumerate(ranges)]
-    if len(calls) == 1:
-        return [kernel(*calls[0], *args)]
-    return [future.result() for future in [_executor(thread_count()).submit(kernel, *call, *args) for call in calls]]
+    results: list[Any] = [None] * len(calls)
+    waiting = iter(range(len(calls)))  # shared: each thread takes the next one
+
+    def work() -> None:
+        for i in waiting:
+            results[i] = kernel(*calls[i], *args)
+
+    threads = thread_count()
+    helpers = [_executor(threads).submit(work) for _ in range(min(threads, len(calls)) - 1)]
+    try:
+        work()
+    finally:
+        helpers = [helper for helper in helpers if not helper.cancel()]  # those that have not begun have nothing left to do
+        wait(helpers)
+    for helper in helpers:
+        helper.result()  # raises what was raised in its thread
+    return results
 
 
 def run_reported(function: Callable[[Item], Result], items: Iterable[Item], threads: int, progress: Progress, stopped: str) -> list[Result]:

@@ -13,9 +13,11 @@ import torch
 
 from ..io.srgb import encode_srgb
 from ..kernels.rasterize import COLOUR, EXTRA, NORMAL
+from ..kernels.split_sum import shade_pixels
 from ..machine.backend import by_warp
 from ..shading.environment_lookup import lookup, to_light_frame
-from ..shading.split_sum import specular_light, specular_radiance
+from ..shading.specular_albedo import brdf_table
+from ..shading.split_sum import level_roughness, specular_light, specular_radiance
 
 ALPHA_FLOOR = 1e-4  # smallest opacity that sums are divided by
 REFLECTING = 0.05  # opacity above which a pixel reflects; fainter ones show their SH colour
@@ -66,6 +68,16 @@ def surface_pixels(image: torch.Tensor, rays: torch.Tensor, threshold: float = R
     return SurfacePixels(index, view, normal, colour, albedo, mean[EXTRA + 3], mean[EXTRA + 4], sums[-1])
 
 
+def _by_kernel(image: torch.Tensor) -> bool:
+    """Return True where the CPU's kernel shades an image (C, H, W); it computes in float32."""
+    return image.dtype == torch.float32 and not by_warp(image)
+
+
+def _shaded(image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None) -> torch.Tensor:
+    """Return the radiance (3, H, W) that the CPU's kernel computes; without levels in the stack nothing reflects."""
+    return shade_pixels(image, rays, stack, light_rotation, (level_roughness(), brdf_table()), (REFLECTING, ALPHA_FLOOR))
+
+
 def splat_radiance(image: torch.Tensor) -> torch.Tensor:
     """Return the radiance of the SH colours, (3, H, W) linear with straight alpha, from the sums of `rasterize`, (13, H, W)."""
     return image[COLOUR] / image[-1:].clamp_min(ALPHA_FLOOR)
@@ -85,7 +97,23 @@ def reflective_radiance(
         light_rotation: (3, 3) world to the frame of the light, None where it stands still.
 
     Returns:
-        (3, H, W) linear radiance with straight alpha.
+        (3, H, W) linear radiance with straight alpha. The image and the stack have gradients.
+    """
+    if _by_kernel(image):
+        return _shaded(image, rays, stack, light_rotation)
+    return reflective_radiance_reference(image, rays, stack, light_rotation)
+
+
+def reflective_radiance_reference(
+    image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Compute `reflective_radiance` in PyTorch operations, for any floating type and device: its reference implementation.
+
+    Args:
+        image: (13, H, W) sums of `rasterize`.
+        rays: (3, H, W) world directions of any length.
+        stack: (L, h, w, 3) prefiltered light.
+        light_rotation: (3, 3) world to the frame of the light, None where it stands still.
     """
     all_pixels = by_warp(image)
     p = surface_pixels(image, rays, all_pixels=all_pixels)
@@ -112,7 +140,9 @@ def radiance(
     Returns:
         (3, H, W) linear radiance with straight alpha.
     """
-    return splat_radiance(image) if light is None else reflective_radiance(image, rays, specular_light(light), light_rotation)
+    if light is not None:
+        return reflective_radiance(image, rays, specular_light(light), light_rotation)
+    return _shaded(image, rays, image.new_empty(0, 1, 1, 3), None) if _by_kernel(image) else splat_radiance(image)
 
 
 def background_radiance(background: torch.Tensor, rays: torch.Tensor, light_rotation: torch.Tensor | None = None) -> torch.Tensor:

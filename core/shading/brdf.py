@@ -10,7 +10,8 @@ import math
 
 import torch
 
-DIELECTRIC_F0 = 0.04
+from ..kernels.constants import DIELECTRIC_F0
+
 ALPHA_FLOOR = 0.05**2  # roughness below 0.05 is treated as 0.05
 COSINE_FLOOR = 1e-3  # of n.v: at silhouettes an averaged normal may point away from the camera
 

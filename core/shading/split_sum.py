@@ -30,6 +30,11 @@ def _knots(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
     return torch.tensor(LEVELS, dtype=dtype).to(device)
 
 
+def level_roughness() -> torch.Tensor:
+    """Return the roughness of each level of the specular stack, (L,) float32 on the CPU."""
+    return _knots(torch.float32, torch.device("cpu"))
+
+
 @cache
 def _operator(height: int, width: int, roughness: float | None) -> torch.Tensor:
     """Return the Fourier transform in azimuth of a normalised filter, (W/2 + 1, H in, H out).

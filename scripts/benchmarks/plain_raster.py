@@ -37,7 +37,7 @@ def _exhausted(transmittance):
 
 
 @kernel
-def plain_range(begin, end, start, entries, record, feature, box, columns, image, stride, plane):
+def plain_range(begin, end, start, entries, record, feature, box, columns, image, stride, plane, hits, hit_rows, hit_count):
     """Rasterise a range of tiles into `image` (channels x plane,) as `rasterize_range` does, one pixel at a time."""
     features = feature.shape[1]
     acc = np.empty((features + 1, TILE, TILE), np.float32)
@@ -46,10 +46,11 @@ def plain_range(begin, end, start, entries, record, feature, box, columns, image
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         acc[:] = _ZERO
         transmittance[:] = _ONE
+        found = start[tile]
         for entry in range(start[tile], start[tile + 1]):
             if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
                 break
-            g = entries[entry]
+            g, hit = entries[entry], 0
             cut, opacity, z = record[g, 10], record[g, 9], record[g, 8]
             for row in range(max(box[g, 1] - y0, 0), min(box[g, 3] - y0, TILE - 1) + 1):
                 dy = np.float32(y0 + row) + _HALF - record[g, 1]
@@ -59,11 +60,15 @@ def plain_range(begin, end, start, entries, record, feature, box, columns, image
                     rho, iw, _, _, filtered = _evaluate(record, g, dx, dy)
                     if rho > cut or before <= _STOP:
                         continue
+                    hit |= 1 << row
                     weight = min(math.exp(-_HALF * rho) * opacity, _MAX) * before
                     transmittance[row, column] = before - weight
                     for channel in range(features):
                         acc[channel, row, column] += weight * feature[g, channel]
                     acc[features, row, column] += weight * (z if filtered else iw * z)
+            hits[found], hit_rows[found] = g, hit
+            found += hit != 0
+        hit_count[tile] = found - start[tile]
         for row in range(TILE):
             for column in range(TILE):
                 at = (y0 + row) * stride + x0 + column
@@ -96,7 +101,9 @@ def _load_gradients(gradient, image, stride, plane, x0, y0, channels, g_tile, s_
 
 
 @kernel
-def plain_backward_range(slot, begin, end, start, entries, record, feature, box, columns, image, gradient, stride, plane, slots):
+def plain_backward_range(
+    slot, begin, end, start, hits, hit_rows, hit_count, record, feature, columns, image, gradient, stride, plane, slots, touched
+):  # fmt: skip
     """Add the gradients of a range of tiles to `slots` (slots, N, channels) as `rasterize_backward_range` does, one pixel at a time."""
     features = feature.shape[1]
     g_tile = np.empty((features + 2, TILE, TILE), np.float32)
@@ -109,14 +116,13 @@ def plain_backward_range(slot, begin, end, start, entries, record, feature, box,
         _load_gradients(gradient, image, stride, plane, x0, y0, features + 2, g_tile, s_total)
         s_run[:] = _ZERO
         transmittance[:] = _ONE
-        for entry in range(start[tile], start[tile + 1]):
-            if (entry - start[tile]) % 8 == 7 and _exhausted(transmittance):
-                break
-            g = entries[entry]
+        for entry in range(start[tile], start[tile] + hit_count[tile]):
+            g = hits[entry]
             cut, opacity, z = record[g, 10], record[g, 9], record[g, 8]
             sums[:] = _ZERO
-            touched = False
-            for row in range(max(box[g, 1] - y0, 0), min(box[g, 3] - y0, TILE - 1) + 1):
+            for row in range(TILE):
+                if not hit_rows[entry] >> row & 1:
+                    continue
                 dy = np.float32(y0 + row) + _HALF - record[g, 1]
                 for column in range(TILE):
                     dx = np.float32(x0 + column) + _HALF - record[g, 0]
@@ -124,7 +130,6 @@ def plain_backward_range(slot, begin, end, start, entries, record, feature, box,
                     rho, iw, u, v, filtered = _evaluate(record, g, dx, dy)
                     if rho > cut or before <= _STOP:
                         continue
-                    touched = True
                     bell = math.exp(-_HALF * rho)
                     alpha = min(bell * opacity, _MAX)
                     weight = alpha * before
@@ -159,6 +164,8 @@ def plain_backward_range(slot, begin, end, start, entries, record, feature, box,
                     sums[6] += gw * dx
                     sums[7] += gw * dy
                     sums[8] += gt * iw
-            if touched:
-                for j in range(SPLAT_GRADIENTS + features):
-                    out[g, j] += sums[j]
+            if not touched[slot, g]:
+                out[g] = _ZERO
+            touched[slot, g] = 1
+            for j in range(SPLAT_GRADIENTS + features):
+                out[g, j] += sums[j]

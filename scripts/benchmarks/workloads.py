@@ -54,22 +54,28 @@ class Splats:
     stride: int
     plane: int
     slots: np.ndarray
+    touched: np.ndarray
+    hits: tuple[np.ndarray, np.ndarray, np.ndarray]
     tiles: list[tuple[int, int]]
 
     @property
     def memory(self) -> int:
         """Bytes of all arrays."""
-        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+        return sum(value.nbytes for value in (*vars(self).values(), *self.hits) if isinstance(value, np.ndarray))
 
     def forward(self, kernel: Callable[..., None]) -> None:
-        """Fill `image` by a forward kernel."""
+        """Fill `image` and `hits` by a forward kernel."""
         lists = self.start, self.entries, self.record, self.feature, self.box, self.columns
-        run_ranges(kernel, self.tiles, *lists, self.image, self.stride, self.plane)
+        run_ranges(kernel, self.tiles, *lists, self.image, self.stride, self.plane, *self.hits)
 
     def backward(self, kernel: Callable[..., None]) -> None:
-        """Add the gradients to `slots` by a backward kernel."""
-        lists = self.start, self.entries, self.record, self.feature, self.box, self.columns
-        run_ranges(kernel, self.tiles, *lists, self.image, self.gradient, self.stride, self.plane, self.slots, numbered=True)
+        """Write the gradients to `slots` by a backward kernel, after a forward kernel."""
+        lists, image = (
+            (self.start, *self.hits, self.record, self.feature, self.columns),
+            (self.image, self.gradient, self.stride, self.plane),
+        )
+        self.touched[:] = 0
+        run_ranges(kernel, self.tiles, *lists, *image, self.slots, self.touched, numbered=True)
 
 
 def torus(count: int, seed: int, extras: int = EXTRAS) -> list[np.ndarray]:
@@ -128,8 +134,10 @@ def project(count: int, size: int, seed: int = 0, extras: int = EXTRAS) -> Splat
     tiles = balanced_ranges(np.diff(start) + 1, thread_count())
     image = np.empty((9 + extras) * plane, np.float32)
     gradient = np.random.default_rng(seed).normal(size=(8 + extras) * plane).astype(np.float32)
-    slots = np.zeros((len(tiles), count, SPLAT_GRADIENTS + 6 + extras), np.float32)
-    return Splats(start, entries, record, feature, box, columns, image, gradient, stride, plane, slots, tiles)
+    slots = np.zeros((len(tiles), count, -(-(SPLAT_GRADIENTS + 6 + extras) // 8) * 8), np.float32)
+    hits = (np.empty_like(entries), np.empty(len(entries), np.uint8), np.empty(columns * columns, np.int32))
+    outputs = (image, gradient, stride, plane, slots, np.zeros(slots.shape[:2], np.uint8), hits)
+    return Splats(start, entries, record, feature, box, columns, *outputs, tiles)
 
 
 @dataclass

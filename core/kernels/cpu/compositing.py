@@ -12,7 +12,8 @@ import numpy as np
 from ..constants import BEHIND, NORMAL, TRANSMITTANCE_MIN
 from .harmonics import basis
 from .jit import helper, kernel
-from .simd import load, prefetch, store, total
+from .reductions import total
+from .simd import load, prefetch, store
 
 SH_ROW = 48
 SUMS = 8  # outputs besides the extras: colour, normal, distance, opacity

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..constants import SHORTEST2
 from .jit import helper, kernel
-from .simd import bits, load, maximum, splat, sqrt, store, total
+from .reductions import total
+from .simd import bits, load, maximum, splat, sqrt, store
 
 _HALF_PI = np.float32(0.5 / math.pi)
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)

@@ -143,31 +143,30 @@ def _finish(g, lane, scratch, cam, record, box, depth):
 
 
 @helper
-def _sum_slots(slots, first, sums):
-    """Sum the gradients of 8 Gaussians over the threads' slots, in the order of the slots, to `sums` (columns * 8,)."""
-    for column in range(slots.shape[2]):
+def _sum_slots(slots, touched, first, sums):
+    """Sum the gradients of 8 Gaussians over the threads' slots, in the order of the slots, to `sums` (columns * 8,).
+
+    Returns: True where any of them has a gradient; Gaussians behind opaque surfaces have none.
+    """
+    found = False
+    for slot in range(slots.shape[0]):
         for lane in range(8):
-            value = np.float32(0.0)
-            for slot in range(slots.shape[0]):
-                value += slots[slot, first + lane, column]
-            sums[column * 8 + lane] = value
+            found = found or touched[slot, first + lane] != 0
+    if not found:
+        return False
+    sums[:] = 0.0
+    for slot in range(slots.shape[0]):
+        for lane in range(8):
+            if touched[slot, first + lane] != 0:
+                for column in range(slots.shape[2]):
+                    sums[column * 8 + lane] += slots[slot, first + lane, column]
+    return True
 
 
 @helper
 def _column(sums, column):
     """Return one column of the gradients that `_sum_slots` summed, of 8 Gaussians."""
     return load(sums, column * 8)
-
-
-@helper
-def _any_gradient(slots, first):
-    """Return True where any of 8 Gaussians has a gradient; Gaussians behind opaque surfaces have none."""
-    for slot in range(slots.shape[0]):
-        for g in range(first, first + 8):
-            for column in range(slots.shape[2]):
-                if slots[slot, g, column] != 0.0:
-                    return True
-    return False
 
 
 @helper
@@ -190,25 +189,25 @@ def _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, scre
 
 @kernel
 def project_backward_range(
-    begin, end, position, quaternion, log_scale, opacity, sh, coefficients, cam, n, slots,
+    begin, end, position, quaternion, log_scale, opacity, sh, coefficients, cam, n, slots, touched,
     g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen,
 ):  # fmt: skip
-    """Compute the adjoint of `project_range`: from `slots` (threads, N, SPLAT_GRADIENTS + F) to gradients laid out like the parameters.
+    """Compute the adjoint of `project_range`: from `slots` (threads, N, W) to gradients laid out like the parameters.
 
+    touched: (threads, N), 0 for rows of `slots` that hold no gradient.
     screen: (N,) receives |d loss / d projected centre| per pixel.
     """
     sums = np.empty(slots.shape[2] * 8, np.float32)
     values = np.empty(16 * 8, np.float32)
     slopes = np.empty(3 * 16 * 8, np.float32)
     fx, fy = cam[9], cam[10]
-    extras = slots.shape[2] - SPLAT_GRADIENTS - 6
+    extras = len(g_extra) // n
     zero = splat(0.0)
     for block in range(begin, end):
         i = min(block * 8, n - 8)
-        if not _any_gradient(slots, i):
+        if not _sum_slots(slots, touched, i, sums):
             _clear(g_position, g_quaternion, g_log_scale, g_opacity, g_sh, g_extra, screen, coefficients, extras, n, i)
             continue
-        _sum_slots(slots, i, sums)
         offset, c, _, tu, tv, normal, nc, facing, free, q, qinv = frame(position, quaternion, n, i, cam)
         isu, isv = exp(_log_scale(log_scale, i) * -1.0), exp(_log_scale(log_scale, n + i) * -1.0)
         front = c[2] > cam[18]

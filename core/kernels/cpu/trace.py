@@ -15,7 +15,8 @@ import numpy as np
 from ..constants import ALPHA_MAX, AXIS_U, AXIS_V, CUT, GRAZING, NORMAL, OPACITY, TRANSMITTANCE_MIN
 from .bvh import LEAF, NODE
 from .jit import helper, kernel
-from .simd import bits, exp, first_bit, load, maximum, minimum, product, select, splat, store
+from .reductions import product
+from .simd import bits, exp, first_bit, load, maximum, minimum, select, splat, store
 
 NEAREST = 48  # hits collected in one traversal
 GROUP = 6  # nodes opened at once, which hides the latency of memory

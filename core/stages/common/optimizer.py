@@ -46,7 +46,8 @@ class GaussianOptimizer:
         leaves: parameters of the Gaussians by name, shapes as in `Gaussians`; gradients flow to them.
         others: further optimised tensors by name, not per Gaussian.
         rates: learning rate of each group by name.
-        adam: the torch optimiser.
+        adam: the optimiser of the groups.
+        coefficients: leading SH coefficients of which any has had a gradient; a step changes no others.
     """
 
     def __init__(self, gaussians: Gaussians, rates: dict[str, Rate], others: dict[str, torch.Tensor] | None = None) -> None:
@@ -60,7 +61,7 @@ class GaussianOptimizer:
         Raises:
             IrgsppError: a value is not finite.
         """
-        self.rates, self.others, self._steps = rates, others or {}, 0
+        self.rates, self.others, self._steps, self.coefficients = rates, others or {}, 0, 0
         self.adopt(gaussians)
         self.check_finite()
 
@@ -82,20 +83,34 @@ class GaussianOptimizer:
         """The current parameters; gradients flow to them."""
         return Gaussians(**self.leaves)
 
-    def step(self, progress: float) -> None:
-        """Do one step with the rates at a progress of 0..1 through the schedule, then discard the gradients."""
+    def step(self, progress: float, coefficients: int = 16) -> None:
+        """Do one step, then discard the gradients.
+
+        Args:
+            progress: 0..1 through the schedule, which the rates depend on.
+            coefficients: leading SH coefficients that have a gradient.
+        """
+        self.coefficients = max(self.coefficients, coefficients)
         for group in self.adam.param_groups:
             group["lr"] = self.rates[group["name"]].at(progress)
+            if group["name"] == "sh_rest":
+                group["rows"] = min(self.coefficients - 1, len(group["params"][0]))
             if group["name"] not in self.others:
                 leaf, rows = ROWS.get(group["name"], (group["name"], slice(None)))
                 gradient = self.leaves[leaf].grad
                 group["params"][0].grad = None if gradient is None else gradient[rows]
-        self.adam.step()
+        known = self.adam.step()
         self._steps += 1
-        if check_due(self.leaves["position"], self._steps):
+        if check_due(self.leaves["position"], self._steps) and not (known and _sums_finite(self._not_stepped_on())):
             self.check_finite()
         for tensor in (*self.leaves.values(), *self.others.values()):
             tensor.grad = None
+
+    def _not_stepped_on(self) -> list[torch.Tensor]:
+        """Return the tensors of which not all values have a learning rate and a gradient."""
+        parts = {name: [part for part, (leaf, _) in ROWS.items() if leaf == name] or [name] for name in self.leaves}
+        leaves = [leaf for name, leaf in self.leaves.items() if leaf.grad is None or not all(part in self.rates for part in parts[name])]
+        return leaves + [other for other in self.others.values() if other.grad is None]
 
     @property
     def iteration(self) -> int:
@@ -106,8 +121,7 @@ class GaussianOptimizer:
         """Check all parameters; raise IrgsppError where a value is NaN or infinite."""
         named = self.leaves | self.others
         with torch.no_grad():
-            # A sum takes a fifth of the time of testing each value; where a sum overflows, the values are tested below.
-            if torch.stack([tensor.sum() for tensor in named.values()]).isfinite().all():
+            if _sums_finite(list(named.values())):
                 return
             for name, tensor in named.items():
                 parts = {k: rows for k, (leaf, rows) in ROWS.items() if leaf == name} or {name: slice(None)}
@@ -193,7 +207,14 @@ class GaussianOptimizer:
             moments = {k.removeprefix(prefix): v.to(device) for k, v in state["moments"].items() if k.startswith(prefix)}
             if moments:
                 self.adam.state[group["params"][0]] = moments
+        self.coefficients = 16  # of the moments in a checkpoint, any may have been used
         self.check_finite()
+
+
+def _sums_finite(tensors: list[torch.Tensor]) -> bool:
+    """Return True where the sums of all tensors are finite: a fifth of the time of testing each value; False also where one overflows."""
+    with torch.no_grad():
+        return not tensors or bool(torch.stack([tensor.sum() for tensor in tensors]).isfinite().all())
 
 
 def _shapes(tensors: dict[str, torch.Tensor]) -> dict[str, tuple[int, ...] | None]:

@@ -12,16 +12,15 @@ import numpy as np
 import torch
 
 from ...errors import Cancelled, InputError, IrgsppError
-from ...kernels.normal_consistency import normal_consistency
-from ...kernels.photometric import photometric_loss
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
-from ...rendering.deferred import composite, radiance
+from ...rendering.deferred import radiance
 from ...scene.camera import Camera
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import FirstStageSettings
 from ..common.finite_check import check_due
+from ..common.image_loss import displayed, image_loss
 from ..common.losses import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.preview import LONGEST, eight_bits
@@ -111,14 +110,21 @@ class Trainer:
         Returns:
             The sRGB-encoded image (3, H, W), the sums (C, H, W) of `rasterize`, and its screen-space statistics.
         """
+        straight, sums, statistics = self._shade(view, degree)
+        return displayed(straight, sums[-1], view, self._background()), sums, statistics
+
+    def _background(self) -> torch.Tensor | None:
+        """Return the radiance of the background map, (64, 128, 3); None where all images have masks."""
+        return None if self.masked else self.background.exp()
+
+    def _shade(self, view: TrainingView, degree: int) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
+        """Return the linear radiance (3, H, W) of a view with straight alpha, and the sums and the statistics of `rasterize`."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
         extra = g.materials() if self.material_class.glossy else g.position.new_zeros(0, g.count)
         parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
         sums, statistics = rasterize(*parameters, view.camera, radius, degree, self.settings.subpixels)
         straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.glossy else None, view.light_rotation)
-        background = None if self.masked else self.background.exp()
-        image = composite(straight, sums[-1], view.world_rays, background, view.light_rotation)
-        return view.completed(image, straight, sums[-1]), sums, statistics
+        return straight, sums, statistics
 
     def straight(self, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
         """Render the current Gaussians without a background and without reflections of the light map.
@@ -138,18 +144,16 @@ class Trainer:
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
         view = self.training_views[self._next_view()].to(self.device)
-        image, sums, statistics = self.render(view, self._degree())
-        loss = photometric_loss(view.bounded(image), view.image)
-        if view.alpha is not None:
-            loss = loss + self.settings.mask_weight * view.mask_difference(sums[-1])
-        loss = loss + self.settings.normal_weight * normal_consistency(sums, view.rays, view.rotation)
-        loss = loss * view.pixel_fraction  # the losses are means over pixels, and 0 at those that were cropped away
+        degree = self._degree()
+        straight, sums, statistics = self._shade(view, degree)
+        weights = self.settings.mask_weight, self.settings.normal_weight
+        loss = image_loss(straight, sums, view, self._background(), *weights)
         if self.material_class.glossy:
             loss = loss + self.settings.light_smoothness * light_variation(self.light)
         if check_due(loss, self.done + 1):
             self._loss = self._finite_value(loss)
         loss.backward()
-        self.optimizer.step(self.done / self.settings.iterations)
+        self.optimizer.step(self.done / self.settings.iterations, (degree + 1) ** 2)
         self.done += 1
         self._control(statistics)
         return self._loss

@@ -5,21 +5,22 @@ import numpy as np
 import pytest
 from irgspp.core.kernels.cpu import simd
 from irgspp.core.kernels.cpu.jit import kernel
+from irgspp.core.kernels.cpu.reductions import product, total, totals
 from irgspp.core.kernels.cpu.simd import (
     bits,
+    bounded_exp,
     exp,
     first_bit,
     floor,
     load,
+    log2,
     maximum,
     minimum,
-    product,
     ramp,
     select,
     splat,
     sqrt,
     store,
-    total,
 )
 
 
@@ -54,6 +55,23 @@ def masks(a, b, s, out, codes):
 def exponential(values, out):
     for i in range(0, len(values), 8):
         store(out, i, exp(load(values, i)))
+
+
+@kernel
+def bounded_exponential(values, out):
+    for i in range(0, len(values), 8):
+        store(out, i, bounded_exp(load(values, i)))
+
+
+@kernel
+def logarithm(values, out):
+    for i in range(0, len(values), 8):
+        store(out, i, log2(load(values, i)))
+
+
+@kernel
+def sums_of_eight(v, out):
+    store(out, 0, totals(load(v, 0), load(v, 8), load(v, 16), load(v, 24), load(v, 32), load(v, 40), load(v, 48), load(v, 56)))
 
 
 @kernel
@@ -128,6 +146,26 @@ def test_exp_is_clamped_not_overflowing():
     exponential(x, out)
     low, high = np.exp(-87.0), np.exp(88.0)
     assert np.allclose(out, [low, low, low, high, high, high, low, high], rtol=1e-6)
+
+
+def test_bounded_exp_over_its_range():
+    x = np.linspace(-8, 8, 400_000, dtype=np.float32)
+    out = np.empty_like(x)
+    bounded_exponential(x, out)
+    assert np.abs(out / np.exp(x.astype(np.float64)) - 1).max() < 1e-6
+
+
+def test_log2_of_positive_values():
+    x = np.concatenate([np.exp2(np.linspace(-126, 127.9, 400_000)), np.linspace(0.5, 2, 8000)]).astype(np.float32)
+    out, exact = np.empty_like(x), np.log2(x.astype(np.float64))
+    logarithm(x, out)
+    assert (np.abs(out - exact) <= 2e-7 * np.abs(exact) + 6e-8).all()
+
+
+def test_totals_of_eight_vectors():
+    values, out = np.random.default_rng(2).normal(size=64).astype(np.float32), np.empty(8, np.float32)
+    sums_of_eight(values, out)
+    assert np.allclose(out, values.reshape(8, 8).sum(1), atol=1e-5)
 
 
 def test_total_sums_any_eight_neighbours():

@@ -175,7 +175,7 @@ def test_a_cropped_image_has_the_same_gradient(sphere_dataset, camera_ring):
     start, gradients, losses = initial_gaussians(dataset, 4000, np.random.default_rng(0)), [], []
     for crop in (False, True):
         trainer = Trainer(dataset, settings("first.iterations=60").first, start, LOW_GLOSS, 0, 0, crop=crop)
-        trainer.optimizer.step = lambda progress: None
+        trainer.optimizer.step = lambda *_: None
         losses.append(trainer.step())
         gradients.append(trainer.optimizer.leaves["opacity"].grad)
     assert trainer.training_views[0].pixel_fraction < 0.8

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Loss of a rendered training view: photometric loss, difference from the mask, and normal consistency."""
+
+from __future__ import annotations
+
+import torch
+
+from ...kernels.image_loss import MIN_PIXELS, MaskedTarget, masked_loss
+from ...kernels.normal_consistency import normal_consistency
+from ...kernels.photometric import photometric_loss
+from ...machine.backend import by_warp
+from ...rendering.deferred import composite
+from .training_view import TrainingView
+
+
+def displayed(straight: torch.Tensor, alpha: torch.Tensor, view: TrainingView, background: torch.Tensor | None) -> torch.Tensor:
+    """Composite an image and encode it as sRGB, (3, H, W).
+
+    Args:
+        straight: (3, H, W) linear radiance with straight alpha.
+        alpha: (H, W) opacity.
+        view: rays, and the photograph's background in the mask's band.
+        background: (h, w, 3) linear lat-long map; None where masks separate the object from its background.
+    """
+    image = composite(straight, alpha, view.world_rays, background, view.light_rotation)
+    return view.completed(image, straight, alpha)
+
+
+def image_loss(
+    straight: torch.Tensor,
+    sums: torch.Tensor,
+    view: TrainingView,
+    background: torch.Tensor | None,
+    mask_weight: float,
+    normal_weight: float,
+) -> torch.Tensor:
+    """Compute the loss of a rendered view, a mean over all pixels of the photograph: it is 0 at those that were cropped away.
+
+    Args:
+        straight: (3, H, W) linear radiance with straight alpha.
+        sums: (C, H, W) of `rasterize`.
+        view: image to match.
+        background: (h, w, 3) linear lat-long map; None where masks separate the object from its background.
+        mask_weight: weight of the difference from the mask, where there is one.
+        normal_weight: weight of the normal consistency.
+    """
+    exact = view.alpha is not None and view.band is None and background is None
+    if exact and sums.dtype == torch.float32 and not by_warp(sums) and sums[0].numel() >= MIN_PIXELS:
+        assert view.alpha is not None
+        geometry = (view.rays, view.rotation)
+        target = MaskedTarget(view.image, view.alpha, view.saturated, *geometry, mask_weight, normal_weight, view.pixel_fraction)
+        return masked_loss(straight, sums, target)
+    return image_loss_reference(straight, sums, view, background, mask_weight, normal_weight)
+
+
+def image_loss_reference(
+    straight: torch.Tensor,
+    sums: torch.Tensor,
+    view: TrainingView,
+    background: torch.Tensor | None,
+    mask_weight: float,
+    normal_weight: float,
+) -> torch.Tensor:
+    """Compute `image_loss` loss by loss, for any view and device.
+
+    Args:
+        straight: (3, H, W) linear radiance with straight alpha.
+        sums: (C, H, W) of `rasterize`.
+        view: image to match.
+        background: (h, w, 3) linear lat-long map, or None.
+        mask_weight: weight of the difference from the mask, where there is one.
+        normal_weight: weight of the normal consistency.
+    """
+    loss = photometric_loss(view.bounded(displayed(straight, sums[-1], view, background)), view.image)
+    if view.alpha is not None:
+        loss = loss + mask_weight * view.mask_difference(sums[-1])
+    return (loss + normal_weight * normal_consistency(sums, view.rays, view.rotation)) * view.pixel_fraction
