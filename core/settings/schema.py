@@ -55,6 +55,7 @@ class FirstStageSettings:
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # number at the start; with masks also the largest number
     subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images; 1: one through its centre
+    single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth

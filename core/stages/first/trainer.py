@@ -110,19 +110,19 @@ class Trainer:
         Returns:
             The sRGB-encoded image (3, H, W), the sums (C, H, W) of `rasterize`, and its screen-space statistics.
         """
-        straight, sums, statistics = self._shade(view, degree)
+        straight, sums, statistics = self._shade(view, degree, self.settings.subpixels)
         return displayed(straight, sums[-1], view, self._background()), sums, statistics
 
     def _background(self) -> torch.Tensor | None:
         """Return the radiance of the background map, (64, 128, 3); None where all images have masks."""
         return None if self.masked else self.background.exp()
 
-    def _shade(self, view: TrainingView, degree: int) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
+    def _shade(self, view: TrainingView, degree: int, subpixels: int) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
         """Return the linear radiance (3, H, W) of a view with straight alpha, and the sums and the statistics of `rasterize`."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
         extra = g.materials() if self.material_class.glossy else g.position.new_zeros(0, g.count)
         parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
-        sums, statistics = rasterize(*parameters, view.camera, radius, degree, self.settings.subpixels)
+        sums, statistics = rasterize(*parameters, view.camera, radius, degree, subpixels)
         straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.glossy else None, view.light_rotation)
         return straight, sums, statistics
 
@@ -145,7 +145,7 @@ class Trainer:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
         view = self.training_views[self._next_view()].to(self.device)
         degree = self._degree()
-        straight, sums, statistics = self._shade(view, degree)
+        straight, sums, statistics = self._shade(view, degree, self._subpixels())
         weights = self.settings.mask_weight, self.settings.normal_weight
         loss = image_loss(straight, sums, view, self._background(), *weights)
         if self.material_class.glossy:
@@ -170,6 +170,10 @@ class Trainer:
         """Return the highest SH degree in use: degrees are added over time, so that geometry explains parallax before SH can."""
         fraction = self.done / self.settings.iterations
         return 3 if fraction >= self.settings.sh_growth else int(3 * fraction / self.settings.sh_growth)
+
+    def _subpixels(self) -> int:
+        """Return the rays along each side of a pixel: one where surfels still find their places; smooth outlines matter at the end."""
+        return 1 if self.done < self.settings.single_rays * self.settings.iterations else self.settings.subpixels
 
     def _control(self, statistics: ScreenStatistics) -> None:
         """Apply density control in the middle of the schedule; with masks, Gaussians are only pruned."""

@@ -63,7 +63,8 @@ OLD = {
     "skip": {"outside": "off", "trials": "auto", "constants": "on", "open": "auto", "kept": "off"},
 }
 # Settings that came later, with their defaults.
-ADDED = {"first.subpixels", "first.stereo", "first.stereo_margin", "second.shading_normals", "second.normal_iterations"}
+ADDED = {"first.subpixels", "first.single_rays", "first.stereo", "first.stereo_margin"}
+ADDED |= {"second.shading_normals", "second.normal_iterations"}
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")

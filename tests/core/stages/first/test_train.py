@@ -16,6 +16,7 @@ from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, preset
 from irgspp.core.stages.common.training_view import border_radiance, make_training_view
+from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import COATED, GEOMETRY_RATES, LOW_GLOSS, METAL, allowed_material_classes
 from irgspp.core.stages.first.material_class_selection import select_material_class
@@ -287,3 +288,18 @@ def test_state_of_an_unknown_material_class_is_refused(sphere_dataset, camera_ri
     memory = Memory(first_stage={"kind": "wood"})
     with pytest.raises(InputError, match="holds no state"):
         train(sphere_dataset(camera_ring(9, 32)), settings(), checkpoint=memory)
+
+
+def test_first_part_of_the_schedule_renders_single_rays(sphere_dataset, camera_ring, monkeypatch):
+    """Steps use one ray per pixel until `single_rays` of the schedule is done; tests on held-back views never do."""
+    dataset, rays = sphere_dataset(camera_ring(8)), []
+    original = trainer_module.rasterize
+    monkeypatch.setattr(trainer_module, "rasterize", lambda *a: rays.append(a[-1]) or original(*a))
+    chosen = settings("first.iterations=5", "first.single_rays=0.4", "first.subpixels=2").first
+    trainer = Trainer(dataset, chosen, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 6)
+    trainer.test()
+    tests = len(rays)
+    assert set(rays) == {2}
+    for _ in range(5):
+        trainer.step()
+    assert rays[tests:] == [1, 1, 2, 2, 2]
