@@ -10,6 +10,7 @@ The modules at the top are the public interface: they call the numba kernels in 
 | trace 2D Gaussians | `trace.py` | `trace_autograd`, `bvh`, `trace`, ... | `trace`, `surfels`, `adjoint`, ... | `reference/trace.py` |
 | L1 + D-SSIM loss | `photometric.py` | `photometric` | `photometric` | `reference/photometric.py` |
 | normal consistency loss | `normal_consistency.py` | `normal_consistency` | none: PyTorch | `normal_consistency_reference` beside it |
+| loss of a masked view | `image_loss.py` | `image_loss`, ... | none: PyTorch | `core/stages/common/image_loss.py` |
 | step of Adam | `adam.py` | `adam` | none: PyTorch | `torch.optim.Adam` |
 | deferred split-sum shading | `split_sum.py` | `split_sum` | none: PyTorch | `core/rendering/deferred.py` |
 | BRDF-weighted sums over light samples | `reflection.py` | `reflection` | none: PyTorch | `core/shading/rendering_equation.py` |

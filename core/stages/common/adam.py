@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Adam: torch's, without torch's compiler, and on the CPU with a step that is one pass over all tensors."""
+"""Adam: torch's, without torch's compiler, and for float32 on the CPU with a step that is one pass over all tensors."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Adam(torch.optim.Adam):
         """Do one step with the gradients of all parameters.
 
         Returns:
-            True where all new values are known to be finite; not on a GPU, which would have to be waited for.
+            True where all new values are known to be finite; never where torch steps: on a GPU the answer would have to be waited for.
         """
         tensors = [(group, p) for group in self.param_groups for p in group["params"] if p.grad is not None]
-        if any(p.device.type != "cpu" for _, p in tensors):
+        if not all(p.device.type == "cpu" and p.dtype == torch.float32 and p.is_contiguous() for _, p in tensors):
             inspect.unwrap(torch.optim.Adam.step)(self)
             return False
         return adam_step([self._prepared(group, p) for group, p in tensors], self.defaults["betas"], self.defaults["eps"])
