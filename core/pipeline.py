@@ -43,7 +43,9 @@ from .stages.second.joint.solve import check_joint, has_moved
 from .stages.second.radiance_transfer import rays_at_a_time
 from .stages.second.solve import solve_second_stage
 from .surface.extraction import extract_geometry
+from .surface.meshing import Triangles
 from .surface.texturing import textured_mesh
+from .surface.unwrap_process import UnwrapProcess
 
 
 def reconstruct(
@@ -123,9 +125,17 @@ class Job:
     results: PhaseResults
     deadline: float | None  # seconds on the monotonic clock
     resident: bool  # the training images stay on the device
+    unwrapping: UnwrapProcess | None = None  # of the surface, beside the second stage
 
     def run(self) -> None:
         """Run all unfinished phases in order."""
+        try:
+            self._run_phases()
+        finally:
+            if self.unwrapping is not None:
+                self.unwrapping.close()
+
+    def _run_phases(self) -> None:
         for warning in self.data.warnings:
             self.progress.message(f"warning: {warning}")
         if self._masks_may_be_wrong():
@@ -177,6 +187,8 @@ class Job:
         """Solve the rendering equation, shadows and interreflections included, for materials and light."""
         deadline = None if self.deadline is None else self.deadline - FUSED * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
+        if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
+            self.unwrapping = UnwrapProcess(Triangles(surface.vertices, surface.faces), self.settings.surface.texture)
         solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
         self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * scale, 3)
         solved.save(self.folder.path)
@@ -187,7 +199,7 @@ class Job:
         samples, views = solved.surface_samples(), GBufferCache(solved, [view.camera for view in self.data.train])
         moved = self.settings.second.solver != "closed" and has_moved(solved, self.results.first_stage)
         surface = self._surface_of(solved) if moved else self.results.surface
-        mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress)
+        mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress, self.unwrapping)
         cameras = {view.name: view.camera for view in self.data.train}
         mesh, report = detailed_by_dataset(mesh, solved, self.data.path, cameras, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()

@@ -15,7 +15,7 @@ FLOATS = 10  # per pixel of a G-buffer
 
 
 class GBufferCache(Sequence[GBuffer]):
-    """Sequence of G-buffers without radiance that keeps those rendered first, up to a memory limit, and renders the others again at each access.
+    """Sequence of G-buffers without radiance; it keeps those rendered first, up to a memory limit, and renders the others at each access.
 
     Each pixel is one ray: the surface is fused from their depths, and a mean over an edge lies on no surface.
 

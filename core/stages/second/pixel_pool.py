@@ -84,7 +84,8 @@ def facing_side(gaussians: Gaussians, pool: PixelPool) -> torch.Tensor:
     Returns:
         (N,) +1 or -1, factor of the normal that makes it face the cameras.
     """
-    start, index, weight, view = (torch.as_tensor(a).cpu().numpy() for a in (pool.lists.start, pool.lists.index, pool.lists.weight, pool.view))
+    lists = pool.lists
+    start, index, weight, view = (torch.as_tensor(a).cpu().numpy() for a in (lists.start, lists.index, lists.weight, pool.view))
     towards = np.zeros((gaussians.count, 3))
     add_view_directions(0, pool.count, start, index, weight, view, towards)
     vote = (gaussians.normals().detach().cpu().numpy().T * towards).sum(1)
