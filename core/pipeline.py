@@ -19,6 +19,7 @@ from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
+from .machine.compilation import compilation_announced
 from .machine.devices import ChosenDevice, choose_device, computing_on
 from .machine.disk_space import check_disk_space
 from .machine.peak_memory import peak_memory, reset_peak_memory
@@ -46,6 +47,8 @@ from .surface.extraction import extract_geometry
 from .surface.meshing import Triangles
 from .surface.texturing import textured_mesh
 from .surface.unwrap_process import UnwrapProcess
+
+COMPILING = "compiles kernels for this processor, once per version"
 
 
 def reconstruct(
@@ -83,7 +86,8 @@ def reconstruct(
             if bare:
                 _capture(dataset, folder, settings, recorder)
             data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
-            with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays):
+            announced = compilation_announced(lambda: recorder.message(COMPILING))
+            with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays), announced:
                 deadline = None if settings.time is None else began + settings.time - earlier
                 folder.record("read", time.monotonic() - began - (folder.spent - earlier), peak_memory(), finished=True)
                 results = PhaseResults(folder, chosen.device)
