@@ -19,6 +19,7 @@ from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
+from .machine.compilation import compilation_announced
 from .machine.devices import ChosenDevice, choose_device, computing_on
 from .machine.disk_space import check_disk_space
 from .machine.peak_memory import peak_memory, reset_peak_memory
@@ -43,7 +44,11 @@ from .stages.second.joint.solve import check_joint, has_moved
 from .stages.second.radiance_transfer import rays_at_a_time
 from .stages.second.solve import solve_second_stage
 from .surface.extraction import extract_geometry
+from .surface.meshing import Triangles
 from .surface.texturing import textured_mesh
+from .surface.unwrap_process import UnwrapProcess
+
+COMPILING = "compiles kernels for this processor, once per version"
 
 
 def reconstruct(
@@ -81,7 +86,8 @@ def reconstruct(
             if bare:
                 _capture(dataset, folder, settings, recorder)
             data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
-            with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays):
+            announced = compilation_announced(lambda: recorder.message(COMPILING))
+            with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays), announced:
                 deadline = None if settings.time is None else began + settings.time - earlier
                 folder.record("read", time.monotonic() - began - (folder.spent - earlier), peak_memory(), finished=True)
                 results = PhaseResults(folder, chosen.device)
@@ -123,9 +129,17 @@ class Job:
     results: PhaseResults
     deadline: float | None  # seconds on the monotonic clock
     resident: bool  # the training images stay on the device
+    unwrapping: UnwrapProcess | None = None  # of the surface, beside the second stage
 
     def run(self) -> None:
         """Run all unfinished phases in order."""
+        try:
+            self._run_phases()
+        finally:
+            if self.unwrapping is not None:
+                self.unwrapping.close()
+
+    def _run_phases(self) -> None:
         for warning in self.data.warnings:
             self.progress.message(f"warning: {warning}")
         if self._masks_may_be_wrong():
@@ -177,6 +191,8 @@ class Job:
         """Solve the rendering equation, shadows and interreflections included, for materials and light."""
         deadline = None if self.deadline is None else self.deadline - FUSED * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
+        if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
+            self.unwrapping = UnwrapProcess(Triangles(surface.vertices, surface.faces), self.settings.surface.texture)
         solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
         self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * scale, 3)
         solved.save(self.folder.path)
@@ -187,7 +203,7 @@ class Job:
         samples, views = solved.surface_samples(), GBufferCache(solved, [view.camera for view in self.data.train])
         moved = self.settings.second.solver != "closed" and has_moved(solved, self.results.first_stage)
         surface = self._surface_of(solved) if moved else self.results.surface
-        mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress)
+        mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress, self.unwrapping)
         cameras = {view.name: view.camera for view in self.data.train}
         mesh, report = detailed_by_dataset(mesh, solved, self.data.path, cameras, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()

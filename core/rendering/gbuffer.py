@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..kernels.rasterize import EXTRA, rasterize
+from ..kernels.rasterize import EXTRA, NORMAL, rasterize
 from ..scene.camera import Camera
 from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
@@ -43,7 +43,11 @@ def rasterize_view(
 
 
 def render_gbuffer(
-    reconstruction: Reconstruction, camera: Camera, light_rotation: np.ndarray | None = None, subpixels: int = SUBPIXELS
+    reconstruction: Reconstruction,
+    camera: Camera,
+    light_rotation: np.ndarray | None = None,
+    subpixels: int = SUBPIXELS,
+    shaded: bool = True,
 ) -> GBuffer:
     """Render the G-buffer of a camera.
 
@@ -52,25 +56,42 @@ def render_gbuffer(
         camera: the camera.
         light_rotation: (3, 3) world to the frame of the light, None where it stands still.
         subpixels: see `rasterize_view`.
+        shaded: compute radiance and background; False where they are not read: they are then 0 and None.
 
     Returns:
         Layers (H, W) divided by opacity; the radiance of a glossy reconstruction includes reflections of the light it was fitted with.
     """
-    mirrored, fitted = reconstruction.mirrored(), reconstruction.reflections
+    fitted = reconstruction.reflections if shaded else None
     image, rays = rasterize_view(reconstruction, camera, None if fitted is None else fitted.material, subpixels)
+    if not shaded:
+        black = np.broadcast_to(np.float32(0), (camera.height, camera.width, 3))
+        return GBuffer(camera, *_layers(image, black))
+    mirrored = reconstruction.mirrored()
     turned = None if light_rotation is None else torch.as_tensor(light_rotation, dtype=torch.float32).to(image.device)
     with torch.no_grad():
         reflecting = image if fitted is None else torch.cat([image[:EXTRA], image[EXTRA + len(fitted.material) :]])
         linear = radiance(reflecting, rays, None if mirrored is None else mirrored.environment, turned)
-        alpha = image[-1]
-        mean = torch.where(alpha > ALPHA_FLOOR, image[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
-        normal = torch.nn.functional.normalize(mean[3:6], dim=0)
-        images = (alpha, mean[-1], normal, linear * (alpha > ALPHA_FLOOR), mean[6:9], mean[9], mean[10])
+        linear = _channels_last(linear * (image[-1] > ALPHA_FLOOR))
         behind = None
         if reconstruction.background is not None:
-            behind = background_radiance(reconstruction.background, rays, turned).permute(1, 2, 0).contiguous().cpu().numpy()
-        layers = [(p.permute(1, 2, 0) if p.ndim == 3 else p).contiguous().cpu().numpy() for p in images]
-    return GBuffer(camera, *layers, background=behind)
+            behind = _channels_last(background_radiance(reconstruction.background, rays, turned))
+    return GBuffer(camera, *_layers(image, linear), background=behind)
+
+
+@torch.no_grad()
+def _layers(image: torch.Tensor, radiance: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the layers of `GBuffer` from alpha to metallic, of the sums (13 + E, H, W) of `rasterize` and the radiance (H, W, 3)."""
+    alpha = image[-1]
+    mean = torch.where(alpha > ALPHA_FLOOR, image[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
+    normal, albedo = torch.nn.functional.normalize(mean[NORMAL], dim=0), mean[EXTRA : EXTRA + 3]
+    flat = (part.contiguous().cpu().numpy() for part in (alpha, mean[-1], mean[EXTRA + 3], mean[EXTRA + 4]))
+    opacity, depth, roughness, metallic = flat
+    return opacity, depth, _channels_last(normal), radiance, _channels_last(albedo), roughness, metallic
+
+
+def _channels_last(image: torch.Tensor) -> np.ndarray:
+    """Convert an image (C, H, W) to an array (H, W, C) on the CPU."""
+    return image.permute(1, 2, 0).contiguous().cpu().numpy()
 
 
 def downsampled_light(environment: np.ndarray, height: int = LIGHT_HEIGHT) -> torch.Tensor:

@@ -11,11 +11,11 @@ from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
 from .gbuffer import render_gbuffer
 
-FLOATS = 13  # per pixel of a G-buffer
+FLOATS = 10  # per pixel of a G-buffer
 
 
 class GBufferCache(Sequence[GBuffer]):
-    """Sequence of G-buffers that keeps those rendered first, up to a memory limit, and renders the others again at each access.
+    """Sequence of G-buffers without radiance; it keeps those rendered first, up to a memory limit, and renders the others at each access.
 
     Each pixel is one ray: the surface is fused from their depths, and a mean over an edge lies on no surface.
 
@@ -48,7 +48,7 @@ class GBufferCache(Sequence[GBuffer]):
         if index in self._cached:
             return self._cached[index]
         camera = self._cameras[index]
-        gbuffer = render_gbuffer(self._reconstruction, camera, subpixels=1)
+        gbuffer = render_gbuffer(self._reconstruction, camera, subpixels=1, shaded=False)
         size = camera.width * camera.height * FLOATS * 4
         if size <= self._free:
             self._free -= size

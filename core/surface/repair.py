@@ -13,6 +13,8 @@ PULL = 0.05  # of the way to its neighbours' mean by which a vertex that is divi
 ROUNDS = 8  # repetitions at most: a division can leave another one to do
 UNFOLDING = 10  # smoothing steps at most of the vertices of folded faces
 AVERAGES = 1  # of the normals with their neighbours': the normal of a vertex that is folded over an edge vanishes by itself
+CHANGED = 2 + AVERAGES  # rings of faces around folded ones whose vertices' normals change as the folded ones' vertices move
+REACH = CHANGED + 1 + AVERAGES  # rings of faces that these normals depend on
 STEP = 0.5  # of the way to the neighbours' mean, in one of these steps
 
 
@@ -138,17 +140,35 @@ def neighbour_mean(mesh: Triangles) -> np.ndarray:
 
 def unfolded(mesh: Triangles) -> Triangles:
     """Move the vertices of faces that are turned away from the surface around them along it until none is; other vertices stay."""
+    turned = folded_faces(mesh, vertex_normals(mesh, AVERAGES))
     for _ in range(UNFOLDING):
-        normals = vertex_normals(mesh, AVERAGES)
-        turned = folded_faces(mesh, normals)
         if not turned.any():
             break
-        moving = np.unique(mesh.faces[turned])
-        step = STEP * (neighbour_mean(mesh) - mesh.vertices)[moving]
+        # What a vertex's move changes is near it: only the faces around are looked at again.
+        chosen = np.nonzero(near_faces(mesh, turned, REACH))[0]
+        corner, faces = np.unique(mesh.faces[chosen], return_inverse=True)
+        part = Triangles(mesh.vertices[corner], faces.reshape(-1, 3))
+        moving = np.unique(part.faces[turned[chosen]])
+        normals = vertex_normals(part, AVERAGES)[moving]
+        step = STEP * (neighbour_mean(part) - part.vertices)[moving]
+        part.vertices[moving] += step - (step * normals).sum(-1, keepdims=True) * normals
         vertices = mesh.vertices.copy()
-        vertices[moving] += step - (step * normals[moving]).sum(-1, keepdims=True) * normals[moving]
+        vertices[corner] = part.vertices
         mesh = Triangles(vertices, mesh.faces)
+        again = near_faces(mesh, turned, CHANGED)
+        now = turned.copy()
+        now[chosen] = folded_faces(part, vertex_normals(part, AVERAGES))
+        turned = np.where(again, now, turned)
     return mesh
+
+
+def near_faces(mesh: Triangles, faces: np.ndarray, rings: int) -> np.ndarray:
+    """Return (F,) bool: the given faces (F,) bool, and as many rings of faces around them that share a vertex."""
+    for _ in range(rings):
+        vertices = np.zeros(len(mesh.vertices), np.bool_)
+        vertices[mesh.faces[faces]] = True
+        faces = vertices[mesh.faces].any(-1)
+    return faces
 
 
 def without_folds(mesh: Triangles) -> Triangles:

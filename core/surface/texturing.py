@@ -19,10 +19,16 @@ from .material_fusion import fuse_materials
 from .meshing import Triangles
 from .repair import facing_normals
 from .unwrap import unwrap
+from .unwrap_process import UnwrapProcess
 
 
 def textured_mesh(
-    surface: Surface, views: Sequence[GBuffer], samples: SurfaceSamples, settings: SurfaceSettings, progress: Progress
+    surface: Surface,
+    views: Sequence[GBuffer],
+    samples: SurfaceSamples,
+    settings: SurfaceSettings,
+    progress: Progress,
+    unwrapping: UnwrapProcess | None = None,
 ) -> Mesh:
     """Unwrap the surface, and give it materials at the vertices and in textures.
 
@@ -32,12 +38,16 @@ def textured_mesh(
         samples: its Gaussians, for parts that no view sees.
         settings: texture size and strength of the normal detail.
         progress: receives steps and may cancel.
+        unwrapping: of this surface, begun earlier; None to unwrap it now.
 
     Raises:
         Cancelled: the user stopped the work.
     """
     progress.phase("unwrap", 1)
-    source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texture)
+    if unwrapping is None:
+        source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texture)
+    else:
+        source, faces, uvs = unwrapping.result(lambda: progress.cancelled)
     progress.step(1)
     if progress.cancelled:
         raise Cancelled("stopped during UV unwrapping")

@@ -69,6 +69,7 @@ class Stages:
         monkeypatch.setattr(pipeline, "extract_geometry", self.extract)
         monkeypatch.setattr(pipeline, "solve_second_stage", self.second_stage)
         monkeypatch.setattr(pipeline, "textured_mesh", self.texture)
+        monkeypatch.setattr(pipeline, "UnwrapProcess", lambda mesh, texture: SimpleNamespace(close=lambda: None))
         monkeypatch.setattr(pipeline, "detailed_by_dataset", lambda mesh, *_: (mesh, DetailReport(False, "stand-in")))
         monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
         monkeypatch.setattr(Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
@@ -110,7 +111,7 @@ class Stages:
         self.record("second stage")
         return Result("second"), 1.0
 
-    def texture(self, surface, views, samples, settings, progress):
+    def texture(self, surface, views, samples, settings, progress, unwrapping):
         assert samples == "second"
         assert len(views) == 3
         self.check(surface)

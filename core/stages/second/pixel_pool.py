@@ -9,10 +9,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 import torch
 
+from ...kernels.cpu.jit import kernel
 from ...kernels.trace import HitLists, Lists, hit_lists
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.camera import Camera
 from ...scene.dataset import View, light_rotations
+from ...scene.gaussians import Gaussians
 from ..common.mask_band import narrowest_mask
 from ..common.training_view import SATURATED
 
@@ -70,6 +72,33 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
     rotations = light_rotations(views)
     turned = None if rotations is None else torch.from_numpy(rotations).to(tracer.device)
     return PixelPool(lists, *rest, rotations=turned, subpixels=subpixels)
+
+
+def facing_side(gaussians: Gaussians, pool: PixelPool) -> torch.Tensor:
+    """Find the side of each surfel that faces the cameras, by a weighted vote of the pixels that see it.
+
+    Args:
+        gaussians: N surfels.
+        pool: pixels with their hit lists.
+
+    Returns:
+        (N,) +1 or -1, factor of the normal that makes it face the cameras.
+    """
+    lists = pool.lists
+    start, index, weight, view = (torch.as_tensor(a).cpu().numpy() for a in (lists.start, lists.index, lists.weight, pool.view))
+    towards = np.zeros((gaussians.count, 3))
+    add_view_directions(0, pool.count, start, index, weight, view, towards)
+    vote = (gaussians.normals().detach().cpu().numpy().T * towards).sum(1)
+    return torch.from_numpy(np.where(vote < 0, -1.0, 1.0).astype(np.float32)).to(pool.view.device)
+
+
+@kernel
+def add_view_directions(begin, end, start, index, weight, view, towards):
+    """Add to `towards` (N, 3) float64 of each surfel the directions `view` (B, 3) of the pixels begin..end that hit it, by weight."""
+    for pixel in range(begin, end):
+        for hit in range(start[pixel], start[pixel + 1]):
+            for axis in range(3):
+                towards[index[hit], axis] += weight[hit] * view[pixel, axis]
 
 
 def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator, subpixels: int) -> PixelPool:

@@ -53,7 +53,7 @@ def refit_radiance(
         others["light"] = mirrored.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
-    training_views = [make_training_view(view).to(g.position.device) for view in views]
+    training_views = [make_training_view(view, crop=True).to(g.position.device) for view in views]
     epochs = math.ceil(iterations / len(training_views))
     order = torch.cat([torch.randperm(len(training_views), generator=generator) for _ in range(epochs)])
     for done, index in enumerate(order[:iterations].tolist()):
@@ -83,4 +83,5 @@ def _loss(
     sums, _ = rasterize(*geometry, g.sh, extra, view.camera, reconstruction.bound.radius, subpixels=subpixels)
     straight = radiance(sums, view.world_rays, None if light is None else light.exp(), view.light_rotation)
     image = composite(straight, sums[-1], view.world_rays, reconstruction.background, view.light_rotation)
-    return photometric_loss(view.bounded(view.completed(image, straight, sums[-1])), view.image)
+    # As if the black around the object were there: each pixel counts the same in all views.
+    return view.pixel_fraction * photometric_loss(view.bounded(view.completed(image, straight, sums[-1])), view.image)

@@ -29,7 +29,7 @@ from ..common.finite_check import check_due, require_finite
 from ..common.losses import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
 from .pixel_gbuffer import CachedHits, RasterizedViews
-from .pixel_pool import PixelPool
+from .pixel_pool import PixelPool, facing_side
 
 HOLD_BACK = 8  # one of so many views is held back
 TEST_PIXELS, TEST_SAMPLES = 3000, (16, 32, 16)  # pixels and light samples per pixel of a test
@@ -232,23 +232,6 @@ class Refinement:
 def is_metal_on_average(gaussians: Gaussians) -> bool:
     """Return True where the mean metallic of all surfels is above METAL_ON_AVERAGE."""
     return float(gaussians.materials()[METALLIC].mean()) > METAL_ON_AVERAGE
-
-
-def facing_side(gaussians: Gaussians, pool: PixelPool) -> torch.Tensor:
-    """Find the side of each surfel that faces the cameras, by a weighted vote of the pixels that see it.
-
-    Args:
-        gaussians: N surfels.
-        pool: pixels with their hit lists.
-
-    Returns:
-        (N,) +1 or -1, factor of the normal that makes it face the cameras.
-    """
-    index, weight, start = (torch.as_tensor(a).cpu() for a in (pool.lists.index, pool.lists.weight, pool.lists.start))
-    ray = torch.repeat_interleave(torch.arange(pool.count), start.diff())
-    cosine = (gaussians.normals().detach().cpu()[:, index.long()] * pool.view.cpu()[ray].T).sum(0) * weight
-    total = np.bincount(index.numpy(), cosine.numpy(), gaussians.count)
-    return torch.from_numpy(np.where(total < 0, -1.0, 1.0).astype(np.float32)).to(pool.view.device)
 
 
 def similar_neighbours(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:

@@ -19,6 +19,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
 from ...kernels.reference.harmonics import sh_basis
+from ...machine.thread_pool import run_jobs
 from ...scene.surface import Surface
 from .surface_gradient import SurfaceGradient
 
@@ -161,16 +162,21 @@ class _System:
     def solved(self, iterations: int) -> np.ndarray:
         """Return the change (V, 4) by preconditioned conjugate gradients."""
         count = len(self.downhill)
-        transposed = [matrix.T.tocsr() for matrix in self.coupling]
+        transposed = list(run_jobs(_transposed, [(matrix,) for matrix in self.coupling]))
         diagonal = np.repeat(self.albedo.diagonal()[:, None], 4, 1)
         diagonal[:, 0] = self.own.diagonal()
         diagonal = np.maximum(diagonal, 1e-9).ravel()
 
+        def displacement_part(x: np.ndarray) -> np.ndarray:
+            return (self.own @ x[:, 0] + sum(matrix @ x[:, 1 + c] for c, matrix in enumerate(self.coupling)))[:, None]
+
+        def albedo_part(x: np.ndarray) -> np.ndarray:
+            return self.albedo @ x[:, 1:] + np.stack([matrix @ x[:, 0] for matrix in transposed], 1)
+
         def product(flat: np.ndarray) -> np.ndarray:
             x = flat.reshape(count, 4)
-            first = self.own @ x[:, 0] + sum(matrix @ x[:, 1 + c] for c, matrix in enumerate(self.coupling))
-            others = self.albedo @ x[:, 1:] + np.stack([matrix @ x[:, 0] for matrix in transposed], 1)
-            return np.concatenate([first[:, None], others], 1).ravel()
+            parts = list(run_jobs(lambda part: part(x), [(displacement_part,), (albedo_part,)]))
+            return np.concatenate(parts, 1).ravel()
 
         shape = (4 * count, 4 * count)
         matrix = LinearOperator(shape, matvec=product, dtype=float)  # type: ignore[call-arg]  # of the subclass that scipy chooses
@@ -197,10 +203,28 @@ def _linearised(
     # The derivative by the slope of the displacement: through the normalisation, then within the tangent plane.
     slope = slope - normals[:, None] * (slope * normals[:, None]).sum(-1, keepdims=True)
     slope = (slope - surface.normals[:, None] * (slope * surface.normals[:, None]).sum(-1, keepdims=True)) / -length[:, None]
-    rows = [sparse.csr_matrix(sum(sparse.diags(slope[:, c, k]) @ operators.gradient[k] for k in range(3))) for c in range(3)]
-    coupling = [(row.T @ weight).tocsr() for row in rows]
+    channels = list(run_jobs(_coupled, [(slope[:, c], weight, operators) for c in range(3)]))
+    coupling = [matrix for matrix, _ in channels]
     smooth = operators.difference.T @ sparse.diags(albedo_weights(log_albedo, operators)) @ operators.difference
     first = np.asarray(sum(matrix @ residual[:, c] for c, matrix in enumerate(coupling))) - ties @ displacement
     downhill = np.concatenate([first[:, None], weight @ residual - smooth @ log_albedo], 1)
-    own = ties + sum(matrix @ row for matrix, row in zip(coupling, rows, strict=True))
+    own = ties + sum(curvature for _, curvature in channels)
     return _System(own.tocsr(), coupling, (smooth + weight).tocsr(), downhill)
+
+
+def _coupled(slope: np.ndarray, weight: sparse.dia_matrix, operators: SurfaceGradient) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Return the blocks (V, V) of displacement by albedo and of displacement by displacement that one colour's residuals make.
+
+    Args:
+        slope: (V, 3) derivative of the log irradiance by the gradient of the displacement.
+        weight: (V, V) diagonal weights of the residuals.
+        operators: of the surface.
+    """
+    row = sparse.csr_matrix(sum(sparse.diags(slope[:, k]) @ operators.gradient[k] for k in range(3)))
+    coupling = (row.T @ weight).tocsr()
+    return coupling, coupling @ row
+
+
+def _transposed(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Return the transpose of a matrix (V, V), by rows."""
+    return matrix.T.tocsr()

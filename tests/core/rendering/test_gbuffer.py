@@ -52,6 +52,14 @@ def test_layers_are_those_of_the_sphere(reconstruction, camera, analytic):
     assert empty.any() and not seen.depth[empty].any() and not seen.normal[empty].any() and not seen.radiance[empty].any()
 
 
+def test_unshaded_layers_are_the_same_without_radiance(reconstruction, camera):
+    glossy = Reconstruction(reconstruction.gaussians, reconstruction.environment, reconstruction.bound, np.eye(4), glossy=True)
+    shaded, plain = render_gbuffer(glossy, camera), render_gbuffer(glossy, camera, shaded=False)
+    for name in ("alpha", "depth", "normal", "albedo", "roughness", "metallic"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(shaded, name), strict=True)
+    assert shaded.radiance.any() and not plain.radiance.any() and plain.radiance.shape == shaded.radiance.shape
+
+
 def test_pixel_is_the_mean_over_its_subpixels(reconstruction, camera):
     fine = rasterize_view(reconstruction, camera.resized(256, 256), subpixels=1)[0]
     assert torch.allclose(

@@ -5,6 +5,7 @@ import numpy as np
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.io.exr import read_exr
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.rendering.gbuffer_cache import GBufferCache
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
@@ -62,7 +63,8 @@ def errors(reconstruction, dataset):
 def spread(reconstruction, dataset, layer):
     """Standard deviation of a layer's log luminance inside the object, over the test views."""
     values = []
-    for view, found in zip(dataset.test, GBufferCache(reconstruction, [view.camera for view in dataset.test]), strict=True):
+    for view in dataset.test:
+        found = render_gbuffer(reconstruction, view.camera, subpixels=1)
         values.append(np.log(getattr(found, layer)[truth(view)[2]].mean(-1) + 1e-3))
     return float(np.concatenate(values).std())
 

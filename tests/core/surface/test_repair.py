@@ -99,6 +99,17 @@ def test_folded_face_is_unfolded_and_the_rest_stays():
     assert repair.unfolded(ball) is ball
 
 
+def test_unfolding_near_the_folds_is_unfolding_of_the_whole_mesh(monkeypatch):
+    ball = trimesh.creation.icosphere(4)
+    noise = np.random.default_rng(0).normal(size=ball.vertices.shape)
+    noisy = Triangles(np.asarray(ball.vertices) + np.where(ball.vertices[:, :1] > 0.8, 0.04, 0) * noise, np.asarray(ball.faces))
+    assert folds(noisy) > 5
+    near = repair.unfolded(noisy)
+    monkeypatch.setattr(repair, "CHANGED", 200)
+    monkeypatch.setattr(repair, "REACH", 200)
+    np.testing.assert_array_equal(near.vertices, repair.unfolded(noisy).vertices)
+
+
 def test_fold_that_stays_is_collapsed(monkeypatch):
     monkeypatch.setattr(repair, "UNFOLDING", 0)
     ball = sphere()

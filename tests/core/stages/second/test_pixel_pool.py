@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Selection and concatenation of hit lists."""
+"""Selection and concatenation of hit lists, and the sides of surfels that pixels see."""
 
 import numpy as np
 import torch
 from irgspp.core.kernels.trace import HitLists, blend
-from irgspp.core.stages.second.pixel_pool import join_lists, merge_rays, select_rays, select_rays_and_gaussians
+from irgspp.core.scene.gaussians import surfels
+from irgspp.core.stages.second.pixel_pool import PixelPool, facing_side, join_lists, merge_rays, select_rays, select_rays_and_gaussians
 
 
 def random_lists(rays: int, seed: int) -> HitLists:
@@ -47,3 +48,18 @@ def test_merged_rays_blend_to_the_mean():
     mean = blend(lists, values).view(6, 4, 3).mean(1)
     assert torch.allclose(blend(merge_rays(lists, 4), values), mean, atol=1e-6)
     assert merge_rays(lists, 1) is lists
+
+
+def test_surfels_face_the_pixels_that_see_them():
+    lists, generator = random_lists(400, 6), torch.Generator().manual_seed(1)
+    position, normal, colour = torch.randn(3, 99, 3, generator=generator)
+    g = surfels(position.numpy(), torch.nn.functional.normalize(normal, dim=1).numpy(), colour.abs().numpy(), 0.1, 0.9)
+    view = torch.nn.functional.normalize(torch.randn(400, 3, generator=generator), dim=1)
+    none = torch.zeros(0)
+    side = facing_side(g, PixelPool(lists, none, view, view, none, none, none, none))
+    vote = np.zeros(99)
+    for pixel in range(400):
+        for hit in range(lists.start[pixel], lists.start[pixel + 1]):
+            vote[lists.index[hit]] += lists.weight[hit] * float(g.normals()[:, lists.index[hit]].double() @ view[pixel].double())
+    assert np.abs(vote).min() > 1e-4 and 30 < (vote < 0).sum() < 70
+    np.testing.assert_array_equal(side.numpy(), np.where(vote < 0, -1, 1))
