@@ -18,11 +18,11 @@ from ...machine.backend import wait_for
 from ...settings.schema import SecondStageSettings
 
 MEASURED_STEPS = 20  # steps whose median duration is taken as the cost of a step
-STEP_COST_GROWTH = 1.2  # mean cost of a first-stage step over its cost at the start: SH degrees are added over time
-FIXED_PHASES, FIXED_PHASES_GLOSSY = 1000, 750  # cost of the phases of fixed length, in first-stage steps; a glossy step costs more
-SECOND_STAGE = 400  # cost of the second stage's schedules at the preset's length, in first-stage steps
-FUSED = 2.5  # duration of the phases after the second stage over that of the surface fusion
-REFIT_STEP, REFIT_STEP_GLOSSY = 1.2, 2.3  # cost of a step of the radiance refit, in steps of the refinement
+STEP_COST_GROWTH = 1.4  # mean cost of a first-stage step over its cost at the start: SH degrees and rays per pixel are added over time
+FIXED_PHASES, FIXED_PHASES_GLOSSY = 3100, 1600  # cost of the phases of fixed length, in first-stage steps; a glossy step costs more
+SECOND_STAGE = 900  # cost of the second stage's schedules at the preset's length, in first-stage steps
+FUSED = 1.2  # duration of the phases after the second stage over that of the surface fusion
+REFIT_STEP, REFIT_STEP_GLOSSY = 0.8, 1.1  # cost of a step of the radiance refit, in steps of the refinement
 SMALLEST_SCALE = 0.1  # of the preset's schedules
 # Longer schedules were measured to fit the images' noise: normals, albedo and relit images get worse again.
 FIRST_STAGE_MOST_STEPS = 4500  # unless the preset has more
