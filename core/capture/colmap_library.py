@@ -62,6 +62,8 @@ def run_call(
         except BaseException:  # of the receiver, or Ctrl-C: the thread must not go on alone
             token.cancel()
             raise
+    if not token.is_cancelled and (now := done()) != reported:  # a fast call ends between two looks at it
+        progress.step(now)
     if token.is_cancelled or progress.cancelled:
         raise Cancelled(stopped)
     return future.result()
