@@ -76,7 +76,7 @@ class LightMaterialSolver:
             seed: of the points that colours are compared with.
             search_metal: some points may be metal; otherwise none is.
         """
-        self.samples, self.transfer, self._search_metal = samples, transfer, search_metal
+        self.samples, self.transfer, self._search_metal, self._searches = samples, transfer, search_metal, 0
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
@@ -200,13 +200,16 @@ class LightMaterialSolver:
         knots = self.roughness.new_tensor(ROUGHNESS_VALUES)
         metallic = self.roughness.new_tensor((0.0, 1.0) if self._search_metal else (0.0,))
         cost = self._smoothed(self._smoothed(self._costs(knots, metallic)))
-        self.roughness, self.metallic = _vertex(knots, cost[:, 0]), torch.zeros_like(self.metallic)
+        self.roughness = _vertex(knots, cost[:, 0])
         if self._search_metal:
             dielectric, metal = self._smoothed(cost).unbind(1)
             gain = (dielectric.amin(1) - metal[:, :METAL_ROUGHNESS].amin(1)) / self.samples.lengths.float().mean()
-            found = metal_regions(gain, self._neighbours, self._similarity)
+            found = metal_regions(gain, self._neighbours, self._similarity, self.metallic > 0, self._searches)
+            self._searches += 1
             self.metallic = found.to(self.metallic)
             self.roughness = torch.where(found, _vertex(knots[:METAL_ROUGHNESS], cost[:, 1, :METAL_ROUGHNESS]), self.roughness)
+        else:
+            self.metallic = torch.zeros_like(self.metallic)
         self._trace_lobes()
 
     def _smoothed(self, cost: torch.Tensor) -> torch.Tensor:

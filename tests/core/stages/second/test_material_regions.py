@@ -3,7 +3,7 @@
 
 import numpy as np
 import torch
-from irgspp.core.stages.second.material_regions import NEIGHBOURS, POSSIBLE, SURE, metal_regions, neighbourhood
+from irgspp.core.stages.second.material_regions import KEEP, NEIGHBOURS, POSSIBLE, SURE, metal_regions, neighbourhood
 
 
 def row(count, colour=None):
@@ -32,6 +32,19 @@ def test_metal_stops_at_another_colour():
     gain[10:13] = 2 * SURE
     metal = metal_regions(gain, *row(60, colour))
     assert metal[:30].all() and not metal[30:].any()
+
+
+def test_found_metal_stays_while_the_light_adapts_and_then_needs_evidence():
+    """What the last search found stays with less evidence than it was found with; at the end that must be positive."""
+    found = torch.arange(60) < 30
+    gain = torch.full((60,), 2 * POSSIBLE)
+    assert torch.equal(metal_regions(gain, *row(60), found, 1), found)
+    last = len(KEEP)
+    assert not metal_regions(gain, *row(60), found, last).any()
+    gain[:20] = 0.5 * (KEEP[-1] + SURE)
+    kept = metal_regions(gain, *row(60), found, last + 1)
+    assert kept[:20].all() and not kept[20:].any()
+    assert not metal_regions(gain, *row(60)).any()  # not enough to be found
 
 
 def test_neighbours_are_near_and_count_by_likeness_of_colour():
