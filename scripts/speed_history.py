@@ -41,6 +41,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--file", type=Path, default=HISTORY, help="history to compare with (default: docs/speed_history.json)")
     parser.add_argument("--repeats", type=int, default=7, metavar="N", help="repeats, of which the median counts (default: 7)")
     args = parser.parse_args(argv)
+    if args.repeats < 1:
+        parser.error("--repeats must be at least 1")
     try:
         history = read(args.file)
     except InputError as error:

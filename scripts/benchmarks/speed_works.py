@@ -70,8 +70,8 @@ def _photographed(g: Gaussians) -> Dataset:
 
 
 def _steps(dataset: Dataset, surfels: Gaussians, material_class: MaterialClass) -> Work:
-    """Return STEPS steps of a first stage at the highest SH degree, between two density controls."""
-    settings = FirstStageSettings(sh_growth=0.0, gaussians=SURFELS, iterations=1_000_000)
+    """Return STEPS steps of a first stage at the highest SH degree and with all rays per pixel, before its density control begins."""
+    settings = FirstStageSettings(sh_growth=0.0, single_rays=0.0, gaussians=SURFELS, iterations=1_000_000)
     trainer = Trainer(dataset, settings, surfels, material_class, 0, 0)
     return lambda: [trainer.step() for _ in range(STEPS)]
 

@@ -56,6 +56,13 @@ def test_damaged_file_is_refused_before_measuring(text, tmp_path, monkeypatch, c
     assert str(file) in capsys.readouterr().err
 
 
+def test_no_repeats_are_refused(capsys):
+    with pytest.raises(SystemExit) as end:
+        speed_history.main(["--repeats", "0"])
+    assert end.value.code == 2
+    assert "--repeats must be at least 1" in capsys.readouterr().err
+
+
 def test_median_of_the_calls_after_the_first():
     calls = []
     seconds = speed_history._median_seconds({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)

@@ -204,7 +204,8 @@ class LightMaterialSolver:
         if self._search_metal:
             dielectric, metal = self._smoothed(cost).unbind(1)
             gain = (dielectric.amin(1) - metal[:, :METAL_ROUGHNESS].amin(1)) / self.samples.lengths.float().mean()
-            found = metal_regions(gain, self._neighbours, self._similarity, self.metallic > 0, self._searches)
+            last = self.metallic > 0 if self._searches else None
+            found = metal_regions(gain, self._neighbours, self._similarity, last, self._searches)
             self._searches += 1
             self.metallic = found.to(self.metallic)
             self.roughness = torch.where(found, _vertex(knots[:METAL_ROUGHNESS], cost[:, 1, :METAL_ROUGHNESS]), self.roughness)

@@ -20,7 +20,7 @@ POSSIBLE = -0.3  # gain from which a point is metal where its neighbours are
 SHARE = 0.1  # share of the neighbours, by similarity of colour, that must be metal
 # Gain from which a point that the last search found stays metal, in the searches after the first; the last value is that of all later ones.
 # The first search finds most metal, and some that is none, under a light that was solved without metal. It takes a few steps for the light
-# to agree with metal: without them, three in ten of suzanne_mixed's points were lost again, and all of rocker_corner's.
+# to agree with metal: without them, two to three in ten of suzanne_mixed's metal points were lost again, and all of rocker_corner's.
 KEEP = (-2.0, -1.0, -0.5, 0.2)
 
 
@@ -53,13 +53,13 @@ def metal_regions(
         neighbours: (P, N) indices of points.
         similarity: (P, N) weights of these, which sum to 1.
         found: (P,) bool, what the last search found; None in the first.
-        searches: number of searches done before.
+        searches: number of searches done before; at least 1 where `found` is given.
 
     Returns:
         (P,) bool.
     """
     metal, possible = gain > SURE, gain > POSSIBLE
-    if found is not None and searches > 0:
+    if found is not None:
         metal = metal | (found & (gain > KEEP[min(searches, len(KEEP)) - 1]))
     while True:
         grown = metal | (possible & ((similarity * metal[neighbours]).sum(1) > SHARE))
