@@ -10,7 +10,7 @@ import numpy as np
 from .jit import helper, kernel
 from .simd import exp, load, log2, maximum, select, splat, store
 
-# The sRGB curve (IEC 61966-2-1), a line up to _LINEAR.
+# The sRGB curve of core/io/srgb.py, which this kernel is tested against: a line up to _LINEAR.
 _LINEAR, _SLOPE, _SCALE, _SHIFT, _POWER = (np.float32(c) for c in (0.0031308, 12.92, 1.055, 0.055, 2.4))
 _LN2_OVER_POWER = np.float32(math.log(2) / 2.4)
 _CLIPPED = np.float32(-1.0)  # in place of an encoded value: the pixel shows its bound and has no gradient

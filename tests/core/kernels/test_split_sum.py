@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The kernel of deferred shading against PyTorch in float64, values and gradients."""
 
 import pytest

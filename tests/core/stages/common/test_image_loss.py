@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The fused loss of a masked view against the sum of the losses in float64, values and gradients."""
 
 import math
