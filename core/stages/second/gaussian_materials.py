@@ -17,9 +17,10 @@ from ...scene.gaussians import METALLIC, Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...scene.surface import Surface
 from ...shading.specular_albedo import diffuse_fraction
-from .light_material_solver import OUTLIER, LightMaterialSolver, approximate_srgb_derivative, view_terms
+from .light_material_solver import LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
+from .sample_equation import OUTLIER, approximate_srgb_derivative, view_terms
 
 NEAREST = 8  # solver points whose mean roughness and metallic a Gaussian takes
 VIEWS = 4  # samples of each Gaussian, at most

@@ -17,6 +17,7 @@ from the radiance itself would keep all shading.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import torch
@@ -26,20 +27,21 @@ from ...shading.brdf import DIELECTRIC_F0
 from ...shading.specular_albedo import diffuse_fraction
 from ..common.finite_check import require_finite
 from .light_prior import LightPrior
-from .material_regions import metal_regions, neighbourhood
+from .material_search import MaterialSearch
+from .metal_regions import confirm_metal
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
+from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
 
 STEPS = 40
 CONSTANT = 3  # steps with one albedo for all points
 RELEASE = 12  # steps over which the weight of the albedo's prior falls
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36)  # numbers of steps done when roughness and metallic are searched
+METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before, and can only leave after
+TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
 PRIOR = (1.0, 0.03)  # first and last weight of the albedo's prior
 COLOURS = 0.15  # difference in log albedo below which two points count as being of one colour
 SAMPLE = 1000  # points that each point's colour is compared with
-OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
-ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
-METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
 
@@ -55,6 +57,8 @@ class LightMaterialSolver:
         metallic: (P,).
         derivative: (K, 3) approximate derivative of the sRGB encoding at the samples' radiance.
         robust_weight: (K, 3) weights of the last step in 0..1.
+        candidates: (P,) bool, points that a search found to be metal before the test.
+        regions: number of regions that were tested, and of those that are metal.
     """
 
     def __init__(
@@ -76,7 +80,7 @@ class LightMaterialSolver:
             seed: of the points that colours are compared with.
             search_metal: some points may be metal; otherwise none is.
         """
-        self.samples, self.transfer, self._search_metal, self._searches = samples, transfer, search_metal, 0
+        self.samples, self.transfer, self._search_metal = samples, transfer, search_metal
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
@@ -88,8 +92,9 @@ class LightMaterialSolver:
         self.n_v = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
         self._start = torch.nn.functional.pad(samples.lengths.cumsum(0), (1, 0))
         self._rows = mean.new_empty(len(samples.point), len(self.light))
-        self._neighbours, self._similarity = neighbourhood(samples.position, mean)
         self._diffuse = transfer.diffuse_rows(samples)
+        self._search = MaterialSearch(samples, transfer, self._diffuse, self.n_v, mean, search_metal)
+        self.candidates, self.regions = torch.zeros_like(metallic, dtype=torch.bool), (0, 0)
         self._trace_lobes()
 
     def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
@@ -103,7 +108,7 @@ class LightMaterialSolver:
         """
         for done in range(STEPS):
             if done in MATERIAL_STEPS:
-                self._search_materials()
+                self._search_materials(done)
             self._step(done)
             unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
             require_finite(unknowns, f"after step {done + 1} of the second stage")
@@ -195,73 +200,42 @@ class LightMaterialSolver:
         pull = strength * total / len(others) / self.albedo.clamp_min(0.02) ** 2 + 1e-6
         return (similarity @ others / total).exp(), pull
 
-    def _search_materials(self) -> None:
-        """Set roughness and metallic to the values with the least error over a point and its neighbours, each with its best albedo."""
-        knots = self.roughness.new_tensor(ROUGHNESS_VALUES)
-        metallic = self.roughness.new_tensor((0.0, 1.0) if self._search_metal else (0.0,))
-        cost = self._smoothed(self._smoothed(self._costs(knots, metallic)))
-        self.roughness = _vertex(knots, cost[:, 0])
-        if self._search_metal:
-            dielectric, metal = self._smoothed(cost).unbind(1)
-            gain = (dielectric.amin(1) - metal[:, :METAL_ROUGHNESS].amin(1)) / self.samples.lengths.float().mean()
-            last = self.metallic > 0 if self._searches else None
-            found = metal_regions(gain, self._neighbours, self._similarity, last, self._searches)
-            self._searches += 1
-            self.metallic = found.to(self.metallic)
-            self.roughness = torch.where(found, _vertex(knots[:METAL_ROUGHNESS], cost[:, 1, :METAL_ROUGHNESS]), self.roughness)
-        else:
-            self.metallic = torch.zeros_like(self.metallic)
+    def _search_materials(self, done: int) -> None:
+        """Search roughness and metallic; at METAL_TEST, test the candidates for metal."""
+        if done == METAL_TEST and (regions := self._search.regions(self.candidates)):
+            self._test_metal(regions)
+            return
+        costs, metal = self._costs(), torch.zeros_like(self.candidates)
+        if self._search_metal and done < METAL_TEST:
+            metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
+        elif done > METAL_TEST:
+            metal = self._search.still_metal(costs, self.metallic > 0)
+        self._set_materials(costs, metal)
+
+    def _test_metal(self, regions: list[torch.Tensor]) -> None:
+        """Keep those regions as metal that explain the photographs better so, and the light that has adapted to them."""
+        best, confirmed = confirm_metal(regions, self._adapted)
+        self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
+        self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
         self._trace_lobes()
 
-    def _smoothed(self, cost: torch.Tensor) -> torch.Tensor:
-        """Average costs (P, metallic values, roughness knots) over the neighbours of each point, by similarity of colour."""
-        return torch.einsum("pn,pnmr->pmr", self._similarity, cost[self._neighbours])
+    def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
+        """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""
+        trial = copy.copy(self)  # steps replace tensors, they do not change them
+        trial._set_materials(trial._costs(), metal)
+        for _ in range(TEST_STEPS):
+            trial._step(STEPS)
+        factor, rest = trial._model()
+        return trial, robust_error(self.samples, trial.albedo[self.samples.point] * factor + rest, self.derivative)
 
-    def _costs(self, knots: torch.Tensor, metallic_values: torch.Tensor) -> torch.Tensor:
-        """Return the robust error (P, metallic values, roughness knots), summed over the samples of each point."""
-        samples = self.samples
-        scaled, added = self.transfer.sums(samples, knots, self.light)
-        irradiance = self._diffuse.irradiance(self.light)
-        weight = self.robust_weight * self.derivative**2
-        cost = metallic_values.new_empty(len(samples.position), len(metallic_values), len(knots))
-        for j, knot in enumerate(knots):
-            diffuse = diffuse_fraction(self.n_v, knot.expand_as(self.n_v))[:, None]
-            for i, metal in enumerate(metallic_values):
-                factor, rest = view_terms(metal, diffuse, irradiance, scaled[:, j], added[:, j])
-                fit = samples.sums(weight * factor * (samples.colour - rest)) / samples.sums(weight * factor * factor).clamp_min(1e-9)
-                error = (fit.clamp(0, 1)[samples.point] * factor + rest - samples.colour) * self.derivative
-                error = torch.where(samples.saturated & (error > 0), 0.0, error)
-                cost[:, i, j] = samples.sums(torch.log1p((error / OUTLIER) ** 2).sum(1))
-        return cost
+    def _costs(self) -> torch.Tensor:
+        """Return the costs of materials under the current light, see `MaterialSearch.costs`."""
+        return self._search.costs(self.light, self.robust_weight * self.derivative**2, self.derivative)
 
-
-def view_terms(
-    metallic: torch.Tensor, diffuse: torch.Tensor, irradiance: torch.Tensor, scaled: torch.Tensor, added: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Evaluate c and d of y = a c + d.
-
-    Args:
-        metallic: m, (K, 1) or scalar.
-        diffuse: 1 - E_s, see `diffuse_fraction`, (K, 1) or scalar.
-        irradiance: E, irradiance / pi, (K, 3).
-        scaled: S, the part of the specular lobe that F0 scales, (K, 3).
-        added: S', the part that Fresnel adds, (K, 3).
-
-    Returns:
-        c and d, (K, 3) each.
-    """
-    return (1 - metallic) * diffuse * irradiance + metallic * scaled, DIELECTRIC_F0 * (1 - metallic) * scaled + added
-
-
-def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
-    """Approximate the derivative of the sRGB encoding by its power law, so that errors count as encoded differences.
-
-    Unlike the exact derivative in `core.relight.adaptive_sampling`, it is constant below 0.003 and does not vanish above 1.
-
-    Args:
-        colour: (...,) linear.
-    """
-    return 0.44 / colour.clamp_min(3e-3) ** 0.58
+    def _set_materials(self, costs: torch.Tensor, metal: torch.Tensor) -> None:
+        """Set which points are metal (P,) bool, and the roughness of least cost."""
+        self.roughness, self.metallic = self._search.roughness(costs, metal), metal.to(self.metallic)
+        self._trace_lobes()
 
 
 def gram(rows: torch.Tensor) -> torch.Tensor:
@@ -271,11 +245,3 @@ def gram(rows: torch.Tensor) -> torch.Tensor:
     for begin in range(0, width, block):
         form[begin : begin + block, begin:] = rows[:, begin : begin + block].T @ rows[:, begin:]
     return form.triu() + form.triu(1).T
-
-
-def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
-    """Return the (P,) minimum of costs (P, J) at knots (J,): the vertex of the parabola through the least cost and its neighbours."""
-    row, j = torch.arange(len(cost), device=cost.device), cost.argmin(1).clamp(1, len(knots) - 2)
-    below, least, above = cost[row, j - 1], cost[row, j], cost[row, j + 1]
-    shift = ((below - above) / (2 * (below - 2 * least + above)).clamp_min(1e-6)).clamp(-1, 1)
-    return knots[j] + torch.where(shift < 0, shift * (knots[j] - knots[j - 1]), shift * (knots[j + 1] - knots[j]))

@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second import light_material_solver as module
-from irgspp.core.stages.second.light_material_solver import gram, view_terms
+from irgspp.core.stages.second.light_material_solver import gram
+from irgspp.core.stages.second.sample_equation import view_terms
 from sphere_on_floor import TEXELS, make, start
 
 
@@ -88,19 +88,3 @@ def test_gram_is_the_product():
     rows = torch.randn(50, 200, generator=torch.Generator().manual_seed(0))
     np.testing.assert_allclose(gram(rows), rows.T @ rows, atol=1e-4)
     assert torch.equal(gram(rows), gram(rows).T)
-
-
-def test_vertex_of_a_parabola():
-    knots = torch.arange(6.0)
-    vertices = torch.tensor([0.0, 0.4, 1.0, 2.3, 3.5, 4.9, 5.0])
-    cost = 2 * (knots - vertices[:, None]) ** 2 + 1
-    np.testing.assert_allclose(module._vertex(knots, cost), vertices, atol=1e-5)
-
-
-def test_vertex_stays_within_the_knots():
-    knots = torch.tensor([0.1, 0.2, 0.4, 0.8])
-    falling, rising, flat = torch.tensor([4.0, 3.0, 2.0, 1.0]), torch.tensor([1.0, 2.0, 3.0, 4.0]), torch.ones(4)
-    hollow = torch.tensor([5.0, 1.0, 2.0, 5.0])  # knots are not evenly spread: towards 0.4 steps are longer
-    found = module._vertex(knots, torch.stack([falling, rising, flat, hollow]))
-    assert found[:2].tolist() == pytest.approx([0.8, 0.1])
-    assert 0.1 <= found[2] <= 0.4 and 0.2 < found[3] < 0.3
