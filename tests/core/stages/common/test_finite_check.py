@@ -113,8 +113,8 @@ def bad_roughness(monkeypatch):
     """Make the first search return an infinite roughness."""
     search = LightMaterialSolver._search_materials
 
-    def broken(self):
-        search(self)
+    def broken(self, done):
+        search(self, done)
         self.roughness[5] = math.inf
 
     monkeypatch.setattr(LightMaterialSolver, "_search_materials", broken)
