@@ -27,10 +27,11 @@ from ..common.finite_check import require_finite
 from ..common.preview import albedo_image
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
-from .gaussian_materials import METAL, assign_materials, binarise_metallic_by_median
+from .gaussian_materials import METAL, assign_materials
 from .joint.optimisation import resized_light
 from .joint.solve import optimise_jointly, refine_jointly
 from .light_material_solver import STEPS, LightMaterialSolver
+from .metal_start import metal_start
 from .multi_view_samples import MultiViewSamples, sample_views
 from .normal_alignment import align_normals
 from .normal_improvement import improve_normals
@@ -145,7 +146,7 @@ def refine(
 ) -> tuple[Reconstruction, float]:
     """Refine the better of the possible starts, judged by held-back views.
 
-    The starts are the solver's result and, for metals, the materials and the light of the first stage's reflections.
+    The starts are the solver's result and, for metals, that of `metal_start`.
 
     Args:
         solved: materials and light of the solver.
@@ -169,8 +170,7 @@ def refine(
         return solved, 1.0
     starts = [solved]
     if first.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
-        light = resized_light(first.environment, settings.second.light_height)
-        starts.append(first.relabelled(binarise_metallic_by_median(first.gaussians), light))
+        starts.append(metal_start(first, solver, settings.second.light_height))
     refinements = prepare_refinements(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
     before = [refinement.test() for refinement in refinements]
     best = int(np.argmax(before))
@@ -289,8 +289,7 @@ def _solve_from_first_stage(
     solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), seed, search_metal)
     progress.phase("second stage", STEPS)
     solver.run(lambda done: _report_step(progress, done) or progress.finish_early)
-    if solver.regions[0]:
-        progress.message(f"metal: {solver.regions[1]} of {solver.regions[0]} regions that may be metal explain the photographs better so")
+    progress.message(f"metal: {solver.regions[1]} of {solver.regions[0]} regions that may be metal explain the photographs better so")
     progress.message(f"light and materials fit the photographs with a median error of {solver.error():.4f} (encoded, 0..1)")
     return solver
 

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Start of a metal's refinement: materials of the first stage, and its light with the levels of the solver's.
+
+The reflections of the first stage show the light in detail, but without visibility, and where they are clipped its radiance stays too
+low. The solver's light is coarse, but its levels follow from the rendering equation, with clipped values as lower bounds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ...scene.gaussians import ALBEDO
+from ...scene.reconstruction import Reconstruction
+from .gaussian_materials import binarise_metallic_by_median
+from .joint.optimisation import resized_light
+from .light_material_solver import LightMaterialSolver
+
+DARKEST = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
+
+
+def metal_start(first: Reconstruction, solver: LightMaterialSolver, height: int) -> Reconstruction:
+    """Combine the first stage's result for a metal with the solver's light.
+
+    Args:
+        first: result of the first stage, with reflections.
+        solver: solved light and albedo of its points.
+        height: rows of the light map, at least those of the first stage's.
+
+    Returns:
+        The reconstruction with the first stage's materials, metallic binarised, and the light.
+    """
+    materials = binarise_metallic_by_median(first.gaussians)
+    levels = solver.light.view(solver.transfer.height, -1, 3) * albedo_ratio(first, solver)
+    light = levelled_light(resized_light(first.environment, height), levels)
+    return first.relabelled(materials, light)
+
+
+def albedo_ratio(first: Reconstruction, solver: LightMaterialSolver) -> torch.Tensor:
+    """Return the median ratio (3,) of the solver's albedo to the first stage's: light and albedo are only known as a product."""
+    g = first.gaussians
+    _, nearest = KDTree(g.position.detach().T.cpu().numpy()).query(solver.samples.position.cpu().numpy())
+    albedo = g.materials().detach()[ALBEDO, torch.from_numpy(np.asarray(nearest)).to(g.position.device)].T
+    return (solver.albedo / albedo.clamp_min(DARKEST)).median(0).values
+
+
+def levelled_light(detail: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
+    """Scale a light map smoothly so that its means over the texels of a coarser one are about those of that one.
+
+    Args:
+        detail: (H, 2H, 3) linear radiance.
+        levels: (h, 2h, 3) linear radiance, h <= H.
+
+    Returns:
+        (H, 2H, 3).
+    """
+    rows = levels.shape[0]
+    means = torch.nn.functional.interpolate(detail.permute(2, 0, 1)[None], size=(rows, 2 * rows), mode="area")[0].permute(1, 2, 0)
+    return detail * resized_light(levels / means.clamp_min(DARKEST), detail.shape[0])
