@@ -8,7 +8,6 @@ assignment of materials to Gaussians, refinement, radiance refit. `joint/` holds
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,31 +17,27 @@ from scipy.spatial import KDTree
 from ...errors import Cancelled, IrgsppError
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.secondary_rays import SecondaryTracer
-from ...scene.camera import Camera
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.reconstruction import Reconstruction
 from ...scene.surface import Surface
 from ...settings.schema import Settings
 from ..common.finite_check import require_finite
-from ..common.preview import albedo_image
-from ..common.skip_rules import decide_skip_rule
-from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, scaled_iterations, second_stage_schedule_scale
+from ..common.time_budget import scaled_iterations
 from .gaussian_materials import METAL, assign_materials
 from .joint.optimisation import resized_light
 from .joint.solve import optimise_jointly, refine_jointly
 from .light_material_solver import STEPS, LightMaterialSolver
-from .metal_start import metal_start
+from .metal_starts import metal_starts
 from .multi_view_samples import MultiViewSamples, sample_views
 from .normal_alignment import align_normals
 from .normal_improvement import improve_normals
-from .pixel_pool import PixelPool, pool_pixels
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
-from .refinement import METAL_ON_AVERAGE, Refinement, is_metal_on_average
+from .refinement import METAL_ON_AVERAGE, is_metal_on_average
+from .refinement_selection import refine
 from .secondary_tracer import secondary_tracer
 
 LEAST_POINTS = 50  # with which the light is solved
-CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
 CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where the joint optimisation refines its result
 SIDE = 2  # rays through each texel of the light along a side
 
@@ -124,8 +119,10 @@ def solve_in_closed_form(
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
     enlarged = resized_light(solver.light.view(solver.transfer.height, -1, 3), settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
-    solved = reconstruction.relabelled(torch.logit(materials), enlarged)
-    result, schedule_scale = refine(solved, reconstruction, dataset, tracer, solver, settings, progress, deadline)
+    starts = [reconstruction.relabelled(torch.logit(materials), enlarged)]
+    if reconstruction.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
+        starts = metal_starts(reconstruction, starts[0], solver)
+    result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline)
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
     if iterations:
         progress.phase("radiance", iterations)
@@ -134,100 +131,9 @@ def solve_in_closed_form(
     return result, schedule_scale
 
 
-def refine(
-    solved: Reconstruction,
-    first: Reconstruction,
-    dataset: Dataset,
-    tracer: SecondaryTracer,
-    solver: LightMaterialSolver,
-    settings: Settings,
-    progress: Progress,
-    deadline: float | None,
-) -> tuple[Reconstruction, float]:
-    """Refine the better of the possible starts, judged by held-back views.
-
-    The starts are the solver's result and, for metals, that of `metal_start`.
-
-    Args:
-        solved: materials and light of the solver.
-        first: result of the first stage with aligned normals.
-        dataset: training views.
-        tracer: of the Gaussians.
-        solver: its mean metallic decides whether the object counts as metal.
-        settings: of the job.
-        progress: receives steps and previews.
-        deadline: seconds on the monotonic clock, None for none.
-
-    Returns:
-        The refined reconstruction, or its start where refinement does not improve the held-back views; and the schedule scale.
-    """
-    if settings.second.iterations == 0:
-        return solved, 1.0
-    progress.phase("refine", settings.second.iterations)
-    pool = pool_pixels(dataset.train, tracer, settings.second.pool, np.random.default_rng(settings.seed), settings.first.subpixels)
-    if not pool.count:
-        progress.message("not refined: no pixel shows the object alone")
-        return solved, 1.0
-    starts = [solved]
-    if first.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
-        starts.append(metal_start(first, solver, settings.second.light_height))
-    refinements = prepare_refinements(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
-    before = [refinement.test() for refinement in refinements]
-    best = int(np.argmax(before))
-    refinement = refinements[best]
-
-    def report(done: int) -> bool:
-        """Report a step and offer a preview; return True to finish early."""
-        _report_step(progress, done)
-        progress.image(lambda: albedo_image(refinement.result(), dataset.train[0].camera))
-        return progress.finish_early
-
-    schedule_scale = 1.0 if deadline is None else _scale_to_deadline(refinement, deadline, progress)
-    refinement.run(report)
-    after = refinement.test()
-    progress.message(f"PSNR of shaded held-back views: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
-    return refinement.result() if after > before[best] else starts[best], schedule_scale
-
-
 def _is_metal(reconstruction: Reconstruction, solver: LightMaterialSolver) -> bool:
     """Return True where the first stage or the solver takes the object for metal, which has no diffuse shading."""
     return is_metal_on_average(reconstruction.gaussians) or float(solver.metallic.mean()) > METAL_ON_AVERAGE
-
-
-def _scale_to_deadline(refinement: Refinement, deadline: float, progress: Progress) -> float:
-    """Do the first steps, and scale the schedule so that the stage ends by the deadline; returns the schedule scale."""
-    settings, glossy = refinement.settings, refinement.start.glossy
-    scale_for = lambda left, step: second_stage_schedule_scale(settings, left, glossy, step)  # noqa: E731
-    schedule_scale, report = scale_schedule(refinement, "second stage", deadline, scale_for, SECOND_STAGE_LARGEST_SCALE)
-    progress.phase("refine", refinement.settings.iterations)
-    progress.message(report)
-    return schedule_scale
-
-
-def prepare_refinements(
-    starts: Sequence[Reconstruction],
-    pool: PixelPool,
-    tracer: SecondaryTracer,
-    cameras: Sequence[Camera],
-    settings: Settings,
-    progress: Progress,
-) -> list[Refinement]:
-    """Prepare a refinement for each start, and decide the skip rule "cache_hits".
-
-    Args:
-        starts: reconstructions with the same geometry.
-        pool: pixels of the training views.
-        tracer: of the Gaussians.
-        cameras: of the training views, which are rasterised anew in each step where the rule is off.
-        settings: of the job.
-        progress: receives the decision.
-    """
-    megabytes = len(pool.lists.index) * 12 / 1e6
-    evidence = f"the surfels of {pool.count:,} pixels take {megabytes:.0f} MB"
-    cache_hits = decide_skip_rule(settings.skip, "cache_hits", megabytes < CACHED_MEGABYTES, evidence, progress)
-    tracer.repack = not cache_hits
-    cameras = () if cache_hits else cameras
-    return [Refinement(start, pool, tracer, settings.second, settings.seed, cameras=cameras) for start in starts]
 
 
 def solve_light_materials(

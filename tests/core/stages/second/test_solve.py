@@ -3,7 +3,6 @@
 
 import time
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -130,21 +129,6 @@ def test_the_setting_chooses_the_solver(sphere, sphere_dataset, camera_ring, mon
     assert deadlines[-1] == deadline
     if len(expected) == 2:
         assert deadlines[0] == pytest.approx(deadline - 50, abs=1)  # half of what is left
-
-
-def test_every_start_of_a_metal_has_a_light_of_the_rows_that_the_setting_asks_for(sphere, sphere_dataset, camera_ring, monkeypatch):
-    first, rows = sphere[0](glossy=True), []
-    solved = first.relabelled(first.gaussians.material, torch.ones(32, 64, 3))
-
-    def stop(starts, *_):
-        rows.extend(start.environment.shape[0] for start in starts)
-        raise Cancelled("enough")
-
-    monkeypatch.setattr(transport, "prepare_refinements", stop)
-    settings, solver = with_overrides(SETTINGS, ["second.light_height=32"]), SimpleNamespace(metallic=torch.ones(10))
-    with pytest.raises(Cancelled):
-        transport.refine(solved, first, sphere_dataset(camera_ring(9, size=40)), SecondaryTracer(first), solver, settings, Silent(), None)
-    assert rows == [32, 32]
 
 
 def test_materials_are_assigned_by_the_pixels_that_turned_surfels_cover(sphere, sphere_dataset, camera_ring, tried, monkeypatch):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Start of a metal's refinement: materials of the first stage, and its light with the levels of the solver's.
+"""Starts of a metal's refinement, with the light of the first stage at the levels of the solver's.
 
 The reflections of the first stage show the light in detail, but without visibility, and where they are clipped its radiance stays too
 low. The solver's light is coarse, but its levels follow from the rendering equation, with clipped values as lower bounds.
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from ...scene.gaussians import ALBEDO
+from ...scene.gaussians import ALBEDO, ROUGHNESS
 from ...scene.reconstruction import Reconstruction
 from .gaussian_materials import binarise_metallic_by_median
 from .joint.optimisation import resized_light
@@ -20,21 +20,27 @@ from .light_material_solver import LightMaterialSolver
 DARKEST = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
 
 
-def metal_start(first: Reconstruction, solver: LightMaterialSolver, height: int) -> Reconstruction:
-    """Combine the first stage's result for a metal with the solver's light.
+def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMaterialSolver) -> list[Reconstruction]:
+    """Combine the solver's result for a metal with the first stage's.
 
     Args:
         first: result of the first stage, with reflections.
-        solver: solved light and albedo of its points.
-        height: rows of the light map, at least those of the first stage's.
+        solved: materials and light of the solver, assigned to the same Gaussians.
+        solver: its light, and the albedo of its points.
 
     Returns:
-        The reconstruction with the first stage's materials, metallic binarised, and the light.
+        Two starts: albedo and metallic of the solver, or of the first stage with metallic binarised. Both take the roughness of the first
+        stage and its light with the levels of the solver's, of the rows of `solved`.
     """
-    materials = binarise_metallic_by_median(first.gaussians)
-    levels = solver.light.view(solver.transfer.height, -1, 3) * albedo_ratio(first, solver)
-    light = levelled_light(resized_light(first.environment, height), levels)
-    return first.relabelled(materials, light)
+    sharp = resized_light(first.environment, solved.environment.shape[0])
+    levels = solver.light.view(solver.transfer.height, -1, 3)
+    materials = solved.gaussians.material.clone()
+    materials[ROUGHNESS] = first.gaussians.material.detach()[ROUGHNESS]
+    own = binarise_metallic_by_median(first.gaussians)
+    return [
+        first.relabelled(materials, levelled_light(sharp, levels)),
+        first.relabelled(own, levelled_light(sharp, levels * albedo_ratio(first, solver))),
+    ]
 
 
 def albedo_ratio(first: Reconstruction, solver: LightMaterialSolver) -> torch.Tensor:
