@@ -69,7 +69,7 @@ def refine(
 
     def report(done: int) -> bool:
         """Report a step and offer a preview; return True to finish early."""
-        _report(progress, done)
+        report_step(progress, done)
         progress.image(lambda: albedo_image(best.result(), dataset.train[0].camera))
         return progress.finish_early
 
@@ -105,6 +105,21 @@ def prepare_refinements(
     return [Refinement(start, pool, tracer, settings.second, settings.seed, cameras=cameras) for start in starts]
 
 
+def report_step(progress: Progress, done: int) -> None:
+    """Report the number of steps done in the second stage.
+
+    Args:
+        progress: receives the number.
+        done: steps.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    progress.step(done)
+    if progress.cancelled:
+        raise Cancelled("stopped in the second stage")
+
+
 def _best_after_trial(refinements: Sequence[Refinement], progress: Progress) -> Refinement:
     """Refine each for the share TRIAL of the schedule, if there are several; return the best on held-back views."""
     if len(refinements) == 1:
@@ -118,17 +133,10 @@ def _until(steps: int, progress: Progress) -> Callable[[int], bool]:
     """Return a callback that reports each step and ends the run after a number of steps, or earlier where the user asks for it."""
 
     def report(done: int) -> bool:
-        _report(progress, done)
+        report_step(progress, done)
         return done >= steps or progress.finish_early
 
     return report
-
-
-def _report(progress: Progress, done: int) -> None:
-    """Report the number of steps done; raise Cancelled where the user stopped the work."""
-    progress.step(done)
-    if progress.cancelled:
-        raise Cancelled("stopped in the second stage")
 
 
 def _scale_to_deadline(refinements: Sequence[Refinement], deadline: float, progress: Progress) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from ...errors import Cancelled, IrgsppError
+from ...errors import IrgsppError
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.dataset import Dataset, light_rotations
@@ -34,7 +34,7 @@ from .normal_improvement import improve_normals
 from .radiance_refit import refit_radiance
 from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
 from .refinement import METAL_ON_AVERAGE, is_metal_on_average
-from .refinement_selection import refine
+from .refinement_selection import refine, report_step
 from .secondary_tracer import secondary_tracer
 
 LEAST_POINTS = 50  # with which the light is solved
@@ -111,11 +111,11 @@ def solve_in_closed_form(
         reconstruction = replace(reconstruction, gaussians=align_normals(reconstruction.gaussians, surface, fraction))
     solver, tracer = solve_light_materials(reconstruction, surface, dataset, settings, progress)
     if not _is_metal(reconstruction, solver):
-        watch = (progress, lambda done: _report_step(progress, done))
+        watch = (progress, lambda done: report_step(progress, done))
         reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, *watch)
         tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
     progress.phase("paint", 100)
-    watch = (settings.seed, lambda fraction: _report_step(progress, int(100 * fraction)))
+    watch = (settings.seed, lambda fraction: report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
     enlarged = resized_light(solver.light.view(solver.transfer.height, -1, 3), settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
@@ -126,7 +126,7 @@ def solve_in_closed_form(
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
     if iterations:
         progress.phase("radiance", iterations)
-        watch = (settings.seed, lambda done: _report_step(progress, done) or progress.finish_early)
+        watch = (settings.seed, lambda done: report_step(progress, done) or progress.finish_early)
         result = refit_radiance(result, dataset.train, iterations, *watch, settings.first.subpixels)
     return result, schedule_scale
 
@@ -168,7 +168,7 @@ def solve_light_materials(
         )
     progress.phase("trace", len(samples.position))
     options = (second.rows, SIDE, settings.seed, second.indirect)
-    step = lambda done: _report_step(progress, done)  # noqa: E731
+    step = lambda done: report_step(progress, done)  # noqa: E731
     transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, step, rotations)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal.
@@ -194,14 +194,7 @@ def _solve_from_first_stage(
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
     solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), seed, search_metal)
     progress.phase("second stage", STEPS)
-    solver.run(lambda done: _report_step(progress, done) or progress.finish_early)
+    solver.run(lambda done: report_step(progress, done) or progress.finish_early)
     progress.message(f"metal: {solver.regions[1]} of {solver.regions[0]} regions that may be metal explain the photographs better so")
     progress.message(f"light and materials fit the photographs with a median error of {solver.error():.4f} (encoded, 0..1)")
     return solver
-
-
-def _report_step(progress: Progress, done: int) -> None:
-    """Report the number of steps done; raise Cancelled where the user stopped the work."""
-    progress.step(done)
-    if progress.cancelled:
-        raise Cancelled("stopped in the second stage")
