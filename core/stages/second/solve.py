@@ -195,6 +195,8 @@ def _solve_from_first_stage(
     solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), seed, search_metal)
     progress.phase("second stage", STEPS)
     solver.run(lambda done: report_step(progress, done) or progress.finish_early)
-    progress.message(f"metal: {solver.regions[1]} of {solver.regions[0]} regions that may be metal explain the photographs better so")
+    tested, confirmed = solver.regions
+    if tested:
+        progress.message(f"metal: {confirmed} of {tested} regions that may be metal explain the photographs better so")
     progress.message(f"light and materials fit the photographs with a median error of {solver.error():.4f} (encoded, 0..1)")
     return solver
