@@ -13,7 +13,7 @@ from .sample_equation import robust_error, view_terms
 
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
 METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
-RELEASE = -0.4  # gain below which a point of a confirmed region is no metal after all
+CONTRADICTED = -0.4  # gain below which a point of a confirmed region is no metal after all
 
 
 class MaterialSearch:
@@ -78,7 +78,7 @@ class MaterialSearch:
 
     def still_metal(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
         """Return the metal points `metal` (P,) without those that costs now contradict."""
-        return metal & (self._gain(costs) > RELEASE) if bool(metal.any()) else metal
+        return metal & (self._gain(costs) > CONTRADICTED) if bool(metal.any()) else metal
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
         """Split points (P,) bool into connected regions, see `connected_regions`."""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second import material_search as module
-from irgspp.core.stages.second.material_search import METAL_ROUGHNESS, RELEASE, MaterialSearch
+from irgspp.core.stages.second.material_search import CONTRADICTED, METAL_ROUGHNESS, MaterialSearch
 from irgspp.core.stages.second.sample_equation import approximate_srgb_derivative
 from sphere_on_floor import make
 
@@ -45,7 +45,7 @@ def test_candidates_are_the_metal_and_stay(searched):
 def test_a_little_doubt_does_not_release_metal(searched):
     search, cost, _ = searched
     level = torch.zeros_like(cost)
-    level[:, 1] = -0.9 * RELEASE * search.samples.lengths.float().mean()
+    level[:, 1] = -0.9 * CONTRADICTED * search.samples.lengths.float().mean()
     everything = torch.ones(len(level), dtype=torch.bool)
     assert search.still_metal(level, everything).all()
     assert not search.still_metal(level * 1.3, everything).any()

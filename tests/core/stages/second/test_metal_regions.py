@@ -82,7 +82,9 @@ def test_region_must_gain_itself_and_in_all():
     assert confirm_metal([region], changed(-1, 0.1))[1] == 1
     assert confirm_metal([region], changed(-1, 0.6))[1] == 0  # the others lose more
     assert confirm_metal([region], changed(0.1, -1))[1] == 0  # only the others gain
-    assert confirm_metal([region], changed(-0.5 * EVIDENCE, 0))[1] == 0  # too little
+    enough = 120 * EVIDENCE / 20  # of each point, as all errors are 120 and the region has 20 points
+    assert confirm_metal([region], changed(-1.1 * enough, 0))[1] == 1
+    assert confirm_metal([region], changed(-0.9 * enough, 0))[1] == 0
 
 
 def test_region_that_cannot_gain_enough_is_not_tested():
