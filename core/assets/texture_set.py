@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..scene.textures import CHANNELS, load_textures, occlusion_roughness_metallic, save_textures
+from ..scene.textures import CHANNELS, OPTIONAL, load_textures, occlusion_roughness_metallic, save_textures
 
 NORMAL_MAPS = ("opengl", "directx")  # +Y up, and +Y down
 
 
 def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> None:
-    """Write albedo (sRGB), roughness, metallic, normal, orm (red occlusion, green roughness, blue metallic) and confidence as PNG files.
+    """Write albedo (sRGB), roughness, metallic, normal, orm (red occlusion, green roughness, blue metallic), confidences as PNG files.
 
     Args:
         run: folder of the finished run.
@@ -25,7 +25,7 @@ def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> Non
         InputError: if the run lacks a texture.
     """
     textures = load_textures(run / "textures")
-    missing = [name for name in CHANNELS if name not in textures and name != "confidence"]
+    missing = [name for name in CHANNELS if name not in textures and name not in OPTIONAL]
     if missing:
         raise InputError(run / "textures", f"lacks {', '.join(f'{name}.png' for name in missing)}", "bake the run again")
     textures["orm"] = occlusion_roughness_metallic(textures)

@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..io.atomic import write_atomic
 from ..scene.mesh import Mesh
 from ..scene.mesh_ply import load_mesh_ply
-from ..scene.textures import CHANNELS, load_textures
+from ..scene.textures import CHANNELS, OPTIONAL, load_textures
 from .mesh_defects import Geometry, geometry_of
 from .uv_defects import UvLayout, uv_layout_of
 
@@ -118,7 +118,7 @@ def _uv_checks(uvs: UvLayout, g: Geometry) -> list[Check]:
 
 
 def _texture_checks(textures: dict[str, np.ndarray]) -> list[Check]:
-    needed = [name for name in CHANNELS if name != "confidence"]  # runs of version 0.1 have none
+    needed = [name for name in CHANNELS if name not in OPTIONAL]
     missing = [name for name in needed if name not in textures]
     shapes = {texture.shape[:2] for texture in textures.values()}
     odd = len(shapes) > 1 or any(height != width for height, width in shapes)

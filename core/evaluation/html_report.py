@@ -16,6 +16,7 @@ from PIL import Image
 
 from . import image_metrics as similarity
 from . import metrics, visualisation
+from .calibration import NAMES
 from .cycles import Comparison
 from .ground_truth import Truth
 from .prediction import Prediction
@@ -32,6 +33,8 @@ h1 { font-size: 1.5rem } h2 { font-size: 1.1rem; margin: 2.2rem 0 .5rem } p { co
 table { border-collapse: collapse } td, th { padding: .15rem .9rem .15rem 0; text-align: left; font-weight: normal }
 td { font-variant-numeric: tabular-nums; text-align: right }
 .row { display: flex; flex-wrap: wrap; gap: 8px; margin-bottom: 10px } figure { margin: 0; width: 210px }
+figure.bars div { display: flex; align-items: flex-end; height: 120px; gap: 3px }
+figure.bars i { flex: 1; background: #7f9cc0; min-height: 1px }
 figure img { width: 100%; display: block; border-radius: 3px } figcaption { font-size: .8rem; color: #a9a9a4; padding-top: 2px }
 """
 
@@ -86,9 +89,16 @@ def page(
         views=views,
         albedo_scaled=bool(report["albedo_scale"]),
         metrics=rows,
+        calibration={name: _bars(curve) for name, curve in report["calibration"].items()},
         protocol=report["protocol"],
         sections=sections,
     )
+
+
+def _bars(curve: Sequence[dict[str, float]]) -> list[tuple[float, str]]:
+    """Return height, in per cent of the largest, and label of each bar of a calibration curve."""
+    largest = max((part["error"] for part in curve), default=0) or 1
+    return [(100 * part["error"] / largest, f"confidence {part['confidence']:.2f}, error {part['error']:.4f}") for part in curve]
 
 
 def _view_section(
@@ -153,7 +163,11 @@ def _layer_rows(prediction: Prediction, truth: Truth, scale: np.ndarray) -> list
                 _tile("error, to 0.5", visualisation.heat(error, 0.5)),
             ]
         rows.append(row)
-    return [rows[0] + rows[1], rows[2] + rows[3]]
+    layers = [rows[0] + rows[1], rows[2] + rows[3]]
+    if prediction.buffers.confidence is not None:
+        known = prediction.layer("confidence")
+        layers.append([_tile(f"confidence of {name}", visualisation.grey(known[..., i], alpha)) for i, name in enumerate(NAMES)])
+    return layers
 
 
 def _relit_row(prediction: Prediction, truth: Truth, protocol: Protocol) -> list[Tile]:

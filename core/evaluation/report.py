@@ -26,6 +26,7 @@ from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import DataSettings
 from . import metrics
+from .calibration import Calibration
 from .cases import Case, Cases, read_cases, spread
 from .conditions import describe_conditions, describe_renderer
 from .cycles import compare
@@ -81,8 +82,9 @@ def evaluate(
 
     Returns:
         Content of the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split",
-        "novel" (number of views under other lights), "cycles" (metrics of each comparison), "run", "dataset", "protocol" (a line of text
-        for each choice), "choices" (the same for programs).
+        "calibration" (confidence and error of the materials, see `Calibration.curves`), "novel" (number of views under other lights),
+        "cycles" (metrics of each comparison), "run", "dataset", "protocol" (a line of text for each choice), "choices" (the same for
+        programs).
 
     Raises:
         InputError: when the folder is not a finished run, or the dataset can't be read.
@@ -142,6 +144,7 @@ class Evaluation:
         self.shown: dict[str, tuple[Prediction, Truth]] = {}  # views shown in the report, with all their images
         self.lit_by: dict[str, None] = {}  # names of lights, in order
         self.seconds: list[float] = []  # of each image under the recovered light
+        self.calibration = Calibration()
         self.own_light: np.ndarray | None = None  # true light of the first view, where it is known view by view
         self._prepared: dict[str, PreparedLight] = {}
 
@@ -156,6 +159,7 @@ class Evaluation:
             row = self.rows[case.number]
             row |= relit_metrics(prediction, case.truth, self.protocol, self.lpips)
             row |= fitted_metrics(prediction, case.truth, self.fits, self.protocol, self.cases.unit, self.lpips)
+            self.calibration.gather(prediction, case.truth, self.fits.albedo)
             self.lit_by |= dict.fromkeys(prediction.relit)
             if case.number in shown:
                 self.shown[self.cases.names[case.number]] = prediction, case.truth
@@ -164,7 +168,8 @@ class Evaluation:
         """Return the metrics of all views, and their means, under the keys of report.json."""
         relights, scale = [name for name in self.lit_by if name != self.cases.scene.train_light], self.fits.albedo
         return {
-            "figures": averages(self.rows, relights, self.protocol) | self._speed(),
+            "figures": averages(self.rows, relights, self.protocol) | self._speed() | self.calibration.figures(),
+            "calibration": self.calibration.curves(),
             "views": dict(zip(self.cases.names, self.rows, strict=True)),
             "novel": len(self.cases.views) - self.cases.own,
             "albedo_scale": None if scale is None else [float(s) for s in scale],

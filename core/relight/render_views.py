@@ -96,7 +96,7 @@ def render_views(
 
     Files: rgba.exr under the recovered light (no `lights`), else rgba_<light>.exr, linear premultiplied RGBA, and the same as 8-bit
     straight-alpha .png; radiance.exr, the Gaussians' own radiance, likewise RGBA; albedo.exr linear RGB; normal.exr unit world XYZ as RGB;
-    depth.exr Z, planar; material.exr R roughness, G metallic.
+    depth.exr Z, planar; material.exr R roughness, G metallic; confidence.exr of R albedo, G roughness, B metallic, where it is known.
 
     Args:
         relighter: relighter of the run.
@@ -171,6 +171,8 @@ def write_layers(folder: Path, gbuffer: GBuffer, layers: Sequence[str]) -> None:
         "material": {"R": np.where(covered, gbuffer.roughness, 0), "G": np.where(covered, gbuffer.metallic, 0)},
         "radiance": rgb_channels(gbuffer.image),
     }
+    if gbuffer.confidence is not None:
+        channels["confidence"] = rgb_channels(np.where(covered[..., None], gbuffer.confidence, 0))
     for name, data in channels.items():
         if name in layers:
             write_exr(folder / f"{name}.exr", data)

@@ -61,11 +61,13 @@ def render_gbuffer(
     Returns:
         Layers (H, W) divided by opacity; the radiance of a glossy reconstruction includes reflections of the light it was fitted with.
     """
-    fitted = reconstruction.reflections if shaded else None
-    image, rays = rasterize_view(reconstruction, camera, None if fitted is None else fitted.material, subpixels)
+    fitted, known = reconstruction.reflections if shaded else None, reconstruction.confidence
+    more = [rows for rows in (None if fitted is None else fitted.material, known) if rows is not None]
+    image, rays = rasterize_view(reconstruction, camera, torch.cat(more) if more else None, subpixels)
+    image, confidence = (image, None) if known is None else _split_confidence(image, len(known))
     if not shaded:
         black = np.broadcast_to(np.float32(0), (camera.height, camera.width, 3))
-        return GBuffer(camera, *_layers(image, black))
+        return GBuffer(camera, *_layers(image, black), confidence=confidence)
     mirrored = reconstruction.mirrored()
     turned = None if light_rotation is None else torch.as_tensor(light_rotation, dtype=torch.float32).to(image.device)
     with torch.no_grad():
@@ -75,7 +77,14 @@ def render_gbuffer(
         behind = None
         if reconstruction.background is not None:
             behind = _channels_last(background_radiance(reconstruction.background, rays, turned))
-    return GBuffer(camera, *_layers(image, linear), background=behind)
+    return GBuffer(camera, *_layers(image, linear), background=behind, confidence=confidence)
+
+
+def _split_confidence(image: torch.Tensor, count: int) -> tuple[torch.Tensor, np.ndarray]:
+    """Split sums (C + count, H, W) into those without the confidence, which precedes depth and alpha, and its means (H, W, count)."""
+    alpha, first = image[-1], len(image) - 2 - count
+    mean = torch.where(alpha > ALPHA_FLOOR, image[first:-2] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
+    return torch.cat([image[:first], image[-2:]]), _channels_last(mean)
 
 
 @torch.no_grad()

@@ -11,7 +11,7 @@ from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
 from .gbuffer import render_gbuffer
 
-FLOATS = 10  # per pixel of a G-buffer
+FLOATS = 13  # per pixel of a G-buffer with confidence
 
 
 class GBufferCache(Sequence[GBuffer]):

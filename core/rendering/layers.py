@@ -3,4 +3,4 @@
 
 from __future__ import annotations
 
-LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance")
+LAYERS = ("rgba", "albedo", "normal", "depth", "material", "radiance", "confidence")

@@ -12,7 +12,7 @@ from plyfile import PlyData, PlyElement
 
 from ..errors import InputError
 from ..io.atomic import atomic_file
-from .gbuffer import SurfaceSamples
+from .gbuffer import CONFIDENCE, SurfaceSamples
 
 SH_COEFFICIENTS = 16  # degree 3
 SH_DC = 0.28209479177387814
@@ -123,19 +123,21 @@ def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, scale: 
     return Gaussians(position, quaternion_to(normal), log_scale[None].repeat(2, 1), opacities, sh, material)
 
 
-def save_gaussians(gaussians: Gaussians, path: Path) -> None:
+def save_gaussians(gaussians: Gaussians, path: Path, confidence: torch.Tensor | None = None) -> None:
     """Write a binary PLY atomically, with 3DGS's columns (raw values) and albedo, roughness, metallic in 0..1 (linear).
 
     Args:
         gaussians: the surfels.
         path: the PLY to write.
+        confidence: (3, N) of albedo, roughness and metallic, in 0..1; None where it is not known.
     """
     with torch.no_grad():
         g = gaussians
         rest = g.sh[1:].permute(1, 0, 2).reshape(-1, g.count)  # channel by channel, as 3DGS writes them
         quaternion = torch.nn.functional.normalize(g.quaternion, dim=0)
-        rows = torch.cat([g.position, g.normals(), g.sh[0], rest, g.opacity[None], g.log_scale, quaternion, g.materials()])
-    columns = _ply_columns()
+        known = [] if confidence is None else [confidence]
+        rows = torch.cat([g.position, g.normals(), g.sh[0], rest, g.opacity[None], g.log_scale, quaternion, g.materials(), *known])
+    columns = [*_ply_columns(), *(CONFIDENCE if known else ())]
     table = np.empty(g.count, [(name, "f4") for name in columns])
     for name, row in zip(columns, rows.detach().cpu().numpy(), strict=True):
         table[name] = row
@@ -150,15 +152,28 @@ def load_gaussians(path: Path) -> Gaussians:
     Raises:
         InputError: if the file is missing, broken or lacks a column.
     """
+    return load_surfels(path)[0]
+
+
+def load_surfels(path: Path) -> tuple[Gaussians, torch.Tensor | None]:
+    """Read the surfels that `save_gaussians` wrote, and the confidence (3, N) of their materials, None where the file has none.
+
+    Raises:
+        InputError: if the file is missing, broken or lacks a column.
+    """
     try:
         vertex = PlyData.read(str(path))["vertex"]
-        rows = torch.from_numpy(np.stack([np.asarray(vertex[name], np.float32) for name in _ply_columns()]))
+        known = set(CONFIDENCE) <= {p.name for p in vertex.properties}
+        columns = [*_ply_columns(), *(CONFIDENCE if known else ())]
+        rows = torch.from_numpy(np.stack([np.asarray(vertex[name], np.float32) for name in columns]))
     except (OSError, KeyError, ValueError, EOFError, RuntimeError) as error:
         raise InputError(path, f"not a PLY of 2D Gaussians ({error})") from error
     except Exception as error:  # plyfile's own parse errors share no public base but Exception
         raise InputError(path, f"not a readable PLY ({error})") from error
     if not torch.isfinite(rows).all():
         raise InputError(path, "holds values that are not finite")
-    position, _, dc, rest, opacity, scale, quaternion, material = rows.split([3, 3, 3, 45, 1, 2, 4, 5])
+    sizes = [3, 3, 3, 45, 1, 2, 4, 5, *([len(CONFIDENCE)] if known else [])]
+    position, _, dc, rest, opacity, scale, quaternion, material, *confidence = rows.split(sizes)
     sh = torch.cat([dc[None], rest.reshape(3, SH_COEFFICIENTS - 1, -1).permute(1, 0, 2)])
-    return Gaussians(position, quaternion, scale, opacity[0], sh.contiguous(), torch.logit(material.clamp(1e-6, 1 - 1e-6)))
+    gaussians = Gaussians(position, quaternion, scale, opacity[0], sh.contiguous(), torch.logit(material.clamp(1e-6, 1 - 1e-6)))
+    return gaussians, confidence[0].clamp(0, 1) if confidence else None

@@ -9,6 +9,7 @@ import numpy as np
 
 from .camera import Camera
 
+CONFIDENCE = ("confidence_albedo", "confidence_roughness", "confidence_metallic")  # columns of PLY files where it is known
 EMPTY_ALPHA = 0.5 / 255  # below this alpha a pixel is empty, and its layers are noise divided by almost zero
 
 
@@ -25,6 +26,7 @@ class GBuffer:
         albedo: (H, W, 3) linear 0..1 (F0 where metallic).
         roughness, metallic: (H, W) in 0..1.
         background: (H, W, 3) linear radiance behind the object, or None where the photographs were masked.
+        confidence: (H, W, 3) of albedo, roughness and metallic in 0..1, or None where it was not measured.
     """
 
     camera: Camera
@@ -36,6 +38,7 @@ class GBuffer:
     roughness: np.ndarray
     metallic: np.ndarray
     background: np.ndarray | None = None
+    confidence: np.ndarray | None = None
 
     @property
     def image(self) -> np.ndarray:

@@ -18,7 +18,9 @@ from .textures import occlusion_roughness_metallic
 
 
 def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: str = "object") -> None:
-    """Write the mesh atomically, with its textures if it has any, else with the albedo of its vertices; `_CONFIDENCE` is an attribute.
+    """Write the mesh atomically, with its textures if it has any, else with the albedo of its vertices.
+
+    `_CONFIDENCE`, and `_MATERIAL_CONFIDENCE` of albedo, roughness and metallic, are attributes where they are known.
 
     Args:
         mesh: the mesh.
@@ -33,6 +35,8 @@ def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: s
         _colour_vertices(body, mesh)
     if mesh.confidence is not None:  # glTF's own attributes have no underscore
         body.vertex_attributes["_CONFIDENCE"] = mesh.confidence.astype(np.float32)
+    if mesh.material_confidence is not None:
+        body.vertex_attributes["_MATERIAL_CONFIDENCE"] = mesh.material_confidence.astype(np.float32)
     if tangents is not None:
         body.vertex_attributes["_TANGENT"] = np.concatenate([_y_up(tangents), tangents[:, 3:]], -1).astype(np.float32)
     scene = trimesh.Scene()

@@ -11,6 +11,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 from ..errors import InputError
 from ..io.atomic import atomic_file
 from ..io.srgb import encode_srgb
+from .gbuffer import CONFIDENCE
 from .mesh import Mesh
 
 COLUMNS = {
@@ -21,7 +22,7 @@ COLUMNS = {
     "roughness": ("roughness",),
     "metallic": ("metallic",),
 }
-CONFIDENCE = "confidence"  # optional
+OPTIONAL = {"confidence": ("confidence",), "material_confidence": CONFIDENCE}
 COLOUR = ("red", "green", "blue")  # the albedo once more, 8-bit sRGB, for viewers that don't know the columns above
 
 
@@ -32,15 +33,13 @@ def save_mesh_ply(mesh: Mesh, path: Path) -> None:
         mesh: the mesh.
         path: the PLY to write.
     """
-    floats = [(name, "f4") for names in COLUMNS.values() for name in names]
-    floats += [(CONFIDENCE, "f4")] if mesh.confidence is not None else []
+    columns = COLUMNS | {field: names for field, names in OPTIONAL.items() if getattr(mesh, field) is not None}
+    floats = [(name, "f4") for names in columns.values() for name in names]
     vertex = np.empty(len(mesh.vertices), [*floats, *((name, "u1") for name in COLOUR)])
-    for field, names in COLUMNS.items():
+    for field, names in columns.items():
         values = getattr(mesh, field).reshape(len(vertex), len(names))
         for i, name in enumerate(names):
             vertex[name] = values[:, i]
-    if mesh.confidence is not None:
-        vertex[CONFIDENCE] = mesh.confidence
     colour = np.round(255 * np.clip(encode_srgb(np.clip(mesh.albedo, 0, 1)), 0, 1))
     for i, name in enumerate(COLOUR):
         vertex[name] = colour[:, i]
@@ -64,17 +63,15 @@ def load_mesh_ply(path: Path) -> Mesh:
     missing = [name for names in COLUMNS.values() for name in names if name not in (vertex.dtype.names or ())]
     if missing:
         raise InputError(path, f"its vertices lack {', '.join(missing)}", "give the mesh.ply of a run folder")
-    values = {field: np.stack([vertex[name] for name in names], -1).astype(np.float32) for field, names in COLUMNS.items()}
-    known = CONFIDENCE in (vertex.dtype.names or ())
-    confidence = vertex[CONFIDENCE].astype(np.float32) if known else np.zeros(0, np.float32)
-    if not all(np.isfinite(value).all() for value in [*values.values(), confidence]):
+    columns = COLUMNS | {field: names for field, names in OPTIONAL.items() if set(names) <= set(vertex.dtype.names)}
+    values = {field: np.stack([vertex[name] for name in names], -1).astype(np.float32) for field, names in columns.items()}
+    if not all(np.isfinite(value).all() for value in values.values()):
         raise InputError(path, "has vertices that are not finite")
     faces = _faces(face, path)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertex)):
         raise InputError(path, f"has faces that refer to vertices beyond the {len(vertex)} of the file")
-    roughness, metallic = values.pop("roughness")[:, 0], values.pop("metallic")[:, 0]
-    materials = {"roughness": roughness, "metallic": metallic, "confidence": confidence if known else None}
-    return Mesh(**values, **materials, faces=faces)  # pyright: ignore[reportArgumentType]
+    scalars = {field: values.pop(field)[:, 0] for field in ("roughness", "metallic", "confidence") if field in values}
+    return Mesh(**values, **scalars, faces=faces)  # pyright: ignore[reportArgumentType]
 
 
 def _read(path: Path) -> PlyData:

@@ -15,7 +15,7 @@ from ..io.atomic import atomic_file, write_atomic
 from ..io.exr import read_exr_rgb, rgb_channels, write_exr
 from ..io.npz import read_arrays
 from .dataset import Bound
-from .gaussians import Gaussians, load_gaussians, save_gaussians
+from .gaussians import Gaussians, load_surfels, save_gaussians
 from .gbuffer import SurfaceSamples
 
 
@@ -71,6 +71,8 @@ class Reconstruction:
         glossy: True if the SH hold the diffuse radiance and the deferred split-sum adds the reflections; False if they hold all radiance.
         background: (H, W, 3) linear lat-long image behind the object, or None where the photographs were masked.
         reflections: materials and light of the reflections in the radiance, where they differ from the surfels' and from `environment`.
+        confidence: (3, N) float32 of each surfel's albedo, roughness and metallic, in 0..1: how well the photographs bear them out, see
+            `core/stages/second/material_confidence.py`; None where it was not measured.
     """
 
     gaussians: Gaussians
@@ -80,6 +82,7 @@ class Reconstruction:
     glossy: bool = False
     background: torch.Tensor | None = None
     reflections: Reflections | None = None
+    confidence: torch.Tensor | None = None
 
     def environment_map(self) -> np.ndarray:
         """Return the light as a numpy array (H, W, 3) float32."""
@@ -90,8 +93,9 @@ class Reconstruction:
         own = self.reflections
         reflections = None if own is None else Reflections(own.material.to(device), own.environment.to(device))
         background = None if self.background is None else self.background.to(device)
-        on_device = (self.gaussians.to(device), self.environment.to(device))
-        return replace(self, gaussians=on_device[0], environment=on_device[1], background=background, reflections=reflections)
+        confidence = None if self.confidence is None else self.confidence.to(device)
+        moved = {"background": background, "reflections": reflections, "confidence": confidence}
+        return replace(self, gaussians=self.gaussians.to(device), environment=self.environment.to(device), **moved)
 
     def surface_samples(self) -> SurfaceSamples:
         """Return the surfels as surface points with materials."""
@@ -104,14 +108,14 @@ class Reconstruction:
         return self.reflections or Reflections(self.gaussians.materials().detach(), self.environment)
 
     def relabelled(self, material: torch.Tensor, environment: torch.Tensor) -> Reconstruction:
-        """Return the same geometry and radiance with other materials and another light.
+        """Return the same geometry and radiance with other materials, of unknown confidence, and another light.
 
         Args:
             material: (5, N) logits of albedo, roughness, metallic.
             environment: (H, W, 3) linear radiance, lat-long.
         """
         gaussians = replace(self.gaussians, material=material)
-        return replace(self, gaussians=gaussians, environment=environment, reflections=self.mirrored())
+        return replace(self, gaussians=gaussians, environment=environment, reflections=self.mirrored(), confidence=None)
 
     def save(self, folder: Path) -> None:
         """Write gaussians.ply, environment.exr, reconstruction.json, and background.exr and reflections.npz where needed, each atomically.
@@ -119,7 +123,7 @@ class Reconstruction:
         The folder is created if it does not exist.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        save_gaussians(self.gaussians, folder / "gaussians.ply")
+        save_gaussians(self.gaussians, folder / "gaussians.ply", self.confidence)
         write_exr(folder / "environment.exr", rgb_channels(self.environment_map()))
         if self.background is not None:
             write_exr(folder / "background.exr", rgb_channels(self.background.detach().cpu().numpy()))
@@ -149,6 +153,6 @@ class Reconstruction:
             raise InputError(path, f"not readable ({error})") from error
         background = torch.from_numpy(read_exr_rgb(folder / "background.exr")) if has_background else None
         environment = torch.from_numpy(read_exr_rgb(folder / "environment.exr"))
-        gaussians = load_gaussians(folder / "gaussians.ply")
+        gaussians, confidence = load_surfels(folder / "gaussians.ply")
         reflections = Reflections.load(folder / "reflections.npz", gaussians.count) if has_reflections else None
-        return cls(gaussians, environment, bound, to_world, glossy, background, reflections)
+        return cls(gaussians, environment, bound, to_world, glossy, background, reflections, confidence)

@@ -11,7 +11,8 @@ from PIL import Image
 from ..errors import InputError
 from ..io.atomic import atomic_file
 
-CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3, "confidence": 1}
+CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3, "confidence": 1, "material_confidence": 3}
+OPTIONAL = ("confidence", "material_confidence")  # that older runs lack, or that were not measured
 
 
 def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:

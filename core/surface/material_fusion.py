@@ -16,7 +16,7 @@ from .fusion import projection
 
 FACING = 0.2  # least cosine between normal and view direction of a view that counts
 NEAREST = 8  # Gaussians that are averaged where no view sees a point
-CHANNELS = 8  # normal xyz, albedo rgb, roughness, metallic
+CHANNELS = 8  # normal xyz, albedo rgb, roughness, metallic; the confidence of the last three follows where it is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +29,7 @@ class FusedMaterials:
         roughness: (P,) 0..1.
         metallic: (P,) 0..1.
         weight: (P,) sum of the views' weights; 0 where no view sees the point.
+        material_confidence: (P, 3) of albedo, roughness and metallic, 0 where no view sees the point; None where it is not known.
     """
 
     normal: np.ndarray
@@ -36,6 +37,7 @@ class FusedMaterials:
     roughness: np.ndarray
     metallic: np.ndarray
     weight: np.ndarray
+    material_confidence: np.ndarray | None = None
 
     @property
     def confidence(self) -> np.ndarray:
@@ -62,7 +64,8 @@ def fuse_materials(
         step: called with the number of views done; may raise.
     """
     points, normals = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64)
-    total, weight = np.zeros((len(points), CHANNELS), np.float32), np.zeros(len(points), np.float32)
+    known = len(views) > 0 and views[0].confidence is not None
+    total, weight = np.zeros((len(points), CHANNELS + 3 * known), np.float32), np.zeros(len(points), np.float32)
     ranges = even_ranges(len(points), 4 * thread_count())
     for done, view in enumerate(views):
         pixel = max(1 / view.camera.fx, 1 / view.camera.fy)
@@ -88,15 +91,16 @@ def fuse_materials(
     unseen = weight <= 1e-6
     values = total / np.where(unseen, 1, weight)[:, None]
     if unseen.any():
-        values[unseen] = _nearest_samples(points[unseen], samples)
+        values[unseen, :CHANNELS] = _nearest_samples(points[unseen], samples)
     materials = np.clip(values[:, 3:], 0, 1)
-    normal = _oriented(values[:, :3], normals)
-    return FusedMaterials(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight))
+    normal, confidence = _oriented(values[:, :3], normals), materials[:, 5:] if known else None
+    return FusedMaterials(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight), confidence)
 
 
 def _layers(view: GBuffer) -> np.ndarray:
-    """Return normal and materials of a view, (H, W, CHANNELS) float32."""
+    """Return normal, materials and, where it is known, confidence of a view, (H, W, CHANNELS or more) float32."""
     parts = [view.normal, view.albedo, view.roughness[..., None], view.metallic[..., None]]
+    parts += [] if view.confidence is None else [view.confidence]
     return np.ascontiguousarray(np.concatenate(parts, -1), np.float32)
 
 
@@ -121,7 +125,7 @@ def _nearest_samples(points: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
 
 @kernel
 def add_view(begin, end, points, normals, centre, matrix, voxel, pixel, depth, alpha, layers, total, weight):
-    """Add one view to the points begin..end: bilinear sums `total` (P, CHANNELS) of pixels that show the point's surface, `weight` (P,)."""
+    """Add one view to the points begin..end: bilinear sums `total` (P, C) of pixels that show the point's surface, `weight` (P,)."""
     height, width = depth.shape
     for p in range(begin, end):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]

@@ -64,6 +64,7 @@ def textured_mesh(
         roughness=fused.roughness[source],
         metallic=fused.metallic[source],
         confidence=fused.confidence[source],
+        material_confidence=None if fused.material_confidence is None else fused.material_confidence[source],
     )
     mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
     return mesh
@@ -123,6 +124,7 @@ def mesh_with_materials(
         roughness=fused.roughness,
         metallic=fused.metallic,
         confidence=fused.confidence,
+        material_confidence=fused.material_confidence,
     )
     mesh.textures.update(baked_textures(mesh, views, samples, voxel, settings, stoppable(progress, len(views))))
     return mesh
@@ -148,7 +150,7 @@ def baked_textures(
 
     Returns:
         Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness,
-        metallic and confidence (see `Mesh`).
+        metallic and confidence (see `Mesh`), and where it is known (S, S, 3) material_confidence.
     """
     texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
     frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
@@ -161,10 +163,13 @@ def baked_textures(
     seen = fused.weight > 0
     detail = np.where(seen[:, None], add_normal_detail(normal, fused.normal, seen, settings.detail), normal)
     local = tangent_space(detail, normal, tangent, side)
-    return {
+    images = {
         "albedo": texels.image(colour_byte(fused.albedo)),
         "roughness": texels.image(to_byte(fused.roughness)),
         "metallic": texels.image(to_byte(fused.metallic)),
         "normal": texels.image(to_byte(0.5 + 0.5 * local)),
         "confidence": texels.image(to_byte(fused.confidence)),
     }
+    if fused.material_confidence is not None:
+        images["material_confidence"] = texels.image(to_byte(fused.material_confidence))
+    return images

@@ -13,6 +13,7 @@ from mathutils import Matrix
 
 from ...core.errors import InputError
 from ...core.scene.camera_files import load_run_cameras
+from ...core.scene.gbuffer import CONFIDENCE
 from ..world.light_to_world import load_image, world_from_map
 from .cameras import look_through, place_cameras
 from .materials import SOURCES, TEXTURES, build_material
@@ -22,7 +23,7 @@ from .ply import read_ply
 from .run_frame import ALBEDO_SCALE
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
-OPTIONAL = ("confidence",)  # columns that older runs lack
+OPTIONAL = ("confidence", *CONFIDENCE)  # columns that older runs lack
 RUN, DATASET = "irgspp_run", "irgspp_dataset"  # custom properties of the empty: the imported folders
 
 

@@ -84,21 +84,36 @@ def facing_side(gaussians: Gaussians, pool: PixelPool) -> torch.Tensor:
     Returns:
         (N,) +1 or -1, factor of the normal that makes it face the cameras.
     """
-    lists = pool.lists
-    start, index, weight, view = (torch.as_tensor(a).cpu().numpy() for a in (lists.start, lists.index, lists.weight, pool.view))
-    towards = np.zeros((gaussians.count, 3))
-    add_view_directions(0, pool.count, start, index, weight, view, towards)
+    towards = sums_at_surfels(pool, torch.arange(pool.count), pool.view, gaussians.count)
     vote = (gaussians.normals().detach().cpu().numpy().T * towards).sum(1)
     return torch.from_numpy(np.where(vote < 0, -1.0, 1.0).astype(np.float32)).to(pool.view.device)
 
 
+def sums_at_surfels(pool: PixelPool, pixels: torch.Tensor, values: torch.Tensor, count: int) -> np.ndarray:
+    """Add values of pixels to the surfels that they show, by the surfels' weights in them.
+
+    Args:
+        pool: pixels with their hit lists.
+        pixels: (M,) indices in the pool.
+        values: (M, C) of these pixels.
+        count: number N of surfels.
+
+    Returns:
+        (N, C) float64.
+    """
+    arrays = pool.lists.start, pool.lists.index, pool.lists.weight, pixels, values
+    total = np.zeros((count, values.shape[1]))
+    add_by_weight(*(np.ascontiguousarray(torch.as_tensor(array).cpu().numpy()) for array in arrays), total)
+    return total
+
+
 @kernel
-def add_view_directions(begin, end, start, index, weight, view, towards):
-    """Add to `towards` (N, 3) float64 of each surfel the directions `view` (B, 3) of the pixels begin..end that hit it, by weight."""
-    for pixel in range(begin, end):
-        for hit in range(start[pixel], start[pixel + 1]):
-            for axis in range(3):
-                towards[index[hit], axis] += weight[hit] * view[pixel, axis]
+def add_by_weight(start, index, weight, pixels, values, total):
+    """Add `values` (M, C) of the pixels `pixels` (M,) to `total` (N, C) float64 of the surfels in their hit lists, by weight."""
+    for i in range(len(pixels)):
+        for hit in range(start[pixels[i]], start[pixels[i] + 1]):
+            for c in range(values.shape[1]):
+                total[index[hit], c] += weight[hit] * values[i, c]
 
 
 def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator, subpixels: int) -> PixelPool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -145,6 +146,28 @@ class Refinement:
                 error.append((self._difference(colour, pixels)).square().mean(1))
         return -10 * math.log10(max(float(torch.cat(error).mean()), 1e-10))
 
+    @torch.no_grad()
+    def errors(self, pixels: torch.Tensor, counts: tuple[int, int, int], generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        """Compare pixels with the images by two independent estimates, whose noise does not count as an error.
+
+        Args:
+            pixels: (B,) indices in the pool.
+            counts: cosine, visible-normal and light samples per pixel.
+            generator: of the samples.
+
+        Returns:
+            (B,) product of both encoded differences, mean over the colours: the squared error on average, negative where noise prevails;
+            and (B,) irradiance / pi, mean over the colours.
+        """
+        light, differences = self.light.detach().exp(), []
+        for _ in range(2):
+            view, normal, albedo, roughness, metallic, samples, incoming = self._lit(pixels, counts, light, generator)
+            diffuse, specular = reflect_light(view, normal, albedo, roughness, metallic, samples, incoming, conserving=True)
+            differences.append(self._difference(diffuse + specular, pixels))
+        white, none = torch.ones_like(albedo), torch.zeros_like(metallic)
+        irradiance, _ = reflect_light(view, normal, white, roughness, none, samples, incoming, conserving=False)
+        return (differences[0] * differences[1]).mean(1), irradiance.mean(1)
+
     def result(self) -> Reconstruction:
         """Return the current reconstruction."""
         g = self.optimizer.gaussians
@@ -169,15 +192,18 @@ class Refinement:
 
         A light that turns relative to the object is sampled and reflected in its own frame, that of the pixel's view.
         """
+        diffuse, specular = reflect_light(*self._lit(pixels, counts, light, generator), conserving=True)
+        return diffuse + specular
+
+    def _lit(self, pixels: torch.Tensor, counts: tuple[int, int, int], light: torch.Tensor, generator: torch.Generator) -> tuple[Any, ...]:
+        """Return view, normal, albedo, roughness, metallic, light samples and incoming light of pixels, as `reflect_light` takes them."""
         normal, albedo, roughness, metallic = self._materials(pixels)
         rotation = None if self.pool.rotations is None else self.pool.rotations[self.pool.number[pixels]]
         origin = self.tracer.above(self.pool.point[pixels], normal.detach())
         view, normal = to_light_frame(self.pool.view[pixels], rotation), to_light_frame(normal, rotation)
         distribution = LightDistribution(light.detach())
         samples = draw(view, normal.detach(), roughness.detach(), counts, distribution, generator, self.settings.sampling)
-        incoming = self._incoming(origin, normal.detach(), samples, light, rotation)
-        diffuse, specular = reflect_light(view, normal, albedo, roughness, metallic, samples, incoming, conserving=True)
-        return diffuse + specular
+        return view, normal, albedo, roughness, metallic, samples, self._incoming(origin, normal.detach(), samples, light, rotation)
 
     def _materials(self, pixels: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return normal (B, 3), albedo (B, 3), roughness and metallic (B,) of pixels."""

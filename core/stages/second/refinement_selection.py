@@ -19,6 +19,7 @@ from ...settings.schema import Settings
 from ..common.preview import albedo_image
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, second_stage_schedule_scale
+from .material_confidence import with_confidence
 from .pixel_pool import PixelPool, pool_pixels
 from .refinement import Refinement, is_metal_on_average
 
@@ -46,8 +47,8 @@ def refine(
         deadline: seconds on the monotonic clock, None for none.
 
     Returns:
-        The refined reconstruction, or its start where refinement does not improve the held-back views, or the first start where nothing is
-        to be refined; and the schedule scale.
+        The refined reconstruction, or its start where refinement does not improve the held-back views, with the confidence of its
+        materials; or the first start where nothing is to be refined; and the schedule scale.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -75,7 +76,8 @@ def refine(
     best.run(report)
     after, first = best.test(), before[refinements.index(best)]
     progress.message(f"PSNR of shaded held-back views: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
-    return best.result() if after > first else best.start, schedule_scale
+    result = best.result() if after > first else best.start
+    return with_confidence(result, pool, tracer, settings.second, settings.seed), schedule_scale
 
 
 def prepare_refinements(

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Confidence of materials: how well the photographs bear out albedo, roughness and metallic of each surfel.
+
+The expected error is measured without ground truth. Where photographs differ from what the rendering equation predicts, the shape, the
+light or the kind of material is wrong. Where little light arrives, the same difference means a larger error of the albedo. And where an
+estimate varies among neighbours more than on the rest of the object, it is less certain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ...rendering.secondary_rays import SecondaryTracer
+from ...scene.gaussians import ALBEDO, ROUGHNESS
+from ...scene.reconstruction import Reconstruction
+from ...settings.schema import SecondStageSettings
+from .pixel_pool import PixelPool, sums_at_surfels
+from .refinement import Refinement
+
+PIXELS = 32768  # of the training views, compared with their images
+BATCH = 2048  # of them at a time
+SAMPLES = (16, 32, 16)  # light samples of each of two estimates
+AROUND = 32  # nearest surfels whose pixels count for a surfel
+VARYING = 16  # nearest surfels among which a material's variation is measured
+NOISE = 0.003  # encoded error of a photograph that says nothing: that of 8 bits, and a little more
+SHADE = 0.7  # power of the irradiance by which an error of the radiance becomes one of the albedo
+DARKEST = 1e-3  # least irradiance, over the object's median
+VARIATION = 0.33  # power of the variation among neighbours, over the object's median
+HALF = 0.02  # expected error at which the confidence is 0.5
+LEAST = 0.01  # albedo below which darkness does not vary
+
+
+def with_confidence(
+    reconstruction: Reconstruction, pool: PixelPool, tracer: SecondaryTracer, settings: SecondStageSettings, seed: int
+) -> Reconstruction:
+    """Return a solved reconstruction with the confidence of its materials.
+
+    Args:
+        reconstruction: N surfels and light.
+        pool: pixels of the training views.
+        tracer: of the surfels.
+        settings: of the second stage.
+        seed: of the choice of pixels and of the light samples.
+    """
+    error, irradiance = surfel_errors(Refinement(reconstruction, pool, tracer, settings, seed), seed)
+    materials = reconstruction.gaussians.materials().detach().cpu().numpy()
+    _, nearest = KDTree(_positions(reconstruction)).query(_positions(reconstruction), k=min(VARYING, materials.shape[1]))
+    expected = expected_errors(error, irradiance, materials, np.asarray(nearest).reshape(materials.shape[1], -1))
+    confidence = torch.from_numpy((1 / (1 + expected / HALF)).astype(np.float32)).to(reconstruction.environment.device)
+    return replace(reconstruction, confidence=confidence)
+
+
+def surfel_errors(refinement: Refinement, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Measure how far the photographs differ from the prediction around each surfel.
+
+    Args:
+        refinement: of the reconstruction, not begun.
+        seed: of the choice of pixels and of the light samples.
+
+    Returns:
+        (N,) root mean square encoded error, infinite where no photograph shows the surroundings; (N,) irradiance / pi.
+    """
+    pool, generator, start = refinement.pool, torch.Generator().manual_seed(seed), refinement.start
+    pixels = torch.randperm(pool.count, generator=generator)[:PIXELS].sort().values.to(refinement.device)
+    parts = [torch.stack(refinement.errors(part, SAMPLES, generator), 1) for part in pixels.split(BATCH)]
+    squared_and_light = torch.cat(parts)
+    values = torch.cat([torch.ones_like(squared_and_light[:, :1]), squared_and_light], 1)
+    total = sums_at_surfels(pool, pixels, values, start.gaussians.count)
+    _, nearest = KDTree(_positions(start)).query(_positions(start), k=min(AROUND, len(total)))
+    weight, squared, light = total[np.asarray(nearest).reshape(len(total), -1)].sum(1).T
+    seen = np.maximum(weight, 1e-12)
+    return np.where(weight > 1e-6, np.sqrt(np.maximum(squared / seen, 0)), np.inf), light / seen
+
+
+def expected_errors(error: np.ndarray, irradiance: np.ndarray, materials: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    """Estimate the errors of the materials.
+
+    Args:
+        error: (N,) root mean square encoded error of the radiance around each surfel; may be infinite.
+        irradiance: (N,) irradiance / pi.
+        materials: (5, N) albedo, roughness, metallic.
+        nearest: (N, K) the surfels around each.
+
+    Returns:
+        (3, N) of albedo (encoded), roughness and metallic.
+    """
+    light = irradiance / max(float(np.median(irradiance[np.isfinite(error)], axis=0)) if np.isfinite(error).any() else 1.0, 1e-12)
+    unlit = (error + NOISE) * np.maximum(light, DARKEST) ** -SHADE
+    log_albedo = np.log(np.maximum(materials[ALBEDO], LEAST))
+    albedo, roughness = log_albedo[:, nearest].std(2).mean(0), materials[ROUGHNESS][nearest].std(1)
+    return np.stack([unlit * _relative(albedo), unlit * _relative(roughness), unlit])
+
+
+def _relative(variation: np.ndarray) -> np.ndarray:
+    """Return variations (N,) over their median, to the power VARIATION."""
+    variation = variation + 1e-3
+    return (variation / np.median(variation)) ** VARIATION
+
+
+def _positions(reconstruction: Reconstruction) -> np.ndarray:
+    """Return the positions (N, 3) of the surfels."""
+    return reconstruction.gaussians.position.detach().T.cpu().numpy()
