@@ -67,6 +67,11 @@ DEVICE: Definition = {"name": "Device", "description": "Hardware that computes t
 UP_AXIS: Definition = {"name": "Up", "description": "Axis of the dataset that becomes Blender's Z", "items": UP_AXES}
 RECENTRE: Definition = {"name": "Recentre", "description": "Move the object's centre to Blender's origin"}
 SOURCE: Definition = {"name": "Material Reads", "description": "Source of the values in the object's material", "items": SOURCES}
+SHOW_CONFIDENCE: Definition = {
+    "name": "Show Confidence",
+    "description": "Glow in the confidence of albedo (red), roughness (green) and metallic (blue) instead of reflecting light: white is "
+    "well known, dark is not. Seen in Material Preview and in rendered views",
+}
 TURNED: Definition = {"name": "Turntable", "description": "The object turns before a fixed camera", "items": TURNTABLE}
 
 LODS: Definition = {

@@ -10,6 +10,7 @@ import bpy
 
 from ..core.assets.options import AssetOptions
 from ..irgspp_addon.importer.arrangement import cameras_shown, is_imported_camera
+from ..irgspp_addon.importer.confidence_view import has_confidence
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.ownership import KEY, folder_of
 from ..irgspp_addon.importer.photograph_comparison import shown_photograph
@@ -144,6 +145,8 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
         if material is not None and len(available_sources(material)) > 1:
             column = settings_column(layout)
             column.row().prop(material, "irgspp_source", expand=True)
+        if material is not None and has_confidence(material):
+            layout.prop(material, "irgspp_show_confidence")
     button(
         layout,
         "irgspp.import_run",

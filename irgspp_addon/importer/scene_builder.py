@@ -16,6 +16,7 @@ from ...core.scene.camera_files import load_run_cameras
 from ...core.scene.gbuffer import CONFIDENCE
 from ..world.light_to_world import load_image, world_from_map
 from .cameras import look_through, place_cameras
+from .confidence_view import ATTRIBUTE, add_confidence_nodes
 from .materials import SOURCES, TEXTURES, build_material
 from .ownership import Owner, folder_of, link, put
 from .placement import Placement, place, place_over
@@ -23,7 +24,7 @@ from .ply import read_ply
 from .run_frame import ALBEDO_SCALE
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
-OPTIONAL = ("confidence", *CONFIDENCE)  # columns that older runs lack
+COVERAGE = "confidence"  # column that runs of version 0.1 lack
 RUN, DATASET = "irgspp_run", "irgspp_dataset"  # custom properties of the empty: the imported folders
 
 
@@ -86,7 +87,10 @@ def import_run(
     mesh = owner.object("mesh", name, owner.replace(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
     put(mesh, collection)
     _add_albedo_scale(mesh)
-    mesh.data.materials.append(_material(owner, name, run / "textures", source, pack))
+    material = _material(owner, name, run / "textures", source, pack)
+    if ATTRIBUTE in mesh.data.attributes:
+        add_confidence_nodes(material)
+    mesh.data.materials.append(material)
     placed = place_cameras(owner, cameras, root, collection)
     world = _light(owner, run / "environment.exr", f"{name} light", pack, root)
     owner.remove_unused()
@@ -194,7 +198,7 @@ def textured_mesh(path: Path, name: str, offset: np.ndarray) -> bpy.types.Mesh:
         InputError: if the file is missing or no mesh of a run.
     """
     mesh = _mesh(_read_mesh(path), name)
-    for name in ("albedo", "roughness", "metallic", *OPTIONAL):
+    for name in ("albedo", "roughness", "metallic", COVERAGE, ATTRIBUTE):
         if name in mesh.attributes:
             mesh.attributes.remove(mesh.attributes[name])
     mesh.transform(Matrix.Translation(offset.tolist()))
@@ -229,12 +233,18 @@ def _set_triangles(mesh: bpy.types.Mesh, positions: np.ndarray, faces: np.ndarra
 
 
 def _set_attributes(mesh: bpy.types.Mesh, vertex: np.ndarray) -> None:
-    albedo = mesh.color_attributes.new("albedo", "FLOAT_COLOR", "POINT")
-    rgb = _columns(vertex, "albedo_r", "albedo_g", "albedo_b")
-    albedo.data.foreach_set("color", np.c_[rgb, np.ones(len(rgb), np.float32)].reshape(-1))
-    mesh.color_attributes.active_color = albedo
-    for name in ("roughness", "metallic", *(name for name in OPTIONAL if name in vertex.dtype.names)):
+    if set(CONFIDENCE) <= set(vertex.dtype.names):
+        _set_colour(mesh, ATTRIBUTE, _columns(vertex, *CONFIDENCE))
+    _set_colour(mesh, "albedo", _columns(vertex, "albedo_r", "albedo_g", "albedo_b"))
+    mesh.color_attributes.active_color = mesh.color_attributes["albedo"]
+    for name in ("roughness", "metallic", *(name for name in (COVERAGE,) if name in vertex.dtype.names)):
         mesh.attributes.new(name, "FLOAT", "POINT").data.foreach_set("value", _columns(vertex, name)[:, 0])
+
+
+def _set_colour(mesh: bpy.types.Mesh, name: str, rgb: np.ndarray) -> None:
+    """Add a colour attribute with the values (N, 3)."""
+    attribute = mesh.color_attributes.new(name, "FLOAT_COLOR", "POINT")
+    attribute.data.foreach_set("color", np.c_[rgb, np.ones(len(rgb), np.float32)].reshape(-1))
 
 
 def _columns(vertex: np.ndarray, *names: str) -> np.ndarray:

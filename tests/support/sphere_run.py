@@ -73,7 +73,7 @@ def write_run(folder: Path, size: int = 128, confidence: int = 0) -> None:
     Args:
         folder: of the run.
         size: texels along a side of the textures.
-        confidence: 1 for a mesh with a confidence that grows with z from 0 to 1.
+        confidence: 1 for a mesh with a confidence z that grows from 0 to 1, and z, 1 - z and z^2 for its materials.
     """
     import json
     from dataclasses import replace
@@ -89,7 +89,9 @@ def write_run(folder: Path, size: int = 128, confidence: int = 0) -> None:
     for needed in (folder, photographs):
         needed.mkdir(parents=True, exist_ok=True)
     mesh, views = sphere(size=size), []
-    save_mesh_ply(replace(mesh, confidence=0.5 + 0.5 * mesh.vertices[:, 2]) if confidence else mesh, folder / "mesh.ply")
+    height = 0.5 + 0.5 * mesh.vertices[:, 2]
+    known = {"confidence": height, "material_confidence": np.stack([height, 1 - height, height**2], -1)} if confidence else {}
+    save_mesh_ply(replace(mesh, **known), folder / "mesh.ply")
     save_textures(mesh.textures, folder / "textures")
     write_exr(folder / "environment.exr", rgb_channels(axis_light()))
     for i, camera in enumerate(cameras()):

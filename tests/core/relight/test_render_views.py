@@ -2,6 +2,7 @@
 """Image files of views: rotated and scaled lights, premultiplied and straight alpha, cameras in a run's world frame."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -138,6 +139,17 @@ def test_recovered_light_is_the_default(tmp_path):
     render_views(relighter, [("a", CAMERA)], tmp_path, Silent(), layers=("rgba",))
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["rgba.exr", "rgba.png"]
     assert relighter.asked == [(CAMERA, 7.0)]
+
+
+def test_confidence_is_written_where_it_is_known(tmp_path, monkeypatch):
+    known = np.random.default_rng(2).random((4, 6, 3), np.float32)
+    for confidence, expected in ((known, ["confidence.exr", "depth.exr"]), (None, ["depth.exr"])):
+        monkeypatch.setattr(rendering, "render_gbuffer", lambda *_, c=confidence: replace(buffers(0.5), confidence=c))
+        folder = tmp_path / str(len(expected))
+        render_views(FakeRelighter(), [("a", CAMERA)], folder, Silent(), layers=("confidence", "depth"))
+        assert sorted(p.name for p in (folder / "a").iterdir()) == expected
+    written = read_exr(tmp_path / "2" / "a" / "confidence.exr")
+    np.testing.assert_allclose(np.stack([written[c] for c in "RGB"], -1), known)
 
 
 def test_layers_are_zero_where_nothing_is(tmp_path, monkeypatch):

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """G-buffer of a sphere of surfels against the analytic sphere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from irgspp.core.rendering import gbuffer
 from irgspp.core.rendering.gbuffer import downsampled_light, rasterize_view, render_gbuffer
 from irgspp.core.scene.dataset import Bound
-from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.reconstruction import Reconstruction, Reflections
 
 ALBEDO = (0.6, 0.4, 0.2)
 
@@ -50,6 +52,21 @@ def test_layers_are_those_of_the_sphere(reconstruction, camera, analytic):
     assert np.allclose(seen.radiance[inside], 0.5, atol=1e-4)
     empty = seen.alpha == 0
     assert empty.any() and not seen.depth[empty].any() and not seen.normal[empty].any() and not seen.radiance[empty].any()
+
+
+@pytest.mark.parametrize("shaded", [True, False])
+def test_confidence_is_a_layer_and_changes_no_other(reconstruction, camera, analytic, shaded):
+    """Of a glossy reconstruction whose reflections have materials of their own, which are further channels."""
+    g = reconstruction.gaussians
+    mirrored = Reflections(torch.full((5, g.count), 0.5), torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(0)))
+    plain = replace(reconstruction, glossy=True, reflections=mirrored)
+    known = replace(plain, confidence=torch.tensor([0.2, 0.5, 0.9])[:, None].repeat(1, g.count))
+    with_it, without = render_gbuffer(known, camera, shaded=shaded), render_gbuffer(plain, camera, shaded=shaded)
+    for name in ("alpha", "depth", "normal", "radiance", "albedo", "roughness", "metallic"):
+        np.testing.assert_allclose(getattr(with_it, name), getattr(without, name), atol=1e-6, err_msg=name)
+    assert without.confidence is None
+    assert np.allclose(with_it.confidence[analytic[2] < -2], [0.2, 0.5, 0.9], atol=1e-5)
+    assert not with_it.confidence[with_it.alpha == 0].any()
 
 
 def test_unshaded_layers_are_the_same_without_radiance(reconstruction, camera):

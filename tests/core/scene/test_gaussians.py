@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import InputError
-from irgspp.core.scene.gaussians import Gaussians, load_gaussians, quaternion_to, save_gaussians
+from irgspp.core.scene.gaussians import Gaussians, load_gaussians, load_surfels, quaternion_to, save_gaussians
 from plyfile import PlyData, PlyElement
 
 
@@ -79,6 +79,15 @@ def test_ply_keeps_every_value(gaussians, tmp_path):
     assert torch.allclose(again.materials(), loaded.materials(), atol=2e-7)
     assert (tmp_path / "a.ply").stat().st_size == (tmp_path / "b.ply").stat().st_size
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.ply", "b.ply"]
+
+
+def test_ply_keeps_the_confidence_where_it_is_known(gaussians, tmp_path):
+    known = torch.rand(3, gaussians.count, generator=torch.Generator().manual_seed(0))
+    save_gaussians(gaussians, tmp_path / "a.ply", known)
+    loaded, confidence = load_surfels(tmp_path / "a.ply")
+    assert torch.equal(confidence, known) and torch.equal(loaded.position, gaussians.position)
+    save_gaussians(gaussians, tmp_path / "a.ply")
+    assert load_surfels(tmp_path / "a.ply")[1] is None
 
 
 def test_ply_has_the_columns_of_3dgs(gaussians, tmp_path):

@@ -51,7 +51,9 @@ def test_confidence_is_an_attribute(mesh, tmp_path):
     known = np.linspace(0, 1, len(mesh.vertices), dtype=np.float32)
     save_glb(replace(mesh, confidence=known), tmp_path / "asset.glb")
     np.testing.assert_array_equal(only_geometry(tmp_path / "asset.glb").vertex_attributes["_CONFIDENCE"].ravel(), known)
-    save_glb(replace(mesh, confidence=None), tmp_path / "asset.glb")
+    materials = np.stack([known, 1 - known, known**2], -1)
+    save_glb(replace(mesh, confidence=None, material_confidence=materials), tmp_path / "asset.glb")
+    np.testing.assert_array_equal(only_geometry(tmp_path / "asset.glb").vertex_attributes["_MATERIAL_CONFIDENCE"], materials)
     assert "_CONFIDENCE" not in only_geometry(tmp_path / "asset.glb").vertex_attributes
 
 

@@ -28,8 +28,13 @@ def test_round_trip_is_exact(mesh, tmp_path):
 
 def test_confidence_is_kept_where_it_is_known(mesh, tmp_path):
     path, confidence = tmp_path / "mesh.ply", np.linspace(0, 1, len(mesh.vertices), dtype=np.float32)
+    materials = np.stack([confidence, 1 - confidence, confidence**2], -1)
+    save_mesh_ply(replace(mesh, confidence=confidence, material_confidence=materials), path)
+    loaded = load_mesh_ply(path)
+    np.testing.assert_array_equal(loaded.confidence, confidence)
+    np.testing.assert_array_equal(loaded.material_confidence, materials)
     save_mesh_ply(replace(mesh, confidence=confidence), path)
-    np.testing.assert_array_equal(load_mesh_ply(path).confidence, confidence)
+    assert load_mesh_ply(path).material_confidence is None and load_mesh_ply(path).confidence is not None
     save_mesh_ply(mesh, path)
     assert load_mesh_ply(path).confidence is None
 

@@ -2,6 +2,7 @@
 """Reconstruction: written to a folder and read back, with its reflections."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,6 +37,15 @@ def test_round_trip(tmp_path, background):
         assert torch.allclose(loaded.background, given.background, rtol=1e-3)
     names = {"gaussians.ply", "environment.exr", "reconstruction.json"} | ({"background.exr"} if background else set())
     assert {p.name for p in tmp_path.iterdir()} == names
+
+
+def test_confidence_belongs_to_the_materials(tmp_path):
+    known = torch.rand(3, 20, generator=torch.Generator().manual_seed(2))
+    given = replace(make(), confidence=known)
+    given.save(tmp_path)
+    assert torch.equal(Reconstruction.load(tmp_path).confidence, known)
+    assert torch.equal(given.to("cpu").confidence, known)
+    assert given.relabelled(given.gaussians.material, given.environment).confidence is None
 
 
 def test_surface_samples_are_the_gaussians():

@@ -73,6 +73,20 @@ def test_confidence_is_zero_where_no_view_looks(solids, camera_ring, few):
     assert mesh.confidence.max() < 1
 
 
+def test_confidence_of_materials_is_baked_where_it_is_known(few, camera_ring, solids):
+    surface, _, samples = few
+    above = [solids["sphere"].view(camera) for camera in camera_ring(12, size=48) if camera.centre[2] > 2]
+    known = [replace(view, confidence=np.broadcast_to(np.float32([0.2, 0.5, 0.8]), (*view.alpha.shape, 3))) for view in above]
+    settings = replace(SETTINGS, texture=32)
+    mesh = textured_mesh(surface, known, samples, settings, Silent())
+    assert np.allclose(mesh.material_confidence[mesh.vertices[:, 2] > 0.7], [0.2, 0.5, 0.8], atol=1e-5)
+    assert not mesh.material_confidence[mesh.vertices[:, 2] < -0.5].any()  # no view looks there
+    assert {tuple(colour) for colour in mesh.textures["material_confidence"].reshape(-1, 3)} >= {(51, 128, 204), (0, 0, 0)}
+    without = textured_mesh(surface, above, samples, settings, Silent())
+    assert without.material_confidence is None and "material_confidence" not in without.textures
+    np.testing.assert_array_equal(without.albedo, mesh.albedo)
+
+
 def test_textures_show_the_solid_where_the_uvs_say(made, true_colour):
     """Look the textures up at the triangles' centres as a renderer does: v = 0 at the bottom row."""
     _, _, mesh = made

@@ -63,8 +63,14 @@ def test_confidence_of_the_mesh_is_an_attribute(run_folder, tmp_path):
     place, stored = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", place)
     mesh.attributes["confidence"].data.foreach_get("value", stored)
-    assert np.allclose(stored, 0.5 + 0.5 * place[2::3], atol=1e-6)
-    assert "confidence" not in import_run(run_folder).mesh.data.attributes
+    height = 0.5 + 0.5 * place[2::3]
+    assert np.allclose(stored, height, atol=1e-6)
+    colours = np.empty(4 * len(mesh.vertices), np.float32)
+    mesh.attributes["material_confidence"].data.foreach_get("color", colours)
+    expected = np.stack([height, 1 - height, height**2], -1)
+    assert np.allclose(colours.reshape(-1, 4)[:, :3], expected, atol=1e-6)
+    assert mesh.color_attributes.active_color.name == "albedo"
+    assert not {"confidence", "material_confidence"} & set(import_run(run_folder).mesh.data.attributes.keys())
 
 
 @pytest.mark.parametrize("source", ["textures", "attributes"])
