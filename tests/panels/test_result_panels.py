@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
+from blender_side import write_sphere_run
 from irgspp.panels import relight, result
 from panel_states import add_job, finished_run
 from panel_states import settings as settings
@@ -32,6 +33,13 @@ def test_the_result_is_offered_then_shown(settings, run_folder):
     assert "irgspp_source" in draw(result.IRGSPP_PT_result).properties
     bpy.data.objects.remove(next(thing for thing in bpy.data.objects if thing.type == "MESH"))
     assert draw(result.IRGSPP_PT_result).buttons("irgspp.import_run")[0].text == "Import Result"
+
+
+def test_confidence_can_be_shown_where_it_is_known(settings, run_folder, tmp_path):
+    for run, known in ((finished_run(write_sphere_run(tmp_path / "known", confidence=True)), True), (finished_run(run_folder), False)):
+        settings.run = str(run)
+        assert bpy.ops.irgspp.import_run(directory=str(run)) == {"FINISHED"}
+        assert ("irgspp_show_confidence" in draw(result.IRGSPP_PT_result).properties) == known
 
 
 @pytest.mark.parametrize("status", ["running", "failed", "cancelled", "broken"])

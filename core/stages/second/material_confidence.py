@@ -30,7 +30,7 @@ NOISE = 0.003  # encoded error of a photograph that says nothing: that of 8 bits
 SHADE = 0.7  # power of the irradiance by which an error of the radiance becomes one of the albedo
 DARKEST = 1e-3  # least irradiance, over the object's median
 VARIATION = 0.33  # power of the variation among neighbours, over the object's median
-HALF = 0.02  # expected error at which the confidence is 0.5
+HALF = 0.02  # expected error at which the confidence is 0.5; albedo then erred by 0.01 to 0.045 on seven scenes
 LEAST = 0.01  # albedo below which darkness does not vary
 
 
@@ -77,7 +77,7 @@ def surfel_errors(refinement: Refinement, seed: int) -> tuple[np.ndarray, np.nda
 
 
 def expected_errors(error: np.ndarray, irradiance: np.ndarray, materials: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-    """Estimate the errors of the materials.
+    """Estimate the errors of the materials, up to a factor that differs between objects.
 
     Args:
         error: (N,) root mean square encoded error of the radiance around each surfel; may be infinite.
