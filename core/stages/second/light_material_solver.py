@@ -239,9 +239,10 @@ class LightMaterialSolver:
 
 
 def gram(rows: torch.Tensor) -> torch.Tensor:
-    """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows, by its upper blocks only."""
-    width = rows.shape[1]
-    form, block = rows.new_zeros(width, width), max(64, width // 8)
-    for begin in range(0, width, block):
-        form[begin : begin + block, begin:] = rows[:, begin : begin + block].T @ rows[:, begin:]
-    return form.triu() + form.triu(1).T
+    """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows."""
+    if rows.device.type != "cpu":
+        return rows.T @ rows
+    array = rows.numpy()
+    return torch.from_numpy(
+        array.T @ array
+    )  # numpy sees that the result is symmetric and computes half of it (BLAS syrk); PyTorch does not

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
+from ...machine.thread_pool import thread_count
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.gaussians import ALBEDO, ROUGHNESS
 from ...scene.reconstruction import Reconstruction
@@ -46,32 +47,37 @@ def with_confidence(
         settings: of the second stage.
         seed: of the choice of pixels and of the light samples.
     """
-    error, irradiance = surfel_errors(Refinement(reconstruction, pool, tracer, settings, seed), seed)
+    nearest = nearest_surfels(reconstruction)
+    error, irradiance = surfel_errors(Refinement(reconstruction, pool, tracer, settings, seed), nearest, seed)
     materials = reconstruction.gaussians.materials().detach().cpu().numpy()
-    _, nearest = KDTree(_positions(reconstruction)).query(_positions(reconstruction), k=min(VARYING, materials.shape[1]))
-    expected = expected_errors(error, irradiance, materials, np.asarray(nearest).reshape(materials.shape[1], -1))
+    expected = expected_errors(error, irradiance, materials, nearest[:, :VARYING])
     confidence = torch.from_numpy((1 / (1 + expected / HALF)).astype(np.float32)).to(reconstruction.environment.device)
     return replace(reconstruction, confidence=confidence)
 
 
-def surfel_errors(refinement: Refinement, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def nearest_surfels(reconstruction: Reconstruction) -> np.ndarray:
+    """Return the nearest surfels of each, itself included, (N, AROUND) or fewer where there are fewer, the nearest first."""
+    position = reconstruction.gaussians.position.detach().T.cpu().numpy()
+    _, nearest = KDTree(position).query(position, k=min(AROUND, len(position)), workers=thread_count())
+    return np.asarray(nearest).reshape(len(position), -1)
+
+
+def surfel_errors(refinement: Refinement, nearest: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Measure how far the photographs differ from the prediction around each surfel.
 
     Args:
         refinement: of the reconstruction, not begun.
+        nearest: (N, K) surfels whose pixels count for a surfel.
         seed: of the choice of pixels and of the light samples.
 
     Returns:
         (N,) root mean square encoded error, infinite where no photograph shows the surroundings; (N,) irradiance / pi.
     """
-    pool, generator, start = refinement.pool, torch.Generator().manual_seed(seed), refinement.start
+    pool, generator = refinement.pool, torch.Generator().manual_seed(seed)
     pixels = torch.randperm(pool.count, generator=generator)[:PIXELS].sort().values.to(refinement.device)
-    parts = [torch.stack(refinement.errors(part, SAMPLES, generator), 1) for part in pixels.split(BATCH)]
-    squared_and_light = torch.cat(parts)
+    squared_and_light = torch.cat([torch.stack(refinement.errors(part, SAMPLES, generator), 1) for part in pixels.split(BATCH)])
     values = torch.cat([torch.ones_like(squared_and_light[:, :1]), squared_and_light], 1)
-    total = sums_at_surfels(pool, pixels, values, start.gaussians.count)
-    _, nearest = KDTree(_positions(start)).query(_positions(start), k=min(AROUND, len(total)))
-    weight, squared, light = total[np.asarray(nearest).reshape(len(total), -1)].sum(1).T
+    weight, squared, light = sums_at_surfels(pool, pixels, values, len(nearest))[nearest].sum(1).T
     seen = np.maximum(weight, 1e-12)
     return np.where(weight > 1e-6, np.sqrt(np.maximum(squared / seen, 0)), np.inf), light / seen
 
@@ -88,7 +94,8 @@ def expected_errors(error: np.ndarray, irradiance: np.ndarray, materials: np.nda
     Returns:
         (3, N) of albedo (encoded), roughness and metallic.
     """
-    light = irradiance / max(float(np.median(irradiance[np.isfinite(error)], axis=0)) if np.isfinite(error).any() else 1.0, 1e-12)
+    seen = np.isfinite(error)
+    light = irradiance / max(float(np.median(irradiance[seen])) if seen.any() else 1.0, 1e-12)
     unlit = (error + NOISE) * np.maximum(light, DARKEST) ** -SHADE
     log_albedo = np.log(np.maximum(materials[ALBEDO], LEAST))
     albedo, roughness = log_albedo[:, nearest].std(2).mean(0), materials[ROUGHNESS][nearest].std(1)
@@ -99,8 +106,3 @@ def _relative(variation: np.ndarray) -> np.ndarray:
     """Return variations (N,) over their median, to the power VARIATION."""
     variation = variation + 1e-3
     return (variation / np.median(variation)) ** VARIATION
-
-
-def _positions(reconstruction: Reconstruction) -> np.ndarray:
-    """Return the positions (N, 3) of the surfels."""
-    return reconstruction.gaussians.position.detach().T.cpu().numpy()

@@ -159,9 +159,9 @@ class Refinement:
             (B,) product of both encoded differences, mean over the colours: the squared error on average, negative where noise prevails;
             and (B,) irradiance / pi, mean over the colours.
         """
-        light, differences = self.light.detach().exp(), []
+        light, differences, materials = self.light.detach().exp(), [], self._materials(pixels)
         for _ in range(2):
-            view, normal, albedo, roughness, metallic, samples, incoming = self._lit(pixels, counts, light, generator)
+            view, normal, albedo, roughness, metallic, samples, incoming = self._lit(pixels, materials, counts, light, generator)
             diffuse, specular = reflect_light(view, normal, albedo, roughness, metallic, samples, incoming, conserving=True)
             differences.append(self._difference(diffuse + specular, pixels))
         white, none = torch.ones_like(albedo), torch.zeros_like(metallic)
@@ -192,12 +192,19 @@ class Refinement:
 
         A light that turns relative to the object is sampled and reflected in its own frame, that of the pixel's view.
         """
-        diffuse, specular = reflect_light(*self._lit(pixels, counts, light, generator), conserving=True)
+        diffuse, specular = reflect_light(*self._lit(pixels, self._materials(pixels), counts, light, generator), conserving=True)
         return diffuse + specular
 
-    def _lit(self, pixels: torch.Tensor, counts: tuple[int, int, int], light: torch.Tensor, generator: torch.Generator) -> tuple[Any, ...]:
+    def _lit(
+        self,
+        pixels: torch.Tensor,
+        materials: tuple[torch.Tensor, ...],
+        counts: tuple[int, int, int],
+        light: torch.Tensor,
+        generator: torch.Generator,
+    ) -> tuple[Any, ...]:
         """Return view, normal, albedo, roughness, metallic, light samples and incoming light of pixels, as `reflect_light` takes them."""
-        normal, albedo, roughness, metallic = self._materials(pixels)
+        normal, albedo, roughness, metallic = materials
         rotation = None if self.pool.rotations is None else self.pool.rotations[self.pool.number[pixels]]
         origin = self.tracer.above(self.pool.point[pixels], normal.detach())
         view, normal = to_light_frame(self.pool.view[pixels], rotation), to_light_frame(normal, rotation)

@@ -10,7 +10,7 @@ from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import SecondStageSettings
-from irgspp.core.stages.second.material_confidence import expected_errors, surfel_errors, with_confidence
+from irgspp.core.stages.second.material_confidence import expected_errors, nearest_surfels, surfel_errors, with_confidence
 from irgspp.core.stages.second.pixel_pool import pool_pixels, sums_at_surfels
 from irgspp.core.stages.second.refinement import Refinement
 
@@ -52,7 +52,7 @@ def test_photographs_that_contradict_lower_the_confidence(sphere, pool, tracer):
 
 
 def test_noise_of_the_estimates_is_no_error(sphere, pool, tracer):
-    error, irradiance = surfel_errors(Refinement(sphere, pool, tracer, SETTINGS, 0), 0)
+    error, irradiance = surfel_errors(Refinement(sphere, pool, tracer, SETTINGS, 0), nearest_surfels(sphere), 0)
     height = sphere.gaussians.position[2].numpy()
     shaded = ALBEDO * 0.96
     expected = 1.055 * ((1.2 * shaded) ** (1 / 2.4) - shaded ** (1 / 2.4))
