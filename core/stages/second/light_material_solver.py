@@ -243,6 +243,5 @@ def gram(rows: torch.Tensor) -> torch.Tensor:
     if rows.device.type != "cpu":
         return rows.T @ rows
     array = rows.numpy()
-    return torch.from_numpy(
-        array.T @ array
-    )  # numpy sees that the result is symmetric and computes half of it (BLAS syrk); PyTorch does not
+    # Unlike PyTorch, numpy sees that the result is symmetric and computes half of it (BLAS syrk).
+    return torch.from_numpy(array.T @ array)

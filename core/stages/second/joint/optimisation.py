@@ -172,7 +172,7 @@ class JointOptimisation:
     def result(self) -> Reconstruction:
         """Return the current reconstruction."""
         g = Gaussians(**{name: value.detach().clone() for name, value in self.optimizer.gaussians.tensors().items()})
-        return replace(self.start, gaussians=g, environment=self.light.detach().exp())
+        return replace(self.start, gaussians=g, environment=self.light.detach().exp(), confidence=None)
 
     def state(self) -> dict[str, Any]:
         """Return everything that the rest of the schedule depends on, for a checkpoint."""

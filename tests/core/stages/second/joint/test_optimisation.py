@@ -94,6 +94,11 @@ def test_geometry_stays_where_its_rate_is_zero(start, dataset):
     assert not has_moved(result, start)
 
 
+def test_confidence_of_the_start_is_not_that_of_the_result(start, dataset):
+    known = replace(start, confidence=torch.ones(3, start.gaussians.count))
+    assert optimisation(known, dataset).result().confidence is None
+
+
 def test_indirect_light_and_visibility_can_be_left_out_alone(start, dataset):
     """Rays that start inside a closed surface meet it: its radiance arrives with indirect light, the light map's without visibility."""
     view = optimisation(start, dataset).training_views[0]
