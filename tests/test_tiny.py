@@ -67,7 +67,7 @@ def test_views_from_the_command_line(run, tmp_path, capsys):
     assert capsys.readouterr().out.strip() == str(out)
     assert sorted(path.name for path in out.iterdir()) == TEST_VIEWS
     view = out / TEST_VIEWS[0]
-    names = {"rgba.exr", "rgba.png", "albedo.exr", "normal.exr", "depth.exr", "material.exr", "radiance.exr"}
+    names = {"rgba.exr", "rgba.png", *(f"{name}.exr" for name in ("albedo", "normal", "depth", "material", "radiance", "confidence"))}
     assert {path.name for path in view.iterdir()} == names
     rgba, depth = read_exr(view / "rgba.exr"), read_exr(view / "depth.exr")["Z"]
     truth = read_exr(DEMO_DATA / "test" / TEST_VIEWS[0] / "depth.exr")["Z"]

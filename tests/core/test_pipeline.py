@@ -142,7 +142,7 @@ def test_settings_are_checked_before_anything_else(tmp_path, stages):
 def test_gbuffer_cache_keeps_the_views_that_fit(monkeypatch):
     rendered = []
     monkeypatch.setattr(gbuffer_cache, "render_gbuffer", lambda _, camera, **options: rendered.append(camera.width) or camera.width)
-    views = GBufferCache(None, [camera(w) for w in (4, 5, 6)], memory=4 * 4 * 10 * 4)
+    views = GBufferCache(None, [camera(w) for w in (4, 5, 6)], memory=4 * 4 * gbuffer_cache.FLOATS * 4)
     assert list(views) == [4, 5, 6]
     assert list(views) == [4, 5, 6]
     assert rendered == [4, 5, 6, 5, 6]

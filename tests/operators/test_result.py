@@ -124,7 +124,8 @@ def test_export_for_other_programs_with_levels_and_textures_beside(run, tmp_path
     chosen = {"lods": True, "collision": True, "textures": "beside", "normal_map": "directx"}
     assert bpy.ops.irgspp.export(run=str(run), filepath=str(target), **chosen) == {"FINISHED"}
     names = sorted(path.name for path in (tmp_path / "chair_textures").iterdir())
-    assert names == ["albedo.png", "confidence.png", "metallic.png", "normal.png", "orm.png", "roughness.png"]
+    materials = ["albedo.png", "metallic.png", "normal.png", "orm.png", "roughness.png"]
+    assert names == sorted([*materials, "confidence.png", "material_confidence.png"])
     before = set(bpy.data.objects)
     bpy.ops.import_scene.fbx(filepath=str(target))
     found = {thing.name for thing in set(bpy.data.objects) - before}
