@@ -22,6 +22,7 @@ from ..common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, sec
 from .material_confidence import with_confidence
 from .pixel_pool import PixelPool, pool_pixels
 from .refinement import Refinement, is_metal_on_average
+from .roughness_pooling import with_pooled_roughness
 
 CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
 METAL_STEPS = 1.5  # length of a metal's schedule; on two scenes, new views gain 0.1 dB and relit images 0.03 to 0.09 dB
@@ -48,7 +49,7 @@ def refine(
 
     Returns:
         The refined reconstruction, or its start where refinement does not improve the held-back views, with the confidence of its
-        materials; or the first start where nothing is to be refined; and the schedule scale.
+        materials and a roughness that is pooled by it; or the first start where nothing is to be refined; and the schedule scale.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -76,8 +77,15 @@ def refine(
     best.run(report)
     after, first = best.test(), before[refinements.index(best)]
     progress.message(f"PSNR of shaded held-back views: {', '.join(f'{b:.2f}' for b in before)} dB, refined {after:.2f} dB")
-    result = best.result() if after > first else best.start
-    return with_confidence(result, pool, tracer, settings.second, settings.seed), schedule_scale
+    return _by_confidence(best.result() if after > first else best.start, pool, tracer, settings), schedule_scale
+
+
+def _by_confidence(result: Reconstruction, pool: PixelPool, tracer: SecondaryTracer, settings: Settings) -> Reconstruction:
+    """Return a refined reconstruction with the confidence of its materials, and with a roughness that is pooled by it."""
+    known = with_confidence(result, pool, tracer, settings.second, settings.seed)
+    if is_metal_on_average(known.gaussians):  # its roughness makes up for wrong normals: new views of the teapot would lose 0.6 dB
+        return known
+    return with_pooled_roughness(known, settings.seed)
 
 
 def prepare_refinements(

@@ -71,7 +71,7 @@ def test_better_start_is_chosen_after_the_trial_not_before(start, dataset, monke
     curves = {0: (20.0, 21.0, 22.0), 1: (19.0, 23.0, 25.0)}
     runs = []
 
-    monkeypatch.setattr(module, "with_confidence", lambda result, *rest: result)
+    monkeypatch.setattr(module, "_by_confidence", lambda result, *rest: result)
 
     class Scripted:
         settings = SETTINGS.second
@@ -102,7 +102,20 @@ def test_refinement_that_does_not_help_is_discarded(start, dataset, monkeypatch)
     first = start((0.6, 0.45, 0.3))
     values = iter([20.0, 19.0])
     monkeypatch.setattr(module.Refinement, "test", lambda self: next(values))
-    assert refine([first], dataset, SecondaryTracer(first), SETTINGS, Silent(), None)[0].gaussians is first.gaussians
+    kept = refine([first], dataset, SecondaryTracer(first), SETTINGS, Silent(), None)[0]
+    assert kept.gaussians.quaternion is first.gaussians.quaternion and kept.environment is first.environment
+    assert torch.allclose(kept.gaussians.materials(), first.gaussians.materials(), atol=1e-6)  # one roughness, so nothing to pool
+    assert kept.confidence is not None
+
+
+def test_roughness_is_pooled_where_the_object_is_no_metal(start, dataset):
+    first, random = start((0.6, 0.45, 0.3)), torch.Generator().manual_seed(0)
+    for metallic, pooled in ((0.02, True), (0.99, False)):
+        material = first.gaussians.materials().clone()
+        material[3], material[4] = torch.rand(3000, generator=random), metallic
+        given = first.relabelled(torch.logit(material), first.environment)
+        roughness = refine([given], dataset, SecondaryTracer(given), SETTINGS, Silent(), None)[0].gaussians.materials()[3]
+        assert (roughness.std() < 0.8 * material[3].std()) == pooled
 
 
 def test_metals_have_a_longer_schedule(start, dataset):
