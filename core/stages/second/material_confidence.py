@@ -96,10 +96,10 @@ def expected_errors(error: np.ndarray, irradiance: np.ndarray, materials: np.nda
     """
     seen = np.isfinite(error)
     light = irradiance / max(float(np.median(irradiance[seen])) if seen.any() else 1.0, 1e-12)
-    unlit = (error + NOISE) * np.maximum(light, DARKEST) ** -SHADE
+    common = (error + NOISE) * np.maximum(light, DARKEST) ** -SHADE
     log_albedo = np.log(np.maximum(materials[ALBEDO], LEAST))
     albedo, roughness = log_albedo[:, nearest].std(2).mean(0), materials[ROUGHNESS][nearest].std(1)
-    return np.stack([unlit * _relative(albedo), unlit * _relative(roughness), unlit])
+    return np.stack([common * _relative(albedo), common * _relative(roughness), common])
 
 
 def _relative(variation: np.ndarray) -> np.ndarray:
