@@ -65,7 +65,6 @@ class Calibration:
 
 def _error(ours: np.ndarray, true: np.ndarray, scale: np.ndarray | None) -> np.ndarray:
     """Return the error (H, W): mean encoded difference of an albedo (H, W, 3) after its scale, or difference of a scalar layer (H, W)."""
-    if ours.ndim == 2:
+    if scale is None:
         return np.abs(ours - true)
-    ours = ours if scale is None else ours * scale
-    return np.abs(encode_srgb(np.clip(ours, 0, 1)) - encode_srgb(np.clip(true, 0, 1))).mean(-1)
+    return np.abs(encode_srgb(np.clip(ours * scale, 0, 1)) - encode_srgb(np.clip(true, 0, 1))).mean(-1)

@@ -117,6 +117,8 @@ def render_views(
     if len({light.name for light in lights}) < len(lights):
         raise InputError("--environment", "two lights have the same name", "give each its own --name")
     prepared = [(light.name, prepare_light(light.image, relighter.device)) for light in lights] if "rgba" in layers else []
+    if "confidence" in layers and relighter.reconstruction.confidence is None:
+        progress.message("no confidence.exr: this run did not measure the confidence of its materials")
     progress.phase("render", len(cameras))
     for i, (name, camera) in enumerate(cameras):
         folder = out / name

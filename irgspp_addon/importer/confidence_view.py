@@ -10,10 +10,11 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..shared_properties import SHOW_CONFIDENCE
+from .materials import principled_of
 
 ATTRIBUTE = "material_confidence"  # colour attribute of the mesh
-EMISSION = "confidence"  # node
-PLACE = (50, -900)
+EMISSION = "confidence"  # name of the node
+PLACE = (50, -900)  # of the nodes in the editor
 
 
 def add_confidence_nodes(material: bpy.types.Material) -> None:
@@ -32,13 +33,14 @@ def add_confidence_nodes(material: bpy.types.Material) -> None:
 
 
 def has_confidence(material: bpy.types.Material) -> bool:
-    """Return True where the material has the nodes that show the confidence."""
-    return material.node_tree is not None and EMISSION in material.node_tree.nodes
+    """Return True where the material has the nodes that show the confidence, and an output."""
+    return material.node_tree is not None and EMISSION in material.node_tree.nodes and _output(material) is not None
 
 
 def confidence_shown(material: bpy.types.Material) -> bool:
     """Return True where the material shows the confidence instead of reflecting light."""
-    links = _surface(material).links if has_confidence(material) else ()
+    output = _output(material) if has_confidence(material) else None
+    links = output.inputs["Surface"].links if output is not None else ()
     return bool(links) and links[0].from_node.name == EMISSION
 
 
@@ -49,20 +51,18 @@ def show_confidence(material: bpy.types.Material, shown: bool) -> None:
         material: to change.
         shown: show the confidence.
     """
-    if not has_confidence(material):
+    tree, output = material.node_tree, _output(material)
+    if tree is None or output is None or not has_confidence(material):
         return
-    tree = material.node_tree
-    assert tree is not None
-    kind = "ShaderNodeEmission" if shown else "ShaderNodeBsdfPrincipled"
-    node = next((node for node in tree.nodes if node.bl_idname == kind), None)
+    node = tree.nodes[EMISSION] if shown else principled_of(material)
     if node is not None:
-        tree.links.new(node.outputs[0], _surface(material))
+        tree.links.new(node.outputs[0], output.inputs["Surface"])
 
 
-def _surface(material: bpy.types.Material) -> bpy.types.NodeSocket:
-    """Return the surface's input of the material's output node."""
-    assert material.node_tree is not None
-    return next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial").inputs["Surface"]
+def _output(material: bpy.types.Material) -> bpy.types.Node | None:
+    """Return the material's output node; None where the user has removed it."""
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return next((node for node in nodes if node.bl_idname == "ShaderNodeOutputMaterial"), None)
 
 
 def register() -> None:

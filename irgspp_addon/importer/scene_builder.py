@@ -237,7 +237,7 @@ def _set_attributes(mesh: bpy.types.Mesh, vertex: np.ndarray) -> None:
         _set_colour(mesh, ATTRIBUTE, _columns(vertex, *CONFIDENCE))
     _set_colour(mesh, "albedo", _columns(vertex, "albedo_r", "albedo_g", "albedo_b"))
     mesh.color_attributes.active_color = mesh.color_attributes["albedo"]
-    for name in ("roughness", "metallic", *(name for name in (COVERAGE,) if name in vertex.dtype.names)):
+    for name in ("roughness", "metallic", *({COVERAGE} & set(vertex.dtype.names))):
         mesh.attributes.new(name, "FLOAT", "POINT").data.foreach_set("value", _columns(vertex, name)[:, 0])
 
 

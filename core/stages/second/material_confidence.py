@@ -27,12 +27,12 @@ BATCH = 2048  # of them at a time
 SAMPLES = (16, 32, 16)  # light samples of each of two estimates
 AROUND = 32  # nearest surfels whose pixels count for a surfel
 VARYING = 16  # nearest surfels among which a material's variation is measured
-NOISE = 0.003  # encoded error of a photograph that says nothing: that of 8 bits, and a little more
+NOISE = 0.003  # encoded error up to which places do not differ: rounding to 8 bits and a little more
 SHADE = 0.7  # power of the irradiance by which an error of the radiance becomes one of the albedo
 DARKEST = 1e-3  # least irradiance, over the object's median
 VARIATION = 0.33  # power of the variation among neighbours, over the object's median
 HALF = 0.02  # expected error at which the confidence is 0.5; albedo then erred by 0.01 to 0.045 on seven scenes
-LEAST = 0.01  # albedo below which darkness does not vary
+LEAST = 0.01  # least albedo whose logarithm is taken
 
 
 def with_confidence(

@@ -83,7 +83,7 @@ def refine(
 def _by_confidence(result: Reconstruction, pool: PixelPool, tracer: SecondaryTracer, settings: Settings) -> Reconstruction:
     """Return a refined reconstruction with the confidence of its materials, and with a roughness that is pooled by it."""
     known = with_confidence(result, pool, tracer, settings.second, settings.seed)
-    if is_metal_on_average(known.gaussians):  # its roughness makes up for wrong normals: new views of the teapot would lose 0.6 dB
+    if is_metal_on_average(known.gaussians):  # its roughness makes up for wrong normals: new views of a teapot lost 1 dB
         return known
     return with_pooled_roughness(known, settings.seed)
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Roughness pooling: where the photographs say little about the roughness of a place, it takes that of well-known places like it nearby.
 
-Like it are surfels of similar albedo that are metal, too, or no metal, too. How well a place is known is its confidence.
+How well a place is known is its confidence. Metal takes from metal only, and the rest from the rest. Places of like albedo count more than
+others; where there are none of like albedo, others are taken.
 """
 
 from __future__ import annotations

@@ -96,6 +96,15 @@ def test_page_is_self_contained(demo, known, tmp_path):
         assert name == "sky" or name in html
 
 
+def test_page_shows_the_error_by_confidence(demo, known, tmp_path):
+    found = report.evaluate(tmp_path, demo[0])
+    curve = [{"confidence": 0.2, "error": 0.08}, {"confidence": 0.9, "error": 0.02}]
+    page = report.page(found | {"calibration": {"albedo": curve}}, {})
+    assert re.findall(r"height: ([0-9.]+)%", page) == ["100.0", "25.0"]
+    assert "albedo: confidence 0.20, error 0.0800 to confidence 0.90, error 0.0200" in page
+    assert "<h2>Confidence</h2>" not in report.page(found | {"calibration": {}}, {})
+
+
 def test_page_escapes_names(demo, known, tmp_path):
     found = report.evaluate(tmp_path, demo[0])
     _, dataset, _, truths, predictions = demo

@@ -69,12 +69,6 @@ def test_load_light(tmp_path):
 
 
 def test_light_that_had_to_be_repaired_is_told(tmp_path):
-    class Listener(Silent):
-        said = ""
-
-        def message(self, text):
-            self.said += text
-
     path = tmp_path / "broken.exr"
     image = np.full((4, 8, 3), 0.5, np.float32)
     image[0, 0, 0] = np.nan
@@ -85,12 +79,21 @@ def test_light_that_had_to_be_repaired_is_told(tmp_path):
     assert np.isfinite(light.image).all()
 
 
+class Listener(Silent):
+    """Progress that records what it is told."""
+
+    said = ""
+
+    def message(self, text):
+        self.said += text
+
+
 class FakeRelighter:
     """Relighter that records its calls."""
 
     device = "cpu"
 
-    reconstruction = SimpleNamespace(environment_map=lambda: np.full((2, 4, 3), 7, np.float32))
+    reconstruction = SimpleNamespace(environment_map=lambda: np.full((2, 4, 3), 7, np.float32), confidence=None)
 
     def __init__(self):
         self.asked = []
@@ -150,6 +153,14 @@ def test_confidence_is_written_where_it_is_known(tmp_path, monkeypatch):
         assert sorted(p.name for p in (folder / "a").iterdir()) == expected
     written = read_exr(tmp_path / "2" / "a" / "confidence.exr")
     np.testing.assert_allclose(np.stack([written[c] for c in "RGB"], -1), known)
+
+
+def test_missing_confidence_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(rendering, "render_gbuffer", lambda *_: buffers(0.5))
+    for layers, told in ((("confidence", "depth"), True), (("depth",), False)):
+        listener = Listener()
+        render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, listener, layers=layers)
+        assert ("no confidence.exr" in listener.said) == told
 
 
 def test_layers_are_zero_where_nothing_is(tmp_path, monkeypatch):
