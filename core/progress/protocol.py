@@ -112,15 +112,21 @@ class Checkpoint(Protocol):
 
 
 class TimeLeft:
-    """Estimate of the seconds left in a phase from its recent speed, since the first steps of a phase are often slow."""
+    """Estimate of the seconds left in a phase from its recent speed.
+
+    The first report only starts the clock: its steps may have compiled kernels or come from a checkpoint.
+    """
 
     def __init__(self, steps: int) -> None:
-        self.steps, self._began, self._marks = steps, time.monotonic(), [(time.monotonic(), 0)]
+        self.steps = steps
+        self._marks: list[tuple[float, int]] = []  # seconds, finished steps
 
     def after(self, done: int) -> float | None:
-        """Return the seconds left after `done` steps; None before the first step."""
+        """Return the seconds left after `done` steps; None until a second report shows the speed."""
+        if done <= 0:
+            return None
         now = time.monotonic()
-        if now - self._marks[-1][0] >= 0.5 and done > self._marks[-1][1]:
+        if not self._marks or (now - self._marks[-1][0] >= 0.5 and done > self._marks[-1][1]):
             self._marks = [*self._marks[-20:], (now, done)]
-        (then, before) = self._marks[0]
+        then, before = self._marks[0]
         return (self.steps - done) * (now - then) / (done - before) if done > before else None

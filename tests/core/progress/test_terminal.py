@@ -60,11 +60,19 @@ def test_time_left_follows_the_recent_speed(monkeypatch):
     left = TimeLeft(200)
     assert left.after(0) is None
     now[0] = 60.0  # one slow step (compiling)
-    left.after(1)
+    assert left.after(1) is None
     for done in range(2, 101):
         now[0] += 1.0
-        estimate = left.after(done)
-    assert estimate == pytest.approx(100.0)
+        assert left.after(done) == pytest.approx(200.0 - done)
+
+
+def test_steps_from_a_checkpoint_do_not_count_as_speed(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    left = TimeLeft(200)
+    assert left.after(100) is None
+    now[0] = 1.0
+    assert left.after(101) == pytest.approx(99.0)
 
 
 def test_first_signal_cancels_and_handlers_come_back():
