@@ -202,8 +202,8 @@ class LightMaterialSolver:
 
     def _search_materials(self, done: int) -> None:
         """Search roughness and metallic; at METAL_TEST, test the candidates for metal."""
-        if done == METAL_TEST and (regions := self._search.regions(self.candidates)):
-            self._test_metal(regions)
+        if done == METAL_TEST and bool(self.candidates.any()):
+            self._test_metal()
             return
         costs, metal = self._costs(), torch.zeros_like(self.candidates)
         if self._search_metal and done < METAL_TEST:
@@ -212,9 +212,12 @@ class LightMaterialSolver:
             metal = self._search.still_metal(costs, self.metallic > 0)
         self._set_materials(costs, metal)
 
-    def _test_metal(self, regions: list[torch.Tensor]) -> None:
-        """Keep those regions as metal that explain the photographs better so, and the light that has adapted to them."""
-        best, confirmed = confirm_metal(regions, self._adapted)
+    def _test_metal(self) -> None:
+        """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""
+        without = self._adapted(torch.zeros_like(self.candidates))
+        _, errors = self._adapted(self.candidates)
+        regions = self._search.regions(self._search.supported(self.candidates, without[1] - errors))
+        best, confirmed = confirm_metal(regions, without, self._adapted)
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
         self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
         self._trace_lobes()

@@ -6,14 +6,14 @@ from __future__ import annotations
 import torch
 
 from ...shading.specular_albedo import diffuse_fraction
-from .metal_regions import connected_regions, grow_metal, neighbourhood
+from .metal_regions import SUPPORT, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import DiffuseRows, RadianceTransfer
 from .sample_equation import robust_error, view_terms
 
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
 METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
-CONTRADICTED = -0.4  # gain below which a point of a confirmed region is no metal after all
+CONTRADICTED = -0.6  # gain below which a point of a confirmed region is no metal after all
 
 
 class MaterialSearch:
@@ -76,6 +76,17 @@ class MaterialSearch:
         """Find the points (P,) bool that may be metal."""
         return grow_metal(self._gain(costs), self._neighbours, self._similarity)
 
+    def supported(self, candidates: torch.Tensor, gain: torch.Tensor) -> torch.Tensor:
+        """Return the candidates (P,) bool without those that gain too little as metal.
+
+        Args:
+            candidates: (P,) bool.
+            gain: (P,) by how much the robust error falls where all candidates are metal, with a light that has adapted to either.
+        """
+        for _ in range(SUPPORT_PASSES):
+            gain = self._smoothed(gain)
+        return candidates & (gain > SUPPORT * self._views)
+
     def still_metal(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
         """Return the metal points `metal` (P,) without those that costs now contradict."""
         return metal & (self._gain(costs) > CONTRADICTED) if bool(metal.any()) else metal
@@ -89,9 +100,9 @@ class MaterialSearch:
         dielectric, metal = self._smoothed(costs).unbind(1)
         return (dielectric.amin(1) - metal[:, :METAL_ROUGHNESS].amin(1)) / self._views
 
-    def _smoothed(self, cost: torch.Tensor) -> torch.Tensor:
-        """Average costs (P, M, J) over the neighbours of each point, by similarity of colour."""
-        return torch.einsum("pn,pnmr->pmr", self._similarity, cost[self._neighbours])
+    def _smoothed(self, values: torch.Tensor) -> torch.Tensor:
+        """Average values (P, ...) over the neighbours of each point, by similarity of colour."""
+        return torch.einsum("pn,pn...->p...", self._similarity, values[self._neighbours])
 
 
 def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:

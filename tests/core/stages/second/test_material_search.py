@@ -73,3 +73,15 @@ def test_vertex_stays_within_the_knots():
     found = module._vertex(knots, torch.stack([falling, rising, flat, hollow]))
     assert found[:2].tolist() == pytest.approx([0.8, 0.1])
     assert 0.1 <= found[2] <= 0.4 and 0.2 < found[3] < 0.3
+
+
+def test_candidates_stay_where_metal_explains_the_photographs_better(searched):
+    search, _, (_, _, metallic) = searched
+    metal, views = metallic > 0, search.samples.lengths.float().mean()
+    everything, gain = torch.ones_like(metal), torch.where(metal, 1.0, -1.0) * views
+    kept = search.supported(everything, gain)
+    assert torch.equal(kept, metal)  # neighbours of another colour hardly count
+    assert not search.supported(~metal, gain).any()  # only candidates can stay
+    one = gain.clone()
+    one[torch.nonzero(metal)[0]] = -0.2 * views
+    assert torch.equal(search.supported(everything, one), metal)  # a single doubtful point does not leave its region

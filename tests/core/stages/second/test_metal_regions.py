@@ -53,6 +53,9 @@ def test_regions_are_connected_by_colour_and_place():
     assert connected_regions(torch.zeros(60, dtype=torch.bool), *row(60)) == []
 
 
+NONE = torch.zeros(60, dtype=torch.bool)
+
+
 def masks(*ranges):
     """Masks of 60 points."""
     return [(torch.arange(60) >= begin) & (torch.arange(60) < end) for begin, end in ranges]
@@ -68,23 +71,24 @@ def test_regions_are_confirmed_by_what_they_gain():
         errors = torch.full((60,), 2.0) - (metal & true).float() + (metal & false).float() - 0.5 * float((metal & misleading).any())
         return metal, errors
 
-    found, count = confirm_metal([true, false, misleading], adapt)
+    found, count = confirm_metal([true, false, misleading], adapt(NONE), adapt)
     assert torch.equal(found, true | misleading) and count == 2
-    assert not asked[0].any()  # the first hypothesis: no metal
+    assert [int(metal.sum()) for metal in asked] == [0, 20, 30, 25]  # each region beside those that are confirmed
 
 
 def test_region_must_gain_itself_and_in_all():
     region, rest = masks((0, 20), (20, 60))
 
-    def changed(own, other):
-        return lambda metal: (metal, 2.0 + metal.any() * (own * region.float() + other * rest.float()))
+    def confirmed(own, other):
+        adapt = lambda metal: (metal, 2.0 + metal.any() * (own * region.float() + other * rest.float()))  # noqa: E731
+        return confirm_metal([region], adapt(NONE), adapt)[1]
 
-    assert confirm_metal([region], changed(-1, 0.1))[1] == 1
-    assert confirm_metal([region], changed(-1, 0.6))[1] == 0  # the others lose more
-    assert confirm_metal([region], changed(0.1, -1))[1] == 0  # only the others gain
+    assert confirmed(-1, 0.1) == 1
+    assert confirmed(-1, 0.6) == 0  # the others lose more
+    assert confirmed(0.1, -1) == 0  # only the others gain
     enough = 120 * EVIDENCE / 20  # of each point, as all errors are 120 and the region has 20 points
-    assert confirm_metal([region], changed(-1.1 * enough, 0))[1] == 1
-    assert confirm_metal([region], changed(-0.9 * enough, 0))[1] == 0
+    assert confirmed(-1.1 * enough, 0) == 1
+    assert confirmed(-0.9 * enough, 0) == 0
 
 
 def test_region_that_cannot_gain_enough_is_not_tested():
@@ -94,8 +98,8 @@ def test_region_that_cannot_gain_enough_is_not_tested():
         asked.append(metal)
         return metal, torch.where(torch.arange(60) < 4, 0.01, 2.0)
 
-    assert confirm_metal(masks((0, 4)), adapt)[1] == 0
-    assert len(asked) == 1
+    assert confirm_metal(masks((0, 4)), adapt(NONE), adapt)[1] == 0
+    assert len(asked) == 1  # without metal
 
 
 def test_neighbours_are_near_and_count_by_likeness_of_colour():
