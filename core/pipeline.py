@@ -22,6 +22,7 @@ from .machine.blender_process import NoBlender
 from .machine.compilation import compilation_announced
 from .machine.devices import ChosenDevice, choose_device, computing_on
 from .machine.disk_space import check_disk_space
+from .machine.job_time import estimate_seconds, in_words, record_job
 from .machine.peak_memory import peak_memory, reset_peak_memory
 from .progress.protocol import Progress, Silent
 from .progress.recorder import ProgressRecorder
@@ -86,15 +87,29 @@ def reconstruct(
             if bare:
                 _capture(dataset, folder, settings, recorder)
             data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
+            timed = chosen.device.type == "cpu" and not earlier  # GPUs were not measured, and a resumed job has done a part before
+            if timed and (seconds := estimate_seconds(settings, data)) is not None:
+                recorder.message(f"takes about {in_words(seconds)}")
             announced = compilation_announced(lambda: recorder.message(COMPILING))
             with computing_on(chosen, resumable=True), rays_at_a_time(memory.rays), announced:
                 deadline = None if settings.time is None else began + settings.time - earlier
                 folder.record("read", time.monotonic() - began - (folder.spent - earlier), peak_memory(), finished=True)
                 results = PhaseResults(folder, chosen.device)
-                Job(data, folder, settings, recorder, results, deadline, memory.resident).run()
+                job = Job(data, folder, settings, recorder, results, deadline, memory.resident)
+                job.run()
+            if timed:
+                _keep_time(settings, data, folder.spent - folder.seconds("capture"), recorder)
     finally:
         folder.close()
     return run
+
+
+def _keep_time(settings: Settings, data: Dataset, seconds: float, progress: Progress) -> None:
+    """Keep how long the job took for the estimates of the next ones; a disk that refuses costs no finished job."""
+    try:
+        record_job(settings, data, seconds)
+    except OSError as error:
+        progress.message(f"the time of this job is not kept for later estimates: {error}")
 
 
 def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress: ProgressRecorder) -> None:

@@ -12,6 +12,7 @@ from ..irgspp_addon.importer.object_sphere import find_sphere, is_changed
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
 from .capture_state import bare_photographs, problem_of
+from .dataset import parsed
 from .job_card import BEGAN, RECONSTRUCTIONS, can_resume, draw_job
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -86,6 +87,7 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
         if status:
             say(layout, context, f"{'Start Over' if stopped else 'Reconstruct Again'} replaces the run in the folder.", icon="INFO")
         draw_sphere(layout, context)
+        draw_estimate(layout, context)
 
 
 def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -103,6 +105,19 @@ def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         say(layout, context, f"What is inside the sphere {sphere.name} is reconstructed.", icon="SPHERE")
     elif sphere is not None:
         say(layout, context, f'Move or scale the sphere "{sphere.name}" if it does not surround the object.', icon="SPHERE")
+
+
+def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw how long the job will take, where the photographs have been inspected and the time is known.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
+    settings = context.scene.irgspp
+    job = parsed(settings.inspected).get("jobs", {}).get(settings.preset)
+    if job and settings.device != "cuda":
+        say(layout, context, f"On the CPU: {job['text']}.", icon="TIME")
 
 
 def current_job(run: Path | None) -> Job | None:

@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ..machine.cpu_memory import estimate_memory
+from ..machine.job_time import estimate_seconds, in_words
 from ..scene.dataset import Dataset, View
+from ..settings.schema import PRESETS
 
 SHOWN = 5  # lines of one kind before the rest is only counted
 
@@ -26,7 +29,8 @@ def summary(dataset: Dataset) -> dict[str, Any]:
         images]], the most common first; kinds: file types; lenses: the real cameras, one line each; distorted: number of photographs with
         lens distortion; masked: number of training views with a mask; object_share: fraction of their pixels that the object covers, or
         None; points: their number, or None; centre, radius: the object's bound in the world; to_world: (4, 4) from the dataset's own
-        frame to the world; warnings; rows: [[name, text]] as in `describe`.
+        frame to the world; jobs: by preset, {seconds, memory (bytes), text} of a reconstruction on the CPU; warnings; rows:
+        [[name, text]] as in `describe`.
     """
     views = [*dataset.train, *dataset.test]
     masks = [v.alpha for v in dataset.train if v.alpha is not None]
@@ -46,6 +50,7 @@ def summary(dataset: Dataset) -> dict[str, Any]:
         "centre": list(dataset.bound.centre),
         "radius": dataset.bound.radius,
         "to_world": dataset.to_world.tolist(),
+        "jobs": _jobs(dataset),
         "warnings": dataset.warnings,
         "rows": [list(row) for row in _rows(dataset)],
     }
@@ -65,8 +70,21 @@ def _rows(dataset: Dataset) -> list[tuple[str, str]]:
         ("points", f"{len(dataset.points.position):,}" if dataset.points is not None else "none"),
         ("object", f"centre ({_numbers(dataset.bound.centre, dataset.bound.radius)}), radius {dataset.bound.radius:.4g}"),
         ("own frame", _frame(dataset)),
+        ("on CPU", "; ".join(f"{name} {job['text']}" for name, job in _jobs(dataset).items())),
         *(("warning", line) for line in _shortened(dataset.warnings)),
     ]
+
+
+def _jobs(dataset: Dataset) -> dict[str, dict[str, Any]]:
+    """Estimate time and memory of a reconstruction on the CPU with each preset whose time is known."""
+    jobs = {}
+    for name, settings in PRESETS.items():
+        seconds = estimate_seconds(settings, dataset)
+        if seconds is not None:
+            memory = estimate_memory(settings, dataset.pixels())
+            text = f"about {in_words(seconds)}, {memory / 2**30:.1f} GiB of memory"
+            jobs[name] = {"seconds": round(seconds), "memory": memory, "text": text}
+    return jobs
 
 
 def _sizes(views: list[View]) -> str:

@@ -88,6 +88,21 @@ def test_what_was_found_and_its_problems(settings, tmp_path):
     assert settings.inspected == "" and "40 training" not in draw(dataset.IRGSPP_PT_dataset).words
 
 
+def test_time_and_memory_are_told_before_the_job_starts(settings, tmp_path):
+    (tmp_path / "transforms.json").write_text("{}")
+    settings.dataset = str(tmp_path)
+    assert "On the CPU" not in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    jobs = {
+        name: {"seconds": 1, "memory": 1, "text": f"about {time} min, 1.5 GiB of memory"} for name, time in (("draft", 1), ("balanced", 3))
+    }
+    settings.inspected = json.dumps({"rows": ROWS, "warnings": [], "jobs": jobs})
+    assert "On the CPU: about 3 min, 1.5 GiB of memory." in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    settings.preset = "draft"
+    assert "On the CPU: about 1 min" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    settings.preset = "paper"  # its time is not known
+    assert "On the CPU" not in draw(reconstruct.IRGSPP_PT_reconstruct).words
+
+
 def test_a_dataset_that_can_not_be_read_shows_the_error(settings, tmp_path):
     settings.dataset = str(tmp_path)
     add_job(tmp_path, kind="inspect", state="failed", error="transforms.json: no such file", data={"dataset": str(tmp_path.resolve())})

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Duration of a reconstruction on the CPU, estimated before it starts and corrected by the jobs that this machine has done."""
+
+from __future__ import annotations
+
+import json
+import statistics
+from pathlib import Path
+
+from ..io.atomic import write_atomic
+from ..scene.dataset import Dataset
+from ..settings.schema import Settings
+from .cache_folder import private_folder
+from .thread_pool import thread_count
+
+# Seconds on a slow machine with two cores; other machines are told by their own jobs.
+START = 10.0  # of the libraries, the reader, and the files at the end
+STEP, STEP_PIXEL = 0.030, 1.1e-7  # of the first stage, and for each pixel of the view that it fits
+TRIAL_STEP = 0.014  # of a trial fit
+SURFACE = 18.0  # stereo, fusion and bake, at the balanced preset
+PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
+SOLVER = 19.0  # at the balanced preset; texels of the light solved for enter by their cube
+NORMALS = 10.0  # shading normals, and materials of the Gaussians
+REFINEMENT_SAMPLE = 1.4e-6  # of a light sample in the refinement, confidence included
+RADIANCE_STEP = 1.3  # of the radiance refit, in steps of the first stage
+REFERENCE_THREADS, SCALING = 2, 0.5  # threads of the above, and exponent by which others are faster before a job has shown it
+LEAST = 40.0  # reference seconds of a job that is kept: shorter ones are mostly start
+KEPT = 9  # jobs whose median corrects the estimate
+HISTORY = "job_times.json"
+
+
+def estimate_seconds(settings: Settings, data: Dataset) -> float | None:
+    """Estimate how long a reconstruction will take on this machine's CPU.
+
+    None where that is not known: with the joint solver, which was not measured, or with a time budget, to which schedules are scaled.
+
+    Args:
+        settings: of the job, its schedules scaled (`paced`).
+        data: the photographs at the resolution of the settings, or at a higher one.
+    """
+    return reference_seconds(settings, data) * _correction() if _is_known(settings) else None
+
+
+def reference_seconds(settings: Settings, data: Dataset) -> float:
+    """Estimate how long a reconstruction takes on the machine of the constants above.
+
+    Args:
+        settings: of the job, its schedules scaled.
+        data: the photographs.
+    """
+    first, second = settings.first, settings.second
+    fitted = _fitted_pixels(data, settings.data.resolution)
+    step = STEP + STEP_PIXEL * fitted / max(1, len(data.train))
+    trials = 2 * first.trial_iterations * TRIAL_STEP if settings.materials == "auto" else 0.0
+    solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
+    refinement = second.iterations * second.pixels * second.samples * REFINEMENT_SAMPLE
+    steps = first.iterations + RADIANCE_STEP * second.radiance_iterations
+    return START + steps * step + trials + SURFACE + fitted * PHOTOGRAPH_PIXEL + solver + NORMALS + refinement
+
+
+def record_job(settings: Settings, data: Dataset, seconds: float) -> None:
+    """Keep how long a finished job took, for the estimates of the next ones; a damaged history starts anew.
+
+    Args:
+        settings: of the job, its schedules scaled.
+        data: its photographs.
+        seconds: that it took on the CPU.
+
+    Raises:
+        OSError: the history can't be written.
+    """
+    reference = reference_seconds(settings, data)
+    if reference < LEAST or not _is_known(settings):
+        return
+    file, history = _history_file(), _history()
+    ratios = [*history.get(_key(), []), round(seconds / reference, 4)]
+    write_atomic(file, json.dumps(history | {_key(): ratios[-KEPT:]}).encode())
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration as precisely as an estimate is: "40 s", "3 min" or "2.5 h"."""
+    if seconds < 90:
+        return f"{max(10, 10 * round(seconds / 10))} s"
+    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _is_known(settings: Settings) -> bool:
+    """Return True for jobs whose time the constants above describe."""
+    return settings.second.solver == "closed" and settings.time is None
+
+
+def _correction() -> float:
+    """Return the median of measured over reference seconds of the last jobs with as many threads."""
+    ratios = _history().get(_key(), [])
+    return statistics.median(ratios) if ratios else (REFERENCE_THREADS / thread_count()) ** SCALING
+
+
+def _fitted_pixels(data: Dataset, resolution: int) -> float:
+    """Count the pixels of the training photographs that the first stage fits: those of the object, where its surroundings are masked."""
+    masked, count = data.has_alpha and data.surroundings is None, 0.0
+    for view in data.train:
+        width, height = view.camera.width, view.camera.height
+        share = float(view.alpha.mean()) if masked and view.alpha is not None else 1.0
+        count += share * width * height * min(1.0, resolution / max(width, height)) ** 2
+    return count
+
+
+def _key() -> str:
+    return f"cpu, {thread_count()} threads"
+
+
+def _history_file() -> Path:
+    return private_folder("times") / HISTORY
+
+
+def _history() -> dict[str, list[float]]:
+    """Read the ratios of measured over reference seconds; empty where there are none, or the file is damaged."""
+    try:
+        stored = json.loads(_history_file().read_text(encoding="utf-8"))
+        return {str(key): [float(ratio) for ratio in ratios if float(ratio) > 0] for key, ratios in stored.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
