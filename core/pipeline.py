@@ -37,6 +37,7 @@ from .scene.surface import Surface
 from .settings import overrides
 from .settings.schema import Settings, paced
 from .stages.common.memory_layout import MemoryLayout, fit_into_memory
+from .stages.common.preview import surface_shape
 from .stages.common.time_budget import FUSED
 from .stages.first.quick_fit import quick_renderings
 from .stages.first.train import train
@@ -193,7 +194,9 @@ class Job:
 
     def geometry(self) -> None:
         """Extract a surface without textures from the Gaussians' depth."""
-        self.folder.save(GEOMETRY, self._surface_of(self.results.first_stage).state())
+        surface = self._surface_of(self.results.first_stage)
+        self.folder.save(GEOMETRY, surface.state())
+        self.progress.shape(lambda: surface_shape(surface, self.data), at_once=True)
 
     def _surface_of(self, reconstruction: Reconstruction) -> Surface:
         """Fuse the depth of a reconstruction in all training views to a surface."""

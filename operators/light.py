@@ -9,7 +9,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..core.errors import InputError
-from ..irgspp_addon.importer.scene_builder import recovered_light
+from ..irgspp_addon.importer.run_root import recovered_light
 from ..irgspp_addon.world.light_controls import SUFFIXES, use_hdri
 from .blocking import RUN, SKIP, refusing
 from .file_dialog import FileDialog

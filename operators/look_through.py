@@ -10,7 +10,7 @@ from ..core.errors import InputError
 from ..irgspp_addon.importer.arrangement import cameras_in, is_imported_camera, show_alone, show_cameras
 from ..irgspp_addon.importer.cameras import look_through
 from ..irgspp_addon.importer.photograph_comparison import fade, opacity
-from ..irgspp_addon.importer.scene_builder import run_of
+from ..irgspp_addon.importer.run_root import run_of
 from .blocking import refusing
 
 

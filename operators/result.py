@@ -15,7 +15,7 @@ from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.edited_mesh import save_edited
 from ..irgspp_addon.importer.materials import source_of
 from ..irgspp_addon.importer.ownership import Owner
-from ..irgspp_addon.importer.scene_builder import run_of
+from ..irgspp_addon.importer.run_root import run_of
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job

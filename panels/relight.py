@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..irgspp_addon.importer.run_frame import ALBEDO_SCALE
-from ..irgspp_addon.importer.scene_builder import recovered_light
+from ..irgspp_addon.importer.run_root import recovered_light
 from ..irgspp_addon.relight import preview
 from ..irgspp_addon.relight.animation import animation
 from ..irgspp_addon.relight.left_out import left_out

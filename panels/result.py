@@ -14,7 +14,7 @@ from ..irgspp_addon.importer.confidence_view import has_confidence
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.ownership import KEY, folder_of
 from ..irgspp_addon.importer.photograph_comparison import shown_photograph
-from ..irgspp_addon.importer.scene_builder import RUN, find_roots, run_of
+from ..irgspp_addon.importer.run_root import RUN, find_roots, run_of
 from ..irgspp_addon.jobs import queue as jobs
 from .job_card import draw_last
 from .run_state import RunState, resolved, run_state

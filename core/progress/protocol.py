@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 Draw = Callable[[], np.ndarray]  # draws an image, (H, W, 3) or (H, W, 4) uint8
+Sample = Callable[[], dict[str, np.ndarray]]  # samples the present shape, see `Progress.shape`
 
 
 class Progress(Protocol):
@@ -56,6 +57,15 @@ class Progress(Protocol):
     def image(self, draw: Draw) -> None:
         """Offer a preview, which is drawn only where the receiver wants one."""
 
+    def shape(self, sample: Sample, at_once: bool = False) -> None:
+        """Offer the present shape of the object, which is sampled only where the receiver wants it.
+
+        Args:
+            sample: returns position (N, 3) float32 in the world, colour (N, 3) float32 sRGB-encoded in 0..1, centre (3,) of the object,
+                to_world (4, 4) from the dataset's own frame to the world; and faces (T, 3) int32 once there is a surface.
+            at_once: the receiver should not wait until the next shape is due: there will be none.
+        """
+
 
 class Silent:
     """Progress that is discarded."""
@@ -93,6 +103,9 @@ class Silent:
 
     def image(self, draw: Draw) -> None:
         """Discard a preview without drawing it."""
+
+    def shape(self, sample: Sample, at_once: bool = False) -> None:
+        """Discard the shape without sampling it."""
 
 
 class Checkpoint(Protocol):

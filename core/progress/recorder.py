@@ -5,16 +5,36 @@ from __future__ import annotations
 
 import io
 import time
+from collections.abc import Callable
+
+import numpy as np
 
 from ..io.atomic import write_atomic
 from .event_log import EventLog
-from .protocol import Draw, Progress, TimeLeft
+from .protocol import Draw, Progress, Sample, TimeLeft
 from .terminal import Terminal
 
 EVENT_SECONDS = 0.25  # least time between two step events: thousands a minute would only fill the disk
-PREVIEW = "previews/latest.png"
+PREVIEW, SHAPE = "previews/latest.png", "previews/shape.npz"
 PREVIEW_SECONDS = 10.0  # least time between two previews; longer where drawing would take more than PREVIEW_FRACTION of the time
 PREVIEW_FRACTION = 0.01
+
+
+class PreviewClock:
+    """Times at which a preview is due: every PREVIEW_SECONDS at most, and for at most PREVIEW_FRACTION of the time."""
+
+    def __init__(self) -> None:
+        self._next = 0.0
+
+    def write(self, make: Callable[[], None], at_once: bool = False) -> bool:
+        """Make a preview if one is due, or at once, and return whether one was made."""
+        began = time.monotonic()
+        if began < self._next and not at_once:
+            return False
+        make()
+        now = time.monotonic()
+        self._next = now + max(PREVIEW_SECONDS, (now - began) / PREVIEW_FRACTION)
+        return True
 
 
 class ProgressRecorder:
@@ -28,7 +48,8 @@ class ProgressRecorder:
 
     def __init__(self, log: EventLog, receiver: Progress) -> None:
         self._log, self._receiver = log, receiver
-        self._name, self._left, self._written, self._next_image = "", TimeLeft(0), 0.0, 0.0
+        self._name, self._left, self._written = "", TimeLeft(0), 0.0
+        self._images, self._shapes = PreviewClock(), PreviewClock()
         self.metrics: dict[str, float] = {}
 
     @property
@@ -87,19 +108,33 @@ class ProgressRecorder:
         self._receiver.decided(rule, on, evidence)
 
     def image(self, draw: Draw) -> None:
-        """Draw and write a preview image, at most every PREVIEW_SECONDS and for at most PREVIEW_FRACTION of the time."""
-        began = time.monotonic()
-        if began < self._next_image:
-            return
-        from PIL import Image
+        """Draw and write a preview image if one is due."""
 
-        data = io.BytesIO()
-        Image.fromarray(draw()).save(data, "PNG")
-        (self._log.path / PREVIEW).parent.mkdir(exist_ok=True)
-        write_atomic(self._log.path / PREVIEW, data.getvalue())
-        self._log.event(phase=self._name, preview=PREVIEW)
-        now = time.monotonic()
-        self._next_image = now + max(PREVIEW_SECONDS, (now - began) / PREVIEW_FRACTION)
+        def write() -> None:
+            from PIL import Image
+
+            data = io.BytesIO()
+            Image.fromarray(draw()).save(data, "PNG")
+            self._write(PREVIEW, data.getvalue())
+
+        if self._images.write(write):
+            self._log.event(phase=self._name, preview=PREVIEW)
+
+    def shape(self, sample: Sample, at_once: bool = False) -> None:
+        """Sample and write the present shape if one is due, or at once."""
+
+        def write() -> None:
+            data, arrays = io.BytesIO(), sample()
+            np.savez(data, **arrays)
+            self._write(SHAPE, data.getvalue())
+
+        self._shapes.write(write, at_once)
+
+    def _write(self, name: str, data: bytes) -> None:
+        """Write a file of the folder `previews`."""
+        path = self._log.path / name
+        path.parent.mkdir(exist_ok=True)
+        write_atomic(path, data)
 
 
 class JobLog(EventLog):

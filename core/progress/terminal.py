@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TextIO
 
-from .protocol import Draw, TimeLeft
+from .protocol import Draw, Sample, TimeLeft
 
 BAR = 24  # characters
 LIVE_SECONDS, PLAIN_SECONDS = 0.1, 5.0  # least time between two updates, on a terminal and in a file
@@ -74,6 +74,9 @@ class Terminal:
 
     def image(self, draw: Draw) -> None:
         """Ignore a preview, which a terminal can't show."""
+
+    def shape(self, sample: Sample, at_once: bool = False) -> None:
+        """Ignore a shape, which a terminal can't show."""
 
     def end_line(self) -> None:
         """End the line that is updated in place, so that something else can be printed."""

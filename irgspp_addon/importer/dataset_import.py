@@ -24,7 +24,7 @@ from .object_sphere import build_sphere
 from .ownership import Owner
 from .placement import Placement, place
 from .point_cloud import build_points
-from .scene_builder import DATASET, link_to_scene, new_root
+from .run_root import DATASET, link_to_scene, new_root
 
 DESCRIPTION = "dataset.json"
 

@@ -13,7 +13,7 @@ from mathutils import Matrix
 from ...core.errors import InputError
 from ..user_folder import user_folder
 from .ply import write_ply
-from .scene_builder import RUN, find_roots
+from .run_root import RUN, find_roots
 
 
 def save_edited(context: bpy.types.Context, thing: bpy.types.Object, run: Path) -> Path:

@@ -18,7 +18,7 @@ from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 from ..properties import set_quietly
 from .mask_image import MASK
 from .ownership import KEY, rename_owner
-from .scene_builder import DATASET, RUN
+from .run_root import DATASET, RUN
 
 IDENTITY = "irgspp_run_identity"  # custom property of a run's empty: hash of files that no later step changes
 IDENTIFYING = ("reconstruction.json", "environment.exr")

@@ -18,14 +18,14 @@ from ..world.light_to_world import load_image, world_from_map
 from .cameras import look_through, place_cameras
 from .confidence_view import ATTRIBUTE, add_confidence_nodes
 from .materials import SOURCES, TEXTURES, build_material
-from .ownership import Owner, folder_of, link, put
-from .placement import Placement, place, place_over
+from .ownership import Owner, put
+from .placement import Placement
 from .ply import read_ply
 from .run_frame import ALBEDO_SCALE
+from .run_root import placed_root
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
 COVERAGE = "confidence"  # column that runs of version 0.1 lack
-RUN, DATASET = "irgspp_run", "irgspp_dataset"  # custom properties of the empty: the imported folders
 
 
 @dataclass(frozen=True)
@@ -73,17 +73,9 @@ def import_run(
     existing = owner.find(bpy.data.objects, "mesh")
     if existing is not None and existing.mode == "EDIT":
         raise InputError(existing.name, "is being edited", "leave Edit Mode and import again")
-    name = owner.folder.name
-    collection = owner.reuse(bpy.data.collections, "collection", name)
     scene = scene or bpy.context.scene
-    link_to_scene(collection, scene)
-    root = new_root(owner, f"{collection.name} frame", collection)
-    root[RUN] = str(owner.folder)
-    dataset = _dataset_root(run, scene)
-    if placement is None and dataset is not None:
-        place_over(root, dataset, to_world)
-    else:
-        place(root, placement or Placement(), to_world, centre)
+    name = owner.folder.name
+    collection, root = placed_root(owner, scene, to_world, centre, placement)
     mesh = owner.object("mesh", name, owner.replace(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
     put(mesh, collection)
     _add_albedo_scale(mesh)
@@ -113,53 +105,6 @@ def _add_albedo_scale(mesh: bpy.types.Object) -> None:
         mesh[ALBEDO_SCALE] = 1.0
         description = "Factor for the albedo when IRGS++ relights. Light and albedo are recovered only up to a common factor"
         mesh.id_properties_ui(ALBEDO_SCALE).update(min=0.0, soft_max=4.0, description=description)
-
-
-def link_to_scene(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Link a collection into a scene, unless it is anywhere in the scene already.
-
-    Args:
-        collection: collection to link.
-        scene: scene that receives it.
-    """
-    if collection not in scene.collection.children_recursive:
-        link(collection, scene.collection)
-
-
-def new_root(owner: Owner, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """Return the empty above all imported objects, created if needed.
-
-    Args:
-        owner: owner of the datablocks.
-        name: name of a new empty.
-        collection: collection of the empty.
-    """
-    root = owner.object("root", name, None, None)
-    put(root, collection)
-    return root
-
-
-def find_roots(scene: bpy.types.Scene, folder_property: str) -> list[bpy.types.Object]:
-    """Return the empties of all imported runs or datasets in a scene.
-
-    Args:
-        scene: scene to search.
-        folder_property: RUN or DATASET.
-    """
-    return [thing for thing in scene.objects if folder_property in thing and thing.type == "EMPTY"]
-
-
-def run_of(thing: bpy.types.Object | None) -> Path | None:
-    """Return the run folder from which an object was imported, or None."""
-    folder, ancestor = folder_of(thing), thing
-    while ancestor is not None and RUN not in ancestor:
-        ancestor = ancestor.parent
-    return folder if folder == folder_of(ancestor) else None
-
-
-def recovered_light(run: Path | None) -> bpy.types.World | None:
-    """Return the World of a run's recovered light; None where the run is not imported."""
-    return None if run is None else Owner(run).find(bpy.data.worlds, "world")
 
 
 def show_as_photographed(scene: bpy.types.Scene, imported: Imported) -> None:
@@ -288,13 +233,3 @@ def _frame(run: Path) -> tuple[np.ndarray, tuple[float, float, float]]:
         raise InputError(path, f"can't be read ({error.strerror})", "finish the run") from error
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(path, f"does not describe the run's frame ({error!r})", "run the reconstruction again") from error
-
-
-def _dataset_root(run: Path, scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """Return the empty of the run's dataset if that has been imported too, else None."""
-    try:
-        dataset = json.loads((run / "run.json").read_text(encoding="utf-8"))["dataset"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None  # the run folder may have been passed on without run.json
-    roots = find_roots(scene, DATASET)
-    return next((root for root in roots if Path(root[DATASET]) == Path(dataset).resolve()), None)

@@ -13,7 +13,7 @@ import numpy as np
 from ...core.errors import InputError
 from ...core.scene.camera import Camera
 from ..importer.run_frame import albedo_scale, chosen_run, frame_of, run_object, scene_camera
-from ..importer.scene_builder import recovered_light
+from ..importer.run_root import recovered_light
 from ..world.scene_lamps import scene_lamps
 from ..world.world_light import world_light
 from .ground import ground_height, ground_plane

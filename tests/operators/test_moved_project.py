@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import irgspp
 import pytest
-from irgspp.irgspp_addon.importer.scene_builder import run_of
+from irgspp.irgspp_addon.importer.run_root import run_of
 from irgspp.panels import result, run_state
 from recording_layout import draw
 

@@ -23,7 +23,7 @@ from ..common.finite_check import check_due
 from ..common.image_loss import displayed, image_loss
 from ..common.losses import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
-from ..common.preview import LONGEST, eight_bits
+from ..common.preview import LONGEST, eight_bits, points_shape
 from ..common.training_view import TrainingView, border_radiance, make_training_view
 from ..common.view_order import next_view
 from .densification import DensityControl, reset_opacity
@@ -95,8 +95,7 @@ class Trainer:
         material = torch.logit(gaussians.position.new_tensor(material_class.material))
         gaussians = replace(gaussians, material=material[:, None].repeat(1, gaussians.count))
         self.optimizer = GaussianOptimizer(gaussians, table, others)
-        self._rates, self._configured_iterations = table, settings.iterations
-        self._initial_count = gaussians.count
+        self._rates, self._configured_iterations, self._initial_count = table, settings.iterations, gaussians.count
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order, self._loss = 0, torch.zeros(0, dtype=torch.long), math.nan
 
@@ -252,6 +251,7 @@ class Trainer:
                 metrics |= {} if psnr is None else {"psnr": psnr}
             progress.step(self.done, **metrics)
             progress.image(self.image)
+            progress.shape(lambda: points_shape(self.optimizer.gaussians, self.dataset))
             if checkpoint is not None and time.monotonic() - saved > CHECKPOINT_SECONDS:
                 checkpoint.save("first_stage", self.state())
                 saved = time.monotonic()

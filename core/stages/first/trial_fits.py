@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import torch
 
@@ -14,6 +15,7 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
+from ..common.preview import points_shape
 from ..common.skip_rules import decide_skip_rule
 from .material_class import MaterialClass
 from .trainer import Trainer
@@ -66,7 +68,9 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
         for name in running:
             fits[name].step()
         progress.step(done)
-        progress.image(fits[running[0]].image)
+        shown = fits[running[0]]
+        progress.image(shown.image)
+        progress.shape(partial(points_shape, shown.optimizer.gaussians, shown.dataset))
         if done in checks or done == iterations:
             score |= {name: fits[name].test() or 0.0 for name in running}
             limit = max(score.values()) - checks.get(done, math.inf)

@@ -85,6 +85,24 @@ def test_previews_take_little_time(tmp_path, monkeypatch):
     assert sorted(p.name for p in (tmp_path / "previews").iterdir()) == ["latest.png"]
 
 
+def test_shapes_are_rare_but_the_last_one_is_not_missed(tmp_path, monkeypatch):
+    clock, progress = Clock(monkeypatch), ProgressRecorder(EventLog(tmp_path), Silent())
+    progress.phase("fit", 10)
+    taken = []
+
+    def sample():
+        taken.append(clock.now)
+        return {"position": np.full((2, 3), len(taken), np.float32), "colour": np.zeros((2, 3), np.float32)}
+
+    for _ in range(35):
+        clock.now += 1.0
+        progress.shape(sample)
+    assert len(taken) == 4
+    progress.shape(sample, at_once=True)
+    with np.load(tmp_path / recorder.SHAPE) as stored:
+        assert (stored["position"] == 5).all() and sorted(stored) == ["colour", "position"]
+
+
 def test_progress_of_a_terminal_that_a_program_follows(tmp_path, capsys):
     progress = JobRecorder(JobLog(tmp_path), Terminal())
     progress.phase("read", 2)

@@ -15,7 +15,8 @@ from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.irgspp_addon.importer.materials import available_sources, source_of, use_source
 from irgspp.irgspp_addon.importer.placement import Placement
 from irgspp.irgspp_addon.importer.ply import read_ply
-from irgspp.irgspp_addon.importer.scene_builder import import_run, run_of, show_as_photographed
+from irgspp.irgspp_addon.importer.run_root import run_of
+from irgspp.irgspp_addon.importer.scene_builder import import_run, show_as_photographed
 from mathutils import Euler, Matrix
 
 

@@ -6,25 +6,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.dataset import Bound
+from irgspp.core.scene.gaussians import surfels
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.common.preview import albedo_image, preview_camera
+from irgspp.core.stages.common.preview import MOST_POINTS, albedo_image, points_shape, preview_camera, surface_shape
 from irgspp.core.stages.first.train import train
 
 SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", "materials=low-gloss")
 
 
 class Looker(Silent):
-    """Progress that draws every image that is offered."""
+    """Progress that draws every image and samples every shape that is offered."""
 
     def __init__(self):
-        self.images = []
+        self.images, self.shapes = [], []
 
     def image(self, draw):
         self.images.append(draw())
+
+    def shape(self, sample, at_once=False):
+        self.shapes.append(sample())
 
 
 def test_looking_does_not_change_the_fit(sphere_dataset, camera_ring):
@@ -39,6 +45,36 @@ def test_looking_does_not_change_the_fit(sphere_dataset, camera_ring):
     inside, outside = view.alpha == 1, view.alpha == 0
     assert np.abs(image[inside] / 255 - view.colour[inside]).mean() < 0.15
     assert image[outside].mean() < 40
+    assert len(looker.shapes) == 12
+    shape = looker.shapes[-1]
+    distance = np.linalg.norm(shape["position"] - shape["centre"], axis=1)
+    assert 100 < len(distance) <= 400 and abs(np.median(distance) - 1) < 0.2  # the sphere
+    assert shape["colour"].shape == shape["position"].shape and shape["colour"].min() >= 0 and shape["colour"].max() <= 1
+    assert np.array_equal(shape["to_world"], dataset.to_world) and "faces" not in shape
+
+
+def test_points_are_few_opaque_and_inside_the_bound(sphere_dataset, camera_ring):
+    dataset = replace(sphere_dataset(camera_ring(3, 16)), bound=Bound((0.0, 0.0, 0.0), 2.0))
+    position = np.random.default_rng(0).normal(size=(3 * MOST_POINTS, 3)).astype(np.float32)
+    position[:100] *= 50  # beyond the bound
+    opacity = np.where(np.arange(len(position)) % 2, 0.9, 0.1)
+    gaussians = surfels(
+        position, np.tile([[0.0, 0.0, 1.0]], (len(position), 1)), np.full_like(position, 0.25), np.ones(len(position)), opacity
+    )
+    shape = points_shape(gaussians, dataset)
+    assert 0.5 * MOST_POINTS < len(shape["position"]) <= MOST_POINTS
+    assert np.linalg.norm(shape["position"], axis=1).max() < 2
+    np.testing.assert_allclose(shape["colour"], encode_srgb(0.25), atol=1e-5)
+    np.testing.assert_array_equal(shape["position"], shape["position"][np.isin(shape["position"][:, 0], position[opacity > 0.5][:, 0])])
+    nothing = points_shape(replace(gaussians, opacity=gaussians.opacity - 9), dataset)
+    assert nothing["position"].shape == nothing["colour"].shape == (0, 3)
+
+
+def test_a_surface_is_shown_with_its_faces(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(3, 16))
+    corners = np.eye(3)
+    shape = surface_shape(Surface(corners, corners, np.array([[0, 1, 2]]), 0.1), dataset)
+    assert shape["faces"].dtype == np.int32 and np.array_equal(shape["position"], corners) and len(shape["colour"]) == 3
 
 
 SIZES = [((1024, 512), (256, 128)), ((512, 1024), (128, 256)), ((100, 40), (100, 40)), ((4000, 3), (256, 1))]
