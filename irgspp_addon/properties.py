@@ -107,6 +107,11 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         name="Settings",
         description="Settings that replace those of the preset, as key=value separated by spaces, such as surface.texture=2048",
     )
+    live_shape: BoolProperty(
+        name="Show While Running",
+        description="Show what the reconstruction has found so far in the 3D View: points at first, then the surface",
+        default=True,
+    )
     import_result: BoolProperty(name="Import When Done", description="Import the object into this scene when it is finished", default=True)
 
     # Result

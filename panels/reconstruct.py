@@ -52,7 +52,7 @@ class IRGSPP_PT_reconstruct_more(SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw these options."""
         column = settings_column(self.layout)
-        for name in ("run", "seed", "overrides", "import_result"):
+        for name in ("run", "seed", "overrides", "live_shape", "import_result"):
             column.prop(context.scene.irgspp, name)
 
 

@@ -21,7 +21,7 @@ from ..irgspp_addon.relight import live_image as relight_follow
 from ..irgspp_addon.relight import session as relight_session
 from ..irgspp_addon.world import hdri_library
 from ..operators import animation as animation_operators
-from ..operators import asset_mark, import_dataset, light, look_through, masks, rotate_light
+from ..operators import asset_mark, import_dataset, light, live_shape, look_through, masks, rotate_light
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
 from ..operators import jobs as job_operators
@@ -78,6 +78,7 @@ def register() -> None:
     moved_project.register()
     jobs.CHANGED.append(properties.show_jobs)
     job_timer.register()
+    live_shape.register()
     images.register()
     bpy.types.TOPBAR_MT_file_import.append(draw_import)
     bpy.types.STATUSBAR_HT_header.append(headline.draw_status)
@@ -105,6 +106,7 @@ def unregister() -> None:
     bpy.types.STATUSBAR_HT_header.remove(headline.draw_status)
     bpy.types.TOPBAR_MT_file_import.remove(draw_import)
     images.unregister()
+    live_shape.unregister()
     job_timer.unregister()
     jobs.CHANGED.remove(properties.show_jobs)
     moved_project.unregister()

@@ -21,12 +21,24 @@ def arrange(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, light: bpy.types
         light: World of the recovered light.
     """
     show_cameras(scene, False)
-    for thing in scene.objects:
-        if (is_default_cube(thing) or is_default_light(thing)) and thing.name in layer.objects:
-            thing.hide_set(True, view_layer=layer)
-            thing.hide_render = True
+    hide_default_objects(scene, layer)
     if is_default_world(scene.world):
         scene.world = light
+
+
+def hide_default_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+    """Hide the untouched default cube and light; return True where one was shown.
+
+    Args:
+        scene: scene that may have them.
+        layer: its view layer that is shown.
+    """
+    found = [thing for thing in scene.objects if (is_default_cube(thing) or is_default_light(thing)) and thing.name in layer.objects]
+    shown = any(not thing.hide_get(view_layer=layer) for thing in found)
+    for thing in found:
+        thing.hide_set(True, view_layer=layer)
+        thing.hide_render = True
+    return shown
 
 
 def is_imported_camera(thing: bpy.types.Object | None) -> bool:

@@ -156,7 +156,7 @@ def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:
     corners = face["vertex_indices"].astype(np.int64)
     positions, first, welded = np.unique(_columns(vertex, "x", "y", "z"), axis=0, return_index=True, return_inverse=True)
     mesh = bpy.data.meshes.new(name)
-    _set_triangles(mesh, positions, welded.reshape(-1)[corners])
+    set_triangles(mesh, positions, welded.reshape(-1)[corners])
     uv = mesh.uv_layers.new(name="UVMap")
     uv.data.foreach_set("uv", _columns(vertex, "s", "t")[corners.reshape(-1)].reshape(-1))
     _set_attributes(mesh, vertex[first])
@@ -166,8 +166,14 @@ def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:
     return mesh
 
 
-def _set_triangles(mesh: bpy.types.Mesh, positions: np.ndarray, faces: np.ndarray) -> None:
-    """Set vertices and triangles as `from_pydata` does, without a Python object for each number."""
+def set_triangles(mesh: bpy.types.Mesh, positions: np.ndarray, faces: np.ndarray) -> None:
+    """Set vertices and triangles as `from_pydata` does, without a Python object for each number.
+
+    Args:
+        mesh: empty mesh.
+        positions: (V, 3).
+        faces: (T, 3) indices of vertices, all valid.
+    """
     mesh.vertices.add(len(positions))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(positions, np.float32).reshape(-1))
     mesh.loops.add(faces.size)

@@ -57,11 +57,11 @@ def renew_place(job: Job, scene: bpy.types.Scene) -> None:
         scene: scene in which it is resumed.
     """
     place = job.data.get("place")
-    if place and not _is_open(place) and not (place["file"] and Path(place["file"]).is_file()):
+    if place and not is_open(place) and not (place["file"] and Path(place["file"]).is_file()):
         job.data["place"] = place_of(scene)["place"]
 
 
-def _is_open(place: dict[str, Any]) -> bool:
+def is_open(place: dict[str, Any]) -> bool:
     """Return True if the file that a job was started from is open."""
     same = (place["session"], place["loads"]) == (session_file().name, _loads)
     return same or bool(place["file"] and place["file"] == bpy.data.filepath)
@@ -79,7 +79,7 @@ def started_from(job: Job, otherwise: str) -> Iterator[bpy.types.Scene]:
         IrgsppError: if another file has been opened since.
     """
     place = job.data["place"]
-    if not _is_open(place):
+    if not is_open(place):
         raise IrgsppError(f"another file is open now; {otherwise}")
     scene = bpy.data.scenes.get(place["scene"]) or bpy.context.scene
     window = next(iter(bpy.context.window_manager.windows), None)

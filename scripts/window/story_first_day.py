@@ -69,14 +69,25 @@ def reconstruct(run: Path) -> Iterator[float]:
     job = yield from browsing.started_job()
     yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), 300)
     yield 1.0
+    (points,) = in_progress()
+    assert len(points.data.vertices) > 500 and points.visible_get()
     driver.shot("07_running")
     driver.sidebar_shot("07_running_sidebar")
+    yield from driver.wait(lambda: job.finished or any(len(one.data.polygons) for one in in_progress()), 300)
+    yield 1.0
+    driver.shot("07_surface")
     yield from driver.wait(lambda: job.finished, 600)
+    assert not in_progress()
     yield 2.0
     assert job.state == "done" and not job.error, (job.state, job.error)
     yield 30.0  # shaders are compiled
     driver.shot("08_done")
     assert_arranged()
+
+
+def in_progress() -> list[bpy.types.Object]:
+    """Return what the scene shows of a running reconstruction."""
+    return [thing for thing in bpy.context.scene.objects if thing.name.endswith("(in progress)")]
 
 
 def assert_arranged() -> None:

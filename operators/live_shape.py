@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Timer that shows what running reconstructions have found so far, in the scenes from which they were started."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..irgspp_addon.importer.arrangement import hide_default_objects
+from ..irgspp_addon.importer.live_shape import SHAPE, remove_live_shape, show_live_shape
+from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.jobs import result_import
+from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.windows import redraw, show_selected
+from .import_run import select
+
+SECONDS = 1.0  # between two looks at the jobs' folders
+KINDS = ("reconstruct", "demo")
+
+_shown: dict[str, int] = {}  # by job: time stamp of the file that is shown, nanoseconds
+_ended: set[str] = set()  # jobs whose shapes were removed
+
+
+def follow(job: Job) -> None:
+    """Show the present shape of a running job, and remove it when the job has ended.
+
+    Args:
+        job: of any kind and state.
+    """
+    place = job.data.get("place")
+    if job.kind not in KINDS or job.folder is None or not place or not result_import.is_open(place):
+        return
+    if job.finished:
+        if job.id not in _ended:
+            remove_live_shape(job.folder)
+            _ended.add(job.id)
+            _shown.pop(job.id, None)
+        return
+    _ended.discard(job.id)
+    scene = bpy.data.scenes.get(place["scene"])
+    if job.state == "running" and scene is not None and scene.irgspp.live_shape:
+        _show(job, scene)
+
+
+def _show(job: Job, scene: bpy.types.Scene) -> None:
+    """Show the job's shape if it is newer than the one that is shown, and than the job."""
+    try:
+        written = (job.folder / SHAPE).stat().st_mtime_ns
+    except OSError:  # there is none yet
+        return
+    if written == _shown.get(job.id) or written < 1e9 * (job.began or 0.0):
+        return
+    first, _shown[job.id] = job.id not in _shown, written
+    shape = show_live_shape(job.folder, scene)
+    if shape is not None and first and bpy.context.scene == scene and hide_default_objects(scene, bpy.context.view_layer):
+        select(bpy.context, shape)  # in a new file; elsewhere the user is at work, and the view stays
+        show_selected(scene)
+    redraw("VIEW_3D")
+
+
+def _tick() -> float:
+    for job in jobs.all_jobs():
+        follow(job)
+    return SECONDS
+
+
+def register() -> None:
+    """Start the timer, which runs only with a window."""
+    if not bpy.app.background:
+        bpy.app.timers.register(_tick, first_interval=SECONDS, persistent=True)
+
+
+def unregister() -> None:
+    """Stop the timer and forget the jobs."""
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    _shown.clear()
+    _ended.clear()

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shape of a running reconstruction in the scene: points, then a surface, then the result alone."""
+
+import json
+import os
+import time
+
+import bpy
+import numpy as np
+import pytest
+from irgspp.irgspp_addon.importer.live_shape import SHAPE, read_shape, remove_live_shape, show_live_shape
+from irgspp.irgspp_addon.importer.scene_builder import import_run
+from irgspp.irgspp_addon.jobs import result_import
+from irgspp.irgspp_addon.jobs.job import Job
+from irgspp.operators import live_shape
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+
+
+@pytest.fixture
+def scene(default_scene):
+    return default_scene
+
+
+def write(run, **changes):
+    """Write a shape as the engine does; a value of None leaves an array out."""
+    shape = {"position": CORNERS, "colour": np.full((4, 3), 0.5, np.float32), "centre": np.zeros(3), "to_world": np.eye(4)} | changes
+    (run / SHAPE).parent.mkdir(parents=True, exist_ok=True)
+    np.savez(run / SHAPE, **{name: array for name, array in shape.items() if array is not None})
+
+
+def job_of(run, scene, state="running") -> Job:
+    job = Job("one", "reconstruct", "Reconstruct", run, run / "notes", data=result_import.place_of(scene), state=state)
+    job.began = time.time() - 60
+    return job
+
+
+def shown(run):
+    return [thing for thing in bpy.data.objects if thing.get("irgspp", "").startswith(f"{run.resolve()}#") and thing.type == "MESH"]
+
+
+def counts():
+    return [len(blocks) for blocks in (bpy.data.objects, bpy.data.collections, bpy.data.meshes)]
+
+
+def test_points_become_a_surface_and_vanish(scene, tmp_path):
+    before = counts()
+    write(tmp_path)
+    points = show_live_shape(tmp_path, scene)
+    assert len(points.data.vertices) == 4 and not points.data.polygons and points.hide_render and points.name in scene.objects
+    write(tmp_path, position=CORNERS[:3], colour=np.zeros((3, 3), np.float32))
+    assert len(show_live_shape(tmp_path, scene).data.vertices) == 3 and len(shown(tmp_path)) == 1
+    write(tmp_path, faces=FACES)
+    (surface,) = [show_live_shape(tmp_path, scene)]
+    assert len(surface.data.polygons) == 4 and surface.hide_render and shown(tmp_path) == [surface]
+    remove_live_shape(tmp_path)
+    assert counts() == before
+
+
+def test_the_result_takes_the_place_of_the_shape(scene, run_folder):
+    (run_folder / SHAPE).unlink(missing_ok=True)
+    write(run_folder)
+    points = show_live_shape(run_folder, scene)
+    points.parent.location.x = 3.0  # the user has moved it
+    imported = import_run(run_folder)
+    assert shown(run_folder) == [imported.mesh] and imported.root.location.x == 3.0
+    assert show_live_shape(run_folder, scene) is None  # the earlier result stays until the next one
+    remove_live_shape(run_folder)
+    assert shown(run_folder) == [imported.mesh]
+    (run_folder / SHAPE).unlink()
+
+
+def test_the_shape_lies_over_the_imported_dataset(scene, tmp_path):
+    dataset = tmp_path / "photos"
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text(json.dumps({"dataset": str(dataset.resolve())}))
+    root = bpy.data.objects.new("dataset", None)
+    scene.collection.objects.link(root)
+    root["irgspp_dataset"], root["irgspp_to_world"], root["irgspp_placement"] = (
+        str(dataset.resolve()),
+        np.eye(4).reshape(-1).tolist(),
+        "AS_IS 1 False",
+    )
+    root.location = (5, 0, 0)
+    bpy.context.view_layer.update()
+    write(tmp_path / "run")
+    points = show_live_shape(tmp_path / "run", scene)
+    bpy.context.view_layer.update()
+    assert tuple(points.matrix_world.translation) == (5, 0, 0)
+
+
+DAMAGED = [
+    {"faces": FACES + 1},
+    {"faces": FACES[:, :2]},
+    {"faces": np.zeros((0, 3), np.int32)},
+    {"position": np.full((4, 3), np.nan, np.float32)},
+    {"colour": np.zeros((3, 3), np.float32)},
+    {"to_world": np.zeros((4, 4))},
+    {"centre": None},
+    {"position": np.array(["a"])},
+]
+
+
+@pytest.mark.parametrize("changes", DAMAGED)
+def test_damaged_shapes_are_not_shown(scene, tmp_path, changes):
+    before = counts()
+    write(tmp_path, **changes)
+    assert read_shape(tmp_path) is None and show_live_shape(tmp_path, scene) is None and counts() == before
+
+
+def test_files_that_are_no_shapes_are_not_shown(tmp_path):
+    assert read_shape(tmp_path) is None
+    (tmp_path / SHAPE).parent.mkdir()
+    for data in (b"", b"PK\x03\x04 cut", b"\x93NUMPY"):
+        (tmp_path / SHAPE).write_bytes(data)
+        assert read_shape(tmp_path) is None
+
+
+def test_a_running_job_is_followed_and_cleared_away(scene, tmp_path):
+    job = job_of(tmp_path, scene)
+    live_shape.follow(job)
+    assert not shown(tmp_path)  # nothing is written yet
+    write(tmp_path)
+    live_shape.follow(job)
+    (points,) = shown(tmp_path)
+    assert scene.objects["Cube"].hide_get() and bpy.context.view_layer.objects.active == points  # a new file: the object is framed
+    mesh = points.data
+    live_shape.follow(job)
+    assert shown(tmp_path)[0].data == mesh  # the same file is not read again
+    scene.objects["Cube"].hide_set(False)
+    write(tmp_path, faces=FACES)
+    os.utime(tmp_path / SHAPE, (time.time() + 5, time.time() + 5))
+    live_shape.follow(job)
+    assert len(shown(tmp_path)[0].data.polygons) == 4 and not scene.objects["Cube"].hide_get()  # the view is arranged once
+    job.state = "cancelled"
+    live_shape.follow(job)
+    assert not shown(tmp_path)
+
+
+def test_shapes_that_nobody_wants_are_not_shown(scene, tmp_path):
+    write(tmp_path)
+    os.utime(tmp_path / SHAPE, (1, 1))  # of an earlier job
+    live_shape.follow(job_of(tmp_path, scene))
+    os.utime(tmp_path / SHAPE)
+    scene.irgspp.live_shape = False
+    live_shape.follow(job_of(tmp_path, scene))
+    scene.irgspp.live_shape = True
+    elsewhere = job_of(tmp_path, scene)
+    result_import.another_file()
+    live_shape.follow(elsewhere)
+    assert not shown(tmp_path)
+
+
+def test_what_is_being_edited_stays(scene, tmp_path):
+    write(tmp_path, faces=FACES)
+    surface = show_live_shape(tmp_path, scene)
+    bpy.context.view_layer.objects.active = surface
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert show_live_shape(tmp_path, scene) is None
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert show_live_shape(tmp_path, scene) is not None
