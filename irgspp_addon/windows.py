@@ -70,14 +70,19 @@ def enlarged(image: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.ascontiguousarray(image[rows][:, columns], np.float32).reshape(-1)
 
 
-def show_selected(scene: bpy.types.Scene) -> None:
-    """Frame the selected objects in the 3D Views of a scene, and switch views in Solid shading to Material Preview."""
+def show_selected(scene: bpy.types.Scene, materials: bool = True) -> None:
+    """Frame the selected objects in the 3D Views of a scene.
+
+    Args:
+        scene: scene of the objects.
+        materials: switch views in Solid shading to Material Preview, whose shaders Blender compiles for seconds the first time.
+    """
     for window in bpy.context.window_manager.windows if bpy.context.window_manager else ():
         for area in window.screen.areas if window.scene == scene else ():
             if area.type != "VIEW_3D":
                 continue
             space = area.spaces.active
-            if space.shading.type == "SOLID":
+            if materials and space.shading.type == "SOLID":
                 space.shading.type = "MATERIAL"
             if space.region_3d.view_perspective == "CAMERA":
                 space.region_3d.view_perspective = "PERSP"

@@ -53,7 +53,8 @@ def _show(job: Job, scene: bpy.types.Scene) -> None:
     shape = show_live_shape(job.folder, scene)
     if shape is not None and first and bpy.context.scene == scene and hide_default_objects(scene, bpy.context.view_layer):
         select(bpy.context, shape)  # in a new file; elsewhere the user is at work, and the view stays
-        show_selected(scene)
+        show_selected(scene, materials=False)
+        shape.select_set(False)  # the colour of the selection would hide the points' own
     redraw("VIEW_3D")
 
 

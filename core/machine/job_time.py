@@ -16,6 +16,7 @@ from .thread_pool import thread_count
 # Seconds on a slow machine with two cores; other machines are told by their own jobs.
 START = 10.0  # of the libraries, the reader, and the files at the end
 STEP, STEP_PIXEL = 0.030, 1.1e-7  # of the first stage, and for each pixel of the view that it fits
+UNMASKED = 3.0  # times as long for a pixel without masks, where surfels of the surroundings lie behind one another
 TRIAL_STEP = 0.014  # of a trial fit
 SURFACE = 18.0  # stereo, fusion and bake, at the balanced preset
 PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
@@ -24,7 +25,8 @@ NORMALS = 10.0  # shading normals, and materials of the Gaussians
 REFINEMENT_SAMPLE = 1.4e-6  # of a light sample in the refinement, confidence included
 RADIANCE_STEP = 1.3  # of the radiance refit, in steps of the first stage
 REFERENCE_THREADS, SCALING = 2, 0.5  # threads of the above, and exponent by which others are faster before a job has shown it
-LEAST = 40.0  # reference seconds of a job that is kept: shorter ones are mostly start
+LEAST = 60.0  # reference seconds of a job that is kept: shorter ones are mostly start
+FASTEST = 0.1  # least ratio of measured over reference seconds that is kept: below, phases must have been left out
 KEPT = 9  # jobs whose median corrects the estimate
 HISTORY = "job_times.json"
 
@@ -50,11 +52,12 @@ def reference_seconds(settings: Settings, data: Dataset) -> float:
     """
     first, second = settings.first, settings.second
     fitted = _fitted_pixels(data, settings.data.resolution)
-    step = STEP + STEP_PIXEL * fitted / max(1, len(data.train))
+    depth = 1.0 if data.has_alpha else UNMASKED
+    step = STEP + STEP_PIXEL * depth * fitted / max(1, len(data.train))
     trials = 2 * first.trial_iterations * TRIAL_STEP if settings.materials == "auto" else 0.0
     solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
     refinement = second.iterations * second.pixels * second.samples * REFINEMENT_SAMPLE
-    steps = first.iterations + RADIANCE_STEP * second.radiance_iterations
+    steps = first.iterations + RADIANCE_STEP * second.radiance_iterations + second.normal_iterations
     return START + steps * step + trials + SURFACE + fitted * PHOTOGRAPH_PIXEL + solver + NORMALS + refinement
 
 
@@ -70,7 +73,7 @@ def record_job(settings: Settings, data: Dataset, seconds: float) -> None:
         OSError: the history can't be written.
     """
     reference = reference_seconds(settings, data)
-    if reference < LEAST or not _is_known(settings):
+    if reference < LEAST or seconds < FASTEST * reference or not _is_known(settings):
         return
     file, history = _history_file(), _history()
     ratios = [*history.get(_key(), []), round(seconds / reference, 4)]

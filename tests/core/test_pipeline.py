@@ -5,6 +5,7 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from irgspp.core import pipeline
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
@@ -15,7 +16,7 @@ from irgspp.core.rendering.gbuffer_cache import GBufferCache
 from irgspp.core.run_folder import read_run
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
-from stand_in_stages import ALL, Result, Stages, camera
+from stand_in_stages import ALL, TRIANGLE, Result, Stages, camera
 
 
 @pytest.fixture
@@ -31,7 +32,11 @@ def test_phases_run_in_order_and_are_recorded(tmp_path, stages):
     assert list(state["phases"]) == ["read", "first stage", *ALL[1:]]
     assert all(phase["finished"] and phase["peak_memory"] > 0 for phase in state["phases"].values())
     assert state["training"] == {"loss": 0.25, "psnr": 30.0}
-    assert "b.png" in (run / "log.txt").read_text()
+    assert len(stages.times) == 1 and 0 < stages.times[0] <= sum(phase["seconds"] for phase in state["phases"].values())
+    log = (run / "log.txt").read_text()
+    assert "b.png" in log and "takes about" in log
+    with np.load(run / "previews" / "shape.npz") as shape:
+        np.testing.assert_array_equal(shape["faces"], TRIANGLE.faces)
     assert not (run / "checkpoint").exists()
     assert {json.loads(line).get("phase") for line in (run / "events.jsonl").read_text().splitlines()} >= {"first stage"}
 
@@ -46,6 +51,7 @@ def test_cancelled_run_resumes_where_it_stopped(tmp_path, stages, stop, again):
     pipeline.reconstruct(Path("photos"), tmp_path / "run", Settings(), resume=True)
     assert stages.ran == again
     assert read_run(tmp_path / "run")["status"] == "done"
+    assert not stages.times  # a part of the work was done before
 
 
 def test_kill_between_the_files_of_the_second_stage_keeps_those_of_the_first(tmp_path, stages, monkeypatch):

@@ -125,6 +125,7 @@ def test_a_running_job_is_followed_and_cleared_away(scene, tmp_path):
     live_shape.follow(job)
     (points,) = shown(tmp_path)
     assert scene.objects["Cube"].hide_get() and bpy.context.view_layer.objects.active == points  # a new file: the object is framed
+    assert not points.select_get()
     mesh = points.data
     live_shape.follow(job)
     assert shown(tmp_path)[0].data == mesh  # the same file is not read again

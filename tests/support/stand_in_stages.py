@@ -62,7 +62,7 @@ class Stages:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, settings: Settings = Settings(), read: bool = True):  # noqa: B008 (immutable)
         self.ran, self.stop, self.fail, self.settings = [], None, None, settings
-        self.data, self.deadline = None, None  # that the first stage received
+        self.data, self.deadline, self.times = None, None, []  # that the first stage received; times of jobs that were kept
         if read:
             monkeypatch.setattr(pipeline, "load_dataset", small_dataset)
         monkeypatch.setattr(pipeline, "train", self.train)
@@ -77,6 +77,7 @@ class Stages:
         monkeypatch.setattr(pipeline, "write_blend", self.blend)
         monkeypatch.setattr(pipeline, "contact_sheet", self.sheet)
         monkeypatch.setattr(pipeline, "radiance_psnr", lambda reconstruction, views: 30.0)
+        monkeypatch.setattr(pipeline, "record_job", lambda settings, data, seconds: self.times.append(seconds))
 
     def record(self, name):
         self.ran.append(name)
