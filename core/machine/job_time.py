@@ -15,10 +15,10 @@ from .thread_pool import thread_count
 
 # Seconds on a slow machine with two cores; other machines are told by their own jobs.
 START = 10.0  # of the libraries, the reader, and the files at the end
-STEP, STEP_PIXEL = 0.030, 1.1e-7  # of the first stage, and for each pixel of the view that it fits
+STEP, STEP_SURFEL, STEP_PIXEL = 0.005, 6.2e-7, 1.1e-7  # of the first stage, for each surfel, and for each pixel that it fits
 UNMASKED = 3.0  # times as long for a pixel without masks, where surfels of the surroundings lie behind one another
 TRIAL_STEP = 0.014  # of a trial fit
-SURFACE = 18.0  # stereo, fusion and bake, at the balanced preset
+SURFACE = 18.0  # stereo, fusion and bake at the balanced preset; by the square of the voxels
 PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
 SOLVER = 19.0  # at the balanced preset; texels of the light solved for enter by their cube
 NORMALS = 10.0  # shading normals, and materials of the Gaussians
@@ -53,12 +53,13 @@ def reference_seconds(settings: Settings, data: Dataset) -> float:
     first, second = settings.first, settings.second
     fitted = _fitted_pixels(data, settings.data.resolution)
     depth = 1.0 if data.has_alpha else UNMASKED
-    step = STEP + STEP_PIXEL * depth * fitted / max(1, len(data.train))
+    step = STEP + STEP_SURFEL * first.gaussians + STEP_PIXEL * depth * fitted / max(1, len(data.train))
     trials = 2 * first.trial_iterations * TRIAL_STEP if settings.materials == "auto" else 0.0
     solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
     refinement = second.iterations * second.pixels * second.samples * REFINEMENT_SAMPLE
     steps = first.iterations + RADIANCE_STEP * second.radiance_iterations + second.normal_iterations
-    return START + steps * step + trials + SURFACE + fitted * PHOTOGRAPH_PIXEL + solver + NORMALS + refinement
+    surface = SURFACE * (settings.surface.voxels / 192) ** 2 + fitted * PHOTOGRAPH_PIXEL
+    return START + steps * step + trials + surface + solver + NORMALS + refinement
 
 
 def record_job(settings: Settings, data: Dataset, seconds: float) -> None:
