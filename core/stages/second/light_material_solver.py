@@ -59,6 +59,7 @@ class LightMaterialSolver:
         robust_weight: (K, 3) weights of the last step in 0..1.
         candidates: (P,) bool, points that a search found to be metal before the test.
         regions: number of regions that were tested, and of those that are metal.
+        metal_gain: share of the robust error that the metal regions explained in their test, 0..1.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class LightMaterialSolver:
         self._rows = mean.new_empty(len(samples.point), len(self.light))
         self._diffuse = transfer.diffuse_rows(samples)
         self._search = MaterialSearch(samples, transfer, self._diffuse, self.n_v, mean, search_metal)
-        self.candidates, self.regions = torch.zeros_like(metallic, dtype=torch.bool), (0, 0)
+        self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._trace_lobes()
 
     def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
@@ -217,7 +218,8 @@ class LightMaterialSolver:
         without = self._adapted(torch.zeros_like(self.candidates))
         _, errors = self._adapted(self.candidates)
         regions = self._search.regions(self._search.supported(self.candidates, without[1] - errors))
-        best, confirmed = confirm_metal(regions, without, self._adapted)
+        best, least, confirmed = confirm_metal(regions, without, self._adapted)
+        self.metal_gain = 1 - float(least.sum()) / max(float(without[1].sum()), 1e-30)
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
         self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
         self._trace_lobes()

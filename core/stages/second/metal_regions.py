@@ -97,7 +97,7 @@ def confirm_metal(
     regions: list[torch.Tensor],
     without: tuple[Solution, torch.Tensor],
     adapt: Callable[[torch.Tensor], tuple[Solution, torch.Tensor]],
-) -> tuple[Solution, int]:
+) -> tuple[Solution, torch.Tensor, int]:
     """Decide one region after the other, the largest first: metal, if the photographs are explained better so.
 
     Light and albedo adapt to either hypothesis. Without that, the light that was solved decides, and not the photographs: it has
@@ -109,7 +109,7 @@ def confirm_metal(
         adapt: solves for light and albedo with the given points (P,) bool as metal; returns the solution and the robust errors (P,).
 
     Returns:
-        The solution with the metal that is confirmed, and the number of its regions.
+        The solution with the metal that is confirmed, its robust errors (P,), and the number of regions that are metal.
     """
     best, least = without
     metal, confirmed = torch.zeros_like(least, dtype=torch.bool), 0
@@ -121,4 +121,4 @@ def confirm_metal(
         gain = least - errors
         if min(float(gain[region].sum()), float(gain.sum())) > needed:
             metal, best, least, confirmed = metal | region, trial, errors, confirmed + 1
-    return best, confirmed
+    return best, least, confirmed

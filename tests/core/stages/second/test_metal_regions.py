@@ -71,9 +71,10 @@ def test_regions_are_confirmed_by_what_they_gain():
         errors = torch.full((60,), 2.0) - (metal & true).float() + (metal & false).float() - 0.5 * float((metal & misleading).any())
         return metal, errors
 
-    found, count = confirm_metal([true, false, misleading], adapt(NONE), adapt)
+    found, errors, count = confirm_metal([true, false, misleading], adapt(NONE), adapt)
     assert torch.equal(found, true | misleading) and count == 2
     assert [int(metal.sum()) for metal in asked] == [0, 20, 30, 25]  # each region beside those that are confirmed
+    assert torch.equal(errors, adapt(found)[1])
 
 
 def test_region_must_gain_itself_and_in_all():
@@ -81,7 +82,7 @@ def test_region_must_gain_itself_and_in_all():
 
     def confirmed(own, other):
         adapt = lambda metal: (metal, 2.0 + metal.any() * (own * region.float() + other * rest.float()))  # noqa: E731
-        return confirm_metal([region], adapt(NONE), adapt)[1]
+        return confirm_metal([region], adapt(NONE), adapt)[2]
 
     assert confirmed(-1, 0.1) == 1
     assert confirmed(-1, 0.6) == 0  # the others lose more
@@ -98,7 +99,7 @@ def test_region_that_cannot_gain_enough_is_not_tested():
         asked.append(metal)
         return metal, torch.where(torch.arange(60) < 4, 0.01, 2.0)
 
-    assert confirm_metal(masks((0, 4)), adapt(NONE), adapt)[1] == 0
+    assert confirm_metal(masks((0, 4)), adapt(NONE), adapt)[2] == 0
     assert len(asked) == 1  # without metal
 
 

@@ -46,14 +46,20 @@ def sphere(splat_sphere):
     return make, Surface(points, points, faces, 0.05)
 
 
+class Found:
+    """What a solver has found."""
+
+    metal_gain = 0.7
+
+    def __init__(self, metal):
+        self.metallic = torch.full((10,), float(metal))
+
+
 @pytest.fixture
 def tried(monkeypatch):
-    """Whether each solver searches for metal; each solver finds it everywhere if it may."""
+    """Whether each solver searches for metal; each solver finds it everywhere if it may, with `Found.metal_gain`."""
     calls = []
-
-    class Found:
-        def __init__(self, metal):
-            self.metallic = torch.full((10,), float(metal))
+    monkeypatch.setattr(Found, "metal_gain", 0.7)
 
     def solver(reconstruction, seen, transfer, search_metal, seed, progress):
         calls.append(search_metal)
@@ -78,6 +84,19 @@ def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, g
     transport.solve_light_materials(make(glossy), surface, sphere_dataset(camera_ring(12, size=48), masked), SETTINGS, listener)
     assert tried == expected
     assert sum("none of it metal" in text for text in listener.messages) == len(expected) - 1
+
+
+def test_an_object_is_metal_only_by_clear_evidence(sphere, sphere_dataset, camera_ring, tried, monkeypatch):
+    """A camera's flash makes an object look a little like metal."""
+    make, surface = sphere
+    monkeypatch.setattr(Found, "metal_gain", 0.15)
+    dataset, listener = sphere_dataset(camera_ring(12, size=48)), Listener()
+    transport.solve_light_materials(make(True), surface, dataset, SETTINGS, listener)
+    assert tried == [True, False] and any("only 15% of the error" in text for text in listener.messages)
+    metal = make(True).gaussians.select(slice(None))
+    metal.material = torch.full_like(metal.material, 3.0)
+    transport.solve_light_materials(replace(make(True), gaussians=metal), surface, dataset, SETTINGS, Listener())
+    assert tried == [True, False, True]  # the first stage has found it, too
 
 
 def test_too_few_views_are_one_clear_line(sphere, sphere_dataset, camera_ring):
