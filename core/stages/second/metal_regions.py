@@ -3,8 +3,8 @@
 
 A single point hardly tells metal from a rough dielectric: wrong normals and shadows make either fit a little better. Two thresholds, as
 in Canny's edge detector, ask for strong evidence once and keep a region whole. The candidates found so count as metal until the test, so
-that the light adapts to them: without that, a region that was missed once was seldom found again. Before the test, candidates leave that
-neither explanation fits better once light and albedo have adapted to it: in shadow, metal reached from a belt over the skin beside it.
+that the light adapts to them: without that, a region that was missed once was seldom found again. Before the test, those candidates leave
+that metal does not explain better once light and albedo have adapted to it. Without that, metal grew in the shadow from a belt over skin.
 """
 
 from __future__ import annotations
