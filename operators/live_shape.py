@@ -59,8 +59,9 @@ def _show(job: Job, scene: bpy.types.Scene) -> None:
 
 
 def _tick() -> float:
-    for job in jobs.all_jobs():
-        follow(job)
+    if not bpy.app.is_job_running("RENDER"):  # Blender may crash when objects change while it renders
+        for job in jobs.all_jobs():
+            follow(job)
     return SECONDS
 
 

@@ -4,6 +4,7 @@
 import json
 import os
 import time
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -137,6 +138,16 @@ def test_a_running_job_is_followed_and_cleared_away(scene, tmp_path):
     job.state = "cancelled"
     live_shape.follow(job)
     assert not shown(tmp_path)
+
+
+def test_nothing_changes_while_blender_renders(scene, tmp_path, monkeypatch):
+    write(tmp_path)
+    monkeypatch.setattr(live_shape.jobs, "all_jobs", lambda: [job_of(tmp_path, scene)])
+    monkeypatch.setattr(live_shape, "bpy", SimpleNamespace(app=SimpleNamespace(is_job_running=lambda kind: kind == "RENDER")))
+    assert live_shape._tick() == live_shape.SECONDS and not shown(tmp_path)
+    monkeypatch.setattr(live_shape, "bpy", bpy)
+    live_shape._tick()
+    assert shown(tmp_path)
 
 
 def test_shapes_that_nobody_wants_are_not_shown(scene, tmp_path):
