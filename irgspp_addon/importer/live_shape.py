@@ -16,6 +16,7 @@ from .scene_builder import set_triangles
 
 SHAPE = "previews/shape.npz"  # in a run folder, see `Progress.shape` of the engine
 PARTS = ("position", "colour", "centre", "to_world")
+SIZE = 0.012  # radius of a point over that of the object: 10,000 of them nearly touch
 POINTS, SURFACE = "points", "live surface"  # parts of the run
 
 
@@ -37,7 +38,7 @@ def show_live_shape(run: Path, scene: bpy.types.Scene) -> bpy.types.Object | Non
     name = f"{owner.folder.name} (in progress)"
     if "faces" not in shape:
         radius = float(np.linalg.norm(shape["position"] - shape["centre"], axis=1).max(initial=0.0))
-        return build_points(owner, name, shape["position"], shape["colour"], radius, root, collection)
+        return build_points(owner, name, shape["position"], shape["colour"], radius, root, collection, SIZE)
     _remove(owner, POINTS)
     mesh = bpy.data.meshes.new(name)
     set_triangles(mesh, shape["position"], shape["faces"])

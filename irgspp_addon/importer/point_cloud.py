@@ -23,6 +23,7 @@ def build_points(
     radius: float,
     root: bpy.types.Object,
     collection: bpy.types.Collection,
+    size: float = 0.004,
 ) -> bpy.types.Object:
     """Create a mesh object of vertices with a colour attribute, visible in viewports but not in renders.
 
@@ -34,6 +35,7 @@ def build_points(
         radius: radius of the scene's object, which sets the size of the shown points.
         root: parent of the object.
         collection: collection of the object.
+        size: radius of a shown point over that of the scene's object.
     """
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(position))
@@ -48,7 +50,7 @@ def build_points(
     mesh.materials.append(material)
     cloud = owner.object("points", name, mesh, root)
     cloud.hide_render = True
-    _show_as_spheres(owner, cloud, material, 0.004 * radius)
+    _show_as_spheres(owner, cloud, material, size * radius)
     put(cloud, collection)
     return cloud
 
