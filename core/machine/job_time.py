@@ -27,6 +27,7 @@ RADIANCE_STEP = 1.3  # of the radiance refit, in steps of the first stage
 REFERENCE_THREADS, SCALING = 2, 0.5  # threads of the above, and exponent by which others are faster before a job has shown it
 LEAST = 60.0  # reference seconds of a job that is kept: shorter ones are mostly start
 FASTEST = 0.1  # least ratio of measured over reference seconds that is kept: below, phases must have been left out
+SLOWEST = 1000.0  # ratio from which the history must be damaged
 KEPT = 9  # jobs whose median corrects the estimate
 HISTORY = "job_times.json"
 
@@ -121,6 +122,6 @@ def _history() -> dict[str, list[float]]:
     """Read the ratios of measured over reference seconds; empty where there are none, or the file is damaged."""
     try:
         stored = json.loads(_history_file().read_text(encoding="utf-8"))
-        return {str(key): [float(ratio) for ratio in ratios if float(ratio) > 0] for key, ratios in stored.items()}
+        return {str(key): [float(ratio) for ratio in ratios if 0 < float(ratio) < SLOWEST] for key, ratios in stored.items()}
     except (OSError, ValueError, TypeError, AttributeError):
         return {}

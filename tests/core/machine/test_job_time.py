@@ -76,7 +76,9 @@ def test_what_is_not_known_is_not_told(data, history):
     assert not history.exists()
 
 
-@pytest.mark.parametrize("damaged", ["{", "[1, 2]", '{"cpu, 2 threads": ["x"]}', '{"cpu, 2 threads": 3}', "\x00"])
+@pytest.mark.parametrize(
+    "damaged", ["{", "[1, 2]", '{"cpu, 2 threads": ["x"]}', '{"cpu, 2 threads": 3}', '{"cpu, 2 threads": [1e999, -1]}', "\x00"]
+)
 def test_a_damaged_history_starts_anew(data, history, damaged):
     expected = estimate_seconds(SETTINGS, data)
     history.write_text(damaged)
