@@ -31,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("-o", dest="run", metavar="DIR", type=Path, default=Path("demo"), help="run folder (default: demo)")
     _resume_options(one)
 
-    one = _command(subparsers, "inspect", commands.inspect, "print what irgspp reads in a dataset: cameras, images, masks, points")
+    one = _command(subparsers, "inspect", commands.inspect, "print what irgspp reads in a dataset, and how long a job will take")
     one.add_argument("dataset", metavar="DATASET", type=Path, help="folder or file of photographs with known cameras")
     one.add_argument("--json", action="store_true", help="print one JSON object, for programs")
     one.add_argument("--export", metavar="FOLDER", type=Path, help="also write cameras, points and undistorted photographs to a folder")

@@ -18,7 +18,7 @@ SHOWN = 5  # lines of one kind before the rest is only counted
 
 def describe(dataset: Dataset) -> str:
     """Format a dataset's summary as a table: format, views, sizes, cameras, points, masks, object's bound, warnings."""
-    return "\n".join(f"{name:<10}{text}" for name, text in _rows(dataset))
+    return "\n".join(f"{name:<10}{text}" for name, text in _rows(dataset, _jobs(dataset)))
 
 
 def summary(dataset: Dataset) -> dict[str, Any]:
@@ -34,6 +34,7 @@ def summary(dataset: Dataset) -> dict[str, Any]:
     """
     views = [*dataset.train, *dataset.test]
     masks = [v.alpha for v in dataset.train if v.alpha is not None]
+    jobs = _jobs(dataset)
     return {
         "path": str(dataset.path),
         "format": dataset.format,
@@ -50,13 +51,13 @@ def summary(dataset: Dataset) -> dict[str, Any]:
         "centre": list(dataset.bound.centre),
         "radius": dataset.bound.radius,
         "to_world": dataset.to_world.tolist(),
-        "jobs": _jobs(dataset),
+        "jobs": jobs,
         "warnings": dataset.warnings,
-        "rows": [list(row) for row in _rows(dataset)],
+        "rows": [list(row) for row in _rows(dataset, jobs)],
     }
 
 
-def _rows(dataset: Dataset) -> list[tuple[str, str]]:
+def _rows(dataset: Dataset, jobs: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     return [
         ("dataset", str(dataset.path)),
         ("format", dataset.format),
@@ -70,7 +71,7 @@ def _rows(dataset: Dataset) -> list[tuple[str, str]]:
         ("points", f"{len(dataset.points.position):,}" if dataset.points is not None else "none"),
         ("object", f"centre ({_numbers(dataset.bound.centre, dataset.bound.radius)}), radius {dataset.bound.radius:.4g}"),
         ("own frame", _frame(dataset)),
-        ("on CPU", "; ".join(f"{name} {job['text']}" for name, job in _jobs(dataset).items())),
+        ("on CPU", "; ".join(f"{name} {job['text']}" for name, job in jobs.items())),
         *(("warning", line) for line in _shortened(dataset.warnings)),
     ]
 

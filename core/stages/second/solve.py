@@ -39,7 +39,7 @@ from .secondary_tracer import secondary_tracer
 
 LEAST_POINTS = 50  # with which the light is solved
 CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where the joint optimisation refines its result
-CLEAR = 0.4  # share of the error that metal must explain where the whole object is to be metal: .69 on teapot_glossy, .15 on a skull
+CLEAR = 0.4  # share of the error that metal must explain where the whole object is to be metal: .69 on teapot_glossy, .18 on a skull
 SIDE = 2  # rays through each texel of the light along a side
 
 
@@ -176,7 +176,7 @@ def solve_light_materials(
     search_metal = dataset.has_alpha or reconstruction.glossy
     solver = _solve_from_first_stage(reconstruction, samples, transfer, search_metal, settings.seed, progress)
     if _is_doubtful_metal(reconstruction, solver):
-        gain = f"metal explains only {solver.metal_gain:.0%} of the error, and the first stage found none"
+        gain = f"metal explains {solver.metal_gain:.0%} of the error, but the first stage found none"
         progress.message(f"solved again with none of it metal: {gain}")
         solver = _solve_from_first_stage(reconstruction, samples, transfer, False, settings.seed, progress)
     return solver, tracer

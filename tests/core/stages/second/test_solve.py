@@ -59,7 +59,6 @@ class Found:
 def tried(monkeypatch):
     """Whether each solver searches for metal; each solver finds it everywhere if it may, with `Found.metal_gain`."""
     calls = []
-    monkeypatch.setattr(Found, "metal_gain", 0.7)
 
     def solver(reconstruction, seen, transfer, search_metal, seed, progress):
         calls.append(search_metal)
@@ -92,7 +91,7 @@ def test_an_object_is_metal_only_by_clear_evidence(sphere, sphere_dataset, camer
     monkeypatch.setattr(Found, "metal_gain", 0.15)
     dataset, listener = sphere_dataset(camera_ring(12, size=48)), Listener()
     transport.solve_light_materials(make(True), surface, dataset, SETTINGS, listener)
-    assert tried == [True, False] and any("only 15% of the error" in text for text in listener.messages)
+    assert tried == [True, False] and any("metal explains 15% of the error" in text for text in listener.messages)
     metal = make(True).gaussians.select(slice(None))
     metal.material = torch.full_like(metal.material, 3.0)
     transport.solve_light_materials(replace(make(True), gaussians=metal), surface, dataset, SETTINGS, Listener())
