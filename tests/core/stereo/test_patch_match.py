@@ -132,6 +132,6 @@ def test_sweeps_lower_every_cost_and_keep_to_the_bounds(images):
     assert medians[-1] < 0.3 * medians[0]
     kept = planes.cost.copy()
     again = evaluated(images, planes, [1, 3, 4], best=2).cost
-    # All sources asked: at most the cost among those that a sweep asked. The window of one pixel has hardly any contrast: a unit in the last
-    # place of its depth changes its cost by 2e-4, and processors round differently.
+    # All sources asked: at most the cost among those that a sweep asked. The window of one pixel has hardly any contrast: a unit in the
+    # last place of its depth changes its cost by 2e-4, and processors round differently.
     assert (again <= kept + 5e-4).all() and np.quantile(again - kept, 0.999) < 1e-5
