@@ -15,6 +15,7 @@ from ..io.srgb import encode_srgb
 from ..kernels.rasterize import COLOUR, EXTRA, NORMAL
 from ..kernels.split_sum import shade_pixels
 from ..machine.backend import by_warp
+from ..scene.unit_vectors import unit_vectors
 from ..shading.environment_lookup import lookup, to_light_frame
 from ..shading.specular_albedo import brdf_table
 from ..shading.split_sum import level_roughness, specular_light, specular_radiance
@@ -62,8 +63,8 @@ def surface_pixels(image: torch.Tensor, rays: torch.Tensor, threshold: float = R
     index = torch.arange(flat.shape[1], device=flat.device) if all_pixels else torch.nonzero(flat[-1].detach() > threshold)[:, 0]
     sums = flat if all_pixels else flat[:, index]
     mean = sums[:-1] / (sums[-1].clamp_min(threshold) if all_pixels else sums[-1])
-    view = -torch.nn.functional.normalize(rays.flatten(1)[:, index], dim=0).T
-    normal = torch.nn.functional.normalize(mean[NORMAL], dim=0).T
+    view = -unit_vectors(rays.flatten(1)[:, index]).T
+    normal = unit_vectors(mean[NORMAL]).T
     colour, albedo = mean[COLOUR].T, mean[EXTRA : EXTRA + 3].T
     return SurfacePixels(index, view, normal, colour, albedo, mean[EXTRA + 3], mean[EXTRA + 4], sums[-1])
 
@@ -156,7 +157,7 @@ def background_radiance(background: torch.Tensor, rays: torch.Tensor, light_rota
     Returns:
         (3, H, W) linear radiance.
     """
-    direction = torch.nn.functional.normalize(rays.flatten(1), dim=0).T
+    direction = unit_vectors(rays.flatten(1)).T
     return lookup(background, to_light_frame(direction, light_rotation)).T.view_as(rays)
 
 

@@ -10,6 +10,7 @@ from ..kernels.rasterize import EXTRA, NORMAL, rasterize
 from ..scene.camera import Camera
 from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
+from ..scene.unit_vectors import unit_vectors
 from .deferred import ALPHA_FLOOR, background_radiance, radiance
 
 LIGHT_HEIGHT = 64  # largest number of rows of a light map when it is prefiltered
@@ -92,7 +93,7 @@ def _layers(image: torch.Tensor, radiance: np.ndarray) -> tuple[np.ndarray, ...]
     """Return the layers of `GBuffer` from alpha to metallic, of the sums (13 + E, H, W) of `rasterize` and the radiance (H, W, 3)."""
     alpha = image[-1]
     mean = torch.where(alpha > ALPHA_FLOOR, image[:-1] / alpha.clamp_min(ALPHA_FLOOR), 0.0)
-    normal, albedo = torch.nn.functional.normalize(mean[NORMAL], dim=0), mean[EXTRA : EXTRA + 3]
+    normal, albedo = unit_vectors(mean[NORMAL]), mean[EXTRA : EXTRA + 3]
     flat = (part.contiguous().cpu().numpy() for part in (alpha, mean[-1], mean[EXTRA + 3], mean[EXTRA + 4]))
     opacity, depth, roughness, metallic = flat
     return opacity, depth, _channels_last(normal), radiance, _channels_last(albedo), roughness, metallic

@@ -18,6 +18,7 @@ from ..kernels.reference.harmonics import sh_basis
 from ..scene.dataset import View, light_rotations
 from ..scene.gaussians import Gaussians
 from ..scene.reconstruction import Reconstruction, Reflections
+from ..scene.unit_vectors import unit_vectors
 from ..shading.environment_lookup import lookup, texel_directions, to_light_frame
 
 GRAZING = 1e-3  # weight of a camera that a surfel does not face, so that surfels that face none have a mean too
@@ -70,7 +71,7 @@ def _seen_from(gaussians: Gaussians, views: Sequence[View]) -> Iterator[tuple[to
     normal = gaussians.normals()
     for view in views:
         centre = torch.from_numpy(view.camera.centre).to(gaussians.position)
-        towards = torch.nn.functional.normalize(centre[:, None] - gaussians.position, dim=0)
+        towards = unit_vectors(centre[:, None] - gaussians.position)
         basis = sh_basis(-towards, 3)
         yield (towards * normal).sum(0), ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0)
 

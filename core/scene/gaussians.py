@@ -13,6 +13,7 @@ from plyfile import PlyData, PlyElement
 from ..errors import InputError
 from ..io.atomic import atomic_file
 from .gbuffer import CONFIDENCE, SurfaceSamples
+from .unit_vectors import unit_vectors
 
 SH_COEFFICIENTS = 16  # degree 3
 SH_DC = 0.28209479177387814
@@ -72,12 +73,12 @@ class Gaussians:
 
     def normals(self) -> torch.Tensor:
         """Return the unit normals (3, N); their side is undefined."""
-        w, x, y, z = torch.nn.functional.normalize(self.quaternion, dim=0)
+        w, x, y, z = unit_vectors(self.quaternion)
         return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
     def tangents(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the two unit tangents (3, N) of each surfel, along its first and its second scale."""
-        w, x, y, z = torch.nn.functional.normalize(self.quaternion, dim=0)
+        w, x, y, z = unit_vectors(self.quaternion)
         first = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
         return first, torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
 
@@ -99,7 +100,7 @@ def quaternion_to(normal: torch.Tensor) -> torch.Tensor:
     flipped = w < 1e-6  # straight down: half a turn about x
     axis = torch.stack([-normal[1], normal[0], torch.zeros_like(w)])
     q = torch.cat([torch.where(flipped, 0.0, w)[None], torch.where(flipped, torch.eye(3, device=normal.device)[:, :1], axis)])
-    return torch.nn.functional.normalize(q, dim=0)
+    return unit_vectors(q)
 
 
 def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, scale: np.ndarray, opacity: float | np.ndarray) -> Gaussians:
@@ -134,7 +135,7 @@ def save_gaussians(gaussians: Gaussians, path: Path, confidence: torch.Tensor | 
     with torch.no_grad():
         g = gaussians
         rest = g.sh[1:].permute(1, 0, 2).reshape(-1, g.count)  # channel by channel, as 3DGS writes them
-        quaternion = torch.nn.functional.normalize(g.quaternion, dim=0)
+        quaternion = unit_vectors(g.quaternion)
         known = [] if confidence is None else [confidence]
         rows = torch.cat([g.position, g.normals(), g.sh[0], rest, g.opacity[None], g.log_scale, quaternion, g.materials(), *known])
     columns = [*_ply_columns(), *(CONFIDENCE if known else ())]

@@ -11,6 +11,7 @@ import torch
 
 from ...scene.gaussians import Gaussians
 from ...scene.surface import Surface
+from ...scene.unit_vectors import unit_vectors
 from .gaussian_materials import surface_normals
 
 SMALLEST_COSINE = math.cos(math.radians(30))  # surfels at a larger angle lie on an edge or on another side and stay
@@ -28,7 +29,7 @@ def align_normals(gaussians: Gaussians, surface: Surface, fraction: float) -> Ga
     other = torch.from_numpy(surface_normals(surface, np.ascontiguousarray(gaussians.position.T.cpu().numpy()))).to(own.device).T
     cosine = (own * other).sum(0)
     other = torch.where(cosine < 0, -other, other)
-    mixed = torch.nn.functional.normalize((1 - fraction) * own + fraction * other, dim=0)
+    mixed = unit_vectors((1 - fraction) * own + fraction * other)
     goal = torch.where(cosine.abs() > SMALLEST_COSINE, mixed, own)
     return replace(gaussians, quaternion=product(shortest_turn(own, goal), gaussians.quaternion))
 
@@ -46,7 +47,7 @@ def follow_normals(gaussians: Gaussians, before: Surface, after: Surface, fracti
     old, new = (torch.from_numpy(surface_normals(surface, position)).to(own.device).T for surface in (before, after))
     cosine = (own * old).sum(0)
     change = torch.where(cosine < 0, old - new, new - old)
-    goal = torch.where(cosine.abs() > SMALLEST_COSINE, torch.nn.functional.normalize(own + fraction * change, dim=0), own)
+    goal = torch.where(cosine.abs() > SMALLEST_COSINE, unit_vectors(own + fraction * change), own)
     return replace(gaussians, quaternion=product(shortest_turn(own, goal), gaussians.quaternion))
 
 
@@ -61,7 +62,7 @@ def shortest_turn(source: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
         (4, N) unit quaternions w x y z.
     """
     axis = torch.linalg.cross(source, goal, dim=0)
-    return torch.nn.functional.normalize(torch.cat([1 + (source * goal).sum(0, keepdim=True), axis]), dim=0)
+    return unit_vectors(torch.cat([1 + (source * goal).sum(0, keepdim=True), axis]))
 
 
 def product(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:

@@ -16,6 +16,7 @@ from ...kernels.rasterize import rasterize
 from ...scene.dataset import View
 from ...scene.gaussians import Gaussians
 from ...scene.surface import Surface
+from ...scene.unit_vectors import unit_vectors
 from ...surface.normal_images import normal_images
 from ..common.finite_check import check_due, require_finite
 from ..common.optimizer import GaussianOptimizer, Rate
@@ -77,7 +78,7 @@ def fit_rendered_normals(
         optimizer.step(done / iterations)
         step(done + 1)
     optimizer.check_finite()
-    turned = torch.nn.functional.normalize(optimizer.leaves["quaternion"].detach(), dim=0)
+    turned = unit_vectors(optimizer.leaves["quaternion"].detach())
     return replace(gaussians, quaternion=turned)
 
 

@@ -26,6 +26,7 @@ from ....io.srgb import encode_srgb
 from ....kernels.normal_consistency import normal_consistency
 from ....kernels.rasterize import EXTRA, NORMAL
 from ....scene.gaussians import Gaussians
+from ....scene.unit_vectors import unit_vectors
 from ....shading.environment_lookup import lookup
 from ...common.training_view import BAND_WEIGHT, TrainingView
 from .model import JointModel, PixelPlan, at_pixels
@@ -167,7 +168,7 @@ def seen_light_variation(light: torch.Tensor, rays: torch.Tensor) -> torch.Tenso
         light: (h, w, 3) linear.
         rays: (3, H, W) world directions of any length.
     """
-    direction = torch.nn.functional.normalize(rays.flatten(1), dim=0).T
+    direction = unit_vectors(rays.flatten(1)).T
     seen = encode_srgb(lookup(light, direction)).T.view_as(rays)
     across, down = seen[:, :, 1:] - seen[:, :, :-1], seen[:, 1:] - seen[:, :-1]
     return across.square().mean() + down.square().mean()
