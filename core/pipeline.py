@@ -37,6 +37,7 @@ from .scene.surface import Surface
 from .settings import overrides
 from .settings.schema import Settings, paced
 from .stages.common.memory_layout import MemoryLayout, fit_into_memory
+from .stages.common.pixel_rays import with_needed_rays
 from .stages.common.preview import surface_shape
 from .stages.common.time_budget import FUSED
 from .stages.first.quick_fit import quick_renderings
@@ -161,6 +162,7 @@ class Job:
         if self._masks_may_be_wrong():
             self.folder.run_phase("masks", self.masks, self.progress)
             self.data = self.results.with_masks(self.data)
+        self.settings = with_needed_rays(self.settings, self.data, self.progress)
         self.folder.run_phase("first stage", self.first_stage, self.progress)
         self.folder.run_phase("geometry", self.geometry, self.progress)
         self.folder.run_phase("second stage", self.second_stage, self.progress)

@@ -59,7 +59,7 @@ def parser() -> argparse.ArgumentParser:
     source = "folder of photographs, a video, or a dataset with known cameras"
     one.add_argument("dataset", metavar="DATASET", type=Path, help=source)
     one.add_argument("-o", dest="run", metavar="RUN", type=Path, required=True, help="run folder")
-    one.add_argument("--preset", choices=list(PRESETS), help="amount of work: draft, balanced or paper (default: balanced)")
+    one.add_argument("--preset", choices=list(PRESETS), help="amount of work: draft, balanced, high or paper (default: balanced)")
     one.add_argument(
         "--materials", choices=("auto", "low-gloss", "glossy"), help="material class of the object (default: auto, by trial fits)"
     )

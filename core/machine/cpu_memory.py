@@ -13,7 +13,8 @@ from ..settings.schema import Settings
 MIB = 1 << 20
 # Measured with scripts/faults.py --only memory.
 LIBRARIES = 420 * MIB  # torch, numba, their code and that of the compiled kernels
-PHOTOGRAPH = 129  # bytes per pixel: colour and alpha, the same again as a target of the first stage, G-buffer for the surface
+PHOTOGRAPH = 40  # bytes per pixel: colour and alpha, goals of the normals
+PREPARED, MOST_PREPARED = 89, 3 << 30  # bytes per pixel, and at most: training views and G-buffers, which are kept up to a limit
 GAUSSIAN = 4 * 63 * 4 + 500  # bytes: parameters, gradients, two moments; entries in tile lists
 TRACING = 400 * MIB  # hits of MOST_RAYS rays
 TEXEL = 64  # bytes while textures are baked
@@ -49,7 +50,7 @@ def estimate_memory(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> i
     texels = 2 * second.rows**2
     views = second.points * second.views * texels * 4 * 5  # light rows of each view, and equations of the same size
     points = second.points * 4 * texels * 4 * 6  # incoming radiance of each point from all directions
-    stored = pixels * PHOTOGRAPH + settings.first.gaussians * GAUSSIAN
+    stored = pixels * PHOTOGRAPH + min(pixels * PREPARED, MOST_PREPARED) + settings.first.gaussians * GAUSSIAN
     work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texture**2 * TEXEL)
     return LIBRARIES + stored + work
 

@@ -106,6 +106,13 @@ class Dataset:
         """Flag of masked photographs: True if every training view has an alpha channel that separates object and background."""
         return bool(self.train) and all(v.alpha is not None for v in self.train)
 
+    @property
+    def object_pixels(self) -> float:
+        """Mean number of pixels of a training view that show the object by its mask; without masks all of them."""
+        masked = self.has_alpha
+        counts = [float(v.alpha.sum()) if masked and v.alpha is not None else v.camera.width * v.camera.height for v in self.train]
+        return sum(counts) / max(1, len(counts))
+
     def pixels(self, distorted: bool = False) -> int:
         """Count the pixels of all photographs, or only of those that a lens distorted and that were resampled."""
         views = (view for view in (*self.train, *self.test) if view.distorted or not distorted)

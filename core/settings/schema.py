@@ -54,7 +54,7 @@ class FirstStageSettings:
 
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
     gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # number at the start; with masks also the largest number
-    subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images; 1: one through its centre
+    subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images, at most (skip.subpixels)
     single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
@@ -131,6 +131,7 @@ class SkipSettings:
 
     background: Choice = "auto"  # first stage: pixels that show the object in no image
     trials: Choice = "auto"  # first stage: the rest of a trial fit whose material class has fallen behind
+    subpixels: Choice = "auto"  # all fits to images: rays beyond one per pixel, where surfels are larger than pixels
     cache_hits: Choice = "auto"  # refinement: compute each pixel's surfels and their layout once, since geometry is frozen
     reuse_visibility: Choice = "auto"  # relighting: shadow rays where others of the same patch met nothing
     cache_rays: Choice = "auto"  # relighting: keep ray hits and the pixel filter for the next light while the camera stays
@@ -140,7 +141,7 @@ class SkipSettings:
 class Settings:
     """All settings of one job."""
 
-    preset: Literal["draft", "balanced", "paper"] = "balanced"  # preset that the settings started from
+    preset: Literal["draft", "balanced", "high", "paper"] = "balanced"  # preset that the settings started from
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0  # of every random number generator
     device: Literal["auto", "cpu", "cuda", "warp-cpu"] = "auto"  # warp-cpu is for tests: the GPU's kernels on the CPU, slowly
     materials: Literal["auto", "low-gloss", "glossy"] = "auto"  # material class of the object; auto: decided by trial fits
@@ -164,6 +165,13 @@ PRESETS: dict[str, Settings] = {
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
     ),
     "balanced": Settings(),
+    "high": Settings(  # detail of large photographs, for a job over night
+        preset="high",
+        data=replace(DataSettings(), resolution=1600),
+        first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000),
+        second=replace(SecondStageSettings(), points=5000, iterations=600, pool=200_000, radiance_iterations=300, normal_iterations=300),
+        surface=replace(SurfaceSettings(), voxels=384, triangles=150_000, texture=4096),
+    ),
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
         data=replace(DataSettings(), resolution=800),

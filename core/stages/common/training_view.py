@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -51,6 +52,12 @@ class TrainingView:
     def to(self, device: torch.device) -> TrainingView:
         """Return the view with its tensors on a device."""
         return replace(self, **{f.name: v.to(device) for f in fields(self) if isinstance(v := getattr(self, f.name), torch.Tensor)})
+
+    @property
+    def size(self) -> int:
+        """Bytes of the view's tensors."""
+        tensors = (getattr(self, f.name) for f in fields(self))
+        return sum(t.numel() * t.element_size() for t in tensors if isinstance(t, torch.Tensor))
 
     def bounded(self, rendered: torch.Tensor) -> torch.Tensor:
         """Clip a rendered image (3, H, W) at saturated pixels: a clipped highlight is a lower bound, not a value."""
@@ -135,7 +142,7 @@ def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:
     return box[0], box[1]
 
 
-def border_radiance(views: list[TrainingView]) -> torch.Tensor:
+def border_radiance(views: Sequence[TrainingView]) -> torch.Tensor:
     """Return the (3,) median linear colour of the outermost pixels of all images, the initial radiance of the background."""
     everything = slice(None)
     sides = ((0, everything), (-1, everything), (everything, 0), (everything, -1))

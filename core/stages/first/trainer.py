@@ -25,6 +25,7 @@ from ..common.losses import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.preview import LONGEST, eight_bits, points_shape
 from ..common.training_view import TrainingView, border_radiance, make_training_view
+from ..common.training_view_cache import TrainingViewCache
 from ..common.view_order import next_view
 from .densification import DensityControl, reset_opacity
 from .material_class import GEOMETRY_RATES, MaterialClass
@@ -80,8 +81,7 @@ class Trainer:
         views = torch.arange(len(dataset.train))
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
         self.device = gaussians.position.device
-        home = self.device if resident else torch.device("cpu")
-        self.training_views = [make_training_view(view, reduction, crop).to(home) for view in dataset.train]
+        self.training_views = TrainingViewCache(dataset.train, reduction, crop, self.device if resident else "cpu")
         self.generator = torch.Generator().manual_seed(seed)
         self.masked = dataset.has_alpha
         self.light = gaussians.position.new_full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))

@@ -20,7 +20,7 @@ from ...scene.unit_vectors import unit_vectors
 from ...surface.normal_images import normal_images
 from ..common.finite_check import check_due, require_finite
 from ..common.optimizer import GaussianOptimizer, Rate
-from ..common.training_view import make_training_view
+from ..common.training_view_cache import TrainingViewCache
 
 RATE = Rate(2e-3, 0.1)  # learning rate of the rotations
 INNER = 0.99  # alpha of the photograph from which a pixel counts
@@ -57,7 +57,7 @@ def fit_rendered_normals(
         IrgsppError: a value is not finite.
     """
     device, generator = gaussians.position.device, torch.Generator().manual_seed(seed)
-    prepared = [make_training_view(view, crop=True) for view in views]
+    prepared = TrainingViewCache(views, crop=True)
     goals = [torch.from_numpy(image).permute(2, 0, 1) for image in normal_images(surface, [view.camera for view in prepared])]
     weights = [_weight(goal, view.alpha) for goal, view in zip(goals, prepared, strict=True)]
     optimizer = GaussianOptimizer(gaussians, {"quaternion": RATE})

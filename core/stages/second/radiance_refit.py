@@ -16,7 +16,8 @@ from ...scene.dataset import View
 from ...scene.reconstruction import Reconstruction, Reflections
 from ..common.finite_check import check_due, require_finite
 from ..common.optimizer import GaussianOptimizer, Rate
-from ..common.training_view import TrainingView, make_training_view
+from ..common.training_view import TrainingView
+from ..common.training_view_cache import TrainingViewCache
 
 DARKEST = 1e-6  # least radiance of the light's texels, whose logarithm is optimised
 EDGE = 1e-4  # materials are kept this far inside 0..1, so that their logits are finite
@@ -53,7 +54,7 @@ def refit_radiance(
         others["light"] = mirrored.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
-    training_views = [make_training_view(view, crop=True).to(g.position.device) for view in views]
+    training_views = TrainingViewCache(views, crop=True, device=g.position.device)
     epochs = math.ceil(iterations / len(training_views))
     order = torch.cat([torch.randperm(len(training_views), generator=generator) for _ in range(epochs)])
     for done, index in enumerate(order[:iterations].tolist()):

@@ -76,7 +76,7 @@ def test_schedule_of_the_paper():
 
 
 def test_unknown_preset():
-    with pytest.raises(InputError, match="draft, balanced, paper"):
+    with pytest.raises(InputError, match="draft, balanced, high, paper"):
         preset("fast")
 
 
