@@ -16,7 +16,7 @@ from .thread_pool import thread_count
 # Seconds on a slow machine with two cores; other machines are told by their own jobs.
 START = 10.0  # of the libraries, the reader, and the files at the end
 STEP, STEP_SURFEL, STEP_PIXEL = 0.005, 6.2e-7, 1.1e-7  # of the first stage, for each surfel, and for each pixel that it fits
-UNMASKED = 4.5  # times as long for a pixel without masks, where surfels of the surroundings lie behind one another
+UNMASKED = 2.5  # times as long for a pixel without masks, where surfels of the surroundings lie behind one another
 TRIAL_STEP = 0.014  # of a trial fit
 SURFACE = 18.0  # stereo, fusion and bake at the balanced preset; by the square of the voxels
 PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
