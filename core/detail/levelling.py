@@ -15,6 +15,7 @@ from .photographs import DecodedPhotograph
 from .vertex_shading import ViewShading
 
 WIDTH = 0.05  # standard deviation of the low-pass filter, as a fraction of the image's longest side: wider than the Gaussians' blur
+COARSE = 4.0  # standard deviation of that filter in pixels of the reduced image that is filtered
 OPAQUE = 0.9  # alpha from which a pixel belongs to the object
 CLIPPED = 0.97  # linear value from which a pixel may be clipped
 DARKEST = 0.05  # fraction of the median shading below which a pixel's albedo is noise
@@ -78,11 +79,15 @@ def smooth_ratio(images: np.ndarray, sigma: float) -> np.ndarray:
         images: (h, w, 7) numerator, denominator, and their common mask, 0 outside.
         sigma: standard deviation of the filter, pixels.
     """
-    smooth = cv2.GaussianBlur(images, (0, 0), sigma)
+    height, width = images.shape[:2]
+    step = max(1, int(sigma / COARSE))  # so smooth a result needs few pixels
+    small = cv2.resize(images, (-(-width // step), -(-height // step)), interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(small, (0, 0), sigma / step)
     # Far from all known pixels the ratio of the whole image takes over.
     mean = images.reshape(-1, 7).mean(0) * 1e-3
     ratio = (smooth[..., :3] + mean[:3]) / np.maximum(smooth[..., 3:6] + mean[3:6], 1e-9)
-    return np.clip(ratio, 1 / STRONGEST, STRONGEST).astype(np.float32)
+    ratio = np.clip(ratio, 1 / STRONGEST, STRONGEST).astype(np.float32)
+    return cv2.resize(ratio, (width, height), interpolation=cv2.INTER_LINEAR) if step > 1 else ratio
 
 
 def edge_weight(inverse: np.ndarray, alpha: np.ndarray | None) -> np.ndarray:
