@@ -14,7 +14,7 @@ from .cache_folder import private_folder
 from .thread_pool import thread_count
 
 # Seconds on a slow machine with two cores; other machines are told by their own jobs.
-START = 10.0  # of the libraries, the reader, and the files at the end
+START, END = 5.0, 5.0  # of the libraries and the reader, and of the files at the end
 STEP, STEP_SURFEL, STEP_PIXEL = 0.005, 6.2e-7, 1.1e-7  # of the first stage, for each surfel, and for each pixel that it fits
 UNMASKED = 2.5  # times as long for a pixel without masks, where surfels of the surroundings lie behind one another
 TRIAL_STEP = 0.014  # of a trial fit
@@ -51,16 +51,34 @@ def reference_seconds(settings: Settings, data: Dataset) -> float:
         settings: of the job, its schedules scaled.
         data: the photographs.
     """
-    first, second = settings.first, settings.second
-    fitted = _fitted_pixels(data, settings.data.resolution)
-    depth = 1.0 if data.has_alpha else UNMASKED
-    step = STEP + STEP_SURFEL * first.gaussians + STEP_PIXEL * depth * fitted / max(1, len(data.train))
+    first = settings.first
     trials = 2 * first.trial_iterations * TRIAL_STEP if settings.materials == "auto" else 0.0
+    fit = first.iterations * step_seconds(settings, data)
+    return START + trials + fit + fixed_seconds(settings, data) + schedule_seconds(settings, data)
+
+
+def step_seconds(settings: Settings, data: Dataset) -> float:
+    """Estimate the mean duration of a step of the first stage; arguments as of `reference_seconds`."""
+    depth = 1.0 if data.has_alpha else UNMASKED
+    pixels = _fitted_pixels(data, settings.data.resolution) / max(1, len(data.train))
+    return STEP + STEP_SURFEL * settings.first.gaussians + STEP_PIXEL * depth * pixels
+
+
+def fixed_seconds(settings: Settings, data: Dataset) -> float:
+    """Estimate the duration of the phases beside the first stage that no schedule scales; arguments as of `reference_seconds`."""
+    second = settings.second
+    surface = SURFACE * (settings.surface.voxels / 192) ** 2 + _fitted_pixels(data, settings.data.resolution) * PHOTOGRAPH_PIXEL
+    if second.solver == "joint":
+        return surface + END
     solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
+    return surface + solver + NORMALS + second.normal_iterations * step_seconds(settings, data) + END
+
+
+def schedule_seconds(settings: Settings, data: Dataset) -> float:
+    """Estimate the duration of the second stage's schedules; arguments as of `reference_seconds`."""
+    second = settings.second
     refinement = second.iterations * second.pixels * second.samples * REFINEMENT_SAMPLE
-    steps = first.iterations + RADIANCE_STEP * second.radiance_iterations + second.normal_iterations
-    surface = SURFACE * (settings.surface.voxels / 192) ** 2 + fitted * PHOTOGRAPH_PIXEL
-    return START + steps * step + trials + surface + solver + NORMALS + refinement
+    return refinement + RADIANCE_STEP * second.radiance_iterations * step_seconds(settings, data)
 
 
 def record_job(settings: Settings, data: Dataset, seconds: float) -> None:

@@ -15,12 +15,13 @@ from typing import Any, Protocol
 import torch
 
 from ...machine.backend import wait_for
-from ...settings.schema import SecondStageSettings
+from ...machine.job_time import fixed_seconds, schedule_seconds, step_seconds
+from ...scene.dataset import Dataset
+from ...settings.schema import SecondStageSettings, Settings
 
 MEASURED_STEPS = 20  # steps whose median duration is taken as the cost of a step
-STEP_COST_GROWTH = 1.4  # mean cost of a first-stage step over its cost at the start: SH degrees and rays per pixel are added over time
-FIXED_PHASES, FIXED_PHASES_GLOSSY = 3100, 1600  # cost of the phases of fixed length, in first-stage steps; a glossy step costs more
-SECOND_STAGE = 900  # cost of the second stage's schedules at the preset's length, in first-stage steps
+# Mean cost of a first-stage step over its cost at the start: SH degrees are added over time, and with several rays per pixel those.
+STEP_COST_GROWTH, STEP_COST_GROWTH_SINGLE = 1.4, 1.1
 FUSED = 1.2  # duration of the phases after the second stage over that of the surface fusion
 REFIT_STEP, REFIT_STEP_GLOSSY = 0.8, 1.1  # cost of a step of the radiance refit, in steps of the refinement
 SMALLEST_SCALE = 0.1  # of the preset's schedules
@@ -88,18 +89,22 @@ def scale_schedule(
     )
 
 
-def first_stage_schedule_scale(iterations: int, seconds: float, glossy: bool, step: float) -> float:
+def first_stage_schedule_scale(settings: Settings, data: Dataset, seconds: float, step: float) -> float:
     """Return the schedule scale of both stages that fits into a number of seconds.
 
+    The other phases are taken to last as long as `job_time` estimates, on a machine as fast as the measured steps say.
+
     Args:
-        iterations: steps of the preset's first stage.
+        settings: the preset's.
+        data: the photographs.
         seconds: time left for the whole job.
-        glossy: the first stage renders reflections.
         step: measured seconds per step at the start of the first stage.
     """
-    fixed = (FIXED_PHASES_GLOSSY if glossy else FIXED_PHASES) * step
-    preset = (STEP_COST_GROWTH * iterations + SECOND_STAGE) * step
-    return min(max((seconds - fixed) / preset, SMALLEST_SCALE), first_stage_largest_scale(iterations))
+    mean = step * (STEP_COST_GROWTH if settings.first.subpixels > 1 else STEP_COST_GROWTH_SINGLE)
+    speed = mean / step_seconds(settings, data)
+    preset = settings.first.iterations * mean + speed * schedule_seconds(settings, data)
+    scale = (seconds - speed * fixed_seconds(settings, data)) / preset
+    return min(max(scale, SMALLEST_SCALE), first_stage_largest_scale(settings.first.iterations))
 
 
 def first_stage_largest_scale(iterations: int) -> float:

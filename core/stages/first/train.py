@@ -86,7 +86,7 @@ def train(
     if state is not None:
         trainer.restore(state)
     elif deadline is not None:
-        _scale_to_deadline(trainer, deadline, progress)
+        _scale_to_deadline(trainer, dataset, settings, deadline, progress)
     progress.phase("first stage", trainer.settings.iterations)
     before = incomplete_images()
     trainer.run(progress, checkpoint)
@@ -99,9 +99,9 @@ def train(
     return estimate_light_albedo(result.to("cpu"), settings.seed, dataset.train), trainer.settings.iterations / settings.first.iterations
 
 
-def _scale_to_deadline(trainer: Trainer, deadline: float, progress: Progress) -> None:
+def _scale_to_deadline(trainer: Trainer, dataset: Dataset, settings: Settings, deadline: float, progress: Progress) -> None:
     """Do the first steps, and scale the schedule so that the whole job ends by the deadline."""
-    iterations, glossy = trainer.settings.iterations, trainer.material_class.glossy
-    scale_for = lambda left, step: first_stage_schedule_scale(iterations, left, glossy, step)  # noqa: E731
-    _, report = scale_schedule(trainer, "first stage", deadline, scale_for, first_stage_largest_scale(iterations))
+    scale_for = lambda left, step: first_stage_schedule_scale(settings, dataset, left, step)  # noqa: E731
+    largest = first_stage_largest_scale(settings.first.iterations)
+    _, report = scale_schedule(trainer, "first stage", deadline, scale_for, largest)
     progress.message(report)

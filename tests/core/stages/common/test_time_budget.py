@@ -4,17 +4,18 @@
 from dataclasses import replace
 
 import pytest
+from irgspp.core.datasets.load import load_dataset
+from irgspp.core.machine.job_time import fixed_seconds, reference_seconds, schedule_seconds, step_seconds
+from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.common.time_budget import (
     FIRST_STAGE_MOST_STEPS,
-    FIXED_PHASES,
-    FIXED_PHASES_GLOSSY,
     REFIT_STEP,
     REFIT_STEP_GLOSSY,
-    SECOND_STAGE,
     SECOND_STAGE_LARGEST_SCALE,
     SMALLEST_SCALE,
     STEP_COST_GROWTH,
+    STEP_COST_GROWTH_SINGLE,
     first_stage_schedule_scale,
     joint_schedule_scale,
     scaled_iterations,
@@ -25,12 +26,28 @@ from irgspp.core.stages.common.time_budget import (
 SETTINGS = preset("balanced")
 
 
+@pytest.fixture(scope="module")
+def data():
+    return load_dataset(DEMO_DATA, SETTINGS.data)
+
+
 @pytest.mark.parametrize("schedule_scale", [0.2, 1.0, 2.9])
-@pytest.mark.parametrize(("glossy", "fixed"), [(False, FIXED_PHASES), (True, FIXED_PHASES_GLOSSY)])
-def test_what_the_first_stage_is_given_costs_what_there_is(schedule_scale, glossy, fixed):
-    step = 0.02
-    cost = step * (fixed + schedule_scale * (SECOND_STAGE + STEP_COST_GROWTH * SETTINGS.first.iterations))
-    assert first_stage_schedule_scale(SETTINGS.first.iterations, cost, glossy, step) == pytest.approx(schedule_scale)
+@pytest.mark.parametrize(("rays", "growth"), [(1, STEP_COST_GROWTH_SINGLE), (2, STEP_COST_GROWTH)])
+def test_what_the_first_stage_is_given_costs_what_there_is(data, schedule_scale, rays, growth):
+    """The machine is so fast that the mean step takes half the time of the estimate's."""
+    settings = replace(SETTINGS, first=replace(SETTINGS.first, subpixels=rays))
+    expected = step_seconds(settings, data)
+    schedules = settings.first.iterations * expected + schedule_seconds(settings, data)
+    cost = 0.5 * (fixed_seconds(settings, data) + schedule_scale * schedules)
+    assert first_stage_schedule_scale(settings, data, cost, 0.5 * expected / growth) == pytest.approx(schedule_scale)
+
+
+def test_a_capture_without_masks_has_time_for_its_schedule(data):
+    """Its steps are long, its other phases are not: they once were taken for as many steps as those of a masked object."""
+    unmasked = replace(data, train=[replace(view, alpha=None) for view in data.train])
+    settings = replace(SETTINGS, first=replace(SETTINGS.first, subpixels=1))
+    usual = reference_seconds(settings, unmasked)
+    assert first_stage_schedule_scale(settings, unmasked, usual, step_seconds(settings, unmasked)) == pytest.approx(1, abs=0.25)
 
 
 @pytest.mark.parametrize("schedule_scale", [0.2, 1.0, 4.0])
@@ -41,15 +58,14 @@ def test_what_the_second_stage_is_given_costs_what_there_is(schedule_scale, glos
     assert second_stage_schedule_scale(second, cost, glossy, 0.03) == pytest.approx(schedule_scale)
 
 
-def test_schedule_scale_has_limits():
-    second = SETTINGS.second
-    assert first_stage_schedule_scale(1500, -5.0, False, 0.02) == second_stage_schedule_scale(second, -5.0, False, 0.02) == SMALLEST_SCALE
-    assert (
-        scaled_iterations(first_stage_schedule_scale(1500, 1e6, False, 0.02), 1500)
-        == scaled_iterations(first_stage_schedule_scale(400, 1e6, False, 0.02), 400)
-        == FIRST_STAGE_MOST_STEPS
-    )
-    assert first_stage_schedule_scale(50_000, 1e6, False, 0.02) == 1.0  # never shorter than the preset where there is time
+def test_schedule_scale_has_limits(data):
+    second, paper, draft = SETTINGS.second, preset("paper"), preset("draft")
+    assert first_stage_schedule_scale(SETTINGS, data, -5.0, 0.02) == SMALLEST_SCALE
+    assert second_stage_schedule_scale(second, -5.0, False, 0.02) == SMALLEST_SCALE
+    for settings in (SETTINGS, draft):
+        scale = first_stage_schedule_scale(settings, data, 1e6, 0.02)
+        assert scaled_iterations(scale, settings.first.iterations) == FIRST_STAGE_MOST_STEPS
+    assert first_stage_schedule_scale(paper, data, 1e7, 0.02) == 1.0  # never shorter than the preset where there is time
     assert second_stage_schedule_scale(second, 1e6, False, 0.02) == SECOND_STAGE_LARGEST_SCALE
     assert second_stage_schedule_scale(replace(second, iterations=0, radiance_iterations=0), 10.0, False, 0.02) == 1.0
 
