@@ -14,7 +14,7 @@ MIB = 1 << 20
 # Measured with scripts/faults.py --only memory.
 LIBRARIES = 420 * MIB  # torch, numba, their code and that of the compiled kernels
 PHOTOGRAPH = 40  # bytes per pixel: colour and alpha, goals of the normals
-PREPARED, MOST_PREPARED = 89, 3 << 30  # bytes per pixel, and at most: training views and G-buffers, which are kept up to a limit
+PREPARED, MOST_PREPARED = 89, 2 << 30  # bytes per pixel, and at most: training views and G-buffers, which are kept up to a limit
 GAUSSIAN = 4 * 63 * 4 + 500  # bytes: parameters, gradients, two moments; entries in tile lists
 TRACING = 400 * MIB  # hits of MOST_RAYS rays
 TEXEL = 160  # bytes while textures are baked

@@ -28,7 +28,7 @@ class GBufferCache(Sequence[GBuffer]):
         memory: largest number of bytes to keep.
     """
 
-    def __init__(self, reconstruction: Reconstruction, cameras: Sequence[Camera], memory: int = 2 << 30) -> None:
+    def __init__(self, reconstruction: Reconstruction, cameras: Sequence[Camera], memory: int = 1 << 30) -> None:
         self._reconstruction, self._cameras, self._free = reconstruction, list(cameras), memory
         self._cached: dict[int, GBuffer] = {}
 
