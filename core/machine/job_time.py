@@ -77,8 +77,13 @@ def fixed_seconds(settings: Settings, data: Dataset) -> float:
 def schedule_seconds(settings: Settings, data: Dataset) -> float:
     """Estimate the duration of the second stage's schedules; arguments as of `reference_seconds`."""
     second = settings.second
-    refinement = second.iterations * second.pixels * second.samples * REFINEMENT_SAMPLE
-    return refinement + RADIANCE_STEP * second.radiance_iterations * step_seconds(settings, data)
+    radiance = RADIANCE_STEP * second.radiance_iterations * step_seconds(settings, data)
+    return second.iterations * refinement_step_seconds(settings) + radiance
+
+
+def refinement_step_seconds(settings: Settings) -> float:
+    """Estimate the duration of a step of the refinement."""
+    return settings.second.pixels * settings.second.samples * REFINEMENT_SAMPLE
 
 
 def record_job(settings: Settings, data: Dataset, seconds: float) -> None:

@@ -15,15 +15,14 @@ from typing import Any, Protocol
 import torch
 
 from ...machine.backend import wait_for
-from ...machine.job_time import fixed_seconds, schedule_seconds, step_seconds
+from ...machine.job_time import fixed_seconds, refinement_step_seconds, schedule_seconds, step_seconds
 from ...scene.dataset import Dataset
-from ...settings.schema import SecondStageSettings, Settings
+from ...settings.schema import Settings
 
 MEASURED_STEPS = 20  # steps whose median duration is taken as the cost of a step
 # Mean cost of a first-stage step over its cost at the start: SH degrees are added over time, and with several rays per pixel those.
 STEP_COST_GROWTH, STEP_COST_GROWTH_SINGLE = 1.4, 1.1
 FUSED = 1.2  # duration of the phases after the second stage over that of the surface fusion
-REFIT_STEP, REFIT_STEP_GLOSSY = 0.8, 1.1  # cost of a step of the radiance refit, in steps of the refinement
 SMALLEST_SCALE = 0.1  # of the preset's schedules
 # Longer schedules were measured to fit the images' noise: normals, albedo and relit images get worse again.
 FIRST_STAGE_MOST_STEPS = 4500  # unless the preset has more
@@ -112,16 +111,16 @@ def first_stage_largest_scale(iterations: int) -> float:
     return max(1.0, FIRST_STAGE_MOST_STEPS / iterations)
 
 
-def second_stage_schedule_scale(settings: SecondStageSettings, seconds: float, glossy: bool, step: float) -> float:
+def second_stage_schedule_scale(settings: Settings, data: Dataset, seconds: float, step: float) -> float:
     """Return the schedule scale of the second stage that fits into a number of seconds.
 
     Args:
-        settings: the preset's schedules.
+        settings: the preset's.
+        data: the photographs.
         seconds: time left for refinement and radiance refit.
-        glossy: the radiance refit renders reflections.
         step: measured seconds per step of the refinement.
     """
-    preset = step * (settings.iterations + (REFIT_STEP_GLOSSY if glossy else REFIT_STEP) * settings.radiance_iterations)
+    preset = step / refinement_step_seconds(settings) * schedule_seconds(settings, data)
     return min(max(seconds / preset, SMALLEST_SCALE), SECOND_STAGE_LARGEST_SCALE) if preset > 0 else 1.0
 
 

@@ -65,7 +65,7 @@ def refine(
         return starts[0], 1.0
     refinements = prepare_refinements(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
     before = [refinement.test() for refinement in refinements]
-    schedule_scale = 1.0 if deadline is None else _scale_to_deadline(refinements, deadline, progress)
+    schedule_scale = 1.0 if deadline is None else _scale_to_deadline(refinements, dataset, settings, deadline, progress)
     best = _best_after_trial(refinements, progress)
 
     def report(done: int) -> bool:
@@ -148,12 +148,13 @@ def _until(steps: int, progress: Progress) -> Callable[[int], bool]:
     return report
 
 
-def _scale_to_deadline(refinements: Sequence[Refinement], deadline: float, progress: Progress) -> float:
+def _scale_to_deadline(
+    refinements: Sequence[Refinement], dataset: Dataset, settings: Settings, deadline: float, progress: Progress
+) -> float:
     """Do the first steps of one, and scale the schedules so that all end by the deadline; returns the schedule scale."""
-    settings, glossy = refinements[0].settings, refinements[0].start.glossy
     now = time.monotonic()
     alone = now + (deadline - now) / (1 + TRIAL * (len(refinements) - 1))
-    scale_for = lambda left, step: second_stage_schedule_scale(settings, left, glossy, step)  # noqa: E731
+    scale_for = lambda left, step: second_stage_schedule_scale(settings, dataset, left, step)  # noqa: E731
     schedule_scale, report = scale_schedule(refinements[0], "second stage", alone, scale_for, SECOND_STAGE_LARGEST_SCALE)
     for refinement in refinements[1:]:
         refinement.reschedule(refinements[0].settings.iterations)

@@ -5,13 +5,11 @@ from dataclasses import replace
 
 import pytest
 from irgspp.core.datasets.load import load_dataset
-from irgspp.core.machine.job_time import fixed_seconds, reference_seconds, schedule_seconds, step_seconds
+from irgspp.core.machine.job_time import fixed_seconds, reference_seconds, refinement_step_seconds, schedule_seconds, step_seconds
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.common.time_budget import (
     FIRST_STAGE_MOST_STEPS,
-    REFIT_STEP,
-    REFIT_STEP_GLOSSY,
     SECOND_STAGE_LARGEST_SCALE,
     SMALLEST_SCALE,
     STEP_COST_GROWTH,
@@ -51,23 +49,23 @@ def test_a_capture_without_masks_has_time_for_its_schedule(data):
 
 
 @pytest.mark.parametrize("schedule_scale", [0.2, 1.0, 4.0])
-@pytest.mark.parametrize(("glossy", "radiance"), [(False, REFIT_STEP), (True, REFIT_STEP_GLOSSY)])
-def test_what_the_second_stage_is_given_costs_what_there_is(schedule_scale, glossy, radiance):
-    second = SETTINGS.second
-    cost = schedule_scale * 0.03 * (second.iterations + radiance * second.radiance_iterations)
-    assert second_stage_schedule_scale(second, cost, glossy, 0.03) == pytest.approx(schedule_scale)
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_what_the_second_stage_is_given_costs_what_there_is(data, schedule_scale, speed):
+    cost = speed * schedule_scale * schedule_seconds(SETTINGS, data)
+    assert second_stage_schedule_scale(SETTINGS, data, cost, speed * refinement_step_seconds(SETTINGS)) == pytest.approx(schedule_scale)
 
 
 def test_schedule_scale_has_limits(data):
-    second, paper, draft = SETTINGS.second, preset("paper"), preset("draft")
+    paper, draft = preset("paper"), preset("draft")
     assert first_stage_schedule_scale(SETTINGS, data, -5.0, 0.02) == SMALLEST_SCALE
-    assert second_stage_schedule_scale(second, -5.0, False, 0.02) == SMALLEST_SCALE
+    assert second_stage_schedule_scale(SETTINGS, data, -5.0, 0.02) == SMALLEST_SCALE
     for settings in (SETTINGS, draft):
         scale = first_stage_schedule_scale(settings, data, 1e6, 0.02)
         assert scaled_iterations(scale, settings.first.iterations) == FIRST_STAGE_MOST_STEPS
     assert first_stage_schedule_scale(paper, data, 1e7, 0.02) == 1.0  # never shorter than the preset where there is time
-    assert second_stage_schedule_scale(second, 1e6, False, 0.02) == SECOND_STAGE_LARGEST_SCALE
-    assert second_stage_schedule_scale(replace(second, iterations=0, radiance_iterations=0), 10.0, False, 0.02) == 1.0
+    assert second_stage_schedule_scale(SETTINGS, data, 1e6, 0.02) == SECOND_STAGE_LARGEST_SCALE
+    none = replace(SETTINGS, second=replace(SETTINGS.second, iterations=0, radiance_iterations=0))
+    assert second_stage_schedule_scale(none, data, 10.0, 0.02) == 1.0
 
 
 def test_a_schedule_is_at_least_a_step_unless_it_is_none():
