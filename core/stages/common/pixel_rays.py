@@ -16,7 +16,7 @@ FINE = 1.5  # surfels per pixel of the object, from which several rays per pixel
 def with_needed_rays(settings: Settings, dataset: Dataset, progress: Progress) -> Settings:
     """Return settings with one ray per pixel where surfels are larger than pixels: the skip rule "subpixels".
 
-    Several rays per pixel render surfels that are smaller than it, and smooth outlines. They take two to four times as long. Where
+    Several rays per pixel render surfels that are smaller than it, and smooth outlines. A step takes up to twice as long. Where
     surfels were larger than pixels, one ray reproduced held-back photographs as well or better.
 
     Args:
