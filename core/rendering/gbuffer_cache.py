@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import overload
 
+from ..machine.lazy_sequence import LazySequence
 from ..scene.camera import Camera
 from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
@@ -14,13 +14,10 @@ from .gbuffer import render_gbuffer
 FLOATS = 13  # per pixel of a G-buffer with confidence
 
 
-class GBufferCache(Sequence[GBuffer]):
-    """Sequence of G-buffers without radiance; it keeps those rendered first, up to a memory limit, and renders the others at each access.
+class GBufferCache(LazySequence[GBuffer]):
+    """Sequence of G-buffers without radiance; all of a large capture at once would take tens of gigabytes.
 
     Each pixel is one ray: the surface is fused from their depths, and a mean over an edge lies on no surface.
-
-    All views of a large capture at once would take tens of gigabytes. Keeping the first ones rather than the last used ones saves the same
-    fraction of the work in every pass over the whole sequence.
 
     Args:
         reconstruction: what is rendered.
@@ -29,28 +26,13 @@ class GBufferCache(Sequence[GBuffer]):
     """
 
     def __init__(self, reconstruction: Reconstruction, cameras: Sequence[Camera], memory: int = 1 << 30) -> None:
-        self._reconstruction, self._cameras, self._free = reconstruction, list(cameras), memory
-        self._cached: dict[int, GBuffer] = {}
+        super().__init__(len(cameras), memory)
+        self._reconstruction, self._cameras = reconstruction, list(cameras)
 
-    def __len__(self) -> int:
-        return len(self._cameras)
+    def make(self, index: int) -> GBuffer:
+        """Render the G-buffer of a camera."""
+        return render_gbuffer(self._reconstruction, self._cameras[index], subpixels=1, shaded=False)
 
-    @overload
-    def __getitem__(self, index: int) -> GBuffer: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[GBuffer]: ...
-
-    def __getitem__(self, index: int | slice) -> GBuffer | list[GBuffer]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        index = range(len(self))[index]
-        if index in self._cached:
-            return self._cached[index]
-        camera = self._cameras[index]
-        gbuffer = render_gbuffer(self._reconstruction, camera, subpixels=1, shaded=False)
-        size = camera.width * camera.height * FLOATS * 4
-        if size <= self._free:
-            self._free -= size
-            self._cached[index] = gbuffer
-        return gbuffer
+    def size(self, index: int, item: GBuffer) -> int:
+        """Return the bytes that a G-buffer takes."""
+        return self._cameras[index].width * self._cameras[index].height * FLOATS * 4

@@ -3,20 +3,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import overload
 
 import torch
 
+from ...machine.lazy_sequence import LazySequence
 from ...scene.dataset import View
 from .training_view import TrainingView, make_training_view
 
 
-class TrainingViewCache(Sequence[TrainingView]):
-    """Sequence of training views; it keeps those prepared first, up to a memory limit, and prepares the others at each access.
-
-    A prepared view takes three times the memory of its photograph. All views of a large capture at once would take tens of gigabytes;
-    preparing one takes a small part of a step.
+class TrainingViewCache(LazySequence[TrainingView]):
+    """Sequence of training views; a prepared view takes three times the memory of its photograph.
 
     Args:
         views: photographs with cameras and masks.
@@ -29,28 +27,14 @@ class TrainingViewCache(Sequence[TrainingView]):
     def __init__(
         self, views: Sequence[View], reduction: int = 1, crop: bool = False, device: torch.device | str = "cpu", memory: int = 1 << 30
     ) -> None:
-        self._views, self._reduction, self._crop = views, reduction, crop
         self._device = torch.device(device)
-        self._free = float(memory) if self._device.type == "cpu" else float("inf")
-        self._cached: dict[int, TrainingView] = {}
+        super().__init__(len(views), memory if self._device.type == "cpu" else math.inf)
+        self._views, self._reduction, self._crop = views, reduction, crop
 
-    def __len__(self) -> int:
-        return len(self._views)
+    def make(self, index: int) -> TrainingView:
+        """Prepare a view."""
+        return make_training_view(self._views[index], self._reduction, self._crop).to(self._device)
 
-    @overload
-    def __getitem__(self, index: int) -> TrainingView: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[TrainingView]: ...
-
-    def __getitem__(self, index: int | slice) -> TrainingView | list[TrainingView]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        index = range(len(self))[index]
-        if index in self._cached:
-            return self._cached[index]
-        view = make_training_view(self._views[index], self._reduction, self._crop).to(self._device)
-        if view.size <= self._free:
-            self._free -= view.size
-            self._cached[index] = view
-        return view
+    def size(self, index: int, item: TrainingView) -> int:
+        """Return the bytes that a view takes."""
+        return item.size
