@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from ...io.srgb import decode_srgb
 from ...progress.protocol import Progress
+from ...scene.camera import Camera
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...stereo.depth_bounds import depth_bounds
@@ -60,8 +61,9 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
 
     With masks, stereo searches inside the visual hull. A region takes stereo's points where the photographs agree better at their depth
     than at the hull's and where it differs by more than a pixel, and otherwise the hull's; where much of the hull is wrong, all of
-    stereo's points are taken. Points of the hull fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, random
-    points are added, likewise outside known free space.
+    stereo's points are taken. Points of the hull fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, stereo's
+    points in free space are left out: plain backgrounds and reflections match at false depths. Random points are added, likewise outside
+    free space.
 
     Args:
         dataset: training views, bound and sparse points.
@@ -81,7 +83,7 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
         known = None if dataset.points is None else dataset.points.position
         bounds = depth_bounds([view.camera for view in dataset.train], dataset.points, dataset.bound)
         found = _search(dataset, (*bounds, None), known, count, seed, progress)
-        return None if found is None else _with_random_points(dataset, found, count, rng)
+        return None if found is None else _with_random_points(dataset, found, bounds[0], count, rng)
     hull = visual_hull(dataset.train, dataset.bound)
     bounds = hull_bounds(dataset, hull)
     found = _search(dataset, bounds, None, count, seed, progress)
@@ -154,11 +156,13 @@ def _with_hull(
     return _joined(dataset, points, hull[0][keep][:left], hull[1][keep][:left], OPACITY)
 
 
-def _with_random_points(dataset: Dataset, found: _Found, count: int, rng: np.random.Generator) -> StereoStart:
-    """Place surfels on stereo's points, and faint ones at random."""
-    points = thinned(found.points, int(SHARE * count))
+def _with_random_points(dataset: Dataset, found: _Found, nearest: Sequence[float], count: int, rng: np.random.Generator) -> StereoStart:
+    """Place surfels on stereo's points outside free space, and faint ones at random; `nearest` is the least depth searched in each view."""
+    reach = REACH * dataset.bound.radius
+    seen = ~in_free_space(found.points, found.maps, nearest, reach)
+    points = thinned(found.points.select(seen), int(SHARE * count))
     other, other_normal = random_points(dataset, int(FILLER * count), rng)
-    keep = _unexplained(other, points, found.maps, REACH * dataset.bound.radius)
+    keep = _unexplained(other, points, found.maps, reach)
     return _joined(dataset, points, other[keep], other_normal[keep], FAINT)
 
 
@@ -238,9 +242,34 @@ def views_through(points: np.ndarray, maps: Sequence[DepthMap], tolerance: float
     """
     count = np.zeros(len(points), np.int32)
     for one in maps:
-        pixel, depth = one.camera.project(points)
-        column, row = np.floor(pixel).astype(int).T
-        inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < one.camera.width) & (row < one.camera.height)
-        seen = np.where(one.support >= min(SUPPORT.values()), one.depth, 0)[row[inside], column[inside]]
-        count[inside] += seen > depth[inside] + tolerance
+        inside, row, column, depth = _in_view(points, one.camera)
+        seen = np.where(one.support >= min(SUPPORT.values()), one.depth, 0)[row, column]
+        count[inside] += seen > depth + tolerance
     return count
+
+
+def in_free_space(points: OrientedPoints, maps: Sequence[DepthMap], nearest: Sequence[float], tolerance: float) -> np.ndarray:
+    """Find the points that cannot be there: as many views look through them as see them, or they are too near to a camera that sees them.
+
+    Args:
+        points: N points, fused from the maps.
+        maps: depth maps.
+        nearest: least depth of each map's view.
+        tolerance: see `views_through`.
+
+    Returns:
+        (N,) True for these points.
+    """
+    free = views_through(points.position, maps, tolerance) >= points.support
+    for one, least in zip(maps, nearest, strict=True):
+        inside, _, _, depth = _in_view(points.position, one.camera)
+        free[inside] |= depth < least
+    return free
+
+
+def _in_view(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return which points (N, 3) project into a camera's image, (N,) bool, and row, column and depth of these K, (K,) each."""
+    pixel, depth = camera.project(points)
+    column, row = np.floor(pixel).astype(int).T
+    inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    return inside, row[inside], column[inside], depth[inside]

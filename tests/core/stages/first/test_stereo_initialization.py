@@ -16,7 +16,7 @@ from irgspp.core.stages.first.depth_evidence import DepthEvidence
 from irgspp.core.stages.first.initialization import from_hull, initial_gaussians
 from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL
 from irgspp.core.stages.first.start_selection import select_start
-from irgspp.core.stages.first.stereo_initialization import from_stereo, thinned, views_through
+from irgspp.core.stages.first.stereo_initialization import from_stereo, in_free_space, thinned, views_through
 from irgspp.core.stages.first.visual_hull import visual_hull
 from irgspp.core.stereo.depth_map import DepthMap
 from irgspp.core.stereo.fusion import OrientedPoints
@@ -213,3 +213,31 @@ def test_few_photographs_keep_the_sparse_points():
     plain, progress = initial_gaussians(few, 100, np.random.default_rng(0)), Decisions()
     assert select_start(few, preset("draft"), plain, LOW_GLOSS, progress) is plain
     assert "5 photographs" in progress.found["stereo"][1]
+
+
+def test_points_in_free_space_are_seen_through_more_often_than_seen_or_nearer_than_the_search(dataset):
+    camera = dataset.train[0].camera
+    depth = np.full((camera.height, camera.width), 4, np.float32)
+    layers = np.zeros((camera.height, camera.width, 3), np.float32), depth, np.full(depth.shape, 3, np.uint8)
+    maps = [DepthMap(camera, depth, *layers, ())] * 2
+    ray = camera.rays()[camera.height // 2, camera.width // 2].astype(np.float64)
+    places = np.stack([camera.centre + d * ray for d in (3.0, 3.0, 4.0, 1.0, -1.0)]).astype(np.float32)
+    points = OrientedPoints(places, places, places, np.array([2, 3, 2, 9, 1], np.int32))
+    assert in_free_space(points, maps, [2.0, 2.0], 0.1).tolist() == [True, False, False, True, False]
+
+
+def test_false_points_before_a_textured_surface_start_no_surfels(monkeypatch):
+    posed = bowl(masked=False)
+    fuse = stereo_initialization.fuse_points
+
+    def with_a_sheet(*arguments):
+        points = fuse(*arguments)
+        sheet = np.array([[0.05 * (i % 20) - 0.5, 0.05 * (i // 20) - 0.5, 0.9] for i in range(400)], np.float32)
+        up, grey = np.tile(np.float32([0, 0, 1]), (400, 1)), np.full((400, 3), 0.5, np.float32)
+        parts = zip((points.position, points.normal, points.colour, points.support), (sheet, up, grey, np.ones(400, np.int32)), strict=True)
+        return OrientedPoints(*(np.concatenate(pair) for pair in parts))
+
+    monkeypatch.setattr(stereo_initialization, "fuse_points", with_a_sheet)
+    place = from_stereo(posed, COUNT, 0, Silent()).gaussians.position.T.numpy()
+    on_sheet = (np.abs(place[:, :2]) < 0.5).all(1) & (np.abs(place[:, 2] - 0.9) < 0.02)
+    assert on_sheet.sum() < 10
