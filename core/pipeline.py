@@ -27,7 +27,7 @@ from .machine.peak_memory import peak_memory, reset_peak_memory
 from .progress.protocol import Progress, Silent
 from .progress.recorder import ProgressRecorder
 from .relight.backends import best_backend, open_relighter
-from .relight.relighter import RelightSettings
+from .relight.relight_settings import RelightSettings
 from .rendering.gbuffer_cache import GBufferCache
 from .run_folder import RunFolder, check_claim
 from .scene.camera_files import save_cameras

@@ -8,7 +8,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..relight.relighter import RelightSettings
+    from ..relight.relight_settings import RelightSettings
 
 
 def add_renderer_options(one: argparse.ArgumentParser) -> None:
@@ -32,6 +32,7 @@ def add_renderer_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--no-shadows", action="store_true", help=seen_through)
     one.add_argument("--no-transfer", action="store_true", help=unshadowed)
     one.add_argument("--no-ratio", action="store_true", help="sample the unoccluded diffuse light, too, which is known (as in the paper)")
+    one.add_argument("--no-divide", action="store_true", help="shade every pixel as one point, also at edges (as in the paper)")
     proportions = "proportions of cosine, visible-normal and light samples (default: 1:1:2; 1:4:3 for metal)"
     one.add_argument("--allocation", type=_proportions, metavar="C:G:E", help=proportions)
     share = "share of the mesh's normals in the shading normals, 0 (those of the Gaussians) to 1 (default: 0.5)"
@@ -42,7 +43,7 @@ def add_renderer_options(one: argparse.ArgumentParser) -> None:
 
 def relight_settings(args: argparse.Namespace) -> RelightSettings:
     """Return the relighter's settings that the options give; all others are at their defaults."""
-    from ..relight.relighter import RelightSettings  # imports torch
+    from ..relight.relight_settings import RelightSettings  # imports torch
 
     return RelightSettings(
         sampling=args.sampling,
@@ -53,6 +54,7 @@ def relight_settings(args: argparse.Namespace) -> RelightSettings:
         shadows=not args.no_shadows,
         transfer=not args.no_transfer,
         ratio=not args.no_ratio,
+        divide=not args.no_divide,
         conserving=args.diffuse == "conserving",
     )
 

@@ -15,7 +15,8 @@ from ..io.srgb import decode_srgb
 from ..progress.protocol import Progress
 from ..relight.mesh_query import MeshQuery
 from ..relight.prepared_light import prepare_light
-from ..relight.relighter import Relighter, RelightSettings
+from ..relight.relight_settings import RelightSettings
+from ..relight.relighter import Relighter
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 from ..scene.reconstruction import Reconstruction

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..relight.backends import Backend
-from ..relight.relighter import RelightSettings
+from ..relight.relight_settings import RelightSettings
 from .cases import Cases
 from .image_metrics import LpipsBySuffix
 from .lpips import NO_LPIPS
@@ -30,6 +30,7 @@ def describe_renderer(relight: RelightSettings, backend: Backend) -> str:
         parts.append("indirect light without shadows")
     parts += [] if relight.shadows else ["without shadows"]
     parts += [] if relight.ratio else ["without the known irradiance"]
+    parts += [] if relight.divide else ["one point per pixel"]
     parts += [] if relight.mesh_normals == RelightSettings().mesh_normals else [f"mesh normals {relight.mesh_normals:g}"]
     return ", ".join(parts if relight.conserving else [*parts, "Lambertian diffuse lobe"])
 

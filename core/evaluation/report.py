@@ -19,7 +19,8 @@ from ..machine.devices import best
 from ..progress.protocol import Progress, Silent
 from ..relight.backends import Backend, best_backend, open_relighter
 from ..relight.prepared_light import PreparedLight, prepare_light
-from ..relight.relighter import Relighter, RelightSettings
+from ..relight.relight_settings import RelightSettings
+from ..relight.relighter import Relighter
 from ..rendering.gbuffer import render_gbuffer
 from ..scene.camera import Camera
 from ..scene.mesh_ply import load_mesh_ply

@@ -11,7 +11,8 @@ from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from .gaussian_query import GaussianQuery
 from .mesh_query import MeshQuery
-from .relighter import Relighter, RelightSettings
+from .relight_settings import RelightSettings
+from .relighter import Relighter
 
 Backend = Literal["gaussian", "mesh"]
 

@@ -12,7 +12,7 @@ from ..shading.brdf import base_reflectance, bend_view_to_normal
 from ..shading.specular_albedo import diffuse_fraction
 from .indirect_light import SUMS
 from .prepared_light import PreparedLight
-from .primary_hits import PrimaryHits
+from .primary_hits import DividedHits, PrimaryHits
 
 MAX_CORRECTION = 2.0  # largest factor by which a sum of few samples is corrected
 
@@ -73,6 +73,17 @@ def estimate_reflected_light(
         diffuse_split = body * (split[:, 0] - torch.where(unoccluded > 0, visible_fraction * split[:, 3], 0.0))
     estimate = Estimate(body * irradiance, f0 * scaled + added, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
     return _plus_lamps(estimate, lamps, albedo, f0) if lamps.shape[-1] else estimate
+
+
+def joined_estimate(divided: DividedHits, single: Estimate, rays: Estimate) -> Estimate:
+    """Return the light that divided pixels reflect, of that of their single points and that of their rays."""
+    return Estimate(
+        divided.joined(single.diffuse, rays.diffuse),
+        divided.joined(single.specular, rays.specular),
+        divided.joined(single.diffuse_split, rays.diffuse_split),
+        divided.joined(single.specular_split, rays.specular_split),
+        single.samples,
+    )
 
 
 def _plus_lamps(estimate: Estimate, sums: torch.Tensor, albedo: torch.Tensor, f0: torch.Tensor) -> Estimate:

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 
 import torch
 
+from ..kernels.rasterize import NORMAL
 from ..rendering.deferred import surface_pixels
-from ..rendering.gbuffer import rasterize_view
+from ..rendering.gbuffer import BAND, SUBPIXELS, rasterize_view
 from ..scene.camera import Camera
 from ..scene.gbuffer import EMPTY_ALPHA
 from ..scene.reconstruction import Reconstruction
+
+FLAT = 0.999  # length of the mean unit normal of a pixel's rays from which one point stands for all: 5 degrees between two halves
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,7 @@ class PrimaryHits:
         alpha: (P,) opacity in 0..1.
         coverage: (H, W) opacity of all pixels, including those too faint to be lit.
         origin: (P, 3) origins of secondary rays, world.
+        divided: the same pixels with the rays of some apart, None where each is one point.
     """
 
     camera: Camera
@@ -48,11 +52,16 @@ class PrimaryHits:
     alpha: torch.Tensor
     coverage: torch.Tensor
     origin: torch.Tensor
+    divided: DividedHits | None = None
 
     def only(self, which: torch.Tensor) -> PrimaryHits:
-        """Return some of the points, by ascending indices (K,)."""
-        rows = {f.name: getattr(self, f.name)[which] for f in dataclasses.fields(self) if f.name not in ("camera", "coverage")}
-        return dataclasses.replace(self, **rows)
+        """Return some of the points, by ascending indices (K,), undivided."""
+        return dataclasses.replace(self, **{name: getattr(self, name)[which] for name in self.per_point()}, divided=None)
+
+    @classmethod
+    def per_point(cls) -> list[str]:
+        """Return the names of the attributes with a row for each point."""
+        return [f.name for f in dataclasses.fields(cls) if f.name not in ("camera", "coverage", "divided")]
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
         """Return straight colours of the points, (P, 3), as a linear premultiplied image (H, W, 4)."""
@@ -60,6 +69,47 @@ class PrimaryHits:
         rgba[self.index, :3] = colour * self.alpha[:, None]
         rgba[:, 3] = self.coverage.flatten()
         return rgba.view(*self.coverage.shape, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class DividedHits:
+    """P pixels of a view: a single point for most, and a point for each ray of those in which the surface bends or breaks.
+
+    A pixel is the mean over several rays. At an edge their mean normal belongs to no surface, and what it would reflect is seen nowhere.
+
+    Attributes:
+        single: the pixels that are one point.
+        single_row: (K,) their rows among the P pixels.
+        rays: rays of the other pixels, as hits of a camera with as many pixels as this one has rays.
+        ray_row: (R,) row of each ray's pixel.
+        share: (R,) of the ray in its pixel's opacity; the shares of a pixel sum to 1.
+    """
+
+    single: PrimaryHits
+    single_row: torch.Tensor
+    rays: PrimaryHits
+    ray_row: torch.Tensor
+    share: torch.Tensor
+
+    @classmethod
+    def of(cls, surface: PrimaryHits, rays: PrimaryHits) -> DividedHits:
+        """Divide the pixels of a surface.
+
+        Args:
+            surface: P pixels.
+            rays: all rays of some of them, from `bent_rays`.
+        """
+        width, side = surface.camera.width, rays.camera.width // surface.camera.width
+        fine_row, fine_column = rays.index // rays.camera.width, rays.index % rays.camera.width
+        row = torch.searchsorted(surface.index, fine_row // side * width + fine_column // side)
+        opacity = torch.zeros_like(surface.alpha).index_add(0, row, rays.alpha)
+        single_row = torch.nonzero(opacity == 0)[:, 0]
+        return cls(surface.only(single_row), single_row, rays, row, rays.alpha / opacity[row])
+
+    def joined(self, of_single: torch.Tensor, of_rays: torch.Tensor) -> torch.Tensor:
+        """Return the values (P, 3) of all pixels, of those of the single points (K, 3) and those of the rays (R, 3)."""
+        pixels = of_single.new_zeros(len(self.single_row) + int(self.ray_row.unique().numel()), 3)
+        return pixels.index_copy(0, self.single_row, of_single).index_add(0, self.ray_row, of_rays * self.share[:, None])
 
 
 def primary_hits(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> PrimaryHits:
@@ -71,10 +121,45 @@ def primary_hits(reconstruction: Reconstruction, camera: Camera, albedo_scale: t
         albedo_scale: (3,) factors of the albedo.
     """
     image, rays = rasterize_view(reconstruction, camera)
-    with torch.no_grad():
-        p = surface_pixels(image, rays, EMPTY_ALPHA)
-        ray = rays.flatten(1)[:, p.index].T.contiguous()
-        depth = image[-2].flatten()[p.index] / p.alpha
-        point = torch.from_numpy(camera.centre).to(depth) + depth[:, None] * ray
-        materials = (p.albedo * albedo_scale, p.roughness, p.metallic, p.alpha)
-        return PrimaryHits(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, image[-1].contiguous(), point)
+    return _hits(camera, image, rays, albedo_scale)
+
+
+def bent_rays(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> PrimaryHits:
+    """Return the rays of those pixels in which the surface bends or breaks, as hits of a camera with SUBPIXELS times the resolution.
+
+    Args:
+        reconstruction: Gaussians with materials.
+        camera: the camera.
+        albedo_scale: (3,) factors of the albedo.
+    """
+    finer = camera.resized(camera.width * SUBPIXELS, camera.height * SUBPIXELS)
+    rows = max(1, BAND // (finer.width * SUBPIXELS)) * SUBPIXELS
+    bands = []
+    for top in range(0, finer.height, rows):
+        part = finer.cropped(0, top, finer.width, min(rows, finer.height - top))
+        image, rays = rasterize_view(reconstruction, part, subpixels=1)
+        index = torch.nonzero(_bends(image).flatten())[:, 0]
+        hits = _hits(part, image.flatten(1)[:, index][:, None], rays.flatten(1)[:, index][:, None], albedo_scale)
+        bands.append(dataclasses.replace(hits, index=index + top * finer.width, coverage=image[-1].clone()))
+    joined = {name: torch.cat([getattr(band, name) for band in bands]) for name in (*PrimaryHits.per_point(), "coverage")}
+    return dataclasses.replace(bands[0], camera=finer, **joined)
+
+
+def _bends(image: torch.Tensor) -> torch.Tensor:
+    """Return which rays (H, W) of sums (13, H, W) are opaque and belong to a pixel, SUBPIXELS wide, in which their normals differ."""
+    alpha, normal = image[-1], image[NORMAL]
+    unit = normal * (alpha / normal.norm(dim=0).clamp_min(1e-12))  # as long as the ray is opaque
+    mean = torch.nn.functional.avg_pool2d(torch.cat([unit, alpha[None]])[None], SUBPIXELS)[0]
+    bent = (mean[:3].norm(dim=0) < FLAT * mean[3]) & (mean[3] > 2 * EMPTY_ALPHA)
+    return bent.repeat_interleave(SUBPIXELS, 0).repeat_interleave(SUBPIXELS, 1) & (alpha > EMPTY_ALPHA)
+
+
+@torch.no_grad()
+def _hits(camera: Camera, image: torch.Tensor, rays: torch.Tensor, albedo_scale: torch.Tensor) -> PrimaryHits:
+    """Return the covered pixels of sums (13, H, W) of `rasterize_view` with its rays (3, H, W)."""
+    p = surface_pixels(image, rays, EMPTY_ALPHA)
+    ray = rays.flatten(1)[:, p.index].T.contiguous()
+    depth = image[-2].flatten()[p.index] / p.alpha
+    point = torch.from_numpy(camera.centre).to(depth) + depth[:, None] * ray
+    materials = (p.albedo * albedo_scale, p.roughness, p.metallic, p.alpha)
+    return PrimaryHits(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, image[-1].contiguous(), point)

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,22 +16,23 @@ import torch
 from ..errors import InputError
 from ..machine.backend import by_warp
 from ..machine.gpu_memory import rays_that_fit
+from ..rendering.gbuffer import SUBPIXELS
 from ..scene.camera import Camera
 from ..scene.lamps import Lamp
 from ..scene.reconstruction import Reconstruction
-from ..settings.schema import SkipSettings
 from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
 from .adaptive_sampling import PILOT, ROUNDS, estimate_noise
 from .denoise import Guides, denoised
 from .direct_light import add_light_samples
-from .estimate import Estimate, estimate_reflected_light
+from .estimate import Estimate, estimate_reflected_light, joined_estimate
 from .indirect_light import SUMS, SecondaryScene, ShadingPoints, gather, trace_samples
 from .lamp_light import bounced_sums, lamp_count, lamp_sums
 from .mesh_query import MeshQuery
 from .prepared_light import PreparedLight
-from .primary_hits import PrimaryHits, primary_hits
+from .primary_hits import DividedHits, PrimaryHits, bent_rays, primary_hits
 from .ray_cache import CachedRays, RayCounter
+from .relight_settings import RelightSettings
 from .sample_counts import Counts, pixel_shifts, sample_counts
 from .secondary_query import SurfaceQuery
 from .vertex_transfer import VertexTransfer
@@ -42,44 +41,6 @@ from .without_shadows import WithoutShadows, gather_unoccluded
 
 RAYS = 1 << 17  # rays traced at a time on the CPU: few enough for its cache, enough for every thread
 CACHE_BYTES = 1 << 28  # largest size of the secondary rays kept from light to light
-
-
-@dataclass(frozen=True)
-class RelightSettings:
-    """Settings of a relit image.
-
-    Attributes:
-        samples: "hq", "efficient" or the number of samples per pixel.
-        sampling: "mis", or "stratified" for comparison.
-        denoise: "demodulated", "paper" or "off".
-        indirect: add the light that other parts of the object reflect; without it they only cast shadows.
-        transfer: these parts receive light with shadows and interreflections, see `VertexTransfer`, where there is a mesh; False: the
-            unoccluded light (the paper).
-        conserving: reduce the diffuse lobe by what the specular lobe reflects (Blender's Principled BSDF); False: do not (the paper).
-        mesh_normals: weight of the mesh's normals in the shading normals, 0..1, where there is a mesh.
-        albedo_scale: factor of the albedo per channel: under an unknown light its brightness cannot be determined.
-        skip: `reuse_visibility` ("off": every ray is traced) and `cache_rays` ("off": nothing is kept from light to light), see
-            `SkipSettings`.
-        error: root-mean-square error of the sRGB image to reach by adaptive sampling (`adaptive_sampling.py`), which then chooses the
-            number of samples per tile instead of `samples`; None: not adaptive.
-        allocation: proportions of cosine, visible-normal and light samples; None: by the object's material.
-        shadows: other parts of the object hide the light; False: for comparison, they only reflect.
-        ratio: the diffuse light's unoccluded part is known and not sampled, see `estimate_reflected_light`; False: it is (the paper).
-    """
-
-    samples: str | int = "hq"
-    sampling: Literal["mis", "stratified"] = "mis"
-    denoise: Literal["demodulated", "paper", "off"] = "demodulated"
-    indirect: bool = True
-    transfer: bool = True
-    conserving: bool = True
-    mesh_normals: float = 0.5
-    albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    skip: SkipSettings = field(default_factory=SkipSettings)
-    error: float | None = None
-    allocation: Counts | None = None
-    shadows: bool = True
-    ratio: bool = True
 
 
 class Relighter:
@@ -130,7 +91,15 @@ class Relighter:
 
     def surface(self, camera: Camera) -> PrimaryHits:
         """Return the surface that a camera sees, to be lit by `relit` under one or several lights."""
-        surface = primary_hits(self.reconstruction, camera, self._scale)
+        surface = self._placed(primary_hits(self.reconstruction, camera, self._scale))
+        if self.settings.divide and self.settings.error is None:
+            rays = bent_rays(self.reconstruction, camera, self._scale)
+            if len(rays.index):
+                return dataclasses.replace(surface, divided=DividedHits.of(surface, self._placed(rays)))
+        return surface
+
+    def _placed(self, surface: PrimaryHits) -> PrimaryHits:
+        """Return a surface with refined normals, and with origins of secondary rays."""
         if self.mesh is not None and self.settings.mesh_normals > 0:
             surface = self.mesh.refined(surface, self.settings.mesh_normals)
         return dataclasses.replace(surface, origin=self.query.origins(surface))
@@ -159,9 +128,16 @@ class Relighter:
         if light.distribution is None and not lamps:
             black = torch.zeros_like(surface.albedo)
             return Estimate(black, black, black, black, sum(self.counts))
-        with torch.no_grad():
-            sums = self._sums(surface, self.counts, light, lamps)
-            return self._estimate(sums, sum(self.counts), surface, light)
+        if surface.divided is None:
+            return self._sampled(surface, self.counts, light, lamps)
+        single = self._sampled(surface.divided.single, self.counts, light, lamps)
+        of_ray = self._counts_of(max(1, sum(self.counts) // SUBPIXELS**2))
+        return joined_estimate(surface.divided, single, self._sampled(surface.divided.rays, of_ray, light, lamps))
+
+    @torch.no_grad()
+    def _sampled(self, surface: PrimaryHits, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
+        """Estimate the light that points reflect, by as many samples at each."""
+        return self._estimate(self._sums(surface, counts, light, lamps), sum(counts), surface, light)
 
     def _estimate(self, sums: torch.Tensor, samples: int | torch.Tensor, surface: PrimaryHits, light: PreparedLight) -> Estimate:
         """Return the reflected light of sums over samples, see `estimate_reflected_light`."""

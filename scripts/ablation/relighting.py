@@ -10,7 +10,7 @@ from typing import Any
 
 from irgspp.core.evaluation.report import evaluate
 from irgspp.core.progress.protocol import Progress
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 from irgspp.core.run_folder import read_run, write_atomic
 from irgspp.core.settings.overrides import from_dict
 

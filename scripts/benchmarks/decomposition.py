@@ -14,7 +14,8 @@ from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips, find_lpips
 from irgspp.core.evaluation.prediction import Prediction
 from irgspp.core.relight.backends import best_backend, open_relighter
 from irgspp.core.relight.prepared_light import prepare_light
-from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.relighter import Relighter
 from irgspp.core.rendering.gbuffer import render_gbuffer
 from irgspp.core.scene.reconstruction import Reconstruction
 

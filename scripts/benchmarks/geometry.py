@@ -11,7 +11,7 @@ import torch
 from irgspp.core.evaluation import metrics, visualisation
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.mesh_query import MeshQuery
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 from irgspp.core.scene.mesh_ply import load_mesh_ply
 from irgspp.core.scene.reconstruction import Reconstruction
 

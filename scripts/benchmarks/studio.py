@@ -12,7 +12,8 @@ import numpy as np
 from irgspp.core.evaluation import metrics
 from irgspp.core.relight.backends import Backend, open_relighter
 from irgspp.core.relight.prepared_light import PreparedLight, prepare_light
-from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.relighter import Relighter
 from irgspp.core.scene.dataset import View
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import SkipSettings

@@ -16,7 +16,8 @@ import torch
 from irgspp.core.pipeline import reconstruct
 from irgspp.core.relight.mesh_query import MeshQuery
 from irgspp.core.relight.prepared_light import prepare_light
-from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.relighter import Relighter
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import FirstStageSettings, SecondStageSettings, preset

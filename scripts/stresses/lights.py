@@ -11,7 +11,8 @@ import torch
 from irgspp.core.kernels.cpu.directions import lightmap_place
 from irgspp.core.relight.gaussian_query import GaussianQuery
 from irgspp.core.relight.prepared_light import prepare_light
-from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.relighter import Relighter
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.environment_files import DIM, repair_environment
 from irgspp.core.scene.reconstruction import Reconstruction

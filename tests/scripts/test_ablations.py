@@ -7,7 +7,7 @@ import time
 
 import pytest
 from irgspp.core.cli.parser import check_words
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 from irgspp.core.settings.overrides import to_dict, with_overrides
 from irgspp.core.settings.schema import preset
 from scripts_folder import script as script

@@ -20,7 +20,7 @@ from irgspp.core.kernels.warp import trace as tracing
 from irgspp.core.machine import devices
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.prepared_light import prepare_light
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import with_overrides

@@ -28,7 +28,8 @@ from ..ground_shadow import Plane, over_shadow, plane_surface, shadow_alpha
 from ..mesh_query import MeshQuery
 from ..prepared_light import PreparedLight, prepare_light
 from ..primary_hits import PrimaryHits
-from ..relighter import RAYS, Relighter, RelightSettings
+from ..relight_settings import RelightSettings
+from ..relighter import RAYS, Relighter
 from ..secondary_query import Hits, SurfaceQuery
 
 PREVIEW_SAMPLES = 8  # samples per pixel of the first images

@@ -4,7 +4,7 @@
 import pytest
 from irgspp.core.cli.parser import parser
 from irgspp.core.cli.renderer_options import relight_settings
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 
 COMMANDS = (["render", "run", "-o", "views"], ["evaluate", "run", "dataset"])
 

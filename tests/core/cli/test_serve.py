@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.prepared_light import prepare_light
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.reconstruction import Reconstruction
 from relight_run import write_relightable

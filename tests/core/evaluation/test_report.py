@@ -14,7 +14,7 @@ from irgspp.core.evaluation import contact_sheet as sheet
 from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips
 from irgspp.core.evaluation.protocols import PROTOCOLS, describe_protocol
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 from markupsafe import escape
 from PIL import Image
 

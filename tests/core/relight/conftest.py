@@ -9,7 +9,8 @@ import torch
 import trimesh
 from irgspp.core.relight.gaussian_query import GaussianQuery
 from irgspp.core.relight.mesh_query import MeshQuery
-from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.relighter import Relighter
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.mesh import Mesh

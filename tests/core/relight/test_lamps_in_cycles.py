@@ -10,7 +10,8 @@ import torch
 from irgspp.core.relight.mesh_query import MeshQuery
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.primary_hits import PrimaryHits
-from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.relighter import Relighter
 from irgspp.core.scene.mesh import Mesh
 from scripts_folder import scripts_on_path
 

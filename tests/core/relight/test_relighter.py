@@ -7,9 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.relight import primary_hits
 from irgspp.core.relight import relighter as module
 from irgspp.core.relight.prepared_light import prepare_light
-from irgspp.core.relight.relighter import Relighter, RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.relighter import Relighter
 from irgspp.core.scene.camera import Camera
 from irgspp.core.shading.brdf import base_reflectance
 from irgspp.core.shading.procedural_lights import studio_light, sunset_light
@@ -150,9 +152,9 @@ def test_rays_are_kept_for_the_next_light_and_let_go_with_the_surface(relighter,
     surface, light = one.surface(camera), prepare_light(studio_light(32, 64))
     for _ in range(2):
         one.relit(surface, light)
-    first, second = sum(asked[: len(asked) - 1]), asked[-1]  # cosine and visible normals once, light samples each time
+    first, second = sum(asked[:-2]), sum(asked[-2:])  # cosine and visible normals once, light samples each time
     assert 0 < second < 0.6 * first
-    assert len(one._ray_cache) == 1
+    assert len(one._ray_cache) == 2  # single points, and rays of pixels at edges
     del surface
     assert len(one._ray_cache) == 0
 
@@ -229,3 +231,51 @@ def test_light_is_looked_up_at_full_resolution_in_mirrors(relighter, camera):
     assert isinstance(one.settings, RelightSettings)
     rgba = one.relit(one.surface(camera), prepare_light(lamp))
     assert rgba[..., 0].max() > 20 * rgba[..., 0][rgba[..., 3] > 0.99].median()
+
+
+def test_rays_of_pixels_at_edges_are_shaded_apart(relighter, camera):
+    """At outlines before another surface, divided pixels come closer to an image of twice the resolution than pixels of one point."""
+    light, material = prepare_light(studio_light(32, 64)), (0.9, 0.7, 0.3, 0.3, 1.0)
+    exact = relighter("mesh", material, samples=512, divide=False, denoise="off")
+    finer = exact.relit(exact.surface(camera.resized(4 * camera.width, 4 * camera.height)), light)
+    goal = torch.nn.functional.avg_pool2d(finer.permute(2, 0, 1), 4).permute(1, 2, 0)
+    error = {}
+    for divide in (True, False):
+        one = relighter("mesh", material, samples=512, divide=divide, denoise="off")
+        surface = one.surface(camera)
+        assert (surface.divided is not None) == divide
+        if divide:
+            edges, rays = surface.index[surface.divided.ray_row.unique()], len(surface.divided.rays.index)
+        error[divide] = (one.relit(surface, light) - goal).abs().mean(-1).flatten()
+    assert 0.02 < len(edges) / len(surface.index) < 0.5
+    assert 2 * len(edges) < rays <= 4 * len(edges)
+    others = torch.ones(len(error[True]), dtype=torch.bool)
+    others[edges] = False
+    assert error[True][edges].mean() < 0.7 * error[False][edges].mean()
+    assert torch.allclose(error[True][others], error[False][others], atol=1e-3)  # their tiles share other directions without occluders
+
+
+def test_divided_rays_share_their_pixel(relighter, camera):
+    surface = relighter("gaussian").surface(camera)
+    divided = surface.divided
+    rows = torch.cat([divided.single_row, divided.ray_row.unique()]).sort().values
+    assert torch.equal(rows, torch.arange(len(surface.index)))
+    total = torch.zeros(len(surface.index)).index_add(0, divided.ray_row, divided.share)
+    assert total[divided.ray_row].sub(1).abs().max() < 1e-6
+    albedo = divided.joined(divided.single.albedo, divided.rays.albedo)
+    assert (albedo - surface.albedo).abs().max() < 1e-3
+    mean = torch.nn.functional.normalize(divided.joined(divided.single.normal, divided.rays.normal), dim=1)
+    assert ((mean * surface.normal).sum(1) > 0.9).float().mean() > 0.99
+
+
+def test_tall_images_are_rasterised_in_bands(relighter, camera, monkeypatch):
+    whole = relighter("gaussian").surface(camera).divided.rays
+    monkeypatch.setattr(primary_hits, "BAND", 4 * camera.width * 7)
+    parts = relighter("gaussian").surface(camera).divided.rays
+    assert torch.equal(whole.index, parts.index)
+    assert torch.allclose(whole.normal, parts.normal, atol=1e-5)
+    assert torch.allclose(whole.coverage, parts.coverage, atol=1e-5)
+
+
+def test_adaptive_sampling_takes_pixels_as_one_point(relighter, camera):
+    assert relighter("mesh", error=0.02).surface(camera).divided is None

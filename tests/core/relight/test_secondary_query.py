@@ -7,7 +7,7 @@ import torch
 from irgspp.core.errors import InputError
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.mesh_query import MeshQuery
-from irgspp.core.relight.relighter import RelightSettings
+from irgspp.core.relight.relight_settings import RelightSettings
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.shading.sampling import point_set
 
