@@ -31,6 +31,7 @@ from .material_search import MaterialSearch
 from .metal_regions import confirm_metal
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
+from .refinement import METAL_ON_AVERAGE
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
 
 STEPS = 40
@@ -96,6 +97,7 @@ class LightMaterialSolver:
         self._diffuse = transfer.diffuse_rows(samples)
         self._search = MaterialSearch(samples, transfer, self._diffuse, self.n_v, mean, search_metal)
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
+        self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
         self._trace_lobes()
 
     def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
@@ -115,6 +117,15 @@ class LightMaterialSolver:
             require_finite(unknowns, f"after step {done + 1} of the second stage")
             if step(done + 1):
                 break
+        if not float(self.metallic.mean()) > METAL_ON_AVERAGE:
+            self._reduce_tint()
+
+    def _reduce_tint(self) -> None:
+        """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""
+        likely = self._light_prior.likely_tint(self.light, self._curvature, self.error())
+        change = (likely - self._light_prior.tint(self.light)).exp()
+        self.light = self.light * change
+        self.albedo = (self.albedo / change).clamp(*ALBEDO_RANGE)
 
     def error(self) -> float:
         """Return the median difference between model and images, approximately in encoded values 0..1."""
@@ -147,7 +158,8 @@ class LightMaterialSolver:
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
         residual, smoothness = self.albedo[samples.point] * factor + rest - y, self._light_prior.form(self.light)
         channels = [(weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)]
-        self.light = torch.stack([self._step_light(c, *channel, smoothness) for c, channel in enumerate(channels)], 1)
+        steps = [self._step_light(c, *channel, smoothness) for c, channel in enumerate(channels)]
+        self.light, self._curvature = torch.stack([light for light, _ in steps], 1), torch.stack([curvature for _, curvature in steps])
 
     def _step_light(
         self,
@@ -157,15 +169,19 @@ class LightMaterialSolver:
         total: torch.Tensor,
         residual: torch.Tensor,
         smoothness: torch.Tensor,
-    ) -> torch.Tensor:
-        """Return one channel (T,) of the light after a damped Gauss-Newton step; the albedo follows the light (Schur complement)."""
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Do a damped Gauss-Newton step of one channel of the light; the albedo follows the light (Schur complement).
+
+        Returns:
+            The channel (T,), and the error's curvature in its log brightness.
+        """
         light = self.light[:, channel]
         hessian, gradient = self._equations(channel, weight, factor, total, residual)
         hessian, gradient = light[:, None] * hessian * light, light * gradient  # with respect to the logarithm of the light
         damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
         log_light = light.log()
         step = torch.linalg.solve(damped.double(), (gradient + smoothness @ log_light).double()).float()
-        return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp()
+        return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp(), hessian.sum()
 
     def _equations(
         self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor

@@ -123,3 +123,20 @@ def test_steps_are_reported_and_can_end_the_run(scene):
     with pytest.raises(KeyboardInterrupt):
         start(seen, transfer).run(stop)
     assert max(module.MATERIAL_STEPS) + 1 < STEPS  # the light follows the materials
+
+
+@pytest.mark.parametrize("error, kept", [(1e-4, True), (3.0, False)])
+def test_tint_stays_with_the_light_only_where_the_photographs_tell(scene, monkeypatch, error, kept):
+    """With a small error the fitted tint stays; with a large one the light becomes neutral and the albedo takes the tint."""
+    transfer, seen, _ = scene
+    monkeypatch.setattr(LightMaterialSolver, "_reduce_tint", lambda self: None)
+    solver = start(replace(seen, colour=seen.colour * torch.tensor([1.5, 1.0, 0.6])), transfer)
+    solver.run(lambda done: done == 6)
+    monkeypatch.undo()
+    before, product = solver._light_prior.tint(solver.light), solver.light.mean(0) * solver.albedo
+    assert before.abs().max() > 0.2
+    monkeypatch.setattr(solver, "error", lambda: error)
+    solver._reduce_tint()
+    after = solver._light_prior.tint(solver.light)
+    assert torch.allclose(after, before, atol=0.02) if kept else after.abs().max() < 0.02
+    assert torch.allclose(solver.light.mean(0) * solver.albedo, product, rtol=1e-4)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.light_prior import SLOPE, SMOOTHNESS, LightPrior
+from irgspp.core.stages.second.light_prior import INDEPENDENT, SLOPE, SMOOTHNESS, TINT, LightPrior
 
 HEIGHT, WIDTH = 4, 8
 EDGE = SLOPE * math.pi / HEIGHT
@@ -43,3 +43,22 @@ def test_constant_light_costs_nothing_and_has_no_slope(prior):
     light = torch.full((HEIGHT * WIDTH, 3), 0.7, dtype=torch.float64)
     log_light = light[:, 0].log()
     assert float((prior.form(light) @ log_light).abs().max()) < 1e-12 * SMOOTHNESS / EDGE
+
+
+def test_tint_is_that_of_the_mean_over_the_sphere(prior):
+    rows = torch.tensor([[0.2, 0.4, 0.4], [0.8, 0.5, 0.1]]).repeat_interleave(HEIGHT * WIDTH // 2, 0)  # upper and lower half
+    tint = prior.tint(rows)
+    assert float(tint.sum()) == pytest.approx(0, abs=1e-6)
+    mean = np.log([0.5, 0.45, 0.25])
+    assert np.allclose(tint.numpy(), mean - mean.mean(), atol=1e-6)
+    brighter = prior.tint(7 * rows)
+    assert torch.allclose(brighter, tint, atol=1e-6)
+
+
+def test_likely_tint_is_the_fitted_one_where_photographs_tell_and_none_where_they_do_not(prior):
+    light = torch.tensor([[0.9, 0.5, 0.2]]).expand(HEIGHT * WIDTH, 3)
+    tint, error = prior.tint(light), 0.01
+    variance = (error / 0.6745) ** 2 / INDEPENDENT  # of the mean of the independent errors
+    for curvature, share in ((1e3, 1.0), (1e-12, 0.0), (variance / TINT**2, 0.5)):
+        likely = prior.likely_tint(light, torch.full((3,), curvature), error)
+        assert torch.allclose(likely, share * tint, atol=1e-5)

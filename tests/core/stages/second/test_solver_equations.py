@@ -80,7 +80,7 @@ def test_hessian_is_that_of_gauss_and_newton_with_albedo_eliminated(halfway):
     full = jacobian.T @ jacobian / len(solver.samples.point)
     by_light, mixed, by_albedo = full[:TEXELS, :TEXELS], full[:TEXELS, TEXELS:], full[TEXELS:, TEXELS:]
     expected = by_light - mixed @ torch.linalg.solve(by_albedo, mixed.T)
-    np.testing.assert_allclose(hessian, expected, atol=1e-5 * float(expected.abs().max()))
+    np.testing.assert_allclose(hessian, expected, atol=2e-5 * float(expected.abs().max()))
     assert torch.linalg.eigvalsh(hessian.double()).min() > -1e-6 * float(expected.abs().max())
 
 
