@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -13,7 +15,9 @@ from .visual_hull import visual_hull
 
 OPACITY = 0.7  # of surfels on a surface
 FAINT = 0.1  # of surfels on sparse points and at random places, where there may be no surface
-SURROUNDINGS = 5.0  # largest distance of random points from the bound's centre, in radii of the bound
+SURROUNDINGS = 5.0  # largest distance of random points from the bound's centre, in radii of the bound; behind far cameras more
+BEHIND = 1.2  # least distance of those on the cameras' side, in median distances of the cameras
+ASIDE = math.cos(math.radians(45))  # angle to a camera at the bound's centre up to which a point is on the cameras' side
 SURFACE_SPREAD = 0.92  # scale of a surfel over the spacing of points that cover a surface evenly
 SPARSE_SPREAD = 0.65  # scale of a surfel over the distance to its neighbours among points in space
 NEIGHBOURS = 16  # of a point that tell its surface's spacing
@@ -94,7 +98,7 @@ def surface_spacing(points: np.ndarray, radius: float) -> np.ndarray:
 
 
 def random_points(dataset: Dataset, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Draw points in and around the bound, without those close to a camera: a surfel there would hide everything.
+    """Draw points in and around the bound, without those close to a camera or beside the cameras: surfels there would hide everything.
 
     Args:
         dataset: views and bound.
@@ -107,13 +111,17 @@ def random_points(dataset: Dataset, count: int, rng: np.random.Generator) -> tup
     centre, radius = np.asarray(dataset.bound.centre), dataset.bound.radius
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    # Every other point lies around the object, log-uniform in distance, to represent the background.
-    inner = rng.random(count) ** (1 / 3)
-    reach = np.where(np.arange(count) % 2 == 0, inner, SURROUNDINGS ** rng.random(count))
-    points = centre + direction * radius * reach[:, None]
     cameras = np.stack([v.camera.centre for v in dataset.train])
-    clearance = 0.5 * np.linalg.norm(cameras - centre, axis=1).min()
-    points = points[KDTree(cameras).query(points)[0] > clearance]
+    distance = np.linalg.norm(cameras - centre, axis=1)
+    # Every other point lies around the object, log-uniform in distance, to represent the background. On the cameras' side of the object it
+    # lies behind them: before a new camera among them it would cover the image.
+    facing = (direction @ ((cameras - centre) / distance[:, None]).T).max(1) > ASIDE
+    nearest = np.where(facing, max(1.0, BEHIND * float(np.median(distance)) / radius), 1.0)
+    farthest = np.maximum(SURROUNDINGS, 2 * nearest)
+    inner = rng.random(count) ** (1 / 3)
+    outer = nearest * (farthest / nearest) ** rng.random(count)
+    points = centre + direction * radius * np.where(np.arange(count) % 2 == 0, inner, outer)[:, None]
+    points = points[KDTree(cameras).query(points)[0] > 0.5 * distance.min()]
     return points, towards_cameras(dataset, points)
 
 
