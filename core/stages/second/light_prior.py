@@ -18,7 +18,8 @@ import torch
 from ...shading.environment_lookup import solid_angles
 
 SMOOTHNESS = 1e-7  # weight of the log light's differences, per pair of neighbouring texels
-TINT = 0.15  # standard deviation of the mean light's log tint; 0.02 to 0.16 in seven of eight lights of test scenes
+TINT = 0.2  # log tint of the mean light above which it is unlikely; 0.02 to 0.16 in seven of eight lights of test scenes
+NEWTON_STEPS = 60  # each takes at most a third off a tint that is much too large
 INDEPENDENT = 50  # number of independent errors of the photographs, whose neighbours and views err alike
 SLOPE = 2.55  # change of the log light per radian at which the weight of a pair is halved; 0.5 between texels of a map of 16 rows
 
@@ -61,12 +62,18 @@ class LightPrior:
         return mean - mean.mean()
 
     def likely_tint(self, light: torch.Tensor, curvature: torch.Tensor, error: float) -> torch.Tensor:
-        """Return the log tint (3,) between that of a light and none: the mean of the two, weighted by their precision.
+        """Return the most likely log tint (3,) of a light, between that which fits the photographs best and none.
+
+        The prior's negative logarithm is (t / TINT)^4 / 4: small tints are all alike likely, large ones hardly.
 
         Args:
             light: (T, 3) linear radiance that fits the photographs best.
             curvature: (3,) of half their mean squared error in each channel's log brightness.
             error: median of their absolute errors.
         """
-        variance = (error / 0.6745) ** 2  # that of a normal distribution of the same median
-        return self.tint(light) * curvature / (curvature + variance / (INDEPENDENT * TINT**2))
+        fitted = tint = self.tint(light)
+        variance = (error / 0.6745) ** 2 / INDEPENDENT  # of the mean; 0.6745: the median of a normal distribution's absolute values
+        cubic = variance / (curvature.clamp_min(1e-30) * TINT**4)
+        for _ in range(NEWTON_STEPS):
+            tint = tint - (tint + cubic * tint**3 - fitted) / (1 + 3 * cubic * tint**2)
+        return tint - tint.mean()

@@ -58,7 +58,17 @@ def test_tint_is_that_of_the_mean_over_the_sphere(prior):
 def test_likely_tint_is_the_fitted_one_where_photographs_tell_and_none_where_they_do_not(prior):
     light = torch.tensor([[0.9, 0.5, 0.2]]).expand(HEIGHT * WIDTH, 3)
     tint, error = prior.tint(light), 0.01
-    variance = (error / 0.6745) ** 2 / INDEPENDENT  # of the mean of the independent errors
-    for curvature, share in ((1e3, 1.0), (1e-12, 0.0), (variance / TINT**2, 0.5)):
-        likely = prior.likely_tint(light, torch.full((3,), curvature), error)
-        assert torch.allclose(likely, share * tint, atol=1e-5)
+    assert torch.allclose(prior.likely_tint(light, torch.full((3,), 1e3), error), tint, atol=1e-5)
+    assert prior.likely_tint(light, torch.full((3,), 1e-15), error).abs().max() < 0.01
+
+
+def test_likely_tint_costs_least(prior):
+    """Of all tints it has the least sum of the error's rise and the prior's negative logarithm."""
+    light, error, curvature = torch.tensor([[0.75, 0.5, 1 / 3]]).expand(HEIGHT * WIDTH, 3), 0.02, 2e-4
+    tint = float(prior.tint(light)[0])
+    likely = float(prior.likely_tint(light, torch.full((3,), curvature), error)[0])
+    variance = (error / 0.6745) ** 2 / INDEPENDENT
+    choices = np.linspace(-1, 1, 20_001)
+    cost = curvature * (choices - tint) ** 2 / (2 * variance) + (choices / TINT) ** 4 / 4
+    assert likely == pytest.approx(choices[cost.argmin()], abs=2e-4)
+    assert 0.2 * tint < likely < 0.9 * tint
