@@ -126,6 +126,7 @@ def sheet(name: str, turn: float, thickness: float = 0.014) -> bpy.types.Object:
     for a, b in pairwise(corners):
         for (a0, a1), (b0, b1) in zip(pairwise(a), pairwise(b), strict=True):
             shape.faces.new((a0, b0, b1, a1))
+    shape.normal_update()  # along which the sheet is made thick
     bmesh.ops.solidify(shape, geom=shape.faces[:], thickness=thickness)
     bmesh.ops.recalc_face_normals(shape, faces=shape.faces)
     return linked(name, shape)

@@ -84,6 +84,8 @@ def assign_materials(
 def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
     """Average the surface's normals at the vertices nearest to each point.
 
+    On thin parts both sides are near. The side whose tangent planes are nearest counts alone: opposite normals would cancel.
+
     Args:
         surface: mesh with vertex normals.
         position: (N, 3) points, world.
@@ -92,7 +94,11 @@ def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
         (N, 3) float32 unit normals.
     """
     _, nearest = KDTree(surface.vertices).query(position, k=min(4, len(surface.vertices)))
-    normal = surface.normals[np.asarray(nearest).reshape(len(position), -1)].mean(1)
+    around = np.asarray(nearest).reshape(len(position), -1)
+    normals = surface.normals[around]
+    height = np.abs(((position[:, None] - surface.vertices[around]) * normals).sum(-1))
+    side = np.take_along_axis(normals, height.argmin(1)[:, None, None], 1)
+    normal = (normals * ((normals * side).sum(-1, keepdims=True) > 0)).sum(1)
     return (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)).astype(np.float32)
 
 

@@ -143,6 +143,22 @@ def test_normals_are_the_surface_s(surface):
     np.testing.assert_allclose(surface_normals(few, position[:2]), np.tile(surface.normals[:1], (2, 1)), atol=1e-6)
 
 
+def test_normals_on_a_thin_sheet_are_those_of_one_side():
+    random = np.random.default_rng(0)
+    plane = random.uniform(-1, 1, (4000, 2))
+    upper = np.arange(4000) < 2000
+    vertices = np.column_stack([plane, np.where(upper, 0.01, -0.01)]).astype(np.float32)
+    normals = np.column_stack([np.zeros((4000, 2)), np.where(upper, 1, -1)]).astype(np.float32)
+    places = random.uniform(-0.9, 0.9, (500, 2))
+    for height in (0.009, -0.009):
+        normal = surface_normals(
+            Surface(vertices, normals, np.zeros((0, 3), np.int32), 0.02), np.column_stack([places, np.full(500, height)])
+        )
+        sides = np.sign(normal[:, 2])
+        np.testing.assert_allclose(normal, sides[:, None] * [0, 0, 1], atol=1e-6)  # the mean of both sides would be anything
+        assert (sides == np.sign(height)).mean() > 0.9
+
+
 def test_own_radiance_is_what_a_ray_at_the_surfel_sees(some_gaussians):
     g = some_gaussians(30, 0)
     index = torch.tensor([3, 3, 29, 0, 17, 8])
