@@ -45,3 +45,12 @@ def jacobian(
     arrays = (start, root_weight, coupling_weight, *factors, *(t.reshape(-1) for t in transport), rows.reshape(-1), coupling.reshape(-1))
     run_ranges(jacobian_range, even_ranges(len(start) - 1, 4 * thread_count()), rows.shape[1], *arrays)
     return coupling
+
+
+def gram(rows: torch.Tensor) -> torch.Tensor:
+    """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows."""
+    if rows.device.type != "cpu":
+        return rows.T @ rows
+    array = rows.numpy()
+    # Unlike PyTorch, numpy sees that the result is symmetric and computes half of it (BLAS syrk).
+    return torch.from_numpy(array.T @ array)

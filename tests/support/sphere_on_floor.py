@@ -11,8 +11,9 @@ import torch
 from irgspp.core.shading.environment_lookup import texel_directions
 from irgspp.core.shading.specular_albedo import diffuse_fraction
 from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
+from irgspp.core.stages.second.light_texels import LightTexels
 from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.radiance_transfer import RadianceTransfer, subdivided_directions
+from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
 
 HEIGHT = 8
 TEXELS = 2 * HEIGHT**2
@@ -44,17 +45,17 @@ def blocked(position, normal, direction):
     return sphere | ((distance > 0) & ((where**2).sum(-1) < FLOOR_RADIUS**2))
 
 
-def transport(position, normal):
+def transport(position, normal, texels=LightTexels.uniform(HEIGHT), side=2):  # noqa: B008  # it does not change
     """Return the radiance transfer of the points."""
-    direction, angle = subdivided_directions(HEIGHT, 2, 0)
+    direction, angle = texels.directions(side, 0)
     cosine = np.maximum(normal @ direction, 0)
     free = (cosine > 0) & ~blocked(position, normal, direction)
     visible = free.astype(np.float32)
     other = ((cosine > 0) & ~free)[:, None].astype(np.float32) * GLOW[:, None]
     weight = cosine * angle / math.pi
-    irradiance = torch.from_numpy((weight * visible).reshape(len(position), 4, TEXELS).sum(1))
+    irradiance = torch.from_numpy((weight * visible).reshape(len(position), side**2, texels.count).sum(1))
     return RadianceTransfer(
-        HEIGHT, (direction, angle, visible, other), irradiance, torch.from_numpy(np.einsum("pd,pcd->pc", weight, other)), True
+        texels, (direction, angle, visible, other), irradiance, torch.from_numpy(np.einsum("pd,pcd->pc", weight, other)), True
     )
 
 

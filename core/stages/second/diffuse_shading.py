@@ -107,8 +107,7 @@ def _diffuse_parts(
     samples: MultiViewSamples, solver: LightMaterialSolver, materials: torch.Tensor, frontal: torch.Tensor
 ) -> Iterator[torch.Tensor]:
     """Yield the diffuse radiance (B, 3) of the samples, batch by batch."""
-    height = solver.transfer.height
-    stack = specular_light(solver.light.view(height, 2 * height, 3))
+    stack = specular_light(solver.light_map(solver.transfer.texels.finest_height))
     for begin in range(0, len(samples.point), BATCH):
         part = slice(begin, begin + BATCH)
         point, view = samples.point[part], samples.view[part]

@@ -19,8 +19,9 @@ from ...scene.surface import Surface
 from ...shading.specular_albedo import diffuse_fraction
 from .light_material_solver import LightMaterialSolver
 from .multi_view_samples import MultiViewSamples, sample_views
-from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
+from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, view_terms
+from .transfer_tracing import trace_radiance_transfer
 
 NEAREST = 8  # solver points whose mean roughness and metallic a Gaussian takes
 VIEWS = 4  # samples of each Gaussian, at most
@@ -70,7 +71,7 @@ def assign_materials(
     for begin in range(0, len(albedo), BATCH):
         part = slice(begin, begin + BATCH)
         batch = samples.part(begin, min(begin + BATCH, len(albedo)))
-        options = (solver.transfer.height, 1, seed, solver.transfer.bounces)
+        options = (solver.transfer.texels, 1, seed, solver.transfer.bounces)
         transfer = trace_radiance_transfer(batch.position, batch.normal, tracer, *options, rotations=solver.transfer.rotations)
         albedo[part] = fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part])
         step(min(1.0, (begin + BATCH) / len(albedo)))

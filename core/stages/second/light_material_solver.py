@@ -20,12 +20,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 
+import numpy as np
 import torch
 
-from ...kernels.jacobian import jacobian
+from ...kernels.jacobian import gram, jacobian
 from ...shading.brdf import DIELECTRIC_F0
 from ...shading.specular_albedo import diffuse_fraction
 from ..common.finite_check import require_finite
+from .albedo_prior import CONSTANT, albedo_prior
 from .light_prior import LightPrior
 from .material_search import MaterialSearch
 from .metal_regions import confirm_metal
@@ -35,15 +37,12 @@ from .refinement import METAL_ON_AVERAGE
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
 
 STEPS = 40
-CONSTANT = 3  # steps with one albedo for all points
-RELEASE = 12  # steps over which the weight of the albedo's prior falls
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36)  # numbers of steps done when roughness and metallic are searched
+SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split; at the end this must have paid
 METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before, and can only leave after
 TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
-PRIOR = (1.0, 0.03)  # first and last weight of the albedo's prior
-COLOURS = 0.15  # difference in log albedo below which two points count as being of one colour
-SAMPLE = 1000  # points that each point's colour is compared with
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
+Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 
 
 class LightMaterialSolver:
@@ -71,6 +70,7 @@ class LightMaterialSolver:
         metallic: torch.Tensor,
         seed: int,
         search_metal: bool = True,
+        split: Split | None = None,
     ) -> None:
         """Start with a constant albedo of 0.5 and a constant light.
 
@@ -81,16 +81,17 @@ class LightMaterialSolver:
             metallic: (P,) initial values.
             seed: of the points that colours are compared with.
             search_metal: some points may be metal; otherwise none is.
+            split: splits texels of the light; None: they stay as they are.
         """
-        self.samples, self.transfer, self._search_metal = samples, transfer, search_metal
+        self.samples, self.transfer, self._search_metal, self._split = samples, transfer, search_metal, split
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
-        self.light = mean.new_full((2 * transfer.height**2, 3), 2 * float(mean.mean()))
+        self.light = mean.new_full((transfer.texels.count, 3), 2 * float(mean.mean()))
         self.albedo = torch.full_like(mean, 0.5)
         self.derivative = approximate_srgb_derivative(samples.colour)
         self.robust_weight = torch.ones_like(samples.colour)
-        self._light_prior = LightPrior(transfer.height, mean.device)
+        self._light_prior = LightPrior(transfer.texels, mean.device)
         self.n_v = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
         self._start = torch.nn.functional.pad(samples.lengths.cumsum(0), (1, 0))
         self._rows = mean.new_empty(len(samples.point), len(self.light))
@@ -109,16 +110,53 @@ class LightMaterialSolver:
         Raises:
             IrgsppError: an estimate is not finite.
         """
+        coarse = None
         for done in range(STEPS):
-            if done in MATERIAL_STEPS:
-                self._search_materials(done)
-            self._step(done)
-            unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
-            require_finite(unknowns, f"after step {done + 1} of the second stage")
+            if self._split and done in SPLIT_STEPS:
+                coarse = coarse or self._twin()
+                self._split_texels(self._split)
+            self._advance(done)
+            if coarse:
+                coarse._advance(done)
             if step(done + 1):
                 break
+        if coarse:
+            self._keep_better(coarse)
         if not float(self.metallic.mean()) > METAL_ON_AVERAGE:
             self._reduce_tint()
+
+    def _advance(self, done: int) -> None:
+        """Search the materials where it is time, and do a step."""
+        if done in MATERIAL_STEPS:
+            self._search_materials(done)
+        self._step(done)
+        unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
+        require_finite(unknowns, f"after step {done + 1} of the second stage")
+
+    def _twin(self) -> LightMaterialSolver:
+        """Return a copy that goes its own way."""
+        twin = copy.copy(self)  # steps replace tensors, they do not change them
+        twin.generator = torch.Generator().set_state(self.generator.get_state())
+        return twin
+
+    def _keep_better(self, other: LightMaterialSolver) -> None:
+        """Become the other solver if it explains the photographs better."""
+        if float(other._robust_errors().sum()) <= float(self._robust_errors().sum()):
+            self.__dict__.update(other.__dict__)
+
+    def light_map(self, height: int) -> torch.Tensor:
+        """Return the light as a lat-long map (height, 2 height, 3), linear radiance."""
+        return self.transfer.texels.map(self.light, height)
+
+    def _split_texels(self, split: Split) -> None:
+        """Continue with smaller texels where the light is bright."""
+        self.transfer, old = split(self.transfer, self.light)
+        self.light = self.light[torch.from_numpy(old).to(self.light.device)].contiguous()
+        self._light_prior = LightPrior(self.transfer.texels, self.light.device)
+        self._rows = self.light.new_empty(len(self.samples.point), len(self.light))
+        self._diffuse = self.transfer.diffuse_rows(self.samples)
+        self._search = self._search.with_transfer(self.transfer, self._diffuse)
+        self._trace_lobes()
 
     def _reduce_tint(self) -> None:
         """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""
@@ -131,6 +169,11 @@ class LightMaterialSolver:
         """Return the median difference between model and images, approximately in encoded values 0..1."""
         factor, rest = self._model()
         return float(((self.albedo[self.samples.point] * factor + rest - self.samples.colour) * self.derivative).abs().median())
+
+    def _robust_errors(self) -> torch.Tensor:
+        """Return the robust error (P,) of each point."""
+        factor, rest = self._model()
+        return robust_error(self.samples, self.albedo[self.samples.point] * factor + rest, self.derivative)
 
     def _trace_lobes(self) -> None:
         """Compute, for the current materials, S and d as rows of the light (K, T), their indirect parts (K, 3), and 1 - E_s (K, 1)."""
@@ -153,13 +196,14 @@ class LightMaterialSolver:
         robust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
         self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
         weight = self.robust_weight * self.derivative**2
-        anchor, pull = self._albedo_prior(done)
+        anchor, pull = albedo_prior(self.albedo, done, self.generator)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
         residual, smoothness = self.albedo[samples.point] * factor + rest - y, self._light_prior.form(self.light)
         channels = [(weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)]
         steps = [self._step_light(c, *channel, smoothness) for c, channel in enumerate(channels)]
-        self.light, self._curvature = torch.stack([light for light, _ in steps], 1), torch.stack([curvature for _, curvature in steps])
+        self.light = self.transfer.texels.with_one_colour(torch.stack([light for light, _ in steps], 1))
+        self._curvature = torch.stack([curvature for _, curvature in steps])
 
     def _step_light(
         self,
@@ -205,18 +249,6 @@ class LightMaterialSolver:
         hessian = gram(self._rows) - gram(torch.as_tensor(coupling))
         return hessian / len(weight), self._rows.T @ (root * residual) / len(weight)
 
-    def _albedo_prior(self, done: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return target and weight (P, 3) of the albedo's prior: the mean of similar albedos (mean shift towards few colours)."""
-        if done < CONSTANT:
-            return torch.full_like(self.albedo, 0.5), torch.full_like(self.albedo, 1e3)
-        log_albedo = self.albedo.log()
-        others = log_albedo[torch.randperm(len(log_albedo), generator=self.generator)[:SAMPLE].to(log_albedo.device)]
-        similarity = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
-        total = similarity.sum(1, keepdim=True)
-        strength = PRIOR[0] * (PRIOR[1] / PRIOR[0]) ** min(1.0, (done - CONSTANT) / RELEASE)
-        pull = strength * total / len(others) / self.albedo.clamp_min(0.02) ** 2 + 1e-6
-        return (similarity @ others / total).exp(), pull
-
     def _search_materials(self, done: int) -> None:
         """Search roughness and metallic; at METAL_TEST, test the candidates for metal."""
         if done == METAL_TEST and bool(self.candidates.any()):
@@ -242,12 +274,11 @@ class LightMaterialSolver:
 
     def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
         """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""
-        trial = copy.copy(self)  # steps replace tensors, they do not change them
+        trial = copy.copy(self)
         trial._set_materials(trial._costs(), metal)
         for _ in range(TEST_STEPS):
             trial._step(STEPS)
-        factor, rest = trial._model()
-        return trial, robust_error(self.samples, trial.albedo[self.samples.point] * factor + rest, self.derivative)
+        return trial, trial._robust_errors()
 
     def _costs(self) -> torch.Tensor:
         """Return the costs of materials under the current light, see `MaterialSearch.costs`."""
@@ -257,12 +288,3 @@ class LightMaterialSolver:
         """Set which points are metal (P,) bool, and the roughness of least cost."""
         self.roughness, self.metallic = self._search.roughness(costs, metal), metal.to(self.metallic)
         self._trace_lobes()
-
-
-def gram(rows: torch.Tensor) -> torch.Tensor:
-    """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows."""
-    if rows.device.type != "cpu":
-        return rows.T @ rows
-    array = rows.numpy()
-    # Unlike PyTorch, numpy sees that the result is symmetric and computes half of it (BLAS syrk).
-    return torch.from_numpy(array.T @ array)

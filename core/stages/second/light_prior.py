@@ -11,11 +11,9 @@ balance white, so that the mean light is about neutral where highlights do not t
 
 from __future__ import annotations
 
-import math
-
 import torch
 
-from ...shading.environment_lookup import solid_angles
+from .light_texels import LightTexels
 
 SMOOTHNESS = 1e-7  # weight of the log light's differences, per pair of neighbouring texels
 TINT = 0.2  # log tint of the mean light above which it is unlikely; 0.02 to 0.16 in seven of eight lights of test scenes
@@ -25,19 +23,17 @@ SLOPE = 2.55  # change of the log light per radian at which the weight of a pair
 
 
 class LightPrior:
-    """Smoothness of a lat-long map.
+    """Smoothness of the light in its texels.
 
     Args:
-        height: rows of the map.
+        texels: of the light.
         device: of its tensors.
     """
 
-    def __init__(self, height: int, device: torch.device | str) -> None:
-        self._solid_angles = solid_angles(height, 2 * height).repeat_interleave(2 * height).to(device)
-        self._texels, self._edge = 2 * height * height, SLOPE * math.pi / height
-        index = torch.arange(self._texels, device=device).view(height, -1)
-        across, down = (index, index.roll(-1, 1)), (index[:-1], index[1:])
-        self._pairs = torch.cat([torch.stack(pair, -1).view(-1, 2) for pair in (across, down)])
+    def __init__(self, texels: LightTexels, device: torch.device | str) -> None:
+        pairs, weight, distance = (torch.from_numpy(part).to(device) for part in texels.pairs)
+        self._texels, self._pairs, self._weight, self._edge = texels.count, pairs, weight.float(), SLOPE * distance.float()
+        self._solid_angles = torch.from_numpy(texels.solid_angles).float().to(device)
 
     def form(self, light: torch.Tensor) -> torch.Tensor:
         """Return the quadratic form (T, T) of the log radiance of one channel.
@@ -47,7 +43,7 @@ class LightPrior:
         """
         log_light = light.log().mean(1)
         difference = log_light[self._pairs[:, 0]] - log_light[self._pairs[:, 1]]
-        return SMOOTHNESS * self.laplacian(1 / (1 + (difference / self._edge) ** 2))
+        return SMOOTHNESS * self.laplacian(self._weight / (1 + (difference / self._edge) ** 2))
 
     def laplacian(self, weight: torch.Tensor) -> torch.Tensor:
         """Return the quadratic form (T, T) of the sum of the squared differences of neighbours, weighted by `weight`, one of each pair."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import torch
 
 from ...shading.specular_albedo import diffuse_fraction
@@ -43,6 +45,17 @@ class MaterialSearch:
         self._knots = colour.new_tensor(ROUGHNESS_VALUES)
         self._views = float(samples.lengths.float().mean())
         self._kinds = (0, 1) if metals else (0,)
+
+    def with_transfer(self, transfer: RadianceTransfer, diffuse: DiffuseRows) -> MaterialSearch:
+        """Return a search with the transfer from other texels of the light.
+
+        Args:
+            transfer: radiance transfer to the points.
+            diffuse: irradiance of the samples as a function of the light.
+        """
+        other = copy.copy(self)
+        other.transfer, other._diffuse = transfer, diffuse
+        return other
 
     def costs(self, light: torch.Tensor, weight: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
         """Compute the robust error of each point for all materials, with the best albedo for each, averaged over neighbours.

@@ -33,7 +33,8 @@ def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMat
         stage and its light with the levels of the solver's, of the rows of `solved`.
     """
     sharp = resized_light(first.environment, solved.environment.shape[0])
-    levels = solver.light.view(solver.transfer.height, -1, 3)
+    rows = solver.transfer.texels.height  # of the large texels: the first stage knows better what is smaller
+    levels = area_means(solver.light_map(solver.transfer.texels.finest_height), rows)
     materials = solved.gaussians.material.clone()
     materials[ROUGHNESS] = first.gaussians.material.detach()[ROUGHNESS]
     own = binarise_metallic_by_median(first.gaussians)
@@ -62,5 +63,9 @@ def levelled_light(detail: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
         (H, 2H, 3).
     """
     rows = levels.shape[0]
-    means = torch.nn.functional.interpolate(detail.permute(2, 0, 1)[None], size=(rows, 2 * rows), mode="area")[0].permute(1, 2, 0)
-    return detail * resized_light(levels / means.clamp_min(DARKEST), detail.shape[0])
+    return detail * resized_light(levels / area_means(detail, rows).clamp_min(DARKEST), detail.shape[0])
+
+
+def area_means(light: torch.Tensor, rows: int) -> torch.Tensor:
+    """Return the means of a light map (H, 2H, 3) over the texels of a coarser one, (rows, 2 rows, 3)."""
+    return torch.nn.functional.interpolate(light.permute(2, 0, 1)[None], size=(rows, 2 * rows), mode="area")[0].permute(1, 2, 0)

@@ -11,8 +11,7 @@ of the nearest traced one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,49 +20,10 @@ import numpy as np
 import torch
 
 from ...kernels.lobes import lobe_rows, lobe_sums
-from ...machine.backend import by_warp
-from ...rendering.secondary_rays import SecondaryTracer
 from ...shading.brdf import ggx_alpha
-from ...shading.environment_lookup import from_light_frame, solid_angles, to_light_frame
+from ...shading.environment_lookup import from_light_frame, to_light_frame
+from .light_texels import LightTexels
 from .multi_view_samples import MultiViewSamples
-
-RAYS = 1 << 18  # traced at a time, unless memory is short
-
-
-@contextmanager
-def rays_at_a_time(count: int) -> Iterator[None]:
-    """Trace about `count` rays at a time within the block: fewer need less memory and more time; the result is the same."""
-    global RAYS
-    before, RAYS = RAYS, count
-    try:
-        yield
-    finally:
-        RAYS = before
-
-
-def subdivided_directions(height: int, side: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draw one direction in each of side x side strata of every texel of a lat-long map.
-
-    Args:
-        height: rows of the map, which has 2 height columns.
-        side: strata along a side of a texel.
-        seed: of the positions within the strata.
-
-    Returns:
-        Unit directions (3, D) and solid angles (D,) in steradians, float32, D = side^2 x 2 height^2; texels run fastest.
-    """
-    random, width = np.random.default_rng(seed), 2 * height
-    edges = np.cos(np.arange(height + 1) * (math.pi / height))[:, None]
-    parts = []
-    for i in range(side):
-        for j in range(side):
-            down, across = (i + random.random((height, width))) / side, (j + random.random((height, width))) / side
-            z = edges[:-1] + (edges[1:] - edges[:-1]) * down
-            phi = math.pi - (np.arange(width) + across) * (2 * math.pi / width)
-            r = np.sqrt(1 - z * z)
-            parts.append(np.stack([r * np.cos(phi), r * np.sin(phi), z]).reshape(3, -1))
-    angle = np.repeat(solid_angles(height, width, torch.float64).numpy() / side**2, width)
-    return np.concatenate(parts, 1).astype(np.float32), np.tile(angle, side**2).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +31,7 @@ class RadianceTransfer:
     """Radiance transfer from T texels of a light map, and from the object itself, to P points.
 
     Attributes:
-        height: rows of the light map; T = 2 height^2.
+        texels: of the light.
         fixed: directions (3, D), solid angles (D,), visibility (P, D) and indirect radiance (P, 3, D), float32, as `core/kernels/lobes.py`
             takes them: numpy arrays on the CPU, tensors on a GPU.
         irradiance: (P, T) irradiance / pi per unit radiance of a texel.
@@ -80,7 +40,7 @@ class RadianceTransfer:
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
     """
 
-    height: int
+    texels: LightTexels
     fixed: tuple[Any, ...]
     irradiance: torch.Tensor
     indirect: torch.Tensor
@@ -108,7 +68,7 @@ class RadianceTransfer:
         Returns:
             The part that F0 scales and the part that Fresnel adds, (K, T) each, and both parts of the indirect light, (K, 3) each.
         """
-        texels = 2 * self.height**2
+        texels = self.texels.count
         if self.rotations is None:
             point, view, normal, alpha = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness))
             return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, texels)))
@@ -145,12 +105,12 @@ class RadianceTransfer:
         """Return the irradiance / pi of the samples as weights of the texels: one row per point, or per sample where the light turns."""
         if self.rotations is None:
             return DiffuseRows(self.irradiance, self.indirect, samples.point)
-        rows = samples.colour.new_empty(len(samples.point), 2 * self.height**2)
+        rows = samples.colour.new_empty(len(samples.point), self.texels.count)
         indirect = samples.colour.new_empty(len(samples.point), 3)
         direction, angle = (torch.as_tensor(array) for array in self.fixed[:2])
         for one in self._views(samples):
             visible, incoming = (torch.as_tensor(array) for array in one.fixed[2:])
-            rows[one.sample], indirect[one.sample] = _cosine_weighted(one.normal, direction, angle, visible, incoming, rows.shape[1])
+            rows[one.sample], indirect[one.sample] = cosine_weighted(one.normal, direction, angle, visible, incoming, rows.shape[1])
         return DiffuseRows(rows, indirect, torch.arange(len(rows), device=rows.device))
 
     def _views(self, samples: MultiViewSamples) -> Iterator[_LitView]:
@@ -214,59 +174,21 @@ def _contiguous(array: Any) -> Any:
     return array.contiguous() if isinstance(array, torch.Tensor) else np.ascontiguousarray(array)
 
 
-def _cosine_weighted(
+def cosine_weighted(
     normal: torch.Tensor, direction: torch.Tensor, angle: torch.Tensor, visible: torch.Tensor, incoming: torch.Tensor, texels: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the irradiance / pi of P normals (P, 3) per unit radiance of each texel, (P, T), and that of the indirect light, (P, 3)."""
-    weight = (normal @ direction).clamp_min(0) * angle / math.pi
-    return (weight * visible).view(len(normal), -1, texels).sum(1), torch.einsum("pd,pcd->pc", weight, incoming)
-
-
-def trace_radiance_transfer(
-    position: torch.Tensor,
-    normal: torch.Tensor,
-    tracer: SecondaryTracer,
-    height: int,
-    side: int,
-    seed: int,
-    indirect: bool,
-    step: Callable[[int], object] = lambda done: None,
-    rotations: torch.Tensor | None = None,
-) -> RadianceTransfer:
-    """Trace the hemispheres of P points.
+    """Integrate the light of traced directions by the cosine.
 
     Args:
-        position: (P, 3) world.
         normal: (P, 3) unit.
-        tracer: of the Gaussians.
-        height: rows of the light map.
-        side: rays through each texel along a side.
-        seed: of the ray directions.
-        indirect: with the light that the object reflects onto itself; it casts shadows in any case.
-        step: called with the number of points done; may raise.
-        rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
+        direction: (3, D) unit.
+        angle: (D,) solid angles.
+        visible: (P, D) visibility.
+        incoming: (P, 3, D) indirect radiance.
+        texels: number T of texels.
+
+    Returns:
+        Irradiance / pi per unit radiance of each texel, (P, T), and that of the indirect light, (P, 3).
     """
-    direction, angle = (torch.from_numpy(a).to(position.device) for a in subdivided_directions(height, side, seed))
-    cosine = (normal @ direction).clamp_min(0)
-    visible, incoming = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, step)
-    if not indirect:
-        incoming.zero_()
-    rows, own = _cosine_weighted(normal, direction, angle, visible, incoming, 2 * height * height)
-    fixed = (direction, angle, visible, incoming)
-    return RadianceTransfer(height, fixed if by_warp(position) else tuple(t.numpy() for t in fixed), rows, own, indirect, rotations)
-
-
-def _trace_directions(
-    origin: torch.Tensor, direction: torch.Tensor, selected: torch.Tensor, tracer: SecondaryTracer, step: Callable[[int], object]
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Trace rays from origins (P, 3) in `selected` (P, D) directions (3, D): transmittance (P, D), radiance (P, 3, D); else 0."""
-    points, count = selected.shape
-    visible, incoming = origin.new_zeros(points, count), origin.new_zeros(points, 3, count)
-    toward, batch = direction.T.contiguous(), max(1, 2 * RAYS // count)
-    for begin in range(0, points, batch):
-        p, d = torch.nonzero(selected[begin : begin + batch], as_tuple=True)
-        free, radiance = tracer.look(origin[begin + p], toward[d])
-        visible[begin + p, d] = free
-        incoming[begin + p, :, d] = radiance
-        step(min(begin + batch, points))
-    return visible, incoming
+    weight = (normal @ direction).clamp_min(0) * angle / math.pi
+    return (weight * visible).view(len(normal), -1, texels).sum(1), torch.einsum("pd,pcd->pc", weight, incoming)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -24,18 +25,19 @@ from ...settings.schema import Settings
 from ..common.finite_check import require_finite
 from ..common.time_budget import scaled_iterations
 from .gaussian_materials import METAL, assign_materials
-from .joint.optimisation import resized_light
 from .joint.solve import optimise_jointly, refine_jointly
 from .light_material_solver import STEPS, LightMaterialSolver
+from .light_texels import LightTexels
 from .metal_starts import metal_starts
 from .multi_view_samples import MultiViewSamples, sample_views
 from .normal_alignment import align_normals
 from .normal_improvement import improve_normals
 from .radiance_refit import refit_radiance
-from .radiance_transfer import RadianceTransfer, trace_radiance_transfer
+from .radiance_transfer import RadianceTransfer
 from .refinement import METAL_ON_AVERAGE, is_metal_on_average
 from .refinement_selection import refine, report_step
 from .secondary_tracer import secondary_tracer
+from .transfer_tracing import split_brightest, trace_radiance_transfer
 
 LEAST_POINTS = 50  # with which the light is solved
 CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where the joint optimisation refines its result
@@ -118,7 +120,7 @@ def solve_in_closed_form(
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: report_step(progress, int(100 * fraction)))
     materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
-    enlarged = resized_light(solver.light.view(solver.transfer.height, -1, 3), settings.second.light_height)
+    enlarged = solver.light_map(settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     starts = [reconstruction.relabelled(torch.logit(materials), enlarged)]
     if reconstruction.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
@@ -168,17 +170,17 @@ def solve_light_materials(
             "check that cameras and masks match, or add photographs that overlap more"
         )
     progress.phase("trace", len(samples.position))
-    options = (second.rows, SIDE, settings.seed, second.indirect)
+    options = (LightTexels.uniform(second.rows), SIDE, settings.seed, second.indirect)
     step = lambda done: report_step(progress, done)  # noqa: E731
     transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, step, rotations)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal.
     search_metal = dataset.has_alpha or reconstruction.glossy
-    solver = _solve_from_first_stage(reconstruction, samples, transfer, search_metal, settings.seed, progress)
+    solver = _solve_from_first_stage(reconstruction, samples, transfer, tracer, search_metal, settings, progress)
     if _is_doubtful_metal(reconstruction, solver):
         gain = f"metal explains {solver.metal_gain:.0%} of the error, but the first stage found none"
         progress.message(f"solved again with none of it metal: {gain}")
-        solver = _solve_from_first_stage(reconstruction, samples, transfer, False, settings.seed, progress)
+        solver = _solve_from_first_stage(reconstruction, samples, transfer, tracer, False, settings, progress)
     return solver, tracer
 
 
@@ -196,17 +198,23 @@ def _solve_from_first_stage(
     reconstruction: Reconstruction,
     samples: MultiViewSamples,
     transfer: RadianceTransfer,
+    tracer: SecondaryTracer,
     search_metal: bool,
-    seed: int,
+    settings: Settings,
     progress: Progress,
 ) -> LightMaterialSolver:
     """Run a solver that starts with the roughness and metallic of the nearest Gaussians."""
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
-    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), seed, search_metal)
+    # Where the light turns, its texels meet other traced rays in each view, and smaller ones would not.
+    rest = {"samples": samples, "tracer": tracer, "seed": settings.seed, "rows": settings.second.light_height}
+    split = partial(split_brightest, **rest) if transfer.rotations is None else None
+    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), settings.seed, search_metal, split)
     progress.phase("second stage", STEPS)
     solver.run(lambda done: report_step(progress, done) or progress.finish_early)
+    if solver.transfer.texels.level.any():
+        progress.message("the photographs show lamps, or a sun, of which the light is made finer")
     tested, confirmed = solver.regions
     if tested:
         progress.message(f"metal: {confirmed} of {tested} regions that may be metal explain the photographs better so")

@@ -9,7 +9,7 @@ import torch
 from irgspp.core.kernels import lobes
 from irgspp.core.machine.backend import by_warp
 from irgspp.core.shading.brdf import specular_lobe
-from irgspp.core.stages.second.radiance_transfer import subdivided_directions
+from irgspp.core.stages.second.light_texels import LightTexels
 
 HEIGHT, SIDE, POINTS = 4, 2, 6
 TEXELS = 2 * HEIGHT**2
@@ -40,7 +40,7 @@ def scene():
     normal = unit(random.normal(size=(POINTS, 3)))
     point = np.repeat(np.arange(POINTS), 5)
     view = unit(normal[point] + 0.8 * unit(random.normal(size=(len(point), 3))))
-    direction, angle = subdivided_directions(HEIGHT, SIDE, 0)
+    direction, angle = LightTexels.uniform(HEIGHT).directions(SIDE, 0)
     for k in (0, 5, 25):  # the sharpest lobe must be hit, or float32 is not tested
         n, d = normal[point[k]], direction.T[np.argmax(direction.T @ normal[point[k]])]
         view[k] = 2 * (n @ d) * n - d

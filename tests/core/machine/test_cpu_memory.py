@@ -12,7 +12,7 @@ from irgspp.core.machine import cpu_memory
 from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, FreeMemory, estimate_memory, free_memory, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.second import radiance_transfer
+from irgspp.core.stages.second import transfer_tracing
 
 MIB = 1 << 20
 
@@ -72,7 +72,7 @@ def test_fewer_rays_at_once_give_the_same_result():
     origin, direction = (torch.from_numpy(random.normal(size=s).astype(np.float32)) for s in ((20, 3), (3, 50)))
     selected, results, tracer = origin @ direction > 0, [], CountingTracer()
     for rays in (MOST_RAYS, 100):
-        with radiance_transfer.rays_at_a_time(rays):
-            results.append(radiance_transfer._trace_directions(origin, direction, selected, tracer, lambda done: None))
-    assert radiance_transfer.RAYS == MOST_RAYS and tracer.calls == 1 + 5
+        with transfer_tracing.rays_at_a_time(rays):
+            results.append(transfer_tracing._trace_directions(origin, direction, selected, tracer, lambda done: None))
+    assert transfer_tracing.RAYS == MOST_RAYS and tracer.calls == 1 + 5
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))

@@ -9,21 +9,25 @@ import pytest
 import torch
 from irgspp.core.kernels.reference.harmonics import sh_basis
 from irgspp.core.stages.second.diffuse_shading import mean_diffuse_radiance, point_irradiance
+from irgspp.core.stages.second.light_texels import LightTexels
 from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.radiance_transfer import RadianceTransfer, subdivided_directions
+from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
 
 HEIGHT = 8
 
 
 def solver(normal: torch.Tensor, light: torch.Tensor, shadow: float) -> SimpleNamespace:
     """Return what is read of a solver whose points (P, 3) get `shadow` of the light (T, 3) from all directions."""
-    direction, angle = (torch.from_numpy(array) for array in subdivided_directions(HEIGHT, 2, 0))
+    texels = LightTexels.uniform(HEIGHT)
+    direction, angle = (torch.from_numpy(array) for array in texels.directions(2, 0))
     visible = torch.full((len(normal), len(angle)), shadow)
     weight = (normal @ direction).clamp_min(0) * angle / math.pi * visible
     rows = weight.view(len(normal), 4, len(light)).sum(1)
     incoming = torch.zeros(len(normal), 3, len(angle))
-    transfer = RadianceTransfer(HEIGHT, (direction, angle, visible, incoming), rows, torch.zeros(len(normal), 3), False)
-    return SimpleNamespace(transfer=transfer, light=light, samples=SimpleNamespace(normal=normal))
+    transfer = RadianceTransfer(texels, (direction, angle, visible, incoming), rows, torch.zeros(len(normal), 3), False)
+    return SimpleNamespace(
+        transfer=transfer, light=light, light_map=lambda height: texels.map(light, height), samples=SimpleNamespace(normal=normal)
+    )
 
 
 def random_normals(count: int) -> torch.Tensor:

@@ -29,8 +29,9 @@ from irgspp.core.stages.second.gaussian_materials import (
     surface_normals,
     with_colour,
 )
+from irgspp.core.stages.second.light_texels import LightTexels
 from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.radiance_transfer import trace_radiance_transfer
+from irgspp.core.stages.second.transfer_tracing import trace_radiance_transfer
 
 COUNT, INSIDE, HEIGHT = 3000, 40, 8
 SKY, ROUGHNESS = 0.7, 0.6
@@ -87,7 +88,7 @@ def found(splat_sphere):
     """Results that the light-material solver would have at points of the sphere."""
     position = splat_sphere(400).position.T.contiguous()
     metallic = materials(position.double().numpy())[1].float()
-    about = SimpleNamespace(height=HEIGHT, bounces=True, rotations=None)
+    about = SimpleNamespace(texels=LightTexels.uniform(HEIGHT), bounces=True, rotations=None)
     light = torch.full((2 * HEIGHT**2, 3), SKY)
     seen = SimpleNamespace(position=position)
     return SimpleNamespace(samples=seen, transfer=about, light=light, roughness=torch.full((400,), ROUGHNESS), metallic=metallic)
@@ -179,7 +180,7 @@ def lit(splat_sphere):
     scene = reconstruction(splat_sphere, False)
     random = torch.Generator().manual_seed(2)
     position = torch.nn.functional.normalize(torch.randn(50, 3, generator=random), dim=1)
-    transfer = trace_radiance_transfer(position, position.clone(), SecondaryTracer(scene), HEIGHT, 1, 0, True)
+    transfer = trace_radiance_transfer(position, position.clone(), SecondaryTracer(scene), LightTexels.uniform(HEIGHT), 1, 0, True)
     point = torch.arange(50).repeat_interleave(5)
     view = torch.nn.functional.normalize(position[point] + 0.6 * torch.randn(250, 3, generator=random).clamp(-1, 1), dim=1)
     light = 0.2 + torch.rand(2 * HEIGHT**2, 3, generator=random)

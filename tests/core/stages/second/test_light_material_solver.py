@@ -12,8 +12,9 @@ import pytest
 import torch
 from irgspp.core.stages.second import light_material_solver as module
 from irgspp.core.stages.second.light_material_solver import STEPS, LightMaterialSolver
+from irgspp.core.stages.second.light_texels import LightTexels
 from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
-from sphere_on_floor import HEIGHT, TEXELS, make, solved, start
+from sphere_on_floor import HEIGHT, TEXELS, make, rendered, solved, start, transport
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,9 @@ def test_without_knowing_what_is_in_the_way_albedo_is_wrong(scene, found):
     direction, angle, _, other = transfer.fixed
     everything = (seen.normal.numpy() @ direction > 0).astype(np.float32)
     irradiance = (np.maximum(seen.normal.numpy() @ direction, 0) * angle / math.pi).reshape(-1, 4, TEXELS).sum(1)
-    blind = RadianceTransfer(HEIGHT, (direction, angle, everything, 0 * other), torch.from_numpy(irradiance), 0 * transfer.indirect, False)
+    blind = RadianceTransfer(
+        transfer.texels, (direction, angle, everything, 0 * other), torch.from_numpy(irradiance), 0 * transfer.indirect, False
+    )
     errors = [(rescaled(s, truth)[1] / truth[1] - 1).abs().mean() for s in (found, solved(seen, blind))]
     assert errors[1] > 4 * errors[0]
 
@@ -140,3 +143,34 @@ def test_tint_stays_with_the_light_only_where_the_photographs_tell(scene, monkey
     after = solver._light_prior.tint(solver.light)
     assert torch.allclose(after, before, atol=0.02) if kept else after.abs().max() < 0.02
     assert torch.allclose(solver.light.mean(0) * solver.albedo, product, rtol=1e-4)
+
+
+def test_a_lamp_smaller_than_a_texel_is_found_by_its_shadows(scene):
+    """Split texels concentrate the light where the lamp is, so that the gloss need not explain how small it is."""
+    position, normal = (part.numpy() for part in (scene[1].position, scene[1].normal))
+    truth = LightTexels.uniform(HEIGHT)
+    for last in (2 * 2 * HEIGHT + 5, truth.count + 23):  # a texel in the third row, 34 degrees above the floor; a part of it
+        some = np.zeros(truth.count, bool)
+        some[last - 7 : last + 1] = True  # whole vectors of 8, as the kernels need
+        truth, _, _ = truth.split(some)
+    light = torch.full((truth.count, 3), 0.3)
+    light[-1] = 400.0
+    exact = transport(position, normal, truth, 6)
+    _, albedo, roughness, metallic = scene[2]
+    seen = replace(scene[1], colour=rendered(scene[1], exact, light, albedo, roughness, 0 * metallic))
+
+    def split(transfer, light):
+        texels, _, old = transfer.texels.split(transfer.texels.brightest(light, 4 * HEIGHT, 8))
+        return transport(position, normal, texels, 6), old
+
+    errors = []
+    for use in (None, split):
+        gloss = (torch.full((len(position),), 0.5), torch.zeros(len(position)))
+        found = LightMaterialSolver(seen, transport(position, normal, side=6), *gloss, 0, False, use)
+        found.run()
+        errors.append(float((found.roughness - roughness).abs().mean()))
+    assert errors[1] < 0.75 * errors[0]
+    brightest = int(found.light[:, 0].argmax())
+    texels = found.transfer.texels
+    assert [int(part[brightest]) for part in (texels.level, texels.row, texels.column)] == [2, truth.row[-1], truth.column[-1]]
+    assert float(found.light[brightest].mean()) > 0.5 * 400

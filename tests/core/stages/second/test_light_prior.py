@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second.light_prior import INDEPENDENT, SLOPE, SMOOTHNESS, TINT, LightPrior
+from irgspp.core.stages.second.light_texels import LightTexels
 
 HEIGHT, WIDTH = 4, 8
 EDGE = SLOPE * math.pi / HEIGHT
@@ -15,7 +16,7 @@ PAIRS = HEIGHT * WIDTH + (HEIGHT - 1) * WIDTH  # across, around the seam, and do
 
 @pytest.fixture(scope="module")
 def prior():
-    return LightPrior(HEIGHT, "cpu")
+    return LightPrior(LightTexels.uniform(HEIGHT), "cpu")
 
 
 def test_laplacian_sums_squared_differences_of_neighbours(prior):

@@ -10,6 +10,7 @@ import torch
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import ALBEDO, METALLIC, ROUGHNESS
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.stages.second.light_texels import LightTexels
 from irgspp.core.stages.second.metal_starts import albedo_ratio, levelled_light, metal_starts
 
 SCALE = torch.tensor([0.5, 0.8, 1.25])
@@ -30,8 +31,10 @@ def parts(splat_sphere):
     position = first.gaussians.position.T[::5].contiguous()
     albedo = SCALE * torch.tensor([0.8, 0.5, 0.4]).expand(len(position), 3)
     light = torch.full((8 * 16, 3), 2.0)
-    transfer = SimpleNamespace(height=8)
-    return first, solved, SimpleNamespace(light=light, albedo=albedo, transfer=transfer, samples=SimpleNamespace(position=position))
+    texels = LightTexels.uniform(8)
+    known = {"light": light, "albedo": albedo, "samples": SimpleNamespace(position=position)}
+    known |= {"transfer": SimpleNamespace(texels=texels), "light_map": lambda height: texels.map(light, height)}
+    return first, solved, SimpleNamespace(**known)
 
 
 def test_light_takes_the_levels_and_keeps_the_detail():

@@ -12,9 +12,10 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.shading.environment_lookup import direction_to_uv
 from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import LightDistribution, draw
-from irgspp.core.stages.second import radiance_transfer as transfer_module
+from irgspp.core.stages.second import transfer_tracing
+from irgspp.core.stages.second.light_texels import LightTexels
 from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.radiance_transfer import subdivided_directions, trace_radiance_transfer
+from irgspp.core.stages.second.transfer_tracing import trace_radiance_transfer
 
 HEIGHT = 8
 RADIANCE = np.array([0.6, 0.3, 0.1])  # of the sphere
@@ -33,24 +34,9 @@ def points(*rows):
     return position.contiguous(), torch.nn.functional.normalize(normal, dim=1)
 
 
-@pytest.mark.parametrize(("height", "side"), [(4, 1), (8, 2), (6, 3)])
-def test_directions_lie_in_their_texels(height, side):
-    direction, angle = subdivided_directions(height, side, 7)
-    u, v = direction_to_uv(torch.from_numpy(direction.T).double())
-    texel = (v * height).long() * 2 * height + (u * 2 * height).long()
-    assert torch.equal(texel, torch.arange(2 * height**2).repeat(side**2))
-    np.testing.assert_allclose(np.linalg.norm(direction, axis=0), 1, atol=1e-6)
-    assert angle.sum() == pytest.approx(4 * math.pi, rel=1e-5)
-
-
-def test_directions_come_of_the_seed():
-    assert np.array_equal(subdivided_directions(4, 2, 1)[0], subdivided_directions(4, 2, 1)[0])
-    assert not np.array_equal(subdivided_directions(4, 2, 1)[0], subdivided_directions(4, 2, 2)[0])
-
-
 def test_nothing_in_the_way_and_white_light_make_irradiance_one(tracer):
     position, normal = points((0, 0, 5, 0, 0, 1), (5, 0, 0, 3, 1, -2), (0, -4, 4, 0, -1, 1))
-    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 2, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, True)
     np.testing.assert_allclose(transfer.irradiance.sum(1), 1, atol=5e-3)
     assert (transfer.indirect == 0).all()
     assert (transfer.fixed[2] == (normal.numpy() @ transfer.fixed[0] > 0)).all()
@@ -58,7 +44,7 @@ def test_nothing_in_the_way_and_white_light_make_irradiance_one(tracer):
 
 def test_each_texel_brings_what_its_cosine_lets_it(tracer):
     position, normal = points((0, 0, 5, 0, 0, 1))
-    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 4, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 4, 0, True)
     edge = np.cos(np.arange(HEIGHT + 1) * math.pi / HEIGHT)
     row = np.maximum(edge[:-1], 0) ** 2 - np.maximum(edge[1:], 0) ** 2  # exactly: integral of 2 cos over the row
     actual = transfer.irradiance.view(HEIGHT, -1)
@@ -69,7 +55,7 @@ def test_each_texel_brings_what_its_cosine_lets_it(tracer):
 @pytest.mark.parametrize("distance", [1.5, 2.0, 3.0])
 def test_a_sphere_ahead_takes_light_and_gives_its_own_by_its_form_factor(tracer, distance):
     position, normal = points((0, 0, -distance, 0, 0, 1))
-    transfer = trace_radiance_transfer(position, normal, tracer, 16, 3, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(16), 3, 0, True)
     form = 1 / (distance - tracer.offset) ** 2  # of a unit sphere and a patch that faces it
     assert 1 - float(transfer.irradiance.sum()) == pytest.approx(form, rel=0.04)
     np.testing.assert_allclose(transfer.indirect[0], form * RADIANCE, rtol=0.04)
@@ -77,16 +63,16 @@ def test_a_sphere_ahead_takes_light_and_gives_its_own_by_its_form_factor(tracer,
 
 def test_own_light_can_be_left_out_and_shadows_stay(tracer):
     position, normal = points((0, 0, -1.5, 0, 0, 1))
-    both = [trace_radiance_transfer(position, normal, tracer, HEIGHT, 2, 0, bounces) for bounces in (True, False)]
+    both = [trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, bounces) for bounces in (True, False)]
     assert torch.equal(both[0].irradiance, both[1].irradiance)
     assert (both[0].indirect > 0.01).all() and (both[1].indirect == 0).all() and (both[1].fixed[3] == 0).all()
 
 
 def test_points_traced_a_few_at_a_time_are_the_same(tracer, monkeypatch):
     position, normal = points(*np.random.default_rng(0).normal(size=(9, 6)).tolist())
-    whole = trace_radiance_transfer(position, normal, tracer, 4, 2, 3, True)
-    monkeypatch.setattr(transfer_module, "RAYS", 128)
-    parts = trace_radiance_transfer(position, normal, tracer, 4, 2, 3, True)
+    whole = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), 2, 3, True)
+    monkeypatch.setattr(transfer_tracing, "RAYS", 128)
+    parts = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), 2, 3, True)
     assert torch.equal(whole.irradiance, parts.irradiance) and torch.equal(whole.indirect, parts.indirect)
     assert all(np.array_equal(a, b) for a, b in zip(whole.fixed, parts.fixed, strict=True))
 
@@ -98,7 +84,7 @@ def test_views_of_points_agree_with_monte_carlo(tracer):
     albedo = torch.tensor([[0.8, 0.4, 0.2]]).expand(3, 3)
     view = torch.nn.functional.normalize(normal + 0.7 * torch.tensor([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), dim=1)
     light = torch.rand(2 * HEIGHT**2, 3, generator=torch.Generator().manual_seed(0)) + 0.1
-    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 16, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 16, 0, True)
     black = torch.zeros(3, 3)
     seen = MultiViewSamples(position, normal, torch.arange(3), view, black, black.bool())
     scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
@@ -126,7 +112,7 @@ def monte_carlo(tracer, position, view, normal, albedo, roughness, metallic, lig
 
 def test_sums_for_many_roughness_values_agree_with_rows(tracer):
     position, normal = points((0, 0, -1.6, 0.6, 0, 1), (1.5, 0, 0, -1, 0.5, 0.5))
-    transfer = trace_radiance_transfer(position, normal, tracer, HEIGHT, 2, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, True)
     black = torch.zeros(2, 3)
     seen = MultiViewSamples(position, normal, torch.arange(2), normal, black, black.bool())
     light, knots = torch.rand(2 * HEIGHT**2, 3), torch.tensor([0.1, 0.4, 0.9])

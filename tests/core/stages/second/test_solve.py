@@ -60,7 +60,7 @@ def tried(monkeypatch):
     """Whether each solver searches for metal; each solver finds it everywhere if it may, with `Found.metal_gain`."""
     calls = []
 
-    def solver(reconstruction, seen, transfer, search_metal, seed, progress):
+    def solver(reconstruction, seen, transfer, tracer, search_metal, settings, progress):
         calls.append(search_metal)
         return Found(search_metal)
 

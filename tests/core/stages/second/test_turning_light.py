@@ -14,7 +14,7 @@ from irgspp.core.shading.environment_lookup import from_light_frame, to_light_fr
 from irgspp.core.stages.second.gaussian_materials import fitted_albedo
 from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
 from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
-from sphere_on_floor import GLOW, HEIGHT, TEXELS, blocked, known_materials, rendered, soft_light, solved, surface, transport, unit
+from sphere_on_floor import GLOW, TEXELS, blocked, known_materials, rendered, soft_light, solved, surface, transport, unit
 
 VIEWS = 12
 
@@ -40,7 +40,7 @@ def still(position, normal, rotation):
     weight = (cosine * angle / math.pi).astype(np.float32)
     rows = torch.from_numpy((weight * free).reshape(len(position), 4, TEXELS).sum(1))
     indirect = torch.from_numpy(np.einsum("pd,pcd->pc", weight, other).astype(np.float32))
-    return RadianceTransfer(HEIGHT, (direction, angle, free.astype(np.float32), other), rows, indirect, True)
+    return RadianceTransfer(known.texels, (direction, angle, free.astype(np.float32), other), rows, indirect, True)
 
 
 @pytest.fixture(scope="module")
