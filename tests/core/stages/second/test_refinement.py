@@ -12,9 +12,10 @@ from irgspp.core.scene.gaussians import METALLIC
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import SecondStageSettings
 from irgspp.core.shading.environment_lookup import rotate
+from irgspp.core.stages.second import refinement as module
 from irgspp.core.stages.second.pixel_pool import pool_pixels
 from irgspp.core.stages.second.radiance_refit import refit_radiance
-from irgspp.core.stages.second.refinement import Refinement, split_samples
+from irgspp.core.stages.second.refinement import METAL, METAL_PIXELS, Refinement, split_samples
 
 SETTINGS = SecondStageSettings(iterations=40, pixels=64, samples=16, pool=4000, normal_rate=1e-4)
 
@@ -70,6 +71,34 @@ def test_what_was_held_back_is_shown_better_and_the_same_each_time(start, photog
     assert torch.equal(results[0].environment, results[1].environment)
     red, _, blue = results[0].gaussians.materials()[:3].mean(1)
     assert red > blue  # as in the photographs
+
+
+def test_the_noise_of_few_samples_does_not_count_as_an_error(start, photographs, monkeypatch):
+    lamp = torch.full((8, 16, 3), 0.3)
+    lamp[2, 5] = 60.0
+    trial, found = refinement(replace(start(), environment=lamp), photographs), []
+    for counts in ((4, 8, 4), (64, 128, 64)):
+        monkeypatch.setattr(module, "TEST_SAMPLES", counts)
+        found.append(trial.test())
+    assert found[0] == pytest.approx(found[1], abs=0.1)
+
+
+def test_further_pixels_show_the_metal_parts_of_an_object(start, photographs):
+    """A tenth of the surfels are metal; nothing is drawn in addition where none, or the whole object, is."""
+    first = start()
+    material = first.gaussians.material.clone()
+    material[METALLIC, first.gaussians.position[2] > 0.6] = torch.logit(torch.tensor(0.98))
+    mixed = replace(first, gaussians=replace(first.gaussians, material=material))
+    shares = []
+    for reconstruction in (first, mixed, start(0.98)):
+        trial, drawn = refinement(reconstruction, photographs), []
+        shade = trial._shade
+        trial._shade = lambda pixels, *rest, shade=shade, drawn=drawn: drawn.append(pixels) or shade(pixels, *rest)
+        metal = trial._materials(torch.arange(trial.pool.count))[3] > METAL
+        trial.step()
+        shares.append((len(drawn[0]), float(metal[drawn[0]].float().mean()), float(metal.float().mean())))
+    assert [count for count, _, _ in shares] == [64, 64 + round(64 * METAL_PIXELS), 64]
+    assert shares[1][1] > shares[1][2] + 0.15
 
 
 def test_only_what_is_no_metal_turns_and_may_become_one(start, photographs):
