@@ -135,10 +135,10 @@ class LightTexels:
         """
         if not self.level.any():
             return light
-        largest = torch.from_numpy((self.row >> self.level) * 2 * self.height + (self.column >> self.level)).to(light.device)
-        power = light * torch.from_numpy(self.solid_angles).to(light)[:, None]
-        whole = torch.stack([power.new_zeros(2 * self.height**2).index_add(0, largest, channel) for channel in power.T], 1)
-        return light.mean(1, keepdim=True) * (whole / whole.mean(1, keepdim=True))[largest]
+        largest = torch.from_numpy((self.row >> self.level) * 2 * self.height + (self.column >> self.level))
+        lies_in = (largest == torch.arange(2 * self.height**2)[:, None]).to(light)
+        power = lies_in @ (light * torch.from_numpy(self.solid_angles).to(light)[:, None])
+        return light.mean(1, keepdim=True) * (power / power.mean(1, keepdim=True))[largest.to(light.device)]
 
     def map(self, values: torch.Tensor, height: int) -> torch.Tensor:
         """Interpolate values of the texels to a lat-long map. What lies in split texels does not spread over the larger ones around them.
