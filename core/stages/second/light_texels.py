@@ -109,7 +109,7 @@ class LightTexels:
 
         Args:
             light: (T, 3) linear radiance.
-            rows: texels of a map of so many rows, or finer, are not chosen.
+            rows: of a map whose texels are as small as parts may be.
             most: number of texels; where fewer may be chosen, none is.
 
         Returns:
@@ -119,7 +119,7 @@ class LightTexels:
         contrast, step = np.zeros(self.count), brightness[one] - brightness[other]
         np.maximum.at(contrast, one, step)
         np.maximum.at(contrast, other, -step)
-        large, chosen = (self.height << self.level) < rows, np.zeros(self.count, bool)
+        large, chosen = 2 * (self.height << self.level) <= rows, np.zeros(self.count, bool)
         if large.sum() >= most:
             chosen[np.argsort(np.where(large, -contrast * self.solid_angles, 1), kind="stable")[:most]] = True
         return chosen

@@ -70,12 +70,14 @@ def split_brightest(
         samples: of the P points.
         tracer: of the Gaussians.
         seed: of the ray directions.
-        rows: of a map whose texels are small enough.
+        rows: of a map whose texels are as small as parts may be.
 
     Returns:
-        The transfer from T' texels, and the old texel (T',) in which each lies.
+        The transfer from T' texels, and the old texel (T',) in which each lies; the same where texels are small enough.
     """
     chosen = transfer.texels.brightest(light, rows, SPLIT)
+    if not chosen.any():
+        return transfer, np.arange(transfer.texels.count)
     texels, new, old = transfer.texels.split(chosen)
     before = [torch.as_tensor(array) for array in transfer.fixed]
     subdivisions = before[0].shape[-1] // transfer.texels.count

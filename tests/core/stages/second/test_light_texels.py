@@ -110,7 +110,7 @@ def test_a_bright_texel_is_split_until_it_is_small():
 
 def test_none_is_split_where_all_are_small_enough():
     texels = LightTexels.uniform(4)
-    assert not texels.brightest(torch.rand(32, 3), 4, 8).any() and texels.brightest(torch.rand(32, 3), 8, 8).sum() == 8
+    assert [int(texels.brightest(torch.rand(32, 3), rows, 8).sum()) for rows in (4, 7, 8)] == [0, 0, 8]
 
 
 def test_parts_of_a_texel_have_one_colour_and_keep_their_power(split):
