@@ -207,9 +207,10 @@ def _solve_from_first_stage(
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
-    # Where the light turns, its texels meet other traced rays in each view, and smaller ones would not.
+    # A light that turns meets other traced rays in each view. Of a metal's light, the first stage's reflections know more.
+    fixed = transfer.rotations is not None or is_metal_on_average(g)
     rest = {"samples": samples, "tracer": tracer, "seed": settings.seed, "rows": settings.second.light_height}
-    split = partial(split_brightest, **rest) if transfer.rotations is None else None
+    split = None if fixed else partial(split_brightest, **rest)
     solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), settings.seed, search_metal, split)
     progress.phase("second stage", STEPS)
     solver.run(lambda done: report_step(progress, done) or progress.finish_early)
