@@ -215,7 +215,7 @@ def _solve_from_first_stage(
     progress.phase("second stage", STEPS)
     solver.run(lambda done: report_step(progress, done) or progress.finish_early)
     if solver.transfer.texels.level.any():
-        progress.message("the photographs show lamps, or a sun, of which the light is made finer")
+        progress.message("a finer light around its lamps explains the photographs better")
     tested, confirmed = solver.regions
     if tested:
         progress.message(f"metal: {confirmed} of {tested} regions that may be metal explain the photographs better so")
