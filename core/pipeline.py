@@ -45,7 +45,7 @@ from .stages.first.train import train
 from .stages.phase_results import FIRST_STAGE, GEOMETRY, MASKS, PhaseResults
 from .stages.second.joint.solve import check_joint, has_moved
 from .stages.second.solve import solve_second_stage
-from .stages.second.transfer_tracing import rays_at_a_time
+from .stages.second.solver.transfer_tracing import rays_at_a_time
 from .surface.extraction import extract_geometry
 from .surface.meshing import Triangles
 from .surface.texturing import textured_mesh

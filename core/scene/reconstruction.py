@@ -72,7 +72,7 @@ class Reconstruction:
         background: (H, W, 3) linear lat-long image behind the object, or None where the photographs were masked.
         reflections: materials and light of the reflections in the radiance, where they differ from the surfels' and from `environment`.
         confidence: (3, N) float32 of each surfel's albedo, roughness and metallic, in 0..1: how well the photographs bear them out, see
-            `core/stages/second/material_confidence.py`; None where it was not measured.
+            `core/stages/second/refinement/material_confidence.py`; None where it was not measured.
     """
 
     gaussians: Gaussians

@@ -23,8 +23,8 @@ from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import FirstStageSettings, SecondStageSettings, preset
 from irgspp.core.stages.first.material_class import MATERIAL_CLASSES
 from irgspp.core.stages.first.trainer import Trainer
-from irgspp.core.stages.second.pixel_pool import pool_pixels
-from irgspp.core.stages.second.refinement import Refinement
+from irgspp.core.stages.second.refinement.pixel_pool import pool_pixels
+from irgspp.core.stages.second.refinement.refinement import Refinement
 
 from .scene import RADIUS, Work, ring
 

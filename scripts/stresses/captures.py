@@ -20,7 +20,7 @@ from irgspp.core.rendering.deferred import composite, radiance
 from irgspp.core.scene.dataset import Bound, Dataset, PointCloud, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import CaptureSettings, preset
-from irgspp.core.stages.common.losses import camera_rays
+from irgspp.core.stages.common.training_view import camera_rays
 from irgspp.core.stages.first.train import train
 
 from .case import Measured, group

@@ -27,8 +27,8 @@ from irgspp.core.stages.common.finite_check import CHECK_EVERY
 from irgspp.core.stages.first.initialization import surfels
 from irgspp.core.stages.first.material_class import MATERIAL_CLASSES
 from irgspp.core.stages.first.trainer import Trainer
-from irgspp.core.stages.second.pixel_pool import pool_pixels
-from irgspp.core.stages.second.refinement import Refinement
+from irgspp.core.stages.second.refinement.pixel_pool import pool_pixels
+from irgspp.core.stages.second.refinement.refinement import Refinement
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils import backend_registration
 

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from irgspp.core.shading.environment_lookup import texel_directions
 from irgspp.core.shading.specular_albedo import diffuse_fraction
-from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
-from irgspp.core.stages.second.light_texels import LightTexels
-from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
+from irgspp.core.stages.second.solver.light_material_solver import LightMaterialSolver
+from irgspp.core.stages.second.solver.light_texels import LightTexels
+from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
+from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
 
 HEIGHT = 8
 TEXELS = 2 * HEIGHT**2

@@ -11,7 +11,6 @@ import torch
 from ...io.srgb import decode_srgb, encode_srgb
 from ...scene.camera import Camera
 from ...scene.dataset import View
-from .losses import camera_rays
 from .mask_band import find_mask_band
 
 MARGIN = 12  # pixels around the object: SSIM's window reaches 5 pixels, and what is rendered beyond the mask's edge must count
@@ -148,3 +147,11 @@ def border_radiance(views: Sequence[TrainingView]) -> torch.Tensor:
     sides = ((0, everything), (-1, everything), (everything, 0), (everything, -1))
     edges = [view.image[:, rows, columns] for view in views for rows, columns in sides]
     return decode_srgb(torch.cat(edges, 1).median(1).values).clamp_min(1e-3)
+
+
+def camera_rays(camera: Camera) -> torch.Tensor:
+    """Return (3, H, W) float32 rays through the pixel centres in OpenCV's camera axes with z = 1: planar depth times ray is the point."""
+    x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (torch.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    y, x = torch.meshgrid(y, x, indexing="ij")
+    return torch.stack([x, y, torch.ones_like(x)]).float()

@@ -21,7 +21,7 @@ from ...scene.gaussians import Gaussians
 from ...settings.schema import FirstStageSettings
 from ..common.finite_check import check_due
 from ..common.image_loss import displayed, image_loss
-from ..common.losses import light_variation
+from ..common.light_map import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.preview import LONGEST, eight_bits, points_shape
 from ..common.training_view import TrainingView, border_radiance, make_training_view

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second stage: environment light and materials by the rendering equation, with visibility and indirect light traced through Gaussians.
 
-The steps of the closed solver: normal alignment, multi-view samples, radiance transfer, light-material solver, shading normals, normal fit,
-assignment of materials to Gaussians, refinement, radiance refit. `joint/` holds the joint optimisation, which replaces or refines it.
+The closed steps, in order: surfels are aligned with the surface (`normals/`), light and materials are solved for points of it (`solver/`),
+normals follow the shading (`normals/`), materials go to the Gaussians (`solver/`), are refined on single pixels (`refinement/`), and the
+radiance is fitted again. `joint/` holds the joint optimisation, which replaces or refines them.
 """
 
 from __future__ import annotations
@@ -24,20 +25,20 @@ from ...scene.surface import Surface
 from ...settings.schema import Settings
 from ..common.finite_check import require_finite
 from ..common.time_budget import scaled_iterations
-from .gaussian_materials import METAL, assign_materials
 from .joint.solve import optimise_jointly, refine_jointly
-from .light_material_solver import STEPS, LightMaterialSolver
-from .light_texels import LightTexels
-from .metal_starts import metal_starts
-from .multi_view_samples import MultiViewSamples, sample_views
-from .normal_alignment import align_normals
-from .normal_improvement import improve_normals
+from .metal import METAL, METAL_ON_AVERAGE, is_metal_on_average
+from .normals.normal_alignment import align_normals
+from .normals.normal_improvement import improve_normals
 from .radiance_refit import refit_radiance
-from .radiance_transfer import RadianceTransfer
-from .refinement import METAL_ON_AVERAGE, is_metal_on_average
-from .refinement_selection import refine, report_step
+from .refinement.refinement_selection import refine, report_step
 from .secondary_tracer import secondary_tracer
-from .transfer_tracing import split_brightest, trace_radiance_transfer
+from .solver.gaussian_materials import assign_materials
+from .solver.light_material_solver import STEPS, LightMaterialSolver
+from .solver.light_texels import LightTexels
+from .solver.metal_starts import metal_starts
+from .solver.multi_view_samples import MultiViewSamples, sample_views
+from .solver.radiance_transfer import RadianceTransfer
+from .solver.transfer_tracing import split_brightest, trace_radiance_transfer
 
 LEAST_POINTS = 50  # with which the light is solved
 CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where the joint optimisation refines its result

@@ -9,7 +9,7 @@ import torch
 from irgspp.core.kernels import lobes
 from irgspp.core.machine.backend import by_warp
 from irgspp.core.shading.brdf import specular_lobe
-from irgspp.core.stages.second.light_texels import LightTexels
+from irgspp.core.stages.second.solver.light_texels import LightTexels
 
 HEIGHT, SIDE, POINTS = 4, 2, 6
 TEXELS = 2 * HEIGHT**2

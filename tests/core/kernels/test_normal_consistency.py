@@ -4,7 +4,7 @@
 import pytest
 import torch
 from irgspp.core.kernels.normal_consistency import depth_normals, normal_consistency, normal_consistency_reference
-from irgspp.core.stages.common.losses import camera_rays
+from irgspp.core.stages.common.training_view import camera_rays
 
 pytestmark = pytest.mark.usefixtures("engine")
 

@@ -12,7 +12,7 @@ from irgspp.core.machine import cpu_memory
 from irgspp.core.machine.cpu_memory import FEWEST_RAYS, MOST_RAYS, FreeMemory, estimate_memory, free_memory, rays_that_fit
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.second import transfer_tracing
+from irgspp.core.stages.second.solver import transfer_tracing
 
 MIB = 1 << 20
 

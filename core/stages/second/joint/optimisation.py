@@ -23,10 +23,11 @@ from ....scene.gaussians import Gaussians
 from ....scene.reconstruction import Reconstruction
 from ....settings.schema import SecondStageSettings
 from ...common.finite_check import check_due, require_finite
+from ...common.light_map import resized_light
 from ...common.optimizer import GaussianOptimizer, Rate
 from ...common.training_view import make_training_view
 from ...common.view_order import next_view
-from ..refinement import DARKEST, HOLD_BACK, TEST_PIXELS, TEST_SAMPLES, split_samples
+from ..refinement.refinement import DARKEST, HOLD_BACK, TEST_PIXELS, TEST_SAMPLES, split_samples
 from .losses import LOW_GLOSS, NORMALS_FROM, Weights, joint_losses
 from .model import JointModel
 
@@ -214,14 +215,6 @@ class JointOptimisation:
         """Draw pixels without replacement, at most `count`, in ascending order."""
         chosen = torch.randperm(len(among), generator=generator)[:count].to(among.device)
         return among[chosen].sort().values
-
-
-def resized_light(light: torch.Tensor, height: int) -> torch.Tensor:
-    """Return a light map (h, w, 3) with a number of rows, at least its own."""
-    if light.shape[0] >= height:
-        return light.contiguous()
-    planes = light.permute(2, 0, 1)[None]
-    return torch.nn.functional.interpolate(planes, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:

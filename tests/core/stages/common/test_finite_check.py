@@ -16,8 +16,8 @@ from irgspp.core.settings.schema import preset
 from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second import radiance_refit, solve
-from irgspp.core.stages.second.light_material_solver import LightMaterialSolver
-from irgspp.core.stages.second.refinement import Refinement
+from irgspp.core.stages.second.refinement.refinement import Refinement
+from irgspp.core.stages.second.solver.light_material_solver import LightMaterialSolver
 from small_scenes import small_scene
 
 SCENE = small_scene("bowl")  # it has half as many views as the demo's

@@ -10,8 +10,7 @@ from irgspp.core.kernels.normal_consistency import normal_consistency_reference
 from irgspp.core.kernels.reference.photometric import photometric_reference
 from irgspp.core.stages.common import image_loss as module
 from irgspp.core.stages.common.image_loss import displayed, image_loss, image_loss_reference
-from irgspp.core.stages.common.losses import camera_rays
-from irgspp.core.stages.common.training_view import TrainingView
+from irgspp.core.stages.common.training_view import TrainingView, camera_rays
 
 WEIGHTS = 0.5, 0.2
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import View
-from irgspp.core.stages.common.training_view import make_training_view
+from irgspp.core.stages.common.training_view import camera_rays, make_training_view
 
 
 @pytest.fixture
@@ -17,6 +17,12 @@ def view(camera_ring):
     c = camera_ring(3)[1]
     camera = Camera(21, 15, 30.0, 28.0, 10.0, 8.0, c.to_world)
     return View("a", camera, Path("a.png"), rng.random((15, 21, 3), np.float32), rng.random((15, 21), np.float32))
+
+
+def test_rays_are_the_cameras(camera_ring):
+    camera = camera_ring(5, size=32)[2]
+    world = torch.einsum("ij,ihw->hwj", torch.tensor(camera.world_to_cv[:3, :3]).float(), camera_rays(camera))
+    assert np.allclose(world.numpy(), camera.rays(), atol=1e-5)
 
 
 def test_image_is_on_black_and_the_rest_as_it_was(view):

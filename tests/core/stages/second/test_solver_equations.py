@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.light_material_solver import gram
-from irgspp.core.stages.second.sample_equation import view_terms
+from irgspp.core.stages.second.solver.light_material_solver import gram
+from irgspp.core.stages.second.solver.sample_equation import view_terms
 from sphere_on_floor import TEXELS, make, start
 
 

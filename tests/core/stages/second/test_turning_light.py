@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.shading.environment_lookup import from_light_frame, to_light_frame
-from irgspp.core.stages.second.gaussian_materials import fitted_albedo
-from irgspp.core.stages.second.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.radiance_transfer import RadianceTransfer
+from irgspp.core.stages.second.solver.gaussian_materials import fitted_albedo
+from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
+from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
 from sphere_on_floor import GLOW, TEXELS, blocked, known_materials, rendered, soft_light, solved, surface, transport, unit
 
 VIEWS = 12

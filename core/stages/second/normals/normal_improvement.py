@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Normal improvement: shading turns the surface's normals, and the surfels follow them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ....progress.protocol import Progress
+from ....rendering.secondary_rays import SecondaryTracer
+from ....scene.dataset import Dataset
+from ....scene.reconstruction import Reconstruction
+from ....scene.surface import Surface
+from ....settings.schema import Settings
+from ..solver.light_material_solver import LightMaterialSolver
+from .diffuse_shading import observe_diffuse_shading
+from .normal_alignment import follow_normals
+from .normal_fit import fit_rendered_normals
+from .shading_normals import ITERATIONS, fit_normals
+from .surface_gradient import subdivided
+
+
+def improve_normals(
+    reconstruction: Reconstruction,
+    surface: Surface,
+    solver: LightMaterialSolver,
+    tracer: SecondaryTracer,
+    dataset: Dataset,
+    settings: Settings,
+    progress: Progress,
+    report: Callable[[int], object],
+) -> tuple[Reconstruction, Surface]:
+    """Turn the surface's normals so that they explain the shading under the solved light, and the surfels after them.
+
+    Where the light turns relative to the object, only the surfels turn, to the surface's normals.
+
+    Args:
+        reconstruction: with aligned normals.
+        surface: fused from the first stage's depth.
+        solver: solved light, and materials of its points.
+        tracer: of the Gaussians.
+        dataset: training views.
+        settings: of the job.
+        progress: receives the phases "normals" and "turn surfels", and a message on how far normals turned.
+        report: called with the number of steps done; may raise.
+
+    Returns:
+        The reconstruction with turned surfels, and the surface, finer where shading turned its normals.
+
+    Raises:
+        Cancelled: the user stopped the work.
+        IrgsppError: a value is not finite.
+    """
+    second, gaussians = settings.second, reconstruction.gaussians
+    if second.shading_normals > 0 and solver.transfer.rotations is None:  # the mean over views that it explains is of one light
+        progress.phase("normals", ITERATIONS)
+        before = subdivided(surface)
+        surface = fit_normals(before, observe_diffuse_shading(before, solver, dataset.train, tracer), report)
+        turned = np.degrees(np.arccos(np.clip((before.normals * surface.normals).sum(1), -1, 1)))
+        progress.message(f"shading turns the surface's normals by {turned.mean():.1f} degrees on average")
+        gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
+    if second.normal_iterations > 0:
+        progress.phase("turn surfels", second.normal_iterations)
+        size = (reconstruction.bound.radius, second.normal_iterations)
+        gaussians = fit_rendered_normals(gaussians, surface, dataset.train, *size, settings.seed, report, settings.first.subpixels)
+    return replace(reconstruction, gaussians=gaussians), surface

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Assignment of materials to Gaussians: roughness and metallic from the solver's points, albedo fitted under the solved light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ....kernels.reference.harmonics import sh_basis
+from ....rendering.secondary_rays import SecondaryTracer
+from ....scene.dataset import View
+from ....scene.gaussians import METALLIC, Gaussians
+from ....scene.reconstruction import Reconstruction
+from ....scene.surface import Surface
+from ....shading.specular_albedo import diffuse_fraction
+from ..metal import METAL
+from .light_material_solver import LightMaterialSolver
+from .multi_view_samples import MultiViewSamples, sample_views
+from .radiance_transfer import RadianceTransfer
+from .sample_equation import OUTLIER, approximate_srgb_derivative, view_terms
+from .transfer_tracing import trace_radiance_transfer
+
+NEAREST = 8  # solver points whose mean roughness and metallic a Gaussian takes
+VIEWS = 4  # samples of each Gaussian, at most
+BATCH = 4000  # Gaussians traced at a time
+REWEIGHTED = 8  # passes of iteratively reweighted least squares
+AROUND = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
+EDGE = 2e-3  # materials are kept this far inside 0..1, so that their logits are finite
+
+
+def assign_materials(
+    reconstruction: Reconstruction,
+    surface: Surface,
+    views: Sequence[View],
+    tracer: SecondaryTracer,
+    solver: LightMaterialSolver,
+    seed: int,
+    step: Callable[[float], None],
+) -> torch.Tensor:
+    """Assign materials to all Gaussians under the solved light.
+
+    A Gaussian is metal where the mean metallic of the NEAREST solver points is above METAL. A Gaussian that no view sees takes the
+    materials of the nearest one that is seen.
+
+    Args:
+        reconstruction: N Gaussians.
+        surface: supplies normals.
+        views: training images.
+        tracer: of the Gaussians.
+        solver: solved light, and materials of its points.
+        seed: of the choice of views and of ray directions.
+        step: called with the fraction done, 0..1.
+
+    Returns:
+        (5, N) albedo (3), roughness, metallic in 0..1.
+    """
+    g, random = reconstruction.gaussians, np.random.default_rng(seed)
+    device, position = g.position.device, g.position.T.contiguous().cpu().numpy()
+    normal = surface_normals(surface, position)
+    samples, chosen = sample_views(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, least=1, device=device)
+    if not reconstruction.glossy:
+        samples = with_colour(samples, own_radiance(g, chosen[samples.point], samples.view))
+    _, nearest = KDTree(solver.samples.position.cpu().numpy()).query(samples.position.cpu().numpy(), k=min(NEAREST, len(solver.roughness)))
+    around = torch.from_numpy(np.asarray(nearest).reshape(len(samples.position), -1)).to(device)
+    roughness, metallic = solver.roughness[around].mean(1), (solver.metallic[around].mean(1) > METAL).float()
+    albedo = torch.empty_like(samples.position)
+    for begin in range(0, len(albedo), BATCH):
+        part = slice(begin, begin + BATCH)
+        batch = samples.part(begin, min(begin + BATCH, len(albedo)))
+        options = (solver.transfer.texels, 1, seed, solver.transfer.bounces)
+        transfer = trace_radiance_transfer(batch.position, batch.normal, tracer, *options, rotations=solver.transfer.rotations)
+        albedo[part] = fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part])
+        step(min(1.0, (begin + BATCH) / len(albedo)))
+    metal = metallic > 0
+    albedo[metal] = neighbourhood_medians(samples.position[metal], albedo[metal])
+    materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(EDGE, 1 - EDGE)
+    _, source = KDTree(samples.position.cpu().numpy()).query(position)
+    return materials[torch.from_numpy(np.asarray(source)).to(device)].T.contiguous()
+
+
+def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
+    """Average the surface's normals at the vertices nearest to each point.
+
+    On thin parts both sides are near. The side whose tangent planes are nearest counts alone: opposite normals would cancel.
+
+    Args:
+        surface: mesh with vertex normals.
+        position: (N, 3) points, world.
+
+    Returns:
+        (N, 3) float32 unit normals.
+    """
+    _, nearest = KDTree(surface.vertices).query(position, k=min(4, len(surface.vertices)))
+    around = np.asarray(nearest).reshape(len(position), -1)
+    normals = surface.normals[around]
+    height = np.abs(((position[:, None] - surface.vertices[around]) * normals).sum(-1))
+    side = np.take_along_axis(normals, height.argmin(1)[:, None, None], 1)
+    normal = (normals * ((normals * side).sum(-1, keepdims=True) > 0)).sum(1)
+    return (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)).astype(np.float32)
+
+
+def own_radiance(gaussians: Gaussians, index: torch.Tensor, view: torch.Tensor) -> torch.Tensor:
+    """Evaluate the SH radiance of Gaussians; it is sharper than an image's pixels, as it was fitted to all images.
+
+    Args:
+        gaussians: all Gaussians.
+        index: (K,) Gaussians to evaluate.
+        view: (K, 3) unit directions towards the camera.
+
+    Returns:
+        (K, 3) linear radiance.
+    """
+    basis = sh_basis(-view.T, 3)
+    return ((basis[:, None] * gaussians.sh[:, :, index]).sum(0) + 0.5).clamp_min(0).T.contiguous()
+
+
+def with_colour(samples: MultiViewSamples, colour: torch.Tensor) -> MultiViewSamples:
+    """Return the samples with other colours.
+
+    Args:
+        samples: K samples.
+        colour: (K, 3) linear radiance.
+    """
+    return replace(samples, colour=colour)
+
+
+def fitted_albedo(
+    samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor
+) -> torch.Tensor:
+    """Fit the albedo to the samples under a known light, by iteratively reweighted least squares with Cauchy weights.
+
+    Args:
+        samples: K samples of P points.
+        transfer: radiance transfer to the points.
+        light: (T, 3) linear radiance.
+        roughness: (P,).
+        metallic: (P,).
+
+    Returns:
+        (P, 3) albedo.
+    """
+    scaled, added, rest_scaled, rest_added = transfer.rows(samples, roughness)
+    point, metal = samples.point, metallic[samples.point][:, None]
+    irradiance = transfer.diffuse_rows(samples).irradiance(light)
+    n_v = (samples.normal[point] * samples.view).sum(1).clamp_min(1e-3)
+    diffuse = diffuse_fraction(n_v, roughness[point])[:, None]
+    factor, rest = view_terms(metal, diffuse, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)
+    derivative = approximate_srgb_derivative(samples.colour)
+    # At first all samples of a point weigh the same in linear radiance: by the derivative a wrongly dark one would dominate.
+    robust_weight = derivative**-2
+    for _ in range(REWEIGHTED):
+        weight = robust_weight * derivative**2
+        albedo = samples.sums(weight * factor * (samples.colour - rest)) / samples.sums(weight * factor * factor).clamp_min(1e-9)
+        error = (albedo[point] * factor + rest - samples.colour) * derivative
+        robust_weight = torch.where(samples.saturated & (error > 0), 0.0, 1 / (1 + (error / OUTLIER) ** 2))
+    return albedo
+
+
+def binarise_metallic_by_median(gaussians: Gaussians) -> torch.Tensor:
+    """Set each surfel's metallic to almost 0 or 1: metal where the median over its AROUND nearest surfels is above METAL.
+
+    Values between 0 and 1 compensate errors of normals rather than describe a material.
+
+    Returns:
+        (5, N) logits of albedo (3), roughness, metallic.
+    """
+    materials, position = gaussians.materials().detach(), gaussians.position.detach().T
+    metallic = neighbourhood_medians(position, materials[METALLIC, :, None])[:, 0] > METAL
+    materials = torch.cat([materials[:METALLIC], metallic[None].float().clamp(EDGE, 1 - EDGE)])
+    return torch.logit(materials)
+
+
+def neighbourhood_medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """Compute medians of values over the AROUND nearest points.
+
+    The albedo of a metal is its observed over its expected reflection. A small error of the normal reflects another part of the light,
+    so that the albedo of a single surfel is unreliable.
+
+    Args:
+        position: (P, 3).
+        values: (P, C).
+
+    Returns:
+        (P, C) medians.
+    """
+    if not len(position):
+        return values
+    places = position.cpu().numpy()
+    _, nearest = KDTree(places).query(places, k=min(AROUND, len(places)))
+    around = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
+    return values[around].median(1).values

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light-material solver: environment light, albedo, roughness and metallic from multi-view samples.
+
+With visibility and indirect light known, the problem is bilinear. The radiance of view k of point p is linear in the light L and, for
+given roughness and metallic, in the albedo a:
+
+    y_k = a_p c_k + d_k,  c = (1 - m)(1 - E_s) E + m S,  d = 0.04 (1 - m) S + S',
+
+where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and S, S' are the parts of the specular lobe that F0 scales
+and that Fresnel adds (core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect light. The albedo is
+eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes Gauss-Newton steps, and
+roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal: `material_regions.py`).
+
+"Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
+from the radiance itself would keep all shading.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from ....kernels.jacobian import gram, jacobian
+from ....shading.brdf import DIELECTRIC_F0
+from ....shading.specular_albedo import diffuse_fraction
+from ...common.finite_check import require_finite
+from ..metal import METAL_ON_AVERAGE
+from .albedo_prior import CONSTANT, albedo_prior
+from .light_prior import LightPrior
+from .material_search import MaterialSearch
+from .metal_regions import confirm_metal
+from .multi_view_samples import MultiViewSamples
+from .radiance_transfer import RadianceTransfer
+from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
+
+STEPS = 40
+MATERIAL_STEPS = (8, 12, 16, 20, 28, 36)  # numbers of steps done when roughness and metallic are searched
+SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split; at the end this must have paid
+METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before, and can only leave after
+TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
+ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
+Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
+
+
+class LightMaterialSolver:
+    """Solver with its current estimates; each point needs at least one sample.
+
+    Attributes:
+        samples: multi-view samples of P points, K in all.
+        transfer: radiance transfer from T texels to the points.
+        light: (T, 3) linear radiance of the texels.
+        albedo: (P, 3).
+        roughness: (P,).
+        metallic: (P,).
+        derivative: (K, 3) approximate derivative of the sRGB encoding at the samples' radiance.
+        robust_weight: (K, 3) weights of the last step in 0..1.
+        candidates: (P,) bool, points that a search found to be metal before the test.
+        regions: number of regions that were tested, and of those that are metal.
+        metal_gain: share of the robust error that the metal regions explained in their test, 0..1.
+    """
+
+    def __init__(
+        self,
+        samples: MultiViewSamples,
+        transfer: RadianceTransfer,
+        roughness: torch.Tensor,
+        metallic: torch.Tensor,
+        seed: int,
+        search_metal: bool = True,
+        split: Split | None = None,
+    ) -> None:
+        """Start with a constant albedo of 0.5 and a constant light.
+
+        Args:
+            samples: multi-view samples of P points.
+            transfer: radiance transfer to the points.
+            roughness: (P,) initial values.
+            metallic: (P,) initial values.
+            seed: of the points that colours are compared with.
+            search_metal: some points may be metal; otherwise none is.
+            split: splits texels of the light; None: they stay as they are.
+        """
+        self.samples, self.transfer, self._search_metal, self._split = samples, transfer, search_metal, split
+        self.generator = torch.Generator().manual_seed(seed)
+        self.roughness, self.metallic = roughness.clone(), metallic.clone()
+        mean = samples.sums(samples.colour) / samples.lengths[:, None]
+        self.light = mean.new_full((transfer.texels.count, 3), 2 * float(mean.mean()))
+        self.albedo = torch.full_like(mean, 0.5)
+        self.derivative = approximate_srgb_derivative(samples.colour)
+        self.robust_weight = torch.ones_like(samples.colour)
+        self._light_prior = LightPrior(transfer.texels, mean.device)
+        self.n_v = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
+        self._start = torch.nn.functional.pad(samples.lengths.cumsum(0), (1, 0))
+        self._rows = mean.new_empty(len(samples.point), len(self.light))
+        self._diffuse = transfer.diffuse_rows(samples)
+        self._search = MaterialSearch(samples, transfer, self._diffuse, self.n_v, mean, search_metal)
+        self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
+        self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
+        self._trace_lobes()
+
+    def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
+        """Do all steps.
+
+        Args:
+            step: called with the number of steps done; it may raise, and ends the run early by returning True.
+
+        Raises:
+            IrgsppError: an estimate is not finite.
+        """
+        coarse = None
+        for done in range(STEPS):
+            if self._split and done in SPLIT_STEPS:
+                coarse = coarse or self._twin()
+                self._split_texels(self._split)
+            self._advance(done)
+            if coarse:
+                coarse._advance(done)
+            if step(done + 1):
+                break
+        if coarse:
+            self._keep_better(coarse)
+        if not float(self.metallic.mean()) > METAL_ON_AVERAGE:
+            self._reduce_tint()
+
+    def _advance(self, done: int) -> None:
+        """Search the materials where it is time, and do a step."""
+        if done in MATERIAL_STEPS:
+            self._search_materials(done)
+        self._step(done)
+        unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
+        require_finite(unknowns, f"after step {done + 1} of the second stage")
+
+    def _twin(self) -> LightMaterialSolver:
+        """Return a copy that goes its own way."""
+        twin = copy.copy(self)  # steps replace tensors, they do not change them
+        twin.generator = torch.Generator().set_state(self.generator.get_state())
+        return twin
+
+    def _keep_better(self, other: LightMaterialSolver) -> None:
+        """Become the other solver if it explains the photographs better."""
+        if float(other._robust_errors().sum()) <= float(self._robust_errors().sum()):
+            self.__dict__.update(other.__dict__)
+
+    def light_map(self, height: int) -> torch.Tensor:
+        """Return the light as a lat-long map (height, 2 height, 3), linear radiance."""
+        return self.transfer.texels.map(self.light, height)
+
+    def _split_texels(self, split: Split) -> None:
+        """Continue with smaller texels where the light is bright."""
+        self.transfer, old = split(self.transfer, self.light)
+        self.light = self.light[torch.from_numpy(old).to(self.light.device)].contiguous()
+        self._light_prior = LightPrior(self.transfer.texels, self.light.device)
+        self._rows = self.light.new_empty(len(self.samples.point), len(self.light))
+        self._diffuse = self.transfer.diffuse_rows(self.samples)
+        self._search = self._search.with_transfer(self.transfer, self._diffuse)
+        self._trace_lobes()
+
+    def _reduce_tint(self) -> None:
+        """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""
+        likely = self._light_prior.likely_tint(self.light, self._curvature, self.error())
+        change = (likely - self._light_prior.tint(self.light)).exp()
+        self.light = self.light * change
+        self.albedo = (self.albedo / change).clamp(*ALBEDO_RANGE)
+
+    def error(self) -> float:
+        """Return the median difference between model and images, approximately in encoded values 0..1."""
+        factor, rest = self._model()
+        return float(((self.albedo[self.samples.point] * factor + rest - self.samples.colour) * self.derivative).abs().median())
+
+    def _robust_errors(self) -> torch.Tensor:
+        """Return the robust error (P,) of each point."""
+        factor, rest = self._model()
+        return robust_error(self.samples, self.albedo[self.samples.point] * factor + rest, self.derivative)
+
+    def _trace_lobes(self) -> None:
+        """Compute, for the current materials, S and d as rows of the light (K, T), their indirect parts (K, 3), and 1 - E_s (K, 1)."""
+        dielectric = DIELECTRIC_F0 * (1 - self.metallic[self.samples.point][:, None])
+        self.scaled, added, self.scaled_own, added_own = self.transfer.rows(self.samples, self.roughness)
+        self.rest, self.rest_own = added.addcmul_(dielectric, self.scaled), added_own.addcmul_(dielectric, self.scaled_own)
+        self.diffuse_fraction = diffuse_fraction(self.n_v, self.roughness[self.samples.point])[:, None]
+
+    def _model(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Evaluate c and d of y = a c + d, (K, 3) each."""
+        metal, irradiance = self.metallic[self.samples.point][:, None], self._diffuse.irradiance(self.light)
+        specular = self.scaled @ self.light + self.scaled_own
+        return (1 - metal) * self.diffuse_fraction * irradiance + metal * specular, self.rest @ self.light + self.rest_own
+
+    def _step(self, done: int) -> None:
+        """Solve the albedo for the current light, then do a Gauss-Newton step of the light with the albedo eliminated."""
+        samples, y = self.samples, self.samples.colour
+        factor, rest = self._model()
+        error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
+        robust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
+        self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
+        weight = self.robust_weight * self.derivative**2
+        anchor, pull = albedo_prior(self.albedo, done, self.generator)
+        total = samples.sums(weight * factor * factor) + pull
+        self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
+        residual, smoothness = self.albedo[samples.point] * factor + rest - y, self._light_prior.form(self.light)
+        channels = [(weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)]
+        steps = [self._step_light(c, *channel, smoothness) for c, channel in enumerate(channels)]
+        self.light = self.transfer.texels.with_one_colour(torch.stack([light for light, _ in steps], 1))
+        self._curvature = torch.stack([curvature for _, curvature in steps])
+
+    def _step_light(
+        self,
+        channel: int,
+        weight: torch.Tensor,
+        factor: torch.Tensor,
+        total: torch.Tensor,
+        residual: torch.Tensor,
+        smoothness: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Do a damped Gauss-Newton step of one channel of the light; the albedo follows the light (Schur complement).
+
+        Returns:
+            The channel (T,), and the error's curvature in its log brightness.
+        """
+        light = self.light[:, channel]
+        hessian, gradient = self._equations(channel, weight, factor, total, residual)
+        hessian, gradient = light[:, None] * hessian * light, light * gradient  # with respect to the logarithm of the light
+        damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
+        log_light = light.log()
+        step = torch.linalg.solve(damped.double(), (gradient + smoothness @ log_light).double()).float()
+        return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp(), hessian.sum()
+
+    def _equations(
+        self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the Gauss-Newton Hessian (T, T) and gradient (T,) of half the mean squared error in the light, albedo eliminated.
+
+        For one channel: weight, factor c and residual (K,) of the samples; `total` (P,), the error's curvature in each albedo.
+        """
+        point, albedo = self.samples.point, self.albedo[self.samples.point, channel]
+        metal = self.metallic[point]
+        root = weight.sqrt()
+        diffuse, specular, scaled = albedo * (1 - metal) * self.diffuse_fraction[:, 0], albedo * metal, self.scaled
+        if self.transfer.rotations is not None:  # the irradiance is that of the sample, not of its point
+            scaled = (diffuse[:, None] * self._diffuse.rows).addcmul_(specular[:, None], scaled)
+            diffuse, specular = torch.zeros_like(diffuse), torch.ones_like(specular)
+        views = (root, weight * factor / total.sqrt()[point], diffuse, specular)
+        matrices = (self.transfer.irradiance, scaled, self.rest, self._rows)
+        start, root_weight, coupling_weight, *factors = self.transfer.arrays(self._start, *(v.contiguous() for v in views))
+        *transport, rows = self.transfer.arrays(*matrices)
+        coupling = jacobian(start, root_weight, coupling_weight, (factors[0], factors[1]), (transport[0], transport[1], transport[2]), rows)
+        hessian = gram(self._rows) - gram(torch.as_tensor(coupling))
+        return hessian / len(weight), self._rows.T @ (root * residual) / len(weight)
+
+    def _search_materials(self, done: int) -> None:
+        """Search roughness and metallic; at METAL_TEST, test the candidates for metal."""
+        if done == METAL_TEST and bool(self.candidates.any()):
+            self._test_metal()
+            return
+        costs, metal = self._costs(), torch.zeros_like(self.candidates)
+        if self._search_metal and done < METAL_TEST:
+            metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
+        elif done > METAL_TEST:
+            metal = self._search.still_metal(costs, self.metallic > 0)
+        self._set_materials(costs, metal)
+
+    def _test_metal(self) -> None:
+        """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""
+        without = self._adapted(torch.zeros_like(self.candidates))
+        _, errors = self._adapted(self.candidates)
+        regions = self._search.regions(self._search.supported(self.candidates, without[1] - errors))
+        best, least, confirmed = confirm_metal(regions, without, self._adapted)
+        self.metal_gain = 1 - float(least.sum()) / max(float(without[1].sum()), 1e-30)
+        self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
+        self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
+        self._trace_lobes()
+
+    def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
+        """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""
+        trial = copy.copy(self)
+        trial._set_materials(trial._costs(), metal)
+        for _ in range(TEST_STEPS):
+            trial._step(STEPS)
+        return trial, trial._robust_errors()
+
+    def _costs(self) -> torch.Tensor:
+        """Return the costs of materials under the current light, see `MaterialSearch.costs`."""
+        return self._search.costs(self.light, self.robust_weight * self.derivative**2, self.derivative)
+
+    def _set_materials(self, costs: torch.Tensor, metal: torch.Tensor) -> None:
+        """Set which points are metal (P,) bool, and the roughness of least cost."""
+        self.roughness, self.metallic = self._search.roughness(costs, metal), metal.to(self.metallic)
+        self._trace_lobes()

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Grid search of roughness and metallic under a known light, with costs averaged over neighbours of like colour."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+
+from ....shading.specular_albedo import diffuse_fraction
+from .metal_regions import SUPPORT, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
+from .multi_view_samples import MultiViewSamples
+from .radiance_transfer import DiffuseRows, RadianceTransfer
+from .sample_equation import robust_error, view_terms
+
+ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
+METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
+CONTRADICTED = -0.6  # gain below which a point of a confirmed region is no metal after all
+
+
+class MaterialSearch:
+    """Search of the materials of P points with K samples."""
+
+    def __init__(
+        self,
+        samples: MultiViewSamples,
+        transfer: RadianceTransfer,
+        diffuse: DiffuseRows,
+        n_v: torch.Tensor,
+        colour: torch.Tensor,
+        metals: bool = True,
+    ) -> None:
+        """Find the neighbours.
+
+        Args:
+            samples: K samples of P points.
+            transfer: radiance transfer to the points.
+            diffuse: irradiance of the samples as a function of the light.
+            n_v: (K,) cosine between normal and view direction.
+            colour: (P, 3) mean linear radiance of the points, by which neighbours are alike.
+            metals: points may be metal; otherwise the costs of metals are not computed.
+        """
+        self.samples, self.transfer, self._diffuse, self._n_v = samples, transfer, diffuse, n_v
+        self._neighbours, self._similarity = neighbourhood(samples.position, colour)
+        self._knots = colour.new_tensor(ROUGHNESS_VALUES)
+        self._views = float(samples.lengths.float().mean())
+        self._kinds = (0, 1) if metals else (0,)
+
+    def with_transfer(self, transfer: RadianceTransfer, diffuse: DiffuseRows) -> MaterialSearch:
+        """Return a search with the transfer from other texels of the light.
+
+        Args:
+            transfer: radiance transfer to the points.
+            diffuse: irradiance of the samples as a function of the light.
+        """
+        other = copy.copy(self)
+        other.transfer, other._diffuse = transfer, diffuse
+        return other
+
+    def costs(self, light: torch.Tensor, weight: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
+        """Compute the robust error of each point for all materials, with the best albedo for each, averaged over neighbours.
+
+        Args:
+            light: (T, 3) linear radiance of the texels.
+            weight: (K, 3) of the samples, with which the albedo is fitted.
+            derivative: (K, 3) approximate derivative of the sRGB encoding.
+
+        Returns:
+            (P, M, J): for a dielectric, and for a metal where there may be any, at each of ROUGHNESS_VALUES.
+        """
+        samples = self.samples
+        scaled, added = self.transfer.sums(samples, self._knots, light)
+        irradiance = self._diffuse.irradiance(light)
+        cost = light.new_empty(len(samples.position), len(self._kinds), len(self._knots))
+        for j, knot in enumerate(self._knots):
+            diffuse = diffuse_fraction(self._n_v, knot.expand_as(self._n_v))[:, None]
+            for metal in self._kinds:
+                factor, rest = view_terms(light.new_tensor(metal), diffuse, irradiance, scaled[:, j], added[:, j])
+                fit = samples.sums(weight * factor * (samples.colour - rest)) / samples.sums(weight * factor * factor).clamp_min(1e-9)
+                cost[:, metal, j] = robust_error(samples, fit.clamp(0, 1)[samples.point] * factor + rest, derivative)
+        return self._smoothed(self._smoothed(cost))
+
+    def roughness(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
+        """Return the roughness (P,) of least cost of points that are metal where `metal` (P,) is True."""
+        as_metal = _vertex(self._knots[:METAL_ROUGHNESS], costs[:, -1, :METAL_ROUGHNESS])
+        return torch.where(metal, as_metal, _vertex(self._knots, costs[:, 0]))
+
+    def metal_candidates(self, costs: torch.Tensor) -> torch.Tensor:
+        """Find the points (P,) bool that may be metal."""
+        return grow_metal(self._gain(costs), self._neighbours, self._similarity)
+
+    def supported(self, candidates: torch.Tensor, gain: torch.Tensor) -> torch.Tensor:
+        """Return the candidates (P,) bool without those that gain too little as metal.
+
+        Args:
+            candidates: (P,) bool.
+            gain: (P,) by how much the robust error falls where all candidates are metal, with a light that has adapted to either.
+        """
+        for _ in range(SUPPORT_PASSES):
+            gain = self._smoothed(gain)
+        return candidates & (gain > SUPPORT * self._views)
+
+    def still_metal(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
+        """Return the metal points `metal` (P,) without those that costs now contradict."""
+        return metal & (self._gain(costs) > CONTRADICTED) if bool(metal.any()) else metal
+
+    def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
+        """Split points (P,) bool into connected regions, see `connected_regions`."""
+        return connected_regions(metal, self._neighbours, self._similarity)
+
+    def _gain(self, costs: torch.Tensor) -> torch.Tensor:
+        """Compute by how much less a metal's fit costs than a dielectric's, per view: (P,)."""
+        dielectric, metal = self._smoothed(costs).unbind(1)
+        return (dielectric.amin(1) - metal[:, :METAL_ROUGHNESS].amin(1)) / self._views
+
+    def _smoothed(self, values: torch.Tensor) -> torch.Tensor:
+        """Average values (P, ...) over the neighbours of each point, by similarity of colour."""
+        return torch.einsum("pn,pn...->p...", self._similarity, values[self._neighbours])
+
+
+def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
+    """Return the (P,) minimum of costs (P, J) at knots (J,): the vertex of the parabola through the least cost and its neighbours."""
+    row, j = torch.arange(len(cost), device=cost.device), cost.argmin(1).clamp(1, len(knots) - 2)
+    below, least, above = cost[row, j - 1], cost[row, j], cost[row, j + 1]
+    shift = ((below - above) / (2 * (below - 2 * least + above)).clamp_min(1e-6)).clamp(-1, 1)
+    return knots[j] + torch.where(shift < 0, shift * (knots[j] - knots[j - 1]), shift * (knots[j + 1] - knots[j]))

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Starts of a metal's refinement, with the light of the first stage at the levels of the solver's.
+
+The reflections of the first stage show the light in detail, but without visibility, and where they are clipped its radiance stays too
+low. The solver's light is coarse, but its levels follow from the rendering equation, with clipped values as lower bounds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ....scene.gaussians import ALBEDO, ROUGHNESS
+from ....scene.reconstruction import Reconstruction
+from ...common.light_map import resized_light
+from .gaussian_materials import binarise_metallic_by_median
+from .light_material_solver import LightMaterialSolver
+
+DARKEST = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
+
+
+def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMaterialSolver) -> list[Reconstruction]:
+    """Combine the solver's result for a metal with the first stage's.
+
+    Args:
+        first: result of the first stage, with reflections.
+        solved: materials and light of the solver, assigned to the same Gaussians.
+        solver: its light, and the albedo of its points.
+
+    Returns:
+        Two starts: albedo and metallic of the solver, or of the first stage with metallic binarised. Both take the roughness of the first
+        stage and its light with the levels of the solver's, of the rows of `solved`.
+    """
+    sharp = resized_light(first.environment, solved.environment.shape[0])
+    rows = solver.transfer.texels.height  # of the large texels: the first stage knows better what is smaller
+    levels = area_means(solver.light_map(solver.transfer.texels.finest_height), rows)
+    materials = solved.gaussians.material.clone()
+    materials[ROUGHNESS] = first.gaussians.material.detach()[ROUGHNESS]
+    own = binarise_metallic_by_median(first.gaussians)
+    return [
+        first.relabelled(materials, levelled_light(sharp, levels)),
+        first.relabelled(own, levelled_light(sharp, levels * albedo_ratio(first, solver))),
+    ]
+
+
+def albedo_ratio(first: Reconstruction, solver: LightMaterialSolver) -> torch.Tensor:
+    """Return the median ratio (3,) of the solver's albedo to the first stage's: light and albedo are only known as a product."""
+    g = first.gaussians
+    _, nearest = KDTree(g.position.detach().T.cpu().numpy()).query(solver.samples.position.cpu().numpy())
+    albedo = g.materials().detach()[ALBEDO, torch.from_numpy(np.asarray(nearest)).to(g.position.device)].T
+    return (solver.albedo / albedo.clamp_min(DARKEST)).median(0).values
+
+
+def levelled_light(detail: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
+    """Scale a light map smoothly so that its means over the texels of a coarser one are about those of that one.
+
+    Args:
+        detail: (H, 2H, 3) linear radiance.
+        levels: (h, 2h, 3) linear radiance, h <= H.
+
+    Returns:
+        (H, 2H, 3).
+    """
+    rows = levels.shape[0]
+    return detail * resized_light(levels / area_means(detail, rows).clamp_min(DARKEST), detail.shape[0])
+
+
+def area_means(light: torch.Tensor, rows: int) -> torch.Tensor:
+    """Return the means of a light map (H, 2H, 3) over the texels of a coarser one, (rows, 2 rows, 3)."""
+    return torch.nn.functional.interpolate(light.permute(2, 0, 1)[None], size=(rows, 2 * rows), mode="area")[0].permute(1, 2, 0)

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Precomputed radiance transfer (Sloan et al. 2002) to surface points: traced once, as geometry is frozen.
+
+With it the image is linear in the light and free of Monte Carlo noise, so that light, albedo and gloss can be separated.
+
+A light that turns relative to the object, as on a turntable, has other texels in a traced direction in every view. The lobes of a view are
+therefore computed in the frame of its light, for the directions of the texels; visibility and indirect light of such a direction are those
+of the nearest traced one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+
+from ....kernels.lobes import lobe_rows, lobe_sums
+from ....shading.brdf import ggx_alpha
+from ....shading.environment_lookup import from_light_frame, to_light_frame
+from .light_texels import LightTexels
+from .multi_view_samples import MultiViewSamples
+
+
+@dataclass(frozen=True, eq=False)
+class RadianceTransfer:
+    """Radiance transfer from T texels of a light map, and from the object itself, to P points.
+
+    Attributes:
+        texels: of the light.
+        fixed: directions (3, D), solid angles (D,), visibility (P, D) and indirect radiance (P, 3, D), float32, as `core/kernels/lobes.py`
+            takes them: numpy arrays on the CPU, tensors on a GPU.
+        irradiance: (P, T) irradiance / pi per unit radiance of a texel.
+        indirect: (P, 3) irradiance / pi of the light that the object reflects onto itself.
+        bounces: False where that light was left out.
+        rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
+    """
+
+    texels: LightTexels
+    fixed: tuple[Any, ...]
+    irradiance: torch.Tensor
+    indirect: torch.Tensor
+    bounces: bool
+    rotations: torch.Tensor | None = None
+
+    @cached_property
+    def nearest(self) -> torch.Tensor:
+        """(V, D) number of the traced direction nearest to each direction of the texels of a view's light."""
+        assert self.rotations is not None
+        direction = torch.as_tensor(self.fixed[0]).T
+        return torch.stack([(from_light_frame(direction, rotation) @ direction.T).argmax(1) for rotation in self.rotations])
+
+    def arrays(self, *tensors: torch.Tensor) -> tuple[Any, ...]:
+        """Convert tensors (...,) to the type of `fixed`: numpy arrays that share memory, or the tensors themselves."""
+        return tensors if isinstance(self.fixed[0], torch.Tensor) else tuple(t.numpy() for t in tensors)
+
+    def rows(self, samples: MultiViewSamples, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Compute the specular lobe of each sample as weights of the texels, see `lobe_rows`.
+
+        Args:
+            samples: K samples of the P points.
+            roughness: (P,) of the points.
+
+        Returns:
+            The part that F0 scales and the part that Fresnel adds, (K, T) each, and both parts of the indirect light, (K, 3) each.
+        """
+        texels = self.texels.count
+        if self.rotations is None:
+            point, view, normal, alpha = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness))
+            return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, texels)))
+        out = [samples.colour.new_empty(len(samples.point), size) for size in (texels, texels, 3, 3)]
+        for one in self._views(samples):
+            point, view, normal, alpha = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness[one.point]))
+            for values, part in zip(out, lobe_rows(point, view, normal, alpha, one.fixed, texels), strict=True):
+                values[one.sample] = torch.as_tensor(part)
+        return tuple(out)
+
+    def sums(self, samples: MultiViewSamples, roughness: torch.Tensor, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Integrate the specular lobe of each sample for several roughness values, see `lobe_sums`.
+
+        Args:
+            samples: K samples of the P points.
+            roughness: (J,) values, the same for all points.
+            light: (T, 3) linear radiance.
+
+        Returns:
+            The part that F0 scales and the part that Fresnel adds, (K, J, 3) each, with indirect light.
+        """
+        if self.rotations is None:
+            point, view, normal, alphas, radiance = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness), light)
+            scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, radiance)
+            return torch.as_tensor(scaled), torch.as_tensor(added)
+        out = samples.colour.new_empty(2, len(samples.point), len(roughness), 3)
+        for one in self._views(samples):
+            point, view, normal, alphas, radiance = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness), light)
+            for values, part in zip(out, lobe_sums(point, view, normal, alphas, one.fixed, radiance), strict=True):
+                values[one.sample] = torch.as_tensor(part)
+        return out[0], out[1]
+
+    def diffuse_rows(self, samples: MultiViewSamples) -> DiffuseRows:
+        """Return the irradiance / pi of the samples as weights of the texels: one row per point, or per sample where the light turns."""
+        if self.rotations is None:
+            return DiffuseRows(self.irradiance, self.indirect, samples.point)
+        rows = samples.colour.new_empty(len(samples.point), self.texels.count)
+        indirect = samples.colour.new_empty(len(samples.point), 3)
+        direction, angle = (torch.as_tensor(array) for array in self.fixed[:2])
+        for one in self._views(samples):
+            visible, incoming = (torch.as_tensor(array) for array in one.fixed[2:])
+            rows[one.sample], indirect[one.sample] = cosine_weighted(one.normal, direction, angle, visible, incoming, rows.shape[1])
+        return DiffuseRows(rows, indirect, torch.arange(len(rows), device=rows.device))
+
+    def _views(self, samples: MultiViewSamples) -> Iterator[_LitView]:
+        """Yield the samples of one view after another, in the frame of its light."""
+        assert self.rotations is not None and samples.image is not None
+        direction, angle, visible, incoming = self.fixed
+        for number, rotation in enumerate(self.rotations):
+            sample = torch.nonzero(samples.image == number)[:, 0]
+            if not len(sample):
+                continue
+            point = samples.point[sample]
+            view, normal = (to_light_frame(vector, rotation).contiguous() for vector in (samples.view[sample], samples.normal[point]))
+            rows, columns = self.arrays(point, self.nearest[number])
+            fixed = (direction, angle, visible[rows][:, columns], incoming[rows][:, :, columns])
+            own = torch.arange(len(sample), device=sample.device)
+            yield _LitView(sample, point, own, view, normal, (*fixed[:2], *(_contiguous(array) for array in fixed[2:])))
+
+
+@dataclass(frozen=True, eq=False)
+class DiffuseRows:
+    """Irradiance of K samples, linear in the light.
+
+    Attributes:
+        rows: (Q, T) irradiance / pi per unit radiance of a texel; Q points, or K samples where the light turns.
+        indirect: (Q, 3) irradiance / pi of the light that the object reflects onto itself.
+        row: (K,) row of each sample.
+    """
+
+    rows: torch.Tensor
+    indirect: torch.Tensor
+    row: torch.Tensor
+
+    def irradiance(self, light: torch.Tensor) -> torch.Tensor:
+        """Return the irradiance / pi (K, 3) of the samples under a light (T, 3)."""
+        return (self.rows @ light + self.indirect)[self.row]
+
+
+@dataclass(frozen=True, eq=False)
+class _LitView:
+    """Samples of one view, in the frame of its light.
+
+    Attributes:
+        sample: (M,) number of each sample.
+        point: (M,) its point.
+        own: (M,) 0..M-1, its row in `fixed`.
+        view: (M, 3) unit, towards the camera.
+        normal: (M, 3) unit.
+        fixed: as that of `RadianceTransfer`, with M rows.
+    """
+
+    sample: torch.Tensor
+    point: torch.Tensor
+    own: torch.Tensor
+    view: torch.Tensor
+    normal: torch.Tensor
+    fixed: tuple[Any, ...]
+
+
+def _contiguous(array: Any) -> Any:
+    """Return an array or tensor laid out in rows."""
+    return array.contiguous() if isinstance(array, torch.Tensor) else np.ascontiguousarray(array)
+
+
+def cosine_weighted(
+    normal: torch.Tensor, direction: torch.Tensor, angle: torch.Tensor, visible: torch.Tensor, incoming: torch.Tensor, texels: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Integrate the light of traced directions by the cosine.
+
+    Args:
+        normal: (P, 3) unit.
+        direction: (3, D) unit.
+        angle: (D,) solid angles.
+        visible: (P, D) visibility.
+        incoming: (P, 3, D) indirect radiance.
+        texels: number T of texels.
+
+    Returns:
+        Irradiance / pi per unit radiance of each texel, (P, T), and that of the indirect light, (P, 3).
+    """
+    weight = (normal @ direction).clamp_min(0) * angle / math.pi
+    return (weight * visible).view(len(normal), -1, texels).sum(1), torch.einsum("pd,pcd->pc", weight, incoming)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The radiance of a sample as a function of its point's albedo, and the robust error of such radiances."""
+
+from __future__ import annotations
+
+import torch
+
+from ....shading.brdf import DIELECTRIC_F0
+from .multi_view_samples import MultiViewSamples
+
+OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
+
+
+def view_terms(
+    metallic: torch.Tensor, diffuse: torch.Tensor, irradiance: torch.Tensor, scaled: torch.Tensor, added: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Evaluate c and d of y = a c + d.
+
+    Args:
+        metallic: m, (K, 1) or scalar.
+        diffuse: 1 - E_s, see `diffuse_fraction`, (K, 1) or scalar.
+        irradiance: E, irradiance / pi, (K, 3).
+        scaled: S, the part of the specular lobe that F0 scales, (K, 3).
+        added: S', the part that Fresnel adds, (K, 3).
+
+    Returns:
+        c and d, (K, 3) each.
+    """
+    return (1 - metallic) * diffuse * irradiance + metallic * scaled, DIELECTRIC_F0 * (1 - metallic) * scaled + added
+
+
+def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
+    """Approximate the derivative of the sRGB encoding by its power law, so that errors count as encoded differences.
+
+    Unlike the exact derivative in `core.relight.adaptive_sampling`, it is constant below 0.003 and does not vanish above 1.
+
+    Args:
+        colour: (...,) linear.
+    """
+    return 0.44 / colour.clamp_min(3e-3) ** 0.58
+
+
+def robust_error(samples: MultiViewSamples, radiance: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
+    """Compute the robust error of each point: Cauchy's cost in encoded values, summed over its samples and channels.
+
+    Args:
+        samples: K samples of P points; where they are saturated, a higher radiance is no error.
+        radiance: (K, 3) linear, by a model.
+        derivative: (K, 3) approximate derivative of the sRGB encoding.
+
+    Returns:
+        (P,).
+    """
+    error = (radiance - samples.colour) * derivative
+    error = torch.where(samples.saturated & (error > 0), 0.0, error)
+    return samples.sums(torch.log1p((error / OUTLIER) ** 2).sum(1))

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tracing of radiance transfer: the hemispheres of surface points, and again where texels of the light are split."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+
+from ....machine.backend import by_warp
+from ....rendering.secondary_rays import SecondaryTracer
+from .light_texels import LightTexels
+from .multi_view_samples import MultiViewSamples
+from .radiance_transfer import RadianceTransfer, cosine_weighted
+
+SPLIT = 24  # texels that are split at a time; a multiple of 8, as the kernels need
+RAYS = 1 << 18  # traced at a time, unless memory is short
+
+
+@contextmanager
+def rays_at_a_time(count: int) -> Iterator[None]:
+    """Trace about `count` rays at a time within the block: fewer need less memory and more time; the result is the same."""
+    global RAYS
+    before, RAYS = RAYS, count
+    try:
+        yield
+    finally:
+        RAYS = before
+
+
+def trace_radiance_transfer(
+    position: torch.Tensor,
+    normal: torch.Tensor,
+    tracer: SecondaryTracer,
+    texels: LightTexels,
+    side: int,
+    seed: int,
+    indirect: bool,
+    step: Callable[[int], object] = lambda done: None,
+    rotations: torch.Tensor | None = None,
+) -> RadianceTransfer:
+    """Trace the hemispheres of P points.
+
+    Args:
+        position: (P, 3) world.
+        normal: (P, 3) unit.
+        tracer: of the Gaussians.
+        texels: of the light.
+        side: rays through each texel along a side.
+        seed: of the ray directions.
+        indirect: with the light that the object reflects onto itself; it casts shadows in any case.
+        step: called with the number of points done; may raise.
+        rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
+    """
+    fixed = _traced(position, normal, tracer, texels, side, seed, indirect, step)
+    return _transfer(normal, texels, fixed, indirect, rotations)
+
+
+def split_brightest(
+    transfer: RadianceTransfer, light: torch.Tensor, samples: MultiViewSamples, tracer: SecondaryTracer, seed: int, rows: int
+) -> tuple[RadianceTransfer, np.ndarray]:
+    """Split the texels whose light is spread over too large an area, as that of a lamp, and trace the rays through the new ones.
+
+    Args:
+        transfer: to P points, of a light that stands still.
+        light: (T, 3) linear radiance.
+        samples: of the P points.
+        tracer: of the Gaussians.
+        seed: of the ray directions.
+        rows: of a map whose texels are as small as parts may be.
+
+    Returns:
+        The transfer from T' texels, and the old texel (T',) in which each lies; the same where texels are small enough.
+    """
+    chosen = transfer.texels.brightest(light, rows, SPLIT)
+    if not chosen.any():
+        return transfer, np.arange(transfer.texels.count)
+    texels, new, old = transfer.texels.split(chosen)
+    before = [torch.as_tensor(array) for array in transfer.fixed]
+    subdivisions = before[0].shape[-1] // transfer.texels.count
+    added = _traced(samples.position, samples.normal, tracer, new, math.isqrt(subdivisions), seed, transfer.bounces)
+    kept = torch.from_numpy(np.flatnonzero(~chosen)).to(samples.normal.device)
+    fixed = []
+    for whole, part in zip(before, added, strict=True):
+        unsplit = whole.unflatten(-1, (subdivisions, -1)).index_select(-1, kept)
+        fixed.append(torch.cat([unsplit, part.unflatten(-1, (subdivisions, -1))], -1).flatten(-2))
+    return _transfer(samples.normal, texels, tuple(fixed), transfer.bounces, None), old
+
+
+def _traced(
+    position: torch.Tensor,
+    normal: torch.Tensor,
+    tracer: SecondaryTracer,
+    texels: LightTexels,
+    side: int,
+    seed: int,
+    indirect: bool,
+    step: Callable[[int], object] = lambda done: None,
+) -> tuple[torch.Tensor, ...]:
+    """Return the attribute `fixed` of a transfer as tensors."""
+    direction, angle = (torch.from_numpy(a).to(position.device) for a in texels.directions(side, seed))
+    cosine = (normal @ direction).clamp_min(0)
+    visible, incoming = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, step)
+    return direction, angle, visible, incoming if indirect else torch.zeros_like(incoming)
+
+
+def _transfer(
+    normal: torch.Tensor, texels: LightTexels, fixed: tuple[torch.Tensor, ...], indirect: bool, rotations: torch.Tensor | None
+) -> RadianceTransfer:
+    """Return the transfer whose rays were traced."""
+    direction, angle, visible, incoming = fixed
+    rows, own = cosine_weighted(normal, direction, angle, visible, incoming, texels.count)
+    return RadianceTransfer(texels, fixed if by_warp(normal) else tuple(t.numpy() for t in fixed), rows, own, indirect, rotations)
+
+
+def _trace_directions(
+    origin: torch.Tensor, direction: torch.Tensor, selected: torch.Tensor, tracer: SecondaryTracer, step: Callable[[int], object]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Trace rays from origins (P, 3) in `selected` (P, D) directions (3, D): transmittance (P, D), radiance (P, 3, D); else 0."""
+    points, count = selected.shape
+    visible, incoming = origin.new_zeros(points, count), origin.new_zeros(points, 3, count)
+    toward, batch = direction.T.contiguous(), max(1, 2 * RAYS // count)
+    for begin in range(0, points, batch):
+        p, d = torch.nonzero(selected[begin : begin + batch], as_tuple=True)
+        free, radiance = tracer.look(origin[begin + p], toward[d])
+        visible[begin + p, d] = free
+        incoming[begin + p, :, d] = radiance
+        step(min(begin + batch, points))
+    return visible, incoming

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light-material solver on a known scene: a sphere on a floor, with images by the model's own equations.
+
+Visibility is known in closed form here, so nothing is traced.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.stages.second.solver import light_material_solver as module
+from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
+from irgspp.core.stages.second.solver.light_texels import LightTexels
+from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
+from sphere_on_floor import HEIGHT, TEXELS, make, rendered, solved, start, transport
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Radiance transfer, multi-view samples and ground truth."""
+    return make()
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    transfer, seen, _ = scene
+    return solved(seen, transfer)
+
+
+def rescaled(solver, truth):
+    """Remove the ambiguous factor between light and albedo; return light, albedo and the factor."""
+    scale = (truth[1] / solver.albedo).median(0).values
+    return solver.light / scale, solver.albedo * scale, scale
+
+
+def psnr(light, truth):
+    """Return the PSNR of a light in dB relative to its brightest texel."""
+    return float(-10 * ((light - truth).square().mean() / truth.max() ** 2).log10())
+
+
+def test_albedo_is_found_up_to_one_factor(scene, found):
+    _, albedo, scale = rescaled(found, scene[2])
+    error = (albedo / scene[2][1] - 1).abs()
+    assert error.median() < 0.01 and error.quantile(0.95) < 0.05 and error.max() < 0.15
+    assert (scale - 1).abs().max() < 0.2  # even the factor is found, as metals and dielectrics share the light
+
+
+def test_light_is_found(scene, found):
+    light, _, _ = rescaled(found, scene[2])
+    assert psnr(light, scene[2][0]) > 32
+    assert (light.log() - scene[2][0].log()).abs().median() < 0.05
+
+
+def test_gloss_is_found(scene, found):
+    _, _, roughness, metallic = scene[2]
+    assert torch.equal(found.metallic, metallic)
+    assert (found.roughness - roughness).abs().max() < 0.05
+
+
+def test_metal_is_found_only_where_it_is_looked_for(scene):
+    transfer, seen, _ = scene
+    solver = LightMaterialSolver(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, False)
+    solver.run(lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
+    assert (solver.metallic == 0).all() and solver.roughness.std() > 0.05
+
+
+def test_photographs_are_explained(scene, found):
+    assert found.error() < 0.003
+    transfer, seen, _ = scene
+    assert found.error() < 0.1 * start(seen, transfer).error()
+
+
+def test_without_knowing_what_is_in_the_way_albedo_is_wrong(scene, found):
+    """With full visibility the albedo is wrong: the shadows are what determines it."""
+    transfer, seen, truth = scene
+    direction, angle, _, other = transfer.fixed
+    everything = (seen.normal.numpy() @ direction > 0).astype(np.float32)
+    irradiance = (np.maximum(seen.normal.numpy() @ direction, 0) * angle / math.pi).reshape(-1, 4, TEXELS).sum(1)
+    blind = RadianceTransfer(
+        transfer.texels, (direction, angle, everything, 0 * other), torch.from_numpy(irradiance), 0 * transfer.indirect, False
+    )
+    errors = [(rescaled(s, truth)[1] / truth[1] - 1).abs().mean() for s in (found, solved(seen, blind))]
+    assert errors[1] > 4 * errors[0]
+
+
+def test_same_seed_same_bits(scene, found):
+    transfer, seen, _ = scene
+    again = solved(seen, transfer)
+    for name in ("light", "albedo", "roughness", "metallic"):
+        assert torch.equal(getattr(found, name), getattr(again, name)), name
+
+
+def test_clipped_highlights_are_lower_bounds(scene):
+    """Values marked as clipped do not dim the lamps."""
+    transfer, seen, truth = scene
+    clipped = replace(seen, colour=seen.colour.clamp_max(0.6), saturated=seen.colour > 0.6)
+    assert 0.05 < clipped.saturated.float().mean() < 0.3
+    marked, unmarked = (rescaled(solved(s, transfer), truth)[0] for s in (clipped, replace(clipped, saturated=seen.saturated)))
+    assert psnr(marked, truth[0]) > psnr(unmarked, truth[0]) + 3
+    brightest = truth[0] > 0.5 * truth[0].max()
+    assert marked[brightest].mean() > 0.8 * truth[0][brightest].mean() and unmarked[brightest].mean() < 0.8 * truth[0][brightest].mean()
+
+
+def test_samples_that_do_not_fit_lose_their_weight(scene, found):
+    """One sample in thirty has an unrelated colour."""
+    transfer, seen, truth = scene
+    wrong = torch.rand(len(seen.point), 1, generator=torch.Generator().manual_seed(0)) < 1 / 30
+    other = torch.rand(seen.colour.shape, generator=torch.Generator().manual_seed(1))
+    albedo = rescaled(solved(replace(seen, colour=torch.where(wrong, other, seen.colour)), transfer), truth)[1]
+    error = (albedo / truth[1] - 1).abs()
+    assert error.median() < 0.02 and error.quantile(0.9) < 0.1
+
+
+def test_steps_are_reported_and_can_end_the_run(scene):
+    transfer, seen, _ = scene
+    reported = []
+    solver = start(seen, transfer)
+    solver.run(lambda done: reported.append(done) or done == 2)
+    assert reported == [1, 2]
+
+    def stop(done):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        start(seen, transfer).run(stop)
+    assert max(module.MATERIAL_STEPS) + 1 < STEPS  # the light follows the materials
+
+
+@pytest.mark.parametrize("error, kept", [(1e-4, True), (1e3, False)])
+def test_tint_stays_with_the_light_only_where_the_photographs_tell(scene, monkeypatch, error, kept):
+    """With a small error the fitted tint stays; with a large one the light becomes neutral and the albedo takes the tint."""
+    transfer, seen, _ = scene
+    monkeypatch.setattr(LightMaterialSolver, "_reduce_tint", lambda self: None)
+    solver = start(replace(seen, colour=seen.colour * torch.tensor([1.5, 1.0, 0.6])), transfer)
+    solver.run(lambda done: done == 6)
+    monkeypatch.undo()
+    before, product = solver._light_prior.tint(solver.light), solver.light.mean(0) * solver.albedo
+    assert before.abs().max() > 0.2
+    monkeypatch.setattr(solver, "error", lambda: error)
+    solver._reduce_tint()
+    after = solver._light_prior.tint(solver.light)
+    assert torch.allclose(after, before, atol=0.02) if kept else after.abs().max() < 0.02
+    assert torch.allclose(solver.light.mean(0) * solver.albedo, product, rtol=1e-4)
+
+
+def test_a_lamp_smaller_than_a_texel_is_found_by_its_shadows(scene):
+    """Split texels concentrate the light where the lamp is, so that the gloss need not explain how small it is."""
+    position, normal = (part.numpy() for part in (scene[1].position, scene[1].normal))
+    truth = LightTexels.uniform(HEIGHT)
+    for last in (2 * 2 * HEIGHT + 5, truth.count + 23):  # a texel in the third row, 34 degrees above the floor; a part of it
+        some = np.zeros(truth.count, bool)
+        some[last - 7 : last + 1] = True  # whole vectors of 8, as the kernels need
+        truth, _, _ = truth.split(some)
+    light = torch.full((truth.count, 3), 0.3)
+    light[-1] = 400.0
+    exact = transport(position, normal, truth, 6)
+    _, albedo, roughness, metallic = scene[2]
+    seen = replace(scene[1], colour=rendered(scene[1], exact, light, albedo, roughness, 0 * metallic))
+
+    def split(transfer, light):
+        texels, _, old = transfer.texels.split(transfer.texels.brightest(light, 4 * HEIGHT, 8))
+        return transport(position, normal, texels, 6), old
+
+    errors = []
+    for use in (None, split):
+        gloss = (torch.full((len(position),), 0.5), torch.zeros(len(position)))
+        found = LightMaterialSolver(seen, transport(position, normal, side=6), *gloss, 0, False, use)
+        found.run()
+        errors.append(float((found.roughness - roughness).abs().mean()))
+    assert errors[1] < 0.75 * errors[0]
+    brightest = int(found.light[:, 0].argmax())
+    texels = found.transfer.texels
+    assert [int(part[brightest]) for part in (texels.level, texels.row, texels.column)] == [2, truth.row[-1], truth.column[-1]]
+    assert float(found.light[brightest].mean()) > 0.5 * 400

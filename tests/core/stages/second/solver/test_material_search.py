@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials by grid search under the true light, on the sphere on a floor."""
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.stages.second.solver import material_search as module
+from irgspp.core.stages.second.solver.material_search import CONTRADICTED, METAL_ROUGHNESS, MaterialSearch
+from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
+from sphere_on_floor import make
+
+
+@pytest.fixture(scope="module")
+def searched():
+    """A search, its costs under the true light, and the true albedo, roughness and metallic."""
+    transfer, seen, (light, *truth) = make()
+    search = search_of(seen, transfer)
+    return search, costs(search, light), truth
+
+
+def search_of(seen, transfer, metals=True):
+    n_v = (seen.normal[seen.point] * seen.view).sum(1)
+    return MaterialSearch(seen, transfer, transfer.diffuse_rows(seen), n_v, seen.sums(seen.colour) / seen.lengths[:, None], metals)
+
+
+def costs(search, light):
+    derivative = approximate_srgb_derivative(search.samples.colour)
+    return search.costs(light, derivative**2, derivative)
+
+
+def test_true_materials_cost_least(searched):
+    search, cost, (_, roughness, metallic) = searched
+    metal = metallic > 0
+    assert torch.equal(cost[:, 1, :METAL_ROUGHNESS].amin(1) < cost[:, 0].amin(1), metal)
+    assert (search.roughness(cost, metal) - roughness).abs().max() < 0.06
+
+
+def test_candidates_are_the_metal_and_stay(searched):
+    search, cost, (_, _, metallic) = searched
+    metal = metallic > 0
+    assert torch.equal(search.metal_candidates(cost), metal)
+    assert torch.equal(search.still_metal(cost, torch.ones_like(metal)), metal)  # the others are contradicted
+
+
+def test_a_little_doubt_does_not_release_metal(searched):
+    search, cost, _ = searched
+    level = torch.zeros_like(cost)
+    level[:, 1] = -0.9 * CONTRADICTED * search.samples.lengths.float().mean()
+    everything = torch.ones(len(level), dtype=torch.bool)
+    assert search.still_metal(level, everything).all()
+    assert not search.still_metal(level * 1.3, everything).any()
+    assert not search.still_metal(cost, ~everything).any()
+
+
+def test_costs_of_metals_are_left_out_where_there_are_none(searched):
+    _, cost, _ = searched
+    transfer, seen, (light, *_) = make()
+    alone = costs(search_of(seen, transfer, False), light)
+    np.testing.assert_allclose(alone, cost[:, :1], rtol=1e-5)
+
+
+def test_vertex_of_a_parabola():
+    knots = torch.arange(6.0)
+    vertices = torch.tensor([0.0, 0.4, 1.0, 2.3, 3.5, 4.9, 5.0])
+    cost = 2 * (knots - vertices[:, None]) ** 2 + 1
+    np.testing.assert_allclose(module._vertex(knots, cost), vertices, atol=1e-5)
+
+
+def test_vertex_stays_within_the_knots():
+    knots = torch.tensor([0.1, 0.2, 0.4, 0.8])
+    falling, rising, flat = torch.tensor([4.0, 3.0, 2.0, 1.0]), torch.tensor([1.0, 2.0, 3.0, 4.0]), torch.ones(4)
+    hollow = torch.tensor([5.0, 1.0, 2.0, 5.0])  # knots are not evenly spread: towards 0.4 steps are longer
+    found = module._vertex(knots, torch.stack([falling, rising, flat, hollow]))
+    assert found[:2].tolist() == pytest.approx([0.8, 0.1])
+    assert 0.1 <= found[2] <= 0.4 and 0.2 < found[3] < 0.3
+
+
+def test_candidates_stay_where_metal_explains_the_photographs_better(searched):
+    search, _, (_, _, metallic) = searched
+    metal, views = metallic > 0, search.samples.lengths.float().mean()
+    everything, gain = torch.ones_like(metal), torch.where(metal, 1.0, -1.0) * views
+    kept = search.supported(everything, gain)
+    assert torch.equal(kept, metal)  # neighbours of another colour hardly count
+    assert not search.supported(~metal, gain).any()  # only candidates can stay
+    one = gain.clone()
+    one[torch.nonzero(metal)[0]] = -0.2 * views
+    assert torch.equal(search.supported(everything, one), metal)  # a single doubtful point does not leave its region
