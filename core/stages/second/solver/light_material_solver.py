@@ -31,7 +31,7 @@ from ..metal import METAL_ON_AVERAGE
 from .albedo_prior import CONSTANT, albedo_prior
 from .light_prior import LightPrior
 from .material_search import MaterialSearch
-from .metal_regions import confirm_metal
+from .metal_regions import confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
@@ -264,8 +264,9 @@ class LightMaterialSolver:
     def _test_metal(self) -> None:
         """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""
         without = self._adapted(torch.zeros_like(self.candidates))
-        _, errors = self._adapted(self.candidates)
-        regions = self._search.regions(self._search.supported(self.candidates, without[1] - errors))
+        metal, errors = self._adapted(self.candidates)
+        supported = self._search.supported(self.candidates, without[1] - errors)
+        regions = sharp_regions(self._search.regions(supported), metal.roughness)
         best, least, confirmed = confirm_metal(regions, without, self._adapted)
         self.metal_gain = 1 - float(least.sum()) / max(float(without[1].sum()), 1e-30)
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight

@@ -29,6 +29,9 @@ LEAST, MOST = 4, 6  # points of a region, and regions that are tested
 # Least gain of a region as a share of the robust error of all samples. Regions of metal gained 0.014 and more on rocker_corner, whose
 # normals are wrong there, on capture_ogre and on suzanne_mixed; others up to 0.005 there and on spot_rough.
 EVIDENCE = 0.009
+# Median roughness above which a region is not tested: where the surface is wrong, in gaps and at contacts, rough metal explains shadows
+# better. Such regions had .79 and more on three scenes (one small one .69), regions of metal .35 to .69 on seven.
+ROUGHEST = 0.75
 SUPPORT, SUPPORT_PASSES = 0.1, 3  # gain per view, with an adapted light, from which a candidate stays one; passes that average it
 
 Solution = TypeVar("Solution")
@@ -91,6 +94,16 @@ def connected_regions(metal: torch.Tensor, neighbours: torch.Tensor, similarity:
     names, counts = label[metal].unique(return_counts=True)
     largest = counts.sort(descending=True, stable=True).indices[:MOST]
     return [metal & (label == names[k]) for k in largest if counts[k] >= LEAST]
+
+
+def sharp_regions(regions: list[torch.Tensor], roughness: torch.Tensor) -> list[torch.Tensor]:
+    """Return the regions whose reflections are sharp enough to tell metal from a rough dielectric.
+
+    Args:
+        regions: masks (P,) bool.
+        roughness: (P,) of the points as metal.
+    """
+    return [region for region in regions if float(roughness[region].median()) <= ROUGHEST]
 
 
 def confirm_metal(

@@ -7,11 +7,13 @@ from irgspp.core.stages.second.solver.metal_regions import (
     EVIDENCE,
     NEIGHBOURS,
     POSSIBLE,
+    ROUGHEST,
     SURE,
     confirm_metal,
     connected_regions,
     grow_metal,
     neighbourhood,
+    sharp_regions,
 )
 
 
@@ -51,6 +53,14 @@ def test_regions_are_connected_by_colour_and_place():
     found = [torch.nonzero(region)[:, 0].tolist() for region in connected_regions(metal, *row(60, colour))]
     assert found == [list(range(10)), list(range(30, 36)), list(range(25, 30))]  # the largest first; two points are too few
     assert connected_regions(torch.zeros(60, dtype=torch.bool), *row(60)) == []
+
+
+def test_a_region_that_would_be_rough_metal_is_not_tested():
+    roughness = torch.full((60,), 0.9)
+    roughness[:10], roughness[30:32] = 0.3, 0.2  # two sharp points do not make the second region sharp
+    first, second = masks((0, 10), (30, 40))
+    assert [region.equal(first) for region in sharp_regions([first, second], roughness)] == [True]
+    assert len(sharp_regions([first, second], torch.full((60,), ROUGHEST))) == 2
 
 
 NONE = torch.zeros(60, dtype=torch.bool)
