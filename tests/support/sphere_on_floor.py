@@ -14,6 +14,7 @@ from irgspp.core.stages.second.solver.light_material_solver import LightMaterial
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
 from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
+from irgspp.core.stages.second.solver.schedule import run_solver
 
 HEIGHT = 8
 TEXELS = 2 * HEIGHT**2
@@ -127,5 +128,5 @@ def start(seen, transfer, seed=0):
 def solved(seen, transfer, seed=0):
     """Return a light-material solver that has run to its end."""
     solver = start(seen, transfer, seed)
-    solver.run()
+    run_solver(solver)
     return solver

@@ -32,12 +32,14 @@ from .normals.normal_improvement import improve_normals
 from .radiance_refit import refit_radiance
 from .refinement.refinement_selection import refine, report_step
 from .secondary_tracer import secondary_tracer
+from .solver.albedo_prior import MEDIUM
 from .solver.gaussian_materials import assign_materials
 from .solver.light_material_solver import STEPS, LightMaterialSolver
 from .solver.light_texels import LightTexels
 from .solver.metal_starts import metal_starts
 from .solver.multi_view_samples import MultiViewSamples, sample_views
 from .solver.radiance_transfer import RadianceTransfer
+from .solver.schedule import run_solver
 from .solver.transfer_tracing import split_brightest, trace_radiance_transfer
 
 LEAST_POINTS = 50  # with which the light is solved
@@ -212,9 +214,11 @@ def _solve_from_first_stage(
     fixed = transfer.rotations is not None or is_metal_on_average(g)
     rest = {"samples": samples, "tracer": tracer, "seed": settings.seed, "rows": settings.second.light_height}
     split = None if fixed else partial(split_brightest, **rest)
-    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), settings.seed, search_metal, split)
+    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), settings.seed, search_metal)
     progress.phase("second stage", STEPS)
-    solver.run(lambda done: report_step(progress, done) or progress.finish_early)
+    run_solver(solver, split, lambda done: report_step(progress, done) or progress.finish_early)
+    if solver.start_albedo < MEDIUM:
+        progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():
         progress.message("a finer light around its lamps explains the photographs better")
     tested, confirmed = solver.regions

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import torch
 
+# Albedos to start from. From a medium one, the solver does not find the light of a dark glossy object, which is far brighter: it paints the
+# reflections on. A black camera's light became 17.6 instead of 7.4 dB.
+MEDIUM, DARK = 0.5, 0.1
 CONSTANT = 3  # steps with one albedo for all points
 RELEASE = 12  # steps over which the weight of the prior falls
 PRIOR = (1.0, 0.03)  # first and last weight
@@ -12,19 +15,20 @@ COLOURS = 0.15  # difference in log albedo below which two points count as being
 SAMPLE = 1000  # points that each point's colour is compared with
 
 
-def albedo_prior(albedo: torch.Tensor, done: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
     """Return target and weight of the prior: the mean of similar albedos.
 
     Args:
         albedo: (P, 3) current values.
         done: steps of the solver that are done.
+        start: albedo of all points while it is constant.
         generator: of the points that colours are compared with.
 
     Returns:
         (P, 3) each.
     """
     if done < CONSTANT:
-        return torch.full_like(albedo, 0.5), torch.full_like(albedo, 1e3)
+        return torch.full_like(albedo, start), torch.full_like(albedo, 1e3)
     log_albedo = albedo.log()
     others = log_albedo[torch.randperm(len(log_albedo), generator=generator)[:SAMPLE].to(log_albedo.device)]
     similarity = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2

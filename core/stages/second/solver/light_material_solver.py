@@ -28,7 +28,7 @@ from ....shading.brdf import DIELECTRIC_F0
 from ....shading.specular_albedo import diffuse_fraction
 from ...common.finite_check import require_finite
 from ..metal import METAL_ON_AVERAGE
-from .albedo_prior import CONSTANT, albedo_prior
+from .albedo_prior import CONSTANT, DARK, MEDIUM, albedo_prior
 from .light_prior import LightPrior
 from .material_search import MaterialSearch
 from .metal_regions import confirm_metal, sharp_regions
@@ -38,11 +38,10 @@ from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
 
 STEPS = 40
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36)  # numbers of steps done when roughness and metallic are searched
-SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split; at the end this must have paid
 METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before, and can only leave after
 TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
-ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
+ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
 
 class LightMaterialSolver:
@@ -58,6 +57,7 @@ class LightMaterialSolver:
         derivative: (K, 3) approximate derivative of the sRGB encoding at the samples' radiance.
         robust_weight: (K, 3) weights of the last step in 0..1.
         candidates: (P,) bool, points that a search found to be metal before the test.
+        start_albedo: of all points in the first steps: MEDIUM, or DARK where that start explained the photographs better.
         regions: number of regions that were tested, and of those that are metal.
         metal_gain: share of the robust error that the metal regions explained in their test, 0..1.
     """
@@ -70,9 +70,8 @@ class LightMaterialSolver:
         metallic: torch.Tensor,
         seed: int,
         search_metal: bool = True,
-        split: Split | None = None,
     ) -> None:
-        """Start with a constant albedo of 0.5 and a constant light.
+        """Start with a medium constant albedo and a constant light.
 
         Args:
             samples: multi-view samples of P points.
@@ -81,14 +80,13 @@ class LightMaterialSolver:
             metallic: (P,) initial values.
             seed: of the points that colours are compared with.
             search_metal: some points may be metal; otherwise none is.
-            split: splits texels of the light; None: they stay as they are.
         """
-        self.samples, self.transfer, self._search_metal, self._split = samples, transfer, search_metal, split
+        self.samples, self.transfer, self._search_metal = samples, transfer, search_metal
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
-        self.light = mean.new_full((transfer.texels.count, 3), 2 * float(mean.mean()))
-        self.albedo = torch.full_like(mean, 0.5)
+        self.light = mean.new_full((transfer.texels.count, 3), float(mean.mean()) / MEDIUM)
+        self.albedo, self.start_albedo = torch.full_like(mean, MEDIUM), MEDIUM
         self.derivative = approximate_srgb_derivative(samples.colour)
         self.robust_weight = torch.ones_like(samples.colour)
         self._light_prior = LightPrior(transfer.texels, mean.device)
@@ -101,54 +99,42 @@ class LightMaterialSolver:
         self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
         self._trace_lobes()
 
-    def run(self, step: Callable[[int], bool | None] = lambda done: None) -> None:
-        """Do all steps.
+    def advance(self, done: int) -> None:
+        """Search the materials where it is time, and do a step.
 
         Args:
-            step: called with the number of steps done; it may raise, and ends the run early by returning True.
+            done: number of steps done.
 
         Raises:
             IrgsppError: an estimate is not finite.
         """
-        coarse = None
-        for done in range(STEPS):
-            if self._split and done in SPLIT_STEPS:
-                coarse = coarse or self._twin()
-                self._split_texels(self._split)
-            self._advance(done)
-            if coarse:
-                coarse._advance(done)
-            if step(done + 1):
-                break
-        if coarse:
-            self._keep_better(coarse)
-        if not float(self.metallic.mean()) > METAL_ON_AVERAGE:
-            self._reduce_tint()
-
-    def _advance(self, done: int) -> None:
-        """Search the materials where it is time, and do a step."""
         if done in MATERIAL_STEPS:
             self._search_materials(done)
         self._step(done)
         unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
         require_finite(unknowns, f"after step {done + 1} of the second stage")
 
-    def _twin(self) -> LightMaterialSolver:
+    def twin(self) -> LightMaterialSolver:
         """Return a copy that goes its own way."""
         twin = copy.copy(self)  # steps replace tensors, they do not change them
         twin.generator = torch.Generator().set_state(self.generator.get_state())
         return twin
 
-    def _keep_better(self, other: LightMaterialSolver) -> None:
-        """Become the other solver if it explains the photographs better."""
-        if float(other._robust_errors().sum()) <= float(self._robust_errors().sum()):
-            self.__dict__.update(other.__dict__)
+    def dark_twin(self) -> LightMaterialSolver:
+        """Return a copy that starts from a dark albedo under a bright light."""
+        twin = self.twin()
+        twin.albedo, twin.start_albedo, twin.light = torch.full_like(self.albedo, DARK), DARK, self.light * (MEDIUM / DARK)
+        return twin
+
+    def become(self, other: LightMaterialSolver) -> None:
+        """Take over everything from another solver."""
+        self.__dict__.update(other.__dict__)
 
     def light_map(self, height: int) -> torch.Tensor:
         """Return the light as a lat-long map (height, 2 height, 3), linear radiance."""
         return self.transfer.texels.map(self.light, height)
 
-    def _split_texels(self, split: Split) -> None:
+    def split_texels(self, split: Split) -> None:
         """Continue with smaller texels where the light is bright."""
         self.transfer, old = split(self.transfer, self.light)
         self.light = self.light[torch.from_numpy(old).to(self.light.device)].contiguous()
@@ -158,8 +144,10 @@ class LightMaterialSolver:
         self._search = self._search.with_transfer(self.transfer, self._diffuse)
         self._trace_lobes()
 
-    def _reduce_tint(self) -> None:
+    def reduce_tint(self) -> None:
         """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""
+        if float(self.metallic.mean()) > METAL_ON_AVERAGE:
+            return
         likely = self._light_prior.likely_tint(self.light, self._curvature, self.error())
         change = (likely - self._light_prior.tint(self.light)).exp()
         self.light = self.light * change
@@ -169,6 +157,10 @@ class LightMaterialSolver:
         """Return the median difference between model and images, approximately in encoded values 0..1."""
         factor, rest = self._model()
         return float(((self.albedo[self.samples.point] * factor + rest - self.samples.colour) * self.derivative).abs().median())
+
+    def total_error(self) -> float:
+        """Return the robust error of all samples."""
+        return float(self._robust_errors().sum())
 
     def _robust_errors(self) -> torch.Tensor:
         """Return the robust error (P,) of each point."""
@@ -196,7 +188,7 @@ class LightMaterialSolver:
         robust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
         self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
         weight = self.robust_weight * self.derivative**2
-        anchor, pull = albedo_prior(self.albedo, done, self.generator)
+        anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
         residual, smoothness = self.albedo[samples.point] * factor + rest - y, self._light_prior.form(self.light)
@@ -214,11 +206,7 @@ class LightMaterialSolver:
         residual: torch.Tensor,
         smoothness: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Do a damped Gauss-Newton step of one channel of the light; the albedo follows the light (Schur complement).
-
-        Returns:
-            The channel (T,), and the error's curvature in its log brightness.
-        """
+        """Return one channel (T,) after a damped Gauss-Newton step, in which the albedo follows (Schur complement), and its curvature."""
         light = self.light[:, channel]
         hessian, gradient = self._equations(channel, weight, factor, total, residual)
         hessian, gradient = light[:, None] * hessian * light, light * gradient  # with respect to the logarithm of the light

@@ -6,6 +6,7 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.light_material_solver import gram
 from irgspp.core.stages.second.solver.sample_equation import view_terms
+from irgspp.core.stages.second.solver.schedule import run_solver
 from sphere_on_floor import TEXELS, make, start
 
 
@@ -14,7 +15,7 @@ def halfway():
     """A solver of a small problem after some steps, with weights, and target and weight of the albedo's prior."""
     transfer, seen, _ = make(40, 15)
     solver = start(seen, transfer)
-    solver.run(lambda step: step == 9)
+    run_solver(solver, step=lambda step: step == 9)
     solver.metallic[::3] = 0.5  # all terms at once
     solver._trace_lobes()
     random = torch.Generator().manual_seed(5)

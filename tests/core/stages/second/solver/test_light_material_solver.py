@@ -14,6 +14,7 @@ from irgspp.core.stages.second.solver import light_material_solver as module
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
+from irgspp.core.stages.second.solver.schedule import run_solver
 from sphere_on_floor import HEIGHT, TEXELS, make, rendered, solved, start, transport
 
 
@@ -62,7 +63,7 @@ def test_gloss_is_found(scene, found):
 def test_metal_is_found_only_where_it_is_looked_for(scene):
     transfer, seen, _ = scene
     solver = LightMaterialSolver(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, False)
-    solver.run(lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
+    run_solver(solver, step=lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
     assert (solver.metallic == 0).all() and solver.roughness.std() > 0.05
 
 
@@ -117,14 +118,14 @@ def test_steps_are_reported_and_can_end_the_run(scene):
     transfer, seen, _ = scene
     reported = []
     solver = start(seen, transfer)
-    solver.run(lambda done: reported.append(done) or done == 2)
+    run_solver(solver, step=lambda done: reported.append(done) or done == 2)
     assert reported == [1, 2]
 
     def stop(done):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        start(seen, transfer).run(stop)
+        run_solver(start(seen, transfer), step=stop)
     assert max(module.MATERIAL_STEPS) + 1 < STEPS  # the light follows the materials
 
 
@@ -132,14 +133,14 @@ def test_steps_are_reported_and_can_end_the_run(scene):
 def test_tint_stays_with_the_light_only_where_the_photographs_tell(scene, monkeypatch, error, kept):
     """With a small error the fitted tint stays; with a large one the light becomes neutral and the albedo takes the tint."""
     transfer, seen, _ = scene
-    monkeypatch.setattr(LightMaterialSolver, "_reduce_tint", lambda self: None)
+    monkeypatch.setattr(LightMaterialSolver, "reduce_tint", lambda self: None)
     solver = start(replace(seen, colour=seen.colour * torch.tensor([1.5, 1.0, 0.6])), transfer)
-    solver.run(lambda done: done == 6)
+    run_solver(solver, step=lambda done: done == 6)
     monkeypatch.undo()
     before, product = solver._light_prior.tint(solver.light), solver.light.mean(0) * solver.albedo
     assert before.abs().max() > 0.2
     monkeypatch.setattr(solver, "error", lambda: error)
-    solver._reduce_tint()
+    solver.reduce_tint()
     after = solver._light_prior.tint(solver.light)
     assert torch.allclose(after, before, atol=0.02) if kept else after.abs().max() < 0.02
     assert torch.allclose(solver.light.mean(0) * solver.albedo, product, rtol=1e-4)
@@ -166,8 +167,8 @@ def test_a_lamp_smaller_than_a_texel_is_found_by_its_shadows(scene):
     errors = []
     for use in (None, split):
         gloss = (torch.full((len(position),), 0.5), torch.zeros(len(position)))
-        found = LightMaterialSolver(seen, transport(position, normal, side=6), *gloss, 0, False, use)
-        found.run()
+        found = LightMaterialSolver(seen, transport(position, normal, side=6), *gloss, 0, False)
+        run_solver(found, use)
         errors.append(float((found.roughness - roughness).abs().mean()))
     assert errors[1] < 0.75 * errors[0]
     brightest = int(found.light[:, 0].argmax())

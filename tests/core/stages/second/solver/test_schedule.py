@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The solver's start is the one that explains the photographs better; the schedule is told step by step."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.stages.second.solver.albedo_prior import DARK, MEDIUM
+from irgspp.core.stages.second.solver.light_material_solver import STEPS
+from irgspp.core.stages.second.solver.schedule import START_STEPS, run_solver
+from sphere_on_floor import make, rendered, start
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make(120, 60)
+
+
+def unsplit(transfer, light):
+    """Leave the texels as they are."""
+    return transfer, np.arange(transfer.texels.count)
+
+
+def test_a_dark_glossy_object_is_found_under_its_bright_light(scene):
+    transfer, seen, (light, albedo, roughness, metallic) = scene
+    dark, gloss = 0.03 * albedo / albedo.mean(), torch.full_like(roughness, 0.2)
+    seen = replace(seen, colour=rendered(seen, transfer, 8 * light, dark, gloss, 0 * metallic))
+    plain, chosen = start(seen, transfer), start(seen, transfer)
+    run_solver(plain)
+    run_solver(chosen, unsplit)
+    assert plain.start_albedo == MEDIUM and chosen.start_albedo == DARK
+    assert chosen.total_error() < 0.8 * plain.total_error()
+    error = [abs(float((solver.light.mean() / (8 * light).mean()).log())) for solver in (plain, chosen)]
+    assert error[1] < min(0.5 * error[0], 0.3)
+
+
+def test_the_start_stays_where_it_explains_the_photographs_as_well(scene):
+    transfer, seen, _ = scene
+    both, plain = start(seen, transfer), start(seen, transfer)
+    run_solver(both, unsplit)
+    run_solver(plain)
+    assert both.start_albedo == MEDIUM and both.total_error() == pytest.approx(plain.total_error(), rel=1e-3)
+
+
+def test_steps_are_told_once_each_and_may_end_the_run(scene):
+    transfer, seen, _ = scene
+    told = []
+    run_solver(start(seen, transfer), unsplit, told.append)
+    assert told == list(range(1, STEPS + 1))
+    told = []
+    run_solver(start(seen, transfer), unsplit, lambda done: told.append(done) or done >= 3)
+    assert told == list(range(1, START_STEPS + 2))  # the start is chosen first
