@@ -17,7 +17,7 @@ def run_solver(solver: LightMaterialSolver, split: Split | None = None, step: Ca
     Args:
         solver: at its start; afterwards with the result.
         split: splits texels of the light; None: they stay as they are, and no other start is tried.
-        step: called with the number of steps done; it may raise, and ends the run early by returning True once the start is chosen.
+        step: called with the number of steps done; it may raise, and ends the run early by returning True.
 
     Raises:
         IrgsppError: an estimate is not finite.
@@ -35,6 +35,8 @@ def run_solver(solver: LightMaterialSolver, split: Split | None = None, step: Ca
 def _run_beside_coarse_light(solver: LightMaterialSolver, split: Split, step: Callable[[int], bool | None]) -> None:
     """Do all steps from the better start with split texels, and keep the result of the same start without, if it is better."""
     coarse = _choose_start(solver, step)
+    if coarse is None:
+        return
     for done in range(SPLIT_STEPS[0], STEPS):
         if done in SPLIT_STEPS:
             solver.split_texels(split)
@@ -48,15 +50,15 @@ def _run_beside_coarse_light(solver: LightMaterialSolver, split: Split, step: Ca
         solver.become(coarse)
 
 
-def _choose_start(solver: LightMaterialSolver, step: Callable[[int], object]) -> LightMaterialSolver:
+def _choose_start(solver: LightMaterialSolver, step: Callable[[int], bool | None]) -> LightMaterialSolver | None:
     """Choose the better of two starts.
 
     Args:
         solver: at its start; afterwards at the first of SPLIT_STEPS of the better one.
-        step: called with the number of steps done; it may raise.
+        step: called with the number of steps done; it may raise, and ends the run early by returning True.
 
     Returns:
-        The better one after START_STEPS.
+        The better one after START_STEPS; None where the run was ended, with the solver where its own start has led to.
     """
     starts, before = (solver.twin(), solver.dark_twin()), []
     for done in range(START_STEPS):
@@ -64,7 +66,9 @@ def _choose_start(solver: LightMaterialSolver, step: Callable[[int], object]) ->
             before = [start.twin() for start in starts]
         for start in starts:
             start.advance(done)
-        step(done + 1)
+        if step(done + 1):
+            solver.become(starts[0])
+            return None
     plain, dark = (start.total_error() for start in starts)
     best = int(dark < CLEARLY * plain)
     solver.become(before[best])
