@@ -177,7 +177,7 @@ def solve_light_materials(
     step = lambda done: report_step(progress, done)  # noqa: E731
     transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, step, rotations)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
-    # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal.
+    # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal, or on a dark object.
     search_metal = dataset.has_alpha or reconstruction.glossy
     solver = _solve_from_first_stage(reconstruction, samples, transfer, tracer, search_metal, settings, progress)
     if _is_doubtful_metal(reconstruction, solver):
@@ -206,7 +206,7 @@ def _solve_from_first_stage(
     settings: Settings,
     progress: Progress,
 ) -> LightMaterialSolver:
-    """Run a solver that starts with the roughness and metallic of the nearest Gaussians."""
+    """Run a solver that starts with the roughness and metallic of the nearest Gaussians; `search_metal` also allows a dark start."""
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
@@ -216,7 +216,7 @@ def _solve_from_first_stage(
     split = None if fixed else partial(split_brightest, **rest)
     solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), settings.seed, search_metal)
     progress.phase("second stage", STEPS)
-    run_solver(solver, split, lambda done: report_step(progress, done) or progress.finish_early)
+    run_solver(solver, split, lambda done: report_step(progress, done) or progress.finish_early, try_dark=search_metal)
     if solver.start_albedo < MEDIUM:
         progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():

@@ -11,19 +11,25 @@ SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are spl
 START_STEPS, CLEARLY = 20, 0.95  # steps after which two starts are compared, and share of the error below which the dark one is better
 
 
-def run_solver(solver: LightMaterialSolver, split: Split | None = None, step: Callable[[int], bool | None] = lambda done: None) -> None:
+def run_solver(
+    solver: LightMaterialSolver,
+    split: Split | None = None,
+    step: Callable[[int], bool | None] = lambda done: None,
+    try_dark: bool = True,
+) -> None:
     """Do all steps of a solver.
 
     Args:
         solver: at its start; afterwards with the result.
         split: splits texels of the light; None: they stay as they are, and no other start is tried.
         step: called with the number of steps done; it may raise, and ends the run early by returning True.
+        try_dark: also try a dark start, where texels are split.
 
     Raises:
         IrgsppError: an estimate is not finite.
     """
     if split:
-        _run_beside_coarse_light(solver, split, step)
+        _run_beside_coarse_light(solver, split, step, try_dark)
     else:
         for done in range(STEPS):
             solver.advance(done)
@@ -32,9 +38,10 @@ def run_solver(solver: LightMaterialSolver, split: Split | None = None, step: Ca
     solver.reduce_tint()
 
 
-def _run_beside_coarse_light(solver: LightMaterialSolver, split: Split, step: Callable[[int], bool | None]) -> None:
+def _run_beside_coarse_light(solver: LightMaterialSolver, split: Split, step: Callable[[int], bool | None], try_dark: bool) -> None:
     """Do all steps from the better start with split texels, and keep the result of the same start without, if it is better."""
-    coarse = _choose_start(solver, step)
+    starts = [solver.twin(), solver.dark_twin()] if try_dark else [solver.twin()]
+    coarse = _choose_start(solver, starts, step)
     if coarse is None:
         return
     for done in range(SPLIT_STEPS[0], STEPS):
@@ -50,17 +57,20 @@ def _run_beside_coarse_light(solver: LightMaterialSolver, split: Split, step: Ca
         solver.become(coarse)
 
 
-def _choose_start(solver: LightMaterialSolver, step: Callable[[int], bool | None]) -> LightMaterialSolver | None:
-    """Choose the better of two starts.
+def _choose_start(
+    solver: LightMaterialSolver, starts: list[LightMaterialSolver], step: Callable[[int], bool | None]
+) -> LightMaterialSolver | None:
+    """Choose the better of two starts, where there are two.
 
     Args:
-        solver: at its start; afterwards at the first of SPLIT_STEPS of the better one.
+        solver: afterwards at the first of SPLIT_STEPS of the better one.
+        starts: its own, and a dark one or none.
         step: called with the number of steps done; it may raise, and ends the run early by returning True.
 
     Returns:
         The better one after START_STEPS; None where the run was ended, with the solver where its own start has led to.
     """
-    starts, before = (solver.twin(), solver.dark_twin()), []
+    before = []
     for done in range(START_STEPS):
         if done == SPLIT_STEPS[0]:
             before = [start.twin() for start in starts]
@@ -69,7 +79,7 @@ def _choose_start(solver: LightMaterialSolver, step: Callable[[int], bool | None
         if step(done + 1):
             solver.become(starts[0])
             return None
-    plain, dark = (start.total_error() for start in starts)
-    best = int(dark < CLEARLY * plain)
+    errors = [start.total_error() for start in starts]
+    best = int(errors[-1] < CLEARLY * errors[0])
     solver.become(before[best])
     return starts[best]

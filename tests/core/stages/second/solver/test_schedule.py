@@ -33,6 +33,9 @@ def test_a_dark_glossy_object_is_found_under_its_bright_light(scene):
     assert chosen.total_error() < 0.8 * plain.total_error()
     error = [abs(float((solver.light.mean() / (8 * light).mean()).log())) for solver in (plain, chosen)]
     assert error[1] < min(0.5 * error[0], 0.3)
+    without = start(seen, transfer)
+    run_solver(without, unsplit, try_dark=False)
+    assert without.start_albedo == MEDIUM
 
 
 def test_the_start_stays_where_it_explains_the_photographs_as_well(scene):
