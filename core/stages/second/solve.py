@@ -210,13 +210,13 @@ def _solve_from_first_stage(
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
+    split = partial(split_brightest, samples=samples, tracer=tracer, seed=settings.seed, rows=settings.second.light_height)
     # A light that turns meets other traced rays in each view. Of a metal's light, the first stage's reflections know more.
-    fixed = transfer.rotations is not None or is_metal_on_average(g)
-    rest = {"samples": samples, "tracer": tracer, "seed": settings.seed, "rows": settings.second.light_height}
-    split = None if fixed else partial(split_brightest, **rest)
+    stays_coarse = transfer.rotations is not None or is_metal_on_average(g)
     solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), settings.seed, search_metal)
     progress.phase("second stage", STEPS)
-    run_solver(solver, split, lambda done: report_step(progress, done) or progress.finish_early, try_dark=search_metal)
+    step = lambda done: report_step(progress, done) or progress.finish_early  # noqa: E731
+    run_solver(solver, None if stays_coarse else split, step, try_dark=search_metal)
     if solver.start_albedo < MEDIUM:
         progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():

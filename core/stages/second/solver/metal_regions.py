@@ -30,7 +30,8 @@ LEAST, MOST = 4, 6  # points of a region, and regions that are tested
 # normals are wrong there, on capture_ogre and on suzanne_mixed; others up to 0.005 there and on spot_rough.
 EVIDENCE = 0.009
 # Median roughness above which a region is not tested: where the surface is wrong, in gaps and at contacts, rough metal explains shadows
-# better. Such regions had .79 and more on three scenes (one small one .69), regions of metal .35 to .69 on seven.
+# better. Such regions had .79 and more on four scenes, regions of metal .35 to .69 on seven. Two false ones were sharper (.69, and below .6
+# on a black object), and did not gain EVIDENCE.
 ROUGHEST = 0.75
 SUPPORT, SUPPORT_PASSES = 0.1, 3  # gain per view, with an adapted light, from which a candidate stays one; passes that average it
 

@@ -21,9 +21,9 @@ def run_solver(
 
     Args:
         solver: at its start; afterwards with the result.
-        split: splits texels of the light; None: they stay as they are, and no other start is tried.
+        split: splits texels of the light; None: they stay as they are, and no dark start is tried.
         step: called with the number of steps done; it may raise, and ends the run early by returning True.
-        try_dark: also try a dark start, where texels are split.
+        try_dark: also try a dark start, see `LightMaterialSolver.dark_twin`.
 
     Raises:
         IrgsppError: an estimate is not finite.

@@ -55,7 +55,7 @@ def trace_radiance_transfer(
         step: called with the number of points done; may raise.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
     """
-    fixed = _traced(position, normal, tracer, texels, side, seed, indirect, step)
+    fixed = _traced(position, normal, texels.directions(side, seed), tracer, indirect, step)
     return _transfer(normal, texels, fixed, indirect, rotations)
 
 
@@ -81,7 +81,8 @@ def split_brightest(
     texels, new, old = transfer.texels.split(chosen)
     before = [torch.as_tensor(array) for array in transfer.fixed]
     subdivisions = before[0].shape[-1] // transfer.texels.count
-    added = _traced(samples.position, samples.normal, tracer, new, math.isqrt(subdivisions), seed, transfer.bounces)
+    directions = new.directions(math.isqrt(subdivisions), seed)
+    added = _traced(samples.position, samples.normal, directions, tracer, transfer.bounces, lambda done: None)
     kept = torch.from_numpy(np.flatnonzero(~chosen)).to(samples.normal.device)
     fixed = []
     for whole, part in zip(before, added, strict=True):
@@ -93,15 +94,13 @@ def split_brightest(
 def _traced(
     position: torch.Tensor,
     normal: torch.Tensor,
+    directions: tuple[np.ndarray, np.ndarray],
     tracer: SecondaryTracer,
-    texels: LightTexels,
-    side: int,
-    seed: int,
     indirect: bool,
-    step: Callable[[int], object] = lambda done: None,
+    step: Callable[[int], object],
 ) -> tuple[torch.Tensor, ...]:
-    """Return the attribute `fixed` of a transfer as tensors."""
-    direction, angle = (torch.from_numpy(a).to(position.device) for a in texels.directions(side, seed))
+    """Return the attribute `fixed` of a transfer as tensors; `directions` are those of `LightTexels.directions`."""
+    direction, angle = (torch.from_numpy(a).to(position.device) for a in directions)
     cosine = (normal @ direction).clamp_min(0)
     visible, incoming = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, step)
     return direction, angle, visible, incoming if indirect else torch.zeros_like(incoming)
