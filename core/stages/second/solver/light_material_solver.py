@@ -81,7 +81,7 @@ class LightMaterialSolver:
             seed: of the points that colours are compared with.
             search_metal: some points may be metal; otherwise none is.
         """
-        self.samples, self.transfer, self._search_metal = samples, transfer, search_metal
+        self.samples, self.transfer, self._search_metal, self._seed = samples, transfer, search_metal, seed
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
@@ -120,11 +120,14 @@ class LightMaterialSolver:
         twin.generator = torch.Generator().set_state(self.generator.get_state())
         return twin
 
-    def dark_twin(self) -> LightMaterialSolver:
-        """Return a copy that starts from a dark albedo under a bright light."""
-        twin = self.twin()
-        twin.albedo, twin.start_albedo, twin.light = torch.full_like(self.albedo, DARK), DARK, self.light * (MEDIUM / DARK)
-        return twin
+    def thinned(self, every: int) -> LightMaterialSolver:
+        """Return a solver at its start for each `every`-th point; this one must be at its start, too."""
+        materials = (self.roughness[::every], self.metallic[::every])
+        return LightMaterialSolver(self.samples.every(every), self.transfer.every(every), *materials, self._seed, self._search_metal)
+
+    def start_dark(self) -> None:
+        """Start from a dark albedo under a bright light instead."""
+        self.albedo, self.start_albedo, self.light = torch.full_like(self.albedo, DARK), DARK, self.light * (MEDIUM / DARK)
 
     def become(self, other: LightMaterialSolver) -> None:
         """Take over everything from another solver."""

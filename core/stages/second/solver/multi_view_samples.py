@@ -64,6 +64,13 @@ class MultiViewSamples:
         of_points = (self.position[begin:end], self.normal[begin:end])
         return MultiViewSamples(*of_points, point, self.view[rows], self.colour[rows], self.saturated[rows], image)
 
+    def every(self, step: int) -> MultiViewSamples:
+        """Return each `step`-th point and its samples."""
+        rows = self.point % step == 0
+        image = None if self.image is None else self.image[rows]
+        of_points = (self.position[::step].contiguous(), self.normal[::step].contiguous())
+        return MultiViewSamples(*of_points, self.point[rows] // step, self.view[rows], self.colour[rows], self.saturated[rows], image)
+
     def sums(self, values: torch.Tensor) -> torch.Tensor:
         """Sum values (K, ...) of samples over each point, always in the same order: (P, ...)."""
         return torch.segment_reduce(values, "sum", lengths=self.lengths, axis=0, unsafe=True)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -57,6 +57,12 @@ class RadianceTransfer:
     def arrays(self, *tensors: torch.Tensor) -> tuple[Any, ...]:
         """Convert tensors (...,) to the type of `fixed`: numpy arrays that share memory, or the tensors themselves."""
         return tensors if isinstance(self.fixed[0], torch.Tensor) else tuple(t.numpy() for t in tensors)
+
+    def every(self, step: int) -> RadianceTransfer:
+        """Return the transfer to each `step`-th point."""
+        direction, angle, visible, incoming = self.fixed
+        fixed = (direction, angle, _contiguous(visible[::step]), _contiguous(incoming[::step]))
+        return replace(self, fixed=fixed, irradiance=self.irradiance[::step].contiguous(), indirect=self.indirect[::step].contiguous())
 
     def rows(self, samples: MultiViewSamples, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Compute the specular lobe of each sample as weights of the texels, see `lobe_rows`.

@@ -7,8 +7,10 @@ from collections.abc import Callable
 
 from .light_material_solver import STEPS, LightMaterialSolver, Split
 
+START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared, and about how many points they are compared on
 SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split; at the end this must have paid
-START_STEPS, CLEARLY = 20, 0.95  # steps after which two starts are compared, and share of the error below which the dark one is better
+TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, if it is clearly worse
+CLEARLY, SLIGHTLY = 0.95, 0.995  # shares of the error below which a dark start is better, and below which the split is
 
 
 def run_solver(
@@ -23,63 +25,39 @@ def run_solver(
         solver: at its start; afterwards with the result.
         split: splits texels of the light; None: they stay as they are, and no dark start is tried.
         step: called with the number of steps done; it may raise, and ends the run early by returning True.
-        try_dark: also try a dark start, see `LightMaterialSolver.dark_twin`.
+        try_dark: also try a dark start, see `LightMaterialSolver.start_dark`.
 
     Raises:
         IrgsppError: an estimate is not finite.
     """
-    if split:
-        _run_beside_coarse_light(solver, split, step, try_dark)
-    else:
-        for done in range(STEPS):
-            solver.advance(done)
-            if step(done + 1):
-                break
+    if split and try_dark and _dark_start_is_better(solver, step):
+        solver.start_dark()
+    coarse = None
+    for done in range(STEPS):
+        if split and done == SPLIT_STEPS[0]:
+            coarse = solver.twin()
+        if split and done in SPLIT_STEPS:
+            solver.split_texels(split)
+        solver.advance(done)
+        if coarse:
+            coarse.advance(done)
+        if step(done + 1):
+            break
+        if coarse and done + 1 == TWIN_STEPS and solver.total_error() < SLIGHTLY * coarse.total_error():
+            coarse = None
+    if coarse and coarse.total_error() <= solver.total_error():
+        solver.become(coarse)
     solver.reduce_tint()
 
 
-def _run_beside_coarse_light(solver: LightMaterialSolver, split: Split, step: Callable[[int], bool | None], try_dark: bool) -> None:
-    """Do all steps from the better start with split texels, and keep the result of the same start without, if it is better."""
-    starts = [solver.twin(), solver.dark_twin()] if try_dark else [solver.twin()]
-    coarse = _choose_start(solver, starts, step)
-    if coarse is None:
-        return
-    for done in range(SPLIT_STEPS[0], STEPS):
-        if done in SPLIT_STEPS:
-            solver.split_texels(split)
-        solver.advance(done)
-        if done < START_STEPS:  # the coarse light is so far already
-            continue
-        coarse.advance(done)
-        if step(done + 1):
-            break
-    if coarse.total_error() <= solver.total_error():
-        solver.become(coarse)
-
-
-def _choose_start(
-    solver: LightMaterialSolver, starts: list[LightMaterialSolver], step: Callable[[int], bool | None]
-) -> LightMaterialSolver | None:
-    """Choose the better of two starts, where there are two.
-
-    Args:
-        solver: afterwards at the first of SPLIT_STEPS of the better one.
-        starts: its own, and a dark one or none.
-        step: called with the number of steps done; it may raise, and ends the run early by returning True.
-
-    Returns:
-        The better one after START_STEPS; None where the run was ended, with the solver where its own start has led to.
-    """
-    before = []
+def _dark_start_is_better(solver: LightMaterialSolver, step: Callable[[int], bool | None]) -> bool:
+    """Return True where a dark start explains some of the points clearly better; `step` is called as by `run_solver`."""
+    every = max(1, len(solver.albedo) // START_POINTS)
+    plain, dark = solver.thinned(every), solver.thinned(every)
+    dark.start_dark()
     for done in range(START_STEPS):
-        if done == SPLIT_STEPS[0]:
-            before = [start.twin() for start in starts]
-        for start in starts:
-            start.advance(done)
-        if step(done + 1):
-            solver.become(starts[0])
-            return None
-    errors = [start.total_error() for start in starts]
-    best = int(errors[-1] < CLEARLY * errors[0])
-    solver.become(before[best])
-    return starts[best]
+        if step(0):
+            return False
+        plain.advance(done)
+        dark.advance(done)
+    return dark.total_error() < CLEARLY * plain.total_error()

@@ -8,7 +8,7 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.albedo_prior import DARK, MEDIUM
 from irgspp.core.stages.second.solver.light_material_solver import STEPS
-from irgspp.core.stages.second.solver.schedule import START_STEPS, run_solver
+from irgspp.core.stages.second.solver.schedule import SPLIT_STEPS, START_STEPS, run_solver
 from sphere_on_floor import make, rendered, start
 
 
@@ -46,9 +46,30 @@ def test_the_start_stays_where_it_explains_the_photographs_as_well(scene):
     assert both.start_albedo == MEDIUM and both.total_error() == pytest.approx(plain.total_error(), rel=1e-3)
 
 
-@pytest.mark.parametrize("last", [3, START_STEPS + 3, STEPS])
+@pytest.mark.parametrize("last", [3, SPLIT_STEPS[0] + 3, STEPS])
 def test_steps_are_told_once_each_and_may_end_the_run(scene, last):
     transfer, seen, _ = scene
     told = []
     run_solver(start(seen, transfer), unsplit, lambda done: told.append(done) or done == last)
-    assert told == list(range(1, last + 1))
+    assert told == [0] * START_STEPS + list(range(1, last + 1))
+
+
+def test_the_run_may_end_while_starts_are_compared(scene):
+    transfer, seen, _ = scene
+    ended, first = start(seen, transfer), start(seen, transfer)
+    run_solver(ended, unsplit, lambda done: True)
+    first.advance(0)
+    first.reduce_tint()
+    assert torch.equal(ended.light, first.light) and torch.equal(ended.albedo, first.albedo)
+
+
+def test_some_points_alone_are_solved_alike(scene):
+    transfer, seen, _ = scene
+    whole, part = start(seen, transfer), start(seen, transfer).thinned(2)
+    points = torch.arange(0, len(seen.position), 2)
+    assert torch.equal(part.samples.position, seen.position[points])
+    assert torch.equal(part.samples.lengths, seen.lengths[points])
+    assert torch.equal(part.samples.colour, seen.colour[torch.isin(seen.point, points)])
+    assert part.total_error() < whole.total_error()
+    errors = [solver.error() for solver in (whole, part)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.2)
