@@ -194,29 +194,25 @@ class LightMaterialSolver:
         anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
-        residual, smoothness = self.albedo[samples.point] * factor + rest - y, self._light_prior.form(self.light)
-        channels = [(weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)]
-        steps = [self._step_light(c, *channel, smoothness) for c, channel in enumerate(channels)]
-        self.light = self.transfer.texels.with_one_colour(torch.stack([light for light, _ in steps], 1))
-        self._curvature = torch.stack([curvature for _, curvature in steps])
+        residual = self.albedo[samples.point] * factor + rest - y
+        self._step_light([(weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)])
 
-    def _step_light(
-        self,
-        channel: int,
-        weight: torch.Tensor,
-        factor: torch.Tensor,
-        total: torch.Tensor,
-        residual: torch.Tensor,
-        smoothness: torch.Tensor,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return one channel (T,) after a damped Gauss-Newton step, in which the albedo follows (Schur complement), and its curvature."""
-        light = self.light[:, channel]
-        hessian, gradient = self._equations(channel, weight, factor, total, residual)
-        hessian, gradient = light[:, None] * hessian * light, light * gradient  # with respect to the logarithm of the light
-        damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
-        log_light = light.log()
-        step = torch.linalg.solve(damped.double(), (gradient + smoothness @ log_light).double()).float()
-        return (log_light - step.clamp(-1, 1)).clamp(-9, 7).exp(), hessian.sum()
+    def _step_light(self, channels: list[tuple[torch.Tensor, ...]]) -> None:
+        """Do a damped Gauss-Newton step of the light, in which the albedo follows (Schur complement).
+
+        Args:
+            channels: arguments of `_equations` for each channel.
+        """
+        smoothness, log_light = self._light_prior.form(self.light), self.light.log()
+        systems, right, self._curvature = [], [], torch.zeros_like(self._curvature)
+        for c, channel in enumerate(channels):
+            light, (hessian, gradient) = self.light[:, c], self._equations(c, *channel)
+            hessian = light[:, None] * hessian * light  # with respect to the logarithm of the light
+            systems.append(hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10))
+            right.append(light * gradient + smoothness @ log_light[:, c])
+            self._curvature[c] = hessian.sum()
+        step = torch.linalg.solve(torch.stack(systems).double(), torch.stack(right).double()).float()  # at once, on several cores
+        self.light = self.transfer.texels.with_one_colour((log_light - step.T.clamp(-1, 1)).clamp(-9, 7).exp())
 
     def _equations(
         self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
