@@ -66,7 +66,7 @@ class FirstStageSettings:
     trial_iterations: Annotated[int, Range(1)] = 250  # of each trial fit that decides between low-gloss and glossy
     trial_gaussians: Annotated[int, Range(16)] = 8_000  # of each trial fit
     trial_resolution: Annotated[int, Range(16)] = 100  # longest side of an image in a trial fit, pixels
-    trial_margin: Annotated[float, Range(0)] = 0.5  # dB of PSNR on held-out views by which a glossier material class must be better
+    trial_margin: Annotated[float, Range(0)] = 0.5  # dB of PSNR on held-out views by which low-gloss or metal must be better than glossy
 
 
 @dataclass(frozen=True)

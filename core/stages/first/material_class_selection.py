@@ -7,12 +7,12 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
-from .material_class import COATED, MATERIAL_CLASSES, MaterialClass, allowed_material_classes, with_geometry_rates
+from .material_class import COATED, MATERIAL_CLASSES, METAL, MaterialClass, allowed_material_classes, with_geometry_rates
 from .trainer import invalid_checkpoint
 from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
 
-# Added dB where the light turns: a reflected light map also explains some of the matt shading that changes with the turns (0.7 dB on a
-# dielectric of roughness 0.45), for which the SH need more than a brief fit.
+# dB by which a more reflecting class must be better where the light turns, beside `first.trial_margin`: a reflected light map also explains
+# some of the matt shading that changes with the turns (0.7 dB on a dielectric of roughness 0.45), for which SH need more than a brief fit.
 TURNING = 1.0
 
 
@@ -21,9 +21,9 @@ def select_material_class(
 ) -> tuple[MaterialClass, float | None]:
     """Select the object's material class: fit every allowed class briefly and take the one that predicts held-back views best.
 
-    A class must be better by `first.trial_margin` dB than the less reflecting one selected before it, and by TURNING more where the light
-    turns. Where no view can be held back,
-    or no mask separates the object from its background, the first of the allowed classes is returned.
+    Glossy is the rule: SH that explain all shading fit a brief trial as well, but leave worse normals and materials in the end. So
+    low-gloss must be better by `first.trial_margin` dB, and so must metal. Where the light turns, glossy must be better, see TURNING.
+    Where no view can be held back, or no mask separates the object from its background, the first of the allowed classes is returned.
 
     Args:
         dataset: views.
@@ -48,27 +48,47 @@ def select_material_class(
     fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, COATED), crop) for m in classes}
     progress.phase("materials", settings.first.trial_iterations)
     score = run_trials(fits, settings, progress)
-    margin, best = settings.first.trial_margin, classes[0]
-    if light_rotations(dataset.train) is not None:
-        margin += TURNING
-    for material_class in classes[1:]:
-        best = material_class if score[material_class.name] > score[best.name] + margin else best
-    progress.message(_choice_in_words(score, best.name, margin))
-    return best, score[best.name]
+    margins = _margins(settings.first.trial_margin, light_rotations(dataset.train) is not None)
+    best = _choose(score, margins)
+    progress.message(_choice_in_words(score, best, margins))
+    return next(m for m in classes if m.name == best), score[best]
 
 
-def _choice_in_words(score: dict[str, float], chosen: str, margin: float) -> str:
+def _margins(margin: float, turns: bool) -> dict[str, float]:
+    """Return by how many dB a class must be better than a less reflecting one.
+
+    Args:
+        margin: the setting `first.trial_margin`.
+        turns: the light turns.
+    """
+    return dict.fromkeys((COATED.name, METAL.name), margin + TURNING) if turns else {COATED.name: -margin, METAL.name: margin}
+
+
+def _choose(score: dict[str, float], margins: dict[str, float]) -> str:
+    """Return the name of the class that is better than the less reflecting ones by its margin.
+
+    Args:
+        score: PSNR of each class in dB, the least reflecting first.
+        margins: dB by which a class must be better than a less reflecting one.
+    """
+    best, *rest = score
+    for name in rest:
+        best = name if score[name] > score[best] + margins[name] else best
+    return best
+
+
+def _choice_in_words(score: dict[str, float], chosen: str, margins: dict[str, float]) -> str:
     """Return the choice with its reason, in one line.
 
     Args:
         score: PSNR of each class in dB, the least reflecting first.
         chosen: name of the class.
-        margin: dB by which a more reflecting class must be better.
+        margins: dB by which a class must be better than a less reflecting one.
     """
     best = max(score, key=lambda name: score[name])
-    gain = score[best] - score[chosen]
-    if best != chosen and list(score).index(best) > list(score).index(chosen):
-        return f"materials: {chosen}; {best} would be only {gain:.1f} dB better, less than the {margin:.1f} dB that it needs"
+    if best != chosen:
+        gain, needed = score[best] - score[chosen], abs(margins[max(best, chosen, key=list(score).index)])
+        return f"materials: {chosen}; {best} would be only {gain:.1f} dB better, less than the {needed:.1f} dB that it needs"
     rest = [value for name, value in score.items() if name != chosen]
     return f"materials: {chosen}, by {score[chosen] - max(rest):.1f} dB the best on held-back photographs"
 

@@ -122,7 +122,7 @@ def solve_in_closed_form(
         tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
     progress.phase("paint", 100)
     watch = (settings.seed, lambda fraction: report_step(progress, int(100 * fraction)))
-    materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch)
+    materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch, settings.first.subpixels)
     enlarged = solver.light_map(settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     starts = [reconstruction.relabelled(torch.logit(materials), enlarged)]

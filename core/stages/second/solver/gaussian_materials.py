@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from ....kernels.reference.harmonics import sh_basis
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.dataset import View
 from ....scene.gaussians import METALLIC, Gaussians
@@ -19,13 +17,13 @@ from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
 from ..metal import METAL
 from .light_material_solver import LightMaterialSolver
-from .multi_view_samples import MultiViewSamples, sample_views
+from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, view_terms
+from .sharp_samples import sharp_samples
 from .transfer_tracing import trace_radiance_transfer
 
 NEAREST = 8  # solver points whose mean roughness and metallic a Gaussian takes
-VIEWS = 4  # samples of each Gaussian, at most
 BATCH = 4000  # Gaussians traced at a time
 REWEIGHTED = 8  # passes of iteratively reweighted least squares
 AROUND = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
@@ -40,6 +38,7 @@ def assign_materials(
     solver: LightMaterialSolver,
     seed: int,
     step: Callable[[float], None],
+    subpixels: int = 1,
 ) -> torch.Tensor:
     """Assign materials to all Gaussians under the solved light.
 
@@ -54,16 +53,14 @@ def assign_materials(
         solver: solved light, and materials of its points.
         seed: of the choice of views and of ray directions.
         step: called with the fraction done, 0..1.
+        subpixels: rays along each side of a pixel with which the radiance was fitted.
 
     Returns:
         (5, N) albedo (3), roughness, metallic in 0..1.
     """
-    g, random = reconstruction.gaussians, np.random.default_rng(seed)
+    g = reconstruction.gaussians
     device, position = g.position.device, g.position.T.contiguous().cpu().numpy()
-    normal = surface_normals(surface, position)
-    samples, chosen = sample_views(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, least=1, device=device)
-    if not reconstruction.glossy:
-        samples = with_colour(samples, own_radiance(g, chosen[samples.point], samples.view))
+    samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels)
     _, nearest = KDTree(solver.samples.position.cpu().numpy()).query(samples.position.cpu().numpy(), k=min(NEAREST, len(solver.roughness)))
     around = torch.from_numpy(np.asarray(nearest).reshape(len(samples.position), -1)).to(device)
     roughness, metallic = solver.roughness[around].mean(1), (solver.metallic[around].mean(1) > METAL).float()
@@ -101,31 +98,6 @@ def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
     side = np.take_along_axis(normals, height.argmin(1)[:, None, None], 1)
     normal = (normals * ((normals * side).sum(-1, keepdims=True) > 0)).sum(1)
     return (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)).astype(np.float32)
-
-
-def own_radiance(gaussians: Gaussians, index: torch.Tensor, view: torch.Tensor) -> torch.Tensor:
-    """Evaluate the SH radiance of Gaussians; it is sharper than an image's pixels, as it was fitted to all images.
-
-    Args:
-        gaussians: all Gaussians.
-        index: (K,) Gaussians to evaluate.
-        view: (K, 3) unit directions towards the camera.
-
-    Returns:
-        (K, 3) linear radiance.
-    """
-    basis = sh_basis(-view.T, 3)
-    return ((basis[:, None] * gaussians.sh[:, :, index]).sum(0) + 0.5).clamp_min(0).T.contiguous()
-
-
-def with_colour(samples: MultiViewSamples, colour: torch.Tensor) -> MultiViewSamples:
-    """Return the samples with other colours.
-
-    Args:
-        samples: K samples.
-        colour: (K, 3) linear radiance.
-    """
-    return replace(samples, colour=colour)
 
 
 def fitted_albedo(

@@ -6,7 +6,7 @@ Differences between the views of one point are due to gloss, which shows the lig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +86,7 @@ def sample_views(
     most: int,
     least: int = 3,
     device: torch.device | str = "cpu",
+    image_of: Callable[[View], np.ndarray] = lambda view: view.colour,
 ) -> tuple[MultiViewSamples, torch.Tensor]:
     """Sample the images that see each of P surface points.
 
@@ -99,12 +100,13 @@ def sample_views(
         most: samples per point, at most.
         least: points seen by fewer views are left out.
         device: of the tree and of the result.
+        image_of: gives the sRGB-encoded image (H, W, 3) of a view to sample; by default its photograph.
 
     Returns:
         The samples, and the indices of their points among the P given ones.
     """
     device = torch.device(device)
-    found = [_sample_view(position, normal, view, tree, offset, device) for view in views]
+    found = [_sample_view(position, normal, view, image_of, tree, offset, device) for view in views]
     point, direction, colour, saturated = (np.concatenate(part) for part in zip(*found, strict=True))
     image = np.repeat(np.arange(len(views)), [len(part[0]) for part in found])
     shuffled = random.permutation(len(point))
@@ -122,7 +124,9 @@ def sample_views(
     return MultiViewSamples(*tensors), torch.from_numpy(chosen).to(device)
 
 
-def _sample_view(position, normal, view: View, tree: Tree, offset: float, device: torch.device) -> tuple[np.ndarray, ...]:
+def _sample_view(
+    position, normal, view: View, image_of: Callable[[View], np.ndarray], tree: Tree, offset: float, device: torch.device
+) -> tuple[np.ndarray, ...]:
     """Return index (M,), direction (M, 3), linear colour (M, 3) and saturation (M, 3) of the points (P, 3) that one image shows."""
     camera = view.camera
     local = position @ camera.world_to_cv[:3, :3].T + camera.world_to_cv[:3, 3]
@@ -138,9 +142,9 @@ def _sample_view(position, normal, view: View, tree: Tree, offset: float, device
     rays = position[index] + offset * normal[index], direction[index]
     origin, towards = (torch.from_numpy(a.astype(np.float32)).to(device) for a in rays)
     index = index[transmittance(tree, origin, towards).cpu().numpy() > VISIBLE]
-    corners = _bilinear(place[index])
-    colour = sum(decode_srgb(view.colour[at].astype(np.float64)) * weight[:, None] for at, weight in corners)
-    saturated = np.any([view.colour[at] >= SATURATED for at, _ in corners], axis=0)
+    corners, image = _bilinear(place[index]), image_of(view)
+    colour = sum(decode_srgb(image[at].astype(np.float64)) * weight[:, None] for at, weight in corners)
+    saturated = np.any([image[at] >= SATURATED for at, _ in corners], axis=0)
     return index, direction[index].astype(np.float32), np.asarray(colour, np.float32), saturated
 
 
