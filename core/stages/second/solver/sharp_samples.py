@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Samples of the images at Gaussians, with colours sharper than pixels.
 
-The SH of a Gaussian are sharper than a pixel, as they were fitted to all images. So a pixel's colour gets the difference between the SH of
-the Gaussian and the SH rendered in that pixel, (1 - m) (c_i - C_sh); its reflection stays the pixel's. With the pixels' own colours, the
-albedo of a glossy bowl with a fine pattern had 2 dB less.
+The SH of a Gaussian are sharper than a pixel, as they were fitted to all images. Where they hold all radiance, they are its colour. Of a
+glossy object they hold the diffuse part: a pixel's colour gets the difference between the SH of the Gaussian and the SH rendered in that
+pixel, (1 - m) (c_i - C_sh); its reflection stays the pixel's. With the pixels' own colours, the albedo of a glossy bowl with a fine pattern
+had 2 dB less.
 
 Where that detail differs in brightness alone, it is shading of a relief finer than the normals rather than pigment (Retinex, Land and
 McCann 1971), and is left out: with it, the albedo of a stone face had 2 dB less.
@@ -55,10 +56,11 @@ def sharp_samples(
     place = (g.position.T.contiguous().cpu().numpy(), normal)
     look = partial(sample_views, *place, views, tracer.tree, tracer.offset, most=VIEWS, least=1, device=g.position.device)
     samples, chosen = look(random=np.random.default_rng(seed))
+    own = sh_radiance(g, chosen[samples.point], samples.view)
+    if mirrored is None:
+        return replace(samples, colour=own)
     blurred, _ = look(random=np.random.default_rng(seed), image_of=lambda view: sh_image(reconstruction, view.camera, subpixels))
-    detail = sh_radiance(g, chosen[samples.point], samples.view) - blurred.colour
-    if mirrored is not None:
-        detail = (1 - mirrored.material[METALLIC, chosen[samples.point], None]) * detail
+    detail = (1 - mirrored.material[METALLIC, chosen[samples.point], None]) * (own - blurred.colour)
     detail = pigment_share(samples, detail)[samples.point, None] * detail
     return replace(samples, colour=(samples.colour + detail).clamp_min(0))
 

@@ -61,6 +61,12 @@ def test_metal_keeps_the_photographs_pixels(patterned, camera_ring):
     assert (metal.colour - colour[gaussians_of(metal, scene)]).abs().amax(1).median() > 0.1
 
 
+def test_sh_that_hold_all_radiance_are_the_colour(patterned, camera_ring):
+    scene, colour, _ = patterned
+    samples = sampled(replace(scene, glossy=False), camera_ring(12, 32), 0.1)
+    torch.testing.assert_close(samples.colour, colour[gaussians_of(samples, scene)], atol=1e-5, rtol=0)
+
+
 def test_sh_are_what_a_ray_at_the_surfel_sees(some_gaussians):
     g = some_gaussians(30, 0)
     index = torch.tensor([3, 3, 29, 0, 17, 8])
