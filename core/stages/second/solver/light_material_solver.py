@@ -204,15 +204,17 @@ class LightMaterialSolver:
             channels: arguments of `_equations` for each channel.
         """
         smoothness, log_light = self._light_prior.form(self.light), self.light.log()
-        systems, right, self._curvature = [], [], torch.zeros_like(self._curvature)
+        steps, self._curvature = [], torch.zeros_like(self._curvature)
         for c, channel in enumerate(channels):
             light, (hessian, gradient) = self.light[:, c], self._equations(c, *channel)
             hessian = light[:, None] * hessian * light  # with respect to the logarithm of the light
-            systems.append(hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10))
-            right.append(light * gradient + smoothness @ log_light[:, c])
+            damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
+            side = light * gradient + smoothness @ log_light[:, c]
+            # One after the other: once, three at a time on several threads never returned (torch 2.13, MKL).
+            steps.append(torch.linalg.solve(damped.double(), side.double()).float())
             self._curvature[c] = hessian.sum()
-        step = torch.linalg.solve(torch.stack(systems).double(), torch.stack(right).double()).float()  # at once, on several cores
-        self.light = self.transfer.texels.with_one_colour((log_light - step.T.clamp(-1, 1)).clamp(-9, 7).exp())
+        step = torch.stack(steps, 1).clamp(-1, 1)
+        self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(-9, 7).exp())
 
     def _equations(
         self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
