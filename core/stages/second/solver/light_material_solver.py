@@ -209,9 +209,9 @@ class LightMaterialSolver:
             light, (hessian, gradient) = self.light[:, c], self._equations(c, *channel)
             hessian = light[:, None] * hessian * light  # with respect to the logarithm of the light
             damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
-            side = light * gradient + smoothness @ log_light[:, c]
+            right = light * gradient + smoothness @ log_light[:, c]
             # One after the other: once, three at a time on several threads never returned (torch 2.13, MKL).
-            steps.append(torch.linalg.solve(damped.double(), side.double()).float())
+            steps.append(torch.linalg.solve(damped.double(), right.double()).float())
             self._curvature[c] = hessian.sum()
         step = torch.stack(steps, 1).clamp(-1, 1)
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(-9, 7).exp())

@@ -9,8 +9,8 @@ from .light_material_solver import STEPS, LightMaterialSolver, Split
 
 START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared, and about how many points they are compared on
 SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split; at the end this must have paid
-TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, if it is clearly worse
-CLEARLY, SLIGHTLY = 0.95, 0.995  # shares of the error below which a dark start is better, and below which the split is
+TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, if the split is better
+DARK_BETTER, SPLIT_BETTER = 0.95, 0.995  # ratios of errors below which a dark start, and below which the split, counts as better
 
 
 def run_solver(
@@ -43,7 +43,7 @@ def run_solver(
             coarse.advance(done)
         if step(done + 1):
             break
-        if coarse and done + 1 == TWIN_STEPS and solver.total_error() < SLIGHTLY * coarse.total_error():
+        if coarse and done + 1 == TWIN_STEPS and solver.total_error() < SPLIT_BETTER * coarse.total_error():
             coarse = None
     if coarse and coarse.total_error() <= solver.total_error():
         solver.become(coarse)
@@ -51,7 +51,7 @@ def run_solver(
 
 
 def _dark_start_is_better(solver: LightMaterialSolver, step: Callable[[int], bool | None]) -> bool:
-    """Return True where a dark start explains some of the points clearly better; `step` is called as by `run_solver`."""
+    """Return True where a dark start explains some of the points better; `step` is called as by `run_solver`."""
     every = max(1, len(solver.albedo) // START_POINTS)
     plain, dark = solver.thinned(every), solver.thinned(every)
     dark.start_dark()
@@ -60,4 +60,4 @@ def _dark_start_is_better(solver: LightMaterialSolver, step: Callable[[int], boo
             return False
         plain.advance(done)
         dark.advance(done)
-    return dark.total_error() < CLEARLY * plain.total_error()
+    return dark.total_error() < DARK_BETTER * plain.total_error()

@@ -59,6 +59,7 @@ def sharp_samples(
     own = sh_radiance(g, chosen[samples.point], samples.view)
     if mirrored is None:
         return replace(samples, colour=own)
+    # The same seed: the same samples in the same order.
     blurred, _ = look(random=np.random.default_rng(seed), image_of=lambda view: sh_image(reconstruction, view.camera, subpixels))
     detail = (1 - mirrored.material[METALLIC, chosen[samples.point], None]) * (own - blurred.colour)
     detail = pigment_share(samples, detail)[samples.point, None] * detail

@@ -112,7 +112,8 @@ def test_materials_are_found_and_hidden_surfels_are_like_their_neighbours(splat_
     albedo, metallic = materials(position)
     inner = (np.abs(position[:COUNT, 0]) > 0.15) & (np.abs(position[:COUNT, 2] - 0.5) > 0.1)  # away from the borders of colours and metal
     error = (result[:3, :COUNT].T - albedo[:COUNT])[inner].abs()
-    assert error.median() < 0.02 and error.quantile(0.95) < 0.06  # SH that are equal in all directions only approximate the sphere
+    limit = 0.01 if glossy else 0.02  # SH that are equal in all directions only approximate the sphere
+    assert error.median() < limit and error.quantile(0.95) < 3 * limit
     np.testing.assert_allclose(result[3], ROUGHNESS, rtol=1e-5)
     np.testing.assert_allclose(result[4, :COUNT][inner], metallic[:COUNT][inner].clamp(EDGE, 1 - EDGE), rtol=1e-5)
     above = torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE]  # the visible surfels right above the hidden ones
