@@ -28,6 +28,7 @@ class MaskedTarget:
         rotation: (3, 3) world to camera (OpenCV axes).
         mask_weight: weight of the mean difference from the mask.
         normal_weight: weight of the normal consistency.
+        edge: see `normal_consistency`.
         scale: factor of the whole loss.
     """
 
@@ -38,6 +39,7 @@ class MaskedTarget:
     rotation: torch.Tensor
     mask_weight: float
     normal_weight: float
+    edge: float
     scale: float
 
 
@@ -53,7 +55,7 @@ class _MaskedLoss(torch.autograd.Function):
         blocks = even_ranges(-(-pixels // 8), thread_count())
         run_ranges(encode_range, blocks, pixels, *flat, target.saturated.numpy().reshape(-1), encoded.reshape(-1), image.reshape(-1))
         photometric, g_image = photometric_gradient(image, target.image.numpy(), SSIM_WEIGHT)
-        normals, g_normals = consistency_gradient(x, target.rays.numpy(), target.rotation.numpy())
+        normals, g_normals = consistency_gradient(x, target.rays.numpy(), target.rotation.numpy(), target.edge)
         g_straight, g_sums = np.empty_like(shaded), np.empty_like(x)
         weights = (np.float32(w) for w in (target.mask_weight / pixels, target.normal_weight, target.scale))
         inputs = (*flat, encoded.reshape(-1), g_image.reshape(-1), g_normals.reshape(-1), *weights)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 
@@ -17,23 +19,23 @@ class _NormalConsistency(torch.autograd.Function):
     """Autograd function of the CPU (numba) backend; the forward pass computes the gradient too."""
 
     @staticmethod
-    def forward(ctx, image, rays, rotation):
-        value, gradient = consistency_gradient(*(t.detach().contiguous().numpy() for t in (image, rays, rotation)))
+    def forward(ctx, image, rays, rotation, edge):
+        value, gradient = consistency_gradient(*(t.detach().contiguous().numpy() for t in (image, rays, rotation)), edge)
         ctx.save_for_backward(torch.from_numpy(gradient))
         return torch.tensor(value, dtype=image.dtype)
 
     @staticmethod
     def backward(ctx, upstream):
-        return upstream * ctx.saved_tensors[0], None, None
+        return upstream * ctx.saved_tensors[0], None, None, None
 
 
-def consistency_gradient(image: np.ndarray, rays: np.ndarray, rotation: np.ndarray) -> tuple[float, np.ndarray]:
-    """Compute `normal_consistency` and its gradient by the image, (C, H, W), on the CPU; all arguments are float32."""
+def consistency_gradient(image: np.ndarray, rays: np.ndarray, rotation: np.ndarray, edge: float = math.inf) -> tuple[float, np.ndarray]:
+    """Compute `normal_consistency` and its gradient by the image, (C, H, W), on the CPU; all arrays are float32."""
     _, height, width = image.shape
     gradient, slopes = np.zeros_like(image), np.zeros((6, height + 2, width + 2), np.float32)
     sums, floor = np.zeros(height), np.float32(FLOOR)
     inner = [(a + 1, b + 1) for a, b in even_ranges(height - 2, thread_count())]
-    run_ranges(disagreement_range, inner, image, rays, rotation, floor, gradient, slopes, sums)
+    run_ranges(disagreement_range, inner, image, rays, rotation, floor, np.float32(edge), gradient, slopes, sums)
     run_ranges(depth_gradient_range, even_ranges(height, thread_count()), image, rays, floor, slopes, gradient)
     return sums.sum() / (height * width), gradient
 
@@ -55,33 +57,39 @@ def depth_normals(depth: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
     return normal * torch.rsqrt(normal.square().sum(0, keepdim=True).clamp_min(1e-20))
 
 
-def normal_consistency(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+def normal_consistency(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor, edge: float = math.inf) -> torch.Tensor:
     """Compute the normal consistency loss of 2DGS (Huang et al. 2024, eq. 14): mean over pixels of alpha (1 - n_splat . n_depth).
+
+    At an edge of the object the depth's normal is a mean of both sides, and the loss would round the edge off or fill the corner. With a
+    finite `edge` e, a pixel's disagreement d therefore counts as d / (1 + d / e), so that large ones hardly pull (Geman-McClure).
 
     Args:
         image: (C, H, W) of `rasterize`: normals in channels 3..6, depth and opacity last; not divided by opacity.
         rays: (3, H, W) camera rays with z = 1.
         rotation: (3, 3) world to camera (OpenCV axes).
+        edge: disagreement 1 - n_splat . n_depth that counts half, above 0; infinite: as published.
 
     Returns:
         Scalar; the outer alpha is detached.
     """
     if image.dtype == torch.float32 and not by_warp(image):
-        return _NormalConsistency.apply(image, rays, rotation)
-    return normal_consistency_reference(image, rays, rotation)
+        return _NormalConsistency.apply(image, rays, rotation, edge)
+    return normal_consistency_reference(image, rays, rotation, edge)
 
 
-def normal_consistency_reference(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+def normal_consistency_reference(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor, edge: float = math.inf) -> torch.Tensor:
     """Compute `normal_consistency` in PyTorch operations, for any floating type and device: its reference implementation.
 
     Args:
         image: (C, H, W) of `rasterize`.
         rays: (3, H, W) camera rays with z = 1.
         rotation: (3, 3) world to camera (OpenCV axes).
+        edge: disagreement that counts half.
     """
     alpha = image[-1]
     # Not detached here: sum(w z) / sum(w) must not increase the depth when a splat only grows more opaque.
     surface = depth_normals(image[-2] / alpha.clamp_min(FLOOR), rays)
     splat = torch.einsum("ij,jhw->ihw", rotation, image[3:6, 1:-1, 1:-1])
     weight = alpha.detach()[1:-1, 1:-1]
-    return (weight - (splat * surface).sum(0)).sum() / alpha.numel()
+    disagreement = weight - (splat * surface).sum(0)
+    return (disagreement / (1 + disagreement.clamp_min(0) / edge)).sum() / alpha.numel()

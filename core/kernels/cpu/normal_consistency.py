@@ -19,9 +19,10 @@ def _depth(image, y, x, floor):
 
 
 @kernel
-def disagreement_range(begin, end, image, rays, rotation, floor, gradient, slopes, sums):
+def disagreement_range(begin, end, image, rays, rotation, floor, edge, gradient, slopes, sums):
     """Compute the loss of rows begin..end, none of them at the border, and its gradients.
 
+    edge: disagreement from which the loss grows more slowly, see core/kernels/normal_consistency.py.
     gradient: (C, H, W) receives those of the splatted normals; slopes: (6, H + 2, W + 2) receives those of dx and dy, one pixel further;
     sums: (H,) receives the loss of each row, not divided by the number of pixels.
     """
@@ -47,12 +48,15 @@ def disagreement_range(begin, end, image, rays, rotation, floor, gradient, slope
             s1 = r[1, 0] * w0 + r[1, 1] * w1 + r[1, 2] * w2
             s2 = r[2, 0] * w0 + r[2, 1] * w1 + r[2, 2] * w2
             agreement = s0 * n0 + s1 * n1 + s2 * n2
-            total += image[channels - 1, y, x] - agreement
+            disagreement = image[channels - 1, y, x] - agreement
+            damping = np.float32(1.0) / (np.float32(1.0) + max(disagreement, np.float32(0.0)) / edge)
+            total += disagreement * damping
+            slope = share * damping * damping
             for j in range(3):
-                gradient[3 + j, y, x] = -share * (r[0, j] * n0 + r[1, j] * n1 + r[2, j] * n2)
+                gradient[3 + j, y, x] = -slope * (r[0, j] * n0 + r[1, j] * n1 + r[2, j] * n2)
             # d agreement / d c: the part of s across n, divided by |c|.
             g0, g1, g2 = (s0 - agreement * n0) * inverse, (s1 - agreement * n1) * inverse, (s2 - agreement * n2) * inverse
-            g0, g1, g2 = -share * g0, -share * g1, -share * g2
+            g0, g1, g2 = -slope * g0, -slope * g1, -slope * g2
             slopes[0, y + 1, x + 1] = g1 * dy2 - g2 * dy1
             slopes[1, y + 1, x + 1] = g2 * dy0 - g0 * dy2
             slopes[2, y + 1, x + 1] = g0 * dy1 - g1 * dy0

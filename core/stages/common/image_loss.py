@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import torch
 
 from ...kernels.image_loss import MIN_PIXELS, MaskedTarget, masked_loss
@@ -11,6 +14,21 @@ from ...kernels.photometric import photometric_loss
 from ...machine.backend import by_warp
 from ...rendering.deferred import composite
 from .training_view import TrainingView
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the losses beside the photometric one.
+
+    Attributes:
+        mask: of the difference from the mask, where there is one.
+        normal: of the normal consistency.
+        edge: disagreement of normals that counts half, see `normal_consistency`; infinite: all count in full.
+    """
+
+    mask: float
+    normal: float
+    edge: float = math.inf
 
 
 def displayed(straight: torch.Tensor, alpha: torch.Tensor, view: TrainingView, background: torch.Tensor | None) -> torch.Tensor:
@@ -31,8 +49,7 @@ def image_loss(
     sums: torch.Tensor,
     view: TrainingView,
     background: torch.Tensor | None,
-    mask_weight: float,
-    normal_weight: float,
+    weights: LossWeights,
 ) -> torch.Tensor:
     """Compute the loss of a rendered view, a mean over all pixels of the photograph: it is 0 at those that were cropped away.
 
@@ -41,16 +58,16 @@ def image_loss(
         sums: (C, H, W) of `rasterize`.
         view: image to match.
         background: (h, w, 3) linear lat-long map; None where masks separate the object from its background.
-        mask_weight: weight of the difference from the mask, where there is one.
-        normal_weight: weight of the normal consistency.
+        weights: of the losses.
     """
     exact = view.alpha is not None and view.band is None and background is None
     if exact and sums.dtype == torch.float32 and not by_warp(sums) and sums[0].numel() >= MIN_PIXELS:
         assert view.alpha is not None
         geometry = (view.rays, view.rotation)
-        target = MaskedTarget(view.image, view.alpha, view.saturated, *geometry, mask_weight, normal_weight, view.pixel_fraction)
+        weighted = weights.mask, weights.normal, weights.edge
+        target = MaskedTarget(view.image, view.alpha, view.saturated, *geometry, *weighted, view.pixel_fraction)
         return masked_loss(straight, sums, target)
-    return image_loss_reference(straight, sums, view, background, mask_weight, normal_weight)
+    return image_loss_reference(straight, sums, view, background, weights)
 
 
 def image_loss_reference(
@@ -58,8 +75,7 @@ def image_loss_reference(
     sums: torch.Tensor,
     view: TrainingView,
     background: torch.Tensor | None,
-    mask_weight: float,
-    normal_weight: float,
+    weights: LossWeights,
 ) -> torch.Tensor:
     """Compute `image_loss` loss by loss, for any view and device.
 
@@ -68,10 +84,9 @@ def image_loss_reference(
         sums: (C, H, W) of `rasterize`.
         view: image to match.
         background: (h, w, 3) linear lat-long map, or None.
-        mask_weight: weight of the difference from the mask, where there is one.
-        normal_weight: weight of the normal consistency.
+        weights: of the losses.
     """
     loss = photometric_loss(view.bounded(displayed(straight, sums[-1], view, background)), view.image)
     if view.alpha is not None:
-        loss = loss + mask_weight * view.mask_difference(sums[-1])
-    return (loss + normal_weight * normal_consistency(sums, view.rays, view.rotation)) * view.pixel_fraction
+        loss = loss + weights.mask * view.mask_difference(sums[-1])
+    return (loss + weights.normal * normal_consistency(sums, view.rays, view.rotation, weights.edge)) * view.pixel_fraction

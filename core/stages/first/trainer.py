@@ -29,6 +29,7 @@ from ..common.training_view_cache import TrainingViewCache
 from ..common.view_order import next_view
 from .densification import DensityControl, reset_opacity
 from .material_class import GEOMETRY_RATES, MaterialClass
+from .schedule import loss_weights, rays_per_side, sh_degree
 
 START_RADIANCE = 0.5  # of the initial light map, linear
 CHECKPOINT_SECONDS = 30.0
@@ -143,10 +144,9 @@ class Trainer:
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
         view = self.training_views[self._next_view()].to(self.device)
-        degree = self._degree()
-        straight, sums, statistics = self._shade(view, degree, self._subpixels())
-        weights = self.settings.mask_weight, self.settings.normal_weight
-        loss = image_loss(straight, sums, view, self._background(), *weights)
+        degree = sh_degree(self.settings, self.done)
+        straight, sums, statistics = self._shade(view, degree, rays_per_side(self.settings, self.done))
+        loss = image_loss(straight, sums, view, self._background(), loss_weights(self.settings, self.done))
         if self.material_class.glossy:
             loss = loss + self.settings.light_smoothness * light_variation(self.light)
         if check_due(loss, self.done + 1):
@@ -164,15 +164,6 @@ class Trainer:
             self.optimizer.check_finite()  # names the parameter where it is one
             raise IrgsppError(f"the first stage's loss is not finite at iteration {self.done + 1}")
         return value
-
-    def _degree(self) -> int:
-        """Return the highest SH degree in use: degrees are added over time, so that geometry explains parallax before SH can."""
-        fraction = self.done / self.settings.iterations
-        return 3 if fraction >= self.settings.sh_growth else int(3 * fraction / self.settings.sh_growth)
-
-    def _subpixels(self) -> int:
-        """Return the rays along each side of a pixel: one where surfels still find their places; smooth outlines matter at the end."""
-        return 1 if self.done < self.settings.single_rays * self.settings.iterations else self.settings.subpixels
 
     def _control(self, statistics: ScreenStatistics) -> None:
         """Apply density control in the middle of the schedule; with masks, Gaussians are only pruned."""

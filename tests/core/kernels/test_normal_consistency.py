@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Normals of analytic depth, and the normal consistency loss: the reference against finite differences, the kernel against it."""
 
+import math
+
 import pytest
 import torch
 from irgspp.core.kernels.normal_consistency import depth_normals, normal_consistency, normal_consistency_reference
@@ -60,7 +62,16 @@ def test_plane_of_splats_costs_nothing(camera, rotation):
     assert normal_consistency(image, rays, rotation).item() == pytest.approx(2 * 0.8 * inner, rel=1e-6)
 
 
-def test_gradient_is_that_of_finite_differences(camera, rotation):
+def test_disagreement_as_large_as_an_edge_counts_half(camera, rotation):
+    image, rays = sums(camera, rotation)
+    image[3:6] *= -1
+    whole = normal_consistency(image, rays, rotation).item()
+    assert normal_consistency(image, rays, rotation, edge=2 * 0.8).item() == pytest.approx(whole / 2, rel=1e-6)
+    assert normal_consistency(image, rays, rotation, edge=1e6).item() == pytest.approx(whole, rel=1e-5)
+
+
+@pytest.mark.parametrize("edge", [math.inf, 0.2])
+def test_gradient_is_that_of_finite_differences(camera, rotation, edge):
     whole, rays = sums(camera, rotation)
     image, rays = whole[:, 10:16, 8:14].clone(), rays[:, 10:16, 8:14]
     generator = torch.Generator().manual_seed(1)
@@ -68,13 +79,13 @@ def test_gradient_is_that_of_finite_differences(camera, rotation):
     weight = image[-1].clone()  # the outer opacity is a constant to the gradient
 
     def loss(changed):
-        value = normal_consistency(changed, rays, rotation)
+        value = normal_consistency(changed, rays, rotation, edge)
         return value - (changed[-1].detach() - weight)[1:-1, 1:-1].sum() / weight.numel()
 
     leaf = image.clone().requires_grad_()
     loss(leaf).backward()
     assert leaf.grad is not None
-    for channel in (3, 4, 5, 6, 7):
+    for channel in (3, 4, 5, 6, 7) if math.isinf(edge) else (3, 4, 5, 6):
         for row, column in ((1, 1), (2, 4), (5, 3)):
             shifted = [image.clone() for _ in range(2)]
             for p, sign in zip(shifted, (1, -1), strict=True):
@@ -85,8 +96,9 @@ def test_gradient_is_that_of_finite_differences(camera, rotation):
     assert leaf.grad[-1].abs().max() > 0  # opacity alone must not make the surface look deeper
 
 
+@pytest.mark.parametrize("edge", [math.inf, 0.2])
 @pytest.mark.parametrize("shape", [(8, 21, 30), (13, 9, 12), (8, 3, 3)])
-def test_kernel_agrees_with_the_reference(camera, rotation, shape):
+def test_kernel_agrees_with_the_reference(camera, rotation, shape, edge):
     height, width = shape[1:]
     image = torch.rand(shape, generator=torch.Generator().manual_seed(height))
     image[-2] += 3 * image[-1]
@@ -94,8 +106,8 @@ def test_kernel_agrees_with_the_reference(camera, rotation, shape):
     image[:, -1] = 0.0
     rays = camera_rays(camera)[:, :height, :width]
     fast, slow = image.clone().requires_grad_(), image.double().requires_grad_()
-    a = normal_consistency(fast, rays, rotation.float())
-    b = normal_consistency_reference(slow, rays.double(), rotation.double())
+    a = normal_consistency(fast, rays, rotation.float(), edge)
+    b = normal_consistency_reference(slow, rays.double(), rotation.double(), edge)
     (3 * a).backward()
     (3 * b).backward()
     assert fast.grad is not None and slow.grad is not None

@@ -9,10 +9,10 @@ import torch
 from irgspp.core.kernels.normal_consistency import normal_consistency_reference
 from irgspp.core.kernels.reference.photometric import photometric_reference
 from irgspp.core.stages.common import image_loss as module
-from irgspp.core.stages.common.image_loss import displayed, image_loss, image_loss_reference
+from irgspp.core.stages.common.image_loss import LossWeights, displayed, image_loss, image_loss_reference
 from irgspp.core.stages.common.training_view import TrainingView, camera_rays
 
-WEIGHTS = 0.5, 0.2
+WEIGHTS = LossWeights(mask=0.5, normal=0.2, edge=0.2)
 
 
 @pytest.fixture(params=[(24, 31), (9, 3), (16, 16)], ids=str)
@@ -44,7 +44,7 @@ def in_double(view):
 def gradients(function, straight, sums, view):
     """Return the value of a loss, and 3 times its gradients by straight radiance and sums."""
     straight, sums = straight.clone().requires_grad_(), sums.clone().requires_grad_()
-    loss = function(straight, sums, view, None, *WEIGHTS)
+    loss = function(straight, sums, view, None, WEIGHTS)
     (3 * loss).backward()
     return loss, straight.grad, sums.grad
 
@@ -66,17 +66,17 @@ def test_image_that_is_not_finite_has_no_finite_loss(rendered):
     for bad in (math.nan, math.inf):
         broken = straight.clone()
         broken[1, -1, -1] = bad
-        assert not image_loss(broken, sums, replace(view, saturated=torch.zeros_like(view.saturated)), None, *WEIGHTS).isfinite()
+        assert not image_loss(broken, sums, replace(view, saturated=torch.zeros_like(view.saturated)), None, WEIGHTS).isfinite()
 
 
 def test_views_without_an_exact_mask_have_the_same_loss_in_parts(rendered):
     """A mask with a band that is empty is an exact mask, but the fused kernel does not know it."""
     straight, sums, view = rendered
     banded = replace(view, band=torch.zeros_like(view.alpha, dtype=torch.bool), background=torch.ones_like(view.image))
-    assert image_loss(straight, sums, banded, None, *WEIGHTS).item() == pytest.approx(
-        image_loss(straight, sums, view, None, *WEIGHTS).item(), rel=1e-5
+    assert image_loss(straight, sums, banded, None, WEIGHTS).item() == pytest.approx(
+        image_loss(straight, sums, view, None, WEIGHTS).item(), rel=1e-5
     )
     background = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(0))
     open_view = replace(view, alpha=None)
     assert displayed(straight, sums[-1], open_view, background).isfinite().all()
-    assert image_loss(straight, sums, open_view, background, *WEIGHTS).isfinite()
+    assert image_loss(straight, sums, open_view, background, WEIGHTS).isfinite()

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Schedule of the first stage: what a step renders and how its losses are weighted, by the number of steps done."""
+
+from __future__ import annotations
+
+import math
+
+from ...settings.schema import FirstStageSettings
+from ..common.image_loss import LossWeights
+
+EDGE = 0.2  # disagreement of normals, 1 - cosine, that counts half while edges are open: about 37 degrees
+
+
+def sh_degree(settings: FirstStageSettings, done: int) -> int:
+    """Return the highest SH degree in use, 0..3: degrees are added over time, so that geometry explains parallax before SH can."""
+    fraction = done / settings.iterations
+    return 3 if fraction >= settings.sh_growth else int(3 * fraction / settings.sh_growth)
+
+
+def rays_per_side(settings: FirstStageSettings, done: int) -> int:
+    """Return the rays along each side of a pixel: one where surfels still find their places; smooth outlines matter at the end."""
+    return 1 if done < settings.single_rays * settings.iterations else settings.subpixels
+
+
+def loss_weights(settings: FirstStageSettings, done: int) -> LossWeights:
+    """Return the weights of the losses. Edges are open while surfels find their places; then full normal consistency smooths noise.
+
+    Normal consistency in full from the start fills corners and gaps between parts, where the depth's normals are a mean of both sides.
+    Without it in the end, reflections roughen metals.
+    """
+    edge = EDGE if done < settings.open_edges * settings.iterations else math.inf
+    return LossWeights(settings.mask_weight, settings.normal_weight, edge)
