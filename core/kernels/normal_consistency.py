@@ -20,7 +20,8 @@ class _NormalConsistency(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image, rays, rotation, edge):
-        value, gradient = consistency_gradient(*(t.detach().contiguous().numpy() for t in (image, rays, rotation)), edge)
+        sums, directions, turn = (t.detach().contiguous().numpy() for t in (image, rays, rotation))
+        value, gradient = consistency_gradient(sums, directions, turn, edge)
         ctx.save_for_backward(torch.from_numpy(gradient))
         return torch.tensor(value, dtype=image.dtype)
 
