@@ -220,7 +220,7 @@ def _solve_from_first_stage(
     if solver.start_albedo < MEDIUM:
         progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():
-        progress.message("a finer light around its lamps explains the photographs better")
+        progress.message("the light is finer around its lamps")
     tested, confirmed = solver.regions
     if tested:
         progress.message(f"metal: {confirmed} of {tested} regions that may be metal explain the photographs better so")

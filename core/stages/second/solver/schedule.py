@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Schedule of the solver: the better of two starts, then smaller texels of the light where they explain the photographs better."""
+"""Schedule of the solver: the better of two starts, then smaller texels of the light, unless the coarse ones are clearly better."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from collections.abc import Callable
 from .light_material_solver import STEPS, LightMaterialSolver, Split
 
 START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared, and about how many points they are compared on
-SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split; at the end this must have paid
-TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, if the split is better
-DARK_BETTER, SPLIT_BETTER = 0.95, 0.995  # ratios of errors below which a dark start, and below which the split, counts as better
+SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split
+TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, if the split is clearly better
+DARK_BETTER = 0.95  # ratio of errors below which a dark start is the better one
+# Ratio of errors below which one of split and coarse light is clearly better. Between them, the split stays: single steps change the errors
+# by as much, and where they were so close the split had the better light.
+CLEAR = 0.995
 
 
 def run_solver(
@@ -43,9 +46,9 @@ def run_solver(
             coarse.advance(done)
         if step(done + 1):
             break
-        if coarse and done + 1 == TWIN_STEPS and solver.total_error() < SPLIT_BETTER * coarse.total_error():
+        if coarse and done + 1 == TWIN_STEPS and solver.total_error() < CLEAR * coarse.total_error():
             coarse = None
-    if coarse and coarse.total_error() <= solver.total_error():
+    if coarse and coarse.total_error() < CLEAR * solver.total_error():
         solver.become(coarse)
     solver.reduce_tint()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second.solver.albedo_prior import DARK, MEDIUM
-from irgspp.core.stages.second.solver.light_material_solver import STEPS
+from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
 from irgspp.core.stages.second.solver.schedule import SPLIT_STEPS, START_STEPS, run_solver
 from sphere_on_floor import make, rendered, start
 
@@ -44,6 +44,18 @@ def test_the_start_stays_where_it_explains_the_photographs_as_well(scene):
     run_solver(both, unsplit)
     run_solver(plain)
     assert both.start_albedo == MEDIUM and both.total_error() == pytest.approx(plain.total_error(), rel=1e-3)
+
+
+@pytest.mark.parametrize(("error", "taken"), [(0.99, True), (0.997, False), (1.0, False)])
+def test_coarse_light_is_taken_back_where_it_is_clearly_better(scene, monkeypatch, error, taken):
+    transfer, seen, _ = scene
+    solver, coarse, original = start(seen, transfer), [], LightMaterialSolver.twin
+    monkeypatch.setattr(LightMaterialSolver, "twin", lambda self: coarse.append(original(self)) or coarse[-1])
+    monkeypatch.setattr(LightMaterialSolver, "total_error", lambda self: error if self in coarse else 1.0)
+    became = []
+    monkeypatch.setattr(LightMaterialSolver, "become", lambda self, other: became.append(other))
+    run_solver(solver, unsplit, try_dark=False)
+    assert became == (coarse if taken else []) and len(coarse) == 1
 
 
 @pytest.mark.parametrize("last", [3, SPLIT_STEPS[0] + 3, STEPS])
