@@ -11,8 +11,8 @@ START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared
 SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split
 TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, if the split is clearly better
 DARK_BETTER = 0.95  # ratio of errors below which a dark start is the better one
-# Ratio of errors below which one of split and coarse light is clearly better. Between them, the split stays: single steps change the errors
-# by as much, and where they were so close the split had the better light.
+# Ratio of errors below which one of split and coarse light is clearly better. Where neither is, the split stays: single steps change the
+# errors by as much. On rocker_corner it had the better light then (14.3 against 13.1 dB).
 CLEAR = 0.995
 
 
