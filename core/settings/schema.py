@@ -59,7 +59,7 @@ class FirstStageSettings:
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
-    open_edges: Annotated[float, Range(0, 1)] = 0.25  # first part of the schedule, in which normals at edges may disagree; 0: as published
+    open_edges: Annotated[float, Range(0, 1)] = 0.0  # first part of the schedule, in which normals at edges may disagree; 0: as published
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the environment map
@@ -176,7 +176,7 @@ PRESETS: dict[str, Settings] = {
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
         data=replace(DataSettings(), resolution=800),
-        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, subpixels=1, open_edges=0.0),
+        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, subpixels=1),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(
             SecondStageSettings(),

@@ -23,10 +23,10 @@ def rays_per_side(settings: FirstStageSettings, done: int) -> int:
 
 
 def loss_weights(settings: FirstStageSettings, done: int) -> LossWeights:
-    """Return the weights of the losses. Edges are open while surfels find their places; then full normal consistency smooths noise.
+    """Return the weights of the losses.
 
-    Normal consistency in full from the start fills corners and gaps between parts, where the depth's normals are a mean of both sides.
-    Without it in the end, reflections roughen metals.
+    Normal consistency in full fills corners and gaps between parts, where the depth's normals are a mean of both sides. While edges are
+    open they stay free, but reflections then roughen metal parts, so that edges are not open by default.
     """
     edge = EDGE if done < settings.open_edges * settings.iterations else math.inf
     return LossWeights(settings.mask_weight, settings.normal_weight, edge)
