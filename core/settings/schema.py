@@ -59,6 +59,7 @@ class FirstStageSettings:
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
+    anchor_weight: Annotated[float, Range(0)] = 0.1  # loss weight: depth agrees with stereo's where photographs agree better there
     open_edges: Annotated[float, Range(0, 1)] = 0.0  # first part of the schedule, in which normals at edges may disagree; 0: as published
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use

@@ -18,6 +18,7 @@ from ...stereo.reprojection import reprojection_errors
 
 CELL = 0.02  # side of a voxel in radii of the bound
 BLUR = 1.5  # standard deviation, in voxels, of the blur that turns voxels into regions
+EMPTY = 1e-9  # least count that sums are divided by
 INNER = 0.95  # alpha from which a pixel is compared
 
 
@@ -29,11 +30,15 @@ class DepthEvidence:
         bound: sphere that the voxels cover.
         first: (N, N, N) sum of the first surface's reprojection errors, blurred.
         second: (N, N, N) sum of the second's, of the same pixels.
+        count: (N, N, N) number of these pixels, blurred likewise.
+        parallax: (N, N, N) distance of the second surface from the first in pixels, the mean of those pixels at which they differ.
     """
 
     bound: Bound
     first: np.ndarray
     second: np.ndarray
+    count: np.ndarray
+    parallax: np.ndarray
 
     @classmethod
     def collect(
@@ -55,22 +60,40 @@ class DepthEvidence:
         """
         errors = [reprojection_errors(views, one, sources, relative) for one in depths]
         count = int(np.ceil(2 / CELL)) + 1
-        sums = np.zeros((2, count, count, count))
+        sums = np.zeros((5, count, count, count))
         for i, view in enumerate(views):
             assert view.alpha is not None
             valid = np.isfinite(errors[0][i]) & np.isfinite(errors[1][i]) & (view.alpha > INNER)
             rays = view.camera.rays()[valid].astype(np.float64)
-            for one in depths:
-                cells = tuple(_cells(view.camera.centre + one[i][valid][:, None] * rays, bound, count).T)
-                for total, error in zip(sums, errors, strict=True):
-                    np.add.at(total, cells, error[i][valid])
-        return cls(bound, *(gaussian_filter(total, BLUR).astype(np.float32) for total in sums))
+            own, other = (one[i][valid] for one in depths)
+            shift = view.camera.fx * (other - own) / own
+            values = (errors[0][i][valid], errors[1][i][valid], np.ones(len(rays)), shift, shift != 0)
+            for depth in (own, other):
+                cells = tuple(_cells(view.camera.centre + depth[:, None] * rays, bound, count).T)
+                for total, value in zip(sums, values, strict=True):
+                    np.add.at(total, cells, value)
+        first, second, compared, shift, moved = (gaussian_filter(total, BLUR).astype(np.float32) for total in sums)
+        return cls(bound, first, second, compared, np.abs(shift) / np.maximum(moved, EMPTY))
 
     def ratio(self, points: np.ndarray) -> np.ndarray:
         """Return the second surface's error over the first's around points (N, 3), as (N,); 1 where nothing was compared."""
         cells = tuple(_cells(points, self.bound, len(self.first)).T)
         first, second = self.first[cells], self.second[cells]
         return np.where(first > 0, second / np.maximum(first, 1e-20), 1.0)
+
+    def error(self, points: np.ndarray) -> np.ndarray:
+        """Return the second surface's mean error around points (N, 3), as (N,); 0 where nothing was compared."""
+        cells = tuple(_cells(points, self.bound, len(self.first)).T)
+        return self.second[cells] / np.maximum(self.count[cells], EMPTY)
+
+    def typical_error(self) -> float:
+        """Return the median over the voxels of the second surface's mean error."""
+        seen = self.count > 1
+        return float(np.median(self.second[seen] / self.count[seen])) if seen.any() else 0.0
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the distance of the two surfaces around points (N, 3) in pixels of parallax, as (N,); noise cancels in the mean."""
+        return self.parallax[tuple(_cells(points, self.bound, len(self.first)).T)]
 
 
 def _cells(points: np.ndarray, bound: Bound, count: int) -> np.ndarray:

@@ -7,8 +7,8 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
+from .checkpoint_state import invalid_checkpoint
 from .material_class import COATED, MATERIAL_CLASSES, METAL, MaterialClass, allowed_material_classes, with_geometry_rates
-from .trainer import invalid_checkpoint
 from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
 
 # dB by which a more reflecting class must be better where the light turns, beside `first.trial_margin`: a reflected light map also explains

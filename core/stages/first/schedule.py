@@ -8,6 +8,7 @@ import math
 from ...settings.schema import FirstStageSettings
 from ..common.image_loss import LossWeights
 
+ANCHORS_FROM = 0.3  # of the schedule: surfels have found the places that the photographs alone lead them to
 EDGE = 0.2  # disagreement of normals, 1 - cosine, that counts half while edges are open: about 37 degrees
 
 
@@ -30,3 +31,8 @@ def loss_weights(settings: FirstStageSettings, done: int) -> LossWeights:
     """
     edge = EDGE if done < settings.open_edges * settings.iterations else math.inf
     return LossWeights(settings.mask_weight, settings.normal_weight, edge)
+
+
+def anchors_due(settings: FirstStageSettings, done: int) -> bool:
+    """Return True from the step on at which depth anchors are chosen, where they count at all."""
+    return settings.anchor_weight > 0 and done >= ANCHORS_FROM * settings.iterations

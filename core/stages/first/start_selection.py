@@ -3,13 +3,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
+from .depth_anchors import DepthAnchors
 from .material_class import COATED, METAL, MaterialClass, with_geometry_rates
 from .stereo_initialization import from_stereo
 from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What the first stage starts with.
+
+    Attributes:
+        gaussians: initial values.
+        anchors: stereo's depths, where the surfels start on stereo's points and masks tell the object from its surroundings.
+    """
+
+    gaussians: Gaussians
+    anchors: DepthAnchors | None = None
 
 
 def select_start(
@@ -20,7 +36,7 @@ def select_start(
     progress: Progress,
     crop: bool = False,
     plain_psnr: float | None = None,
-) -> Gaussians:
+) -> Start:
     """Select the Gaussians that the first stage starts with: on the hull or the sparse points, or on the points of dense stereo.
 
     With masks, stereo's points replace the hull where the photographs agree better at their depth (`from_stereo`). Without masks, a trial
@@ -43,11 +59,11 @@ def select_start(
     reason = _reason_against(dataset, settings, material_class)
     if reason and choice != "on":
         progress.decided("stereo", False, f"started on {name}: {reason}")
-        return plain
+        return Start(plain)
     start = from_stereo(dataset, settings.first.gaussians, settings.seed, progress, everywhere=choice == "on")
     if start is None:
         progress.decided("stereo", False, f"started on {name}: stereo found too few points that views agree on")
-        return plain
+        return Start(plain)
     stereo = start.gaussians.to(plain.position.device)
     if choice == "on":
         better, evidence = True, "as set"
@@ -56,7 +72,8 @@ def select_start(
     else:
         better, evidence = _trial(dataset, settings, plain, stereo, material_class, progress, crop, plain_psnr)
     progress.decided("stereo", better, evidence)
-    return stereo if better else plain
+    anchored = better and dataset.has_alpha and settings.first.anchor_weight > 0
+    return Start(stereo if better else plain, DepthAnchors.of_maps(start.maps) if anchored else None)
 
 
 def _share_in_words(share: float) -> str:

@@ -42,10 +42,12 @@ class StereoStart:
     Attributes:
         gaussians: on stereo's points and elsewhere.
         share: fraction of them that lie on stereo's points.
+        maps: depth map of each training view.
     """
 
     gaussians: Gaussians
     share: float
+    maps: list[DepthMap]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +155,8 @@ def _with_hull(
     share = chosen.mean() / max(chosen.mean() + keep.mean(), 1e-9)
     points = thinned(points, round(share * count))
     left = count - len(points.position)
-    return _joined(dataset, points, hull[0][keep][:left], hull[1][keep][:left], OPACITY)
+    gaussians, share = _joined(dataset, points, hull[0][keep][:left], hull[1][keep][:left], OPACITY)
+    return StereoStart(gaussians, share, found.maps)
 
 
 def _with_random_points(dataset: Dataset, found: _Found, nearest: Sequence[float], count: int, rng: np.random.Generator) -> StereoStart:
@@ -163,7 +166,7 @@ def _with_random_points(dataset: Dataset, found: _Found, nearest: Sequence[float
     points = thinned(found.points.select(seen), int(SHARE * count))
     other, other_normal = random_points(dataset, int(FILLER * count), rng)
     keep = _unexplained(other, points, found.maps, reach)
-    return _joined(dataset, points, other[keep], other_normal[keep], FAINT)
+    return StereoStart(*_joined(dataset, points, other[keep], other_normal[keep], FAINT), found.maps)
 
 
 def _unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap], reach: float) -> np.ndarray:
@@ -174,14 +177,20 @@ def _unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap
     return far & (views_through(others, maps, reach) < SEEN_THROUGH)
 
 
-def _joined(dataset: Dataset, points: OrientedPoints, other: np.ndarray, other_normal: np.ndarray, opacity: float) -> StereoStart:
-    """Make surfels in spatial order of stereo's points, and of other points (N, 3) with normals (N, 3) and an opacity."""
+def _joined(
+    dataset: Dataset, points: OrientedPoints, other: np.ndarray, other_normal: np.ndarray, opacity: float
+) -> tuple[Gaussians, float]:
+    """Make surfels in spatial order of stereo's points, and of other points (N, 3) with normals (N, 3) and an opacity.
+
+    Returns:
+        The surfels, and the fraction of them that lie on stereo's points.
+    """
     place, normal = np.concatenate([points.position, other]), np.concatenate([points.normal, other_normal])
     colour = np.concatenate([decode_srgb(points.colour), observed_colour(dataset.train, other, other_normal)])
     opacities = np.repeat([OPACITY, opacity], [len(points.position), len(other)])
     order, scale = spatial_order(place), SURFACE_SPREAD * surface_spacing(place, dataset.bound.radius)
     gaussians = surfels(place[order], normal[order], colour[order], scale[order], opacities[order])
-    return StereoStart(gaussians, len(points.position) / max(len(place), 1))
+    return gaussians, len(points.position) / max(len(place), 1)
 
 
 def pixel_size(dataset: Dataset) -> float:

@@ -17,7 +17,7 @@ from ..common.training_view import object_box
 from .initial_light_albedo import estimate_light_albedo
 from .initialization import initial_gaussians
 from .material_class_selection import material_class_named, select_material_class
-from .start_selection import select_start
+from .start_selection import Start, select_start
 from .trainer import Trainer
 from .trial_fits import HOLD_BACK_FROM
 
@@ -77,12 +77,13 @@ def train(
     state = checkpoint.load("first_stage") if checkpoint is not None else None
     crop = decide_cropping(dataset, settings, progress)
     if state is not None:
-        material_class = material_class_named(state.get("kind", ""), dataset)
+        material_class, start = material_class_named(state.get("kind", ""), dataset), Start(gaussians)
     else:
         material_class, psnr = select_material_class(dataset, settings, gaussians, progress, crop)
-        gaussians = select_start(dataset, settings, gaussians, material_class, progress, crop, psnr)
+        start = select_start(dataset, settings, gaussians, material_class, progress, crop, psnr)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
-    trainer = Trainer(dataset, settings.first, gaussians, material_class, settings.seed, hold_back, crop=crop, resident=resident)
+    fit = (dataset, settings.first, start.gaussians, material_class, settings.seed, hold_back)
+    trainer = Trainer(*fit, crop=crop, resident=resident, anchors=start.anchors)
     if state is not None:
         trainer.restore(state)
     elif deadline is not None:
@@ -92,6 +93,10 @@ def train(
     trainer.run(progress, checkpoint)
     if incomplete := incomplete_images() - before:
         progress.message(f"warning: in {incomplete} steps the image lacked some surfels, as more were visible than the GPU's buffers hold")
+    if trainer.anchors is not None and trainer.anchors.chosen:
+        progress.message(
+            f"{len(trainer.anchors.pixel):,} depths were held at stereo's, where photographs agree better than at the surfels'"
+        )
     trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()

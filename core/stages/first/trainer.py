@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ...errors import Cancelled, InputError, IrgsppError
+from ...errors import Cancelled, IrgsppError
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.deferred import radiance
@@ -27,15 +27,18 @@ from ..common.preview import LONGEST, eight_bits, points_shape
 from ..common.training_view import TrainingView, border_radiance, make_training_view
 from ..common.training_view_cache import TrainingViewCache
 from ..common.view_order import next_view
+from .checkpoint_state import invalid_checkpoint, state_fits
 from .densification import DensityControl, reset_opacity
+from .depth_anchors import DepthAnchors
 from .material_class import GEOMETRY_RATES, MaterialClass
-from .schedule import loss_weights, rays_per_side, sh_degree
+from .schedule import anchors_due, loss_weights, rays_per_side, sh_degree
 
 START_RADIANCE = 0.5  # of the initial light map, linear
 CHECKPOINT_SECONDS = 30.0
 RESET_EVERY = 3000  # steps between opacity resets (3DGS); shorter schedules have none
 HULL_LEFT = 0.4  # least fraction of the initial surfels that must remain; consistent images prune a few per cent
 RATES_CHOSEN_AT = 1500  # steps of the schedule with which the GEOMETRY_RATES were chosen
+OPAQUE = 0.5  # opacity from which a pixel has a depth
 TEST_EVERY = 50  # steps between tests on the held-back views
 
 
@@ -51,6 +54,7 @@ class Trainer:
         masked: all images have masks; otherwise the background is optimised.
         done: steps done.
         order: views of the current epoch that are still to come, last first.
+        anchors: stereo's depths at which the surfels' are held; None for none.
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class Trainer:
         reduction: int = 1,
         crop: bool = False,
         resident: bool = True,
+        anchors: DepthAnchors | None = None,
     ) -> None:
         """Prepare the images and the optimiser.
 
@@ -77,7 +82,9 @@ class Trainer:
             reduction: of the images, see `make_training_view`.
             crop: crop the images, see `make_training_view`.
             resident: keep the images on the Gaussians' device; otherwise each is copied there for its step.
+            anchors: stereo's depths, of which some are chosen in the course of the schedule; None for none.
         """
+        self.anchors = anchors
         self.dataset, self.settings, self.material_class = dataset, settings, material_class
         views = torch.arange(len(dataset.train))
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
@@ -143,12 +150,18 @@ class Trainer:
 
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
-        view = self.training_views[self._next_view()].to(self.device)
+        if self.anchors is not None and anchors_due(self.settings, self.done) and not self.anchors.chosen:
+            self.anchors = self.anchors.choose(self.dataset, self._depths())
+        index = self._next_view()
+        view = self.training_views[index].to(self.device)
         degree = sh_degree(self.settings, self.done)
         straight, sums, statistics = self._shade(view, degree, rays_per_side(self.settings, self.done))
         loss = image_loss(straight, sums, view, self._background(), loss_weights(self.settings, self.done))
         if self.material_class.glossy:
             loss = loss + self.settings.light_smoothness * light_variation(self.light)
+        if self.anchors is not None and self.anchors.chosen:
+            full = self.dataset.train[index].camera
+            loss = loss + self.settings.anchor_weight * self.anchors.loss(index, sums, view.camera, full)
         if check_due(loss, self.done + 1):
             self._loss = self._finite_value(loss)
         loss.backward()
@@ -156,6 +169,17 @@ class Trainer:
         self.done += 1
         self._control(statistics)
         return self._loss
+
+    def _depths(self) -> list[np.ndarray]:
+        """Return the planar depth (H, W) of the Gaussians in each training view, 0 where they are not opaque."""
+        g, depths = self.optimizer.gaussians, []
+        parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, g.position.new_zeros(0, g.count))
+        for view in self.dataset.train:
+            with torch.no_grad():
+                sums, _ = rasterize(*parameters, view.camera, self.dataset.bound.radius, 0)
+            depth, alpha = sums[-2:].cpu().numpy()
+            depths.append(np.where(alpha > OPAQUE, depth / np.maximum(alpha, OPAQUE), np.float32(0)))
+        return depths
 
     def _finite_value(self, loss: torch.Tensor) -> float:
         """Read a loss (scalar); raise IrgsppError where it is not finite."""
@@ -251,41 +275,22 @@ class Trainer:
         """Return everything that the rest of the schedule depends on, for a checkpoint."""
         density = {"gradient": self.density.gradient, "seen": self.density.seen, "pictures": self.density.images}
         order = {"order": self.order, "generator": self.generator.get_state()}
-        return {
-            "done": self.done,
-            "iterations": self.settings.iterations,
-            "kind": self.material_class.name,
-            "optimizer": self.optimizer.state(),
-            **density,
-            **order,
-        }
+        schedule = {"done": self.done, "iterations": self.settings.iterations, "kind": self.material_class.name}
+        anchors = None if self.anchors is None else self.anchors.state()
+        return {**schedule, "optimizer": self.optimizer.state(), "anchors": anchors, **density, **order}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a `state`; raise InputError where it is not one of this job's first stage."""
         try:
-            fits = self._fits(state)
+            fits = state_fits(state, len(self.training_views), self.optimizer)
+            anchors = None if state["anchors"] is None else DepthAnchors.of_state(state["anchors"], self.dataset)
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError):  # the file may hold any values
-            fits = False
+            fits, anchors = False, None
         if not fits:
             raise invalid_checkpoint()
-        self.done, self.order = int(state["done"]), state["order"]
+        self.done, self.order, self.anchors = int(state["done"]), state["order"], anchors
         self.reschedule(int(state["iterations"]))
         self.generator.set_state(state["generator"])
         self.density.gradient, self.density.seen = state["gradient"].to(self.device), state["seen"].to(self.device)
         self.density.images = int(state["pictures"])
         self.optimizer.restore(state["optimizer"])
-
-    def _fits(self, state: dict[str, Any]) -> bool:
-        """Return True where `state` is one of a first stage like this; may raise on values of a wrong type."""
-        torch.Generator().set_state(state["generator"])
-        order, gradient, seen = state["order"], state["gradient"], state["seen"]
-        views = order.dtype == torch.long and order.ndim == 1 and bool(((order >= 0) & (order < len(self.training_views))).all())
-        statistics = gradient.dtype == seen.dtype == torch.float32 and gradient.shape == seen.shape == (len(seen),)
-        counts = all(type(state[name]) is int for name in ("done", "iterations", "pictures"))
-        schedule = counts and 0 <= state["done"] <= state["iterations"] and state["iterations"] > 0 and state["pictures"] >= 0
-        return views and statistics and schedule and self.optimizer.fits(state["optimizer"])
-
-
-def invalid_checkpoint() -> InputError:
-    """Return the error about a checkpoint file that can be read, but holds no state of this job's first stage."""
-    return InputError("checkpoint/first_stage.pt", "holds no state of this job's first stage", "delete it, or start again with --overwrite")

@@ -153,7 +153,7 @@ def test_a_hollow_is_a_region_where_stereo_is_better(dataset):
     """The lid is given to stereo, the outside of the bowl, which the hull touches, may keep the hull."""
     settings = with_overrides(preset("draft"), [f"first.gaussians={COUNT}"])
     plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
-    chosen = select_start(dataset, settings, plain, LOW_GLOSS, progress)
+    chosen = select_start(dataset, settings, plain, LOW_GLOSS, progress).gaussians
     on, evidence = progress.found["stereo"]
     assert on
     assert "% of the surfels" in evidence
@@ -181,7 +181,7 @@ def test_better_regions_that_are_no_pixel_off_the_hull_are_no_stereo_start(datas
     monkeypatch.setattr(stereo_initialization, "EVERYWHERE", 1.0)
     monkeypatch.setattr(stereo_initialization, "pixel_size", lambda dataset: 10.0)
     plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
-    assert select_start(dataset, settings, plain, LOW_GLOSS, progress) is plain
+    assert select_start(dataset, settings, plain, LOW_GLOSS, progress).gaussians is plain
     on, evidence = progress.found["stereo"]
     assert not on
     assert "nowhere" in evidence
@@ -201,7 +201,7 @@ def test_share_is_that_of_the_surfels_on_points_of_stereo(dataset, monkeypatch):
 @pytest.mark.parametrize(("overrides", "material_class", "why"), [([], METAL, "reflections"), (["first.stereo=off"], LOW_GLOSS, "as set")])
 def test_plain_start_without_a_trial(dataset, overrides, material_class, why):
     plain, progress = initial_gaussians(dataset, 100, np.random.default_rng(0)), Decisions()
-    assert select_start(dataset, with_overrides(preset("draft"), overrides), plain, material_class, progress) is plain
+    assert select_start(dataset, with_overrides(preset("draft"), overrides), plain, material_class, progress).gaussians is plain
     on, evidence = progress.found["stereo"]
     assert not on
     assert why in evidence
@@ -211,7 +211,7 @@ def test_few_photographs_keep_the_sparse_points():
     few = bowl(masked=False, count=5, size=32)
     few = replace(few, points=PointCloud(np.zeros((30, 3), np.float32), np.zeros((30, 3), np.float32)))
     plain, progress = initial_gaussians(few, 100, np.random.default_rng(0)), Decisions()
-    assert select_start(few, preset("draft"), plain, LOW_GLOSS, progress) is plain
+    assert select_start(few, preset("draft"), plain, LOW_GLOSS, progress).gaussians is plain
     assert "5 photographs" in progress.found["stereo"][1]
 
 
