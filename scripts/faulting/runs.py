@@ -15,16 +15,26 @@ import torch
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import IrgsppError
 from irgspp.core.run_folder import RunFolder, read_run
+from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.camera_files import load_run_cameras
 from irgspp.core.scene.reconstruction import Reflections
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import from_dict
+from irgspp.core.stages.first.depth_anchors import DepthAnchors
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import COATED
 from irgspp.core.stages.first.material_class_selection import material_class_named
 from irgspp.core.stages.first.trainer import Trainer
+from irgspp.core.stereo.depth_map import DepthMap
 
 from .tiny import settings, write_dataset
+
+
+def flat_map(camera: Camera) -> DepthMap:
+    """Return a depth map that is 1 everywhere, as if three other views agreed."""
+    shape = camera.height, camera.width
+    depth, normal, cost = np.ones(shape, np.float32), np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+    return DepthMap(camera, depth, normal, cost, np.full(shape, 3, np.uint8), (0,))
 
 
 @functools.cache
@@ -33,7 +43,11 @@ def short_training() -> Trainer:
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data = load_dataset(write_dataset(Path(name)), settings().data)
     first = replace(settings().first, light_height=8)
-    trainer = Trainer(data, first, initial_gaussians(data, 40, np.random.default_rng(0)), COATED, 0, 0)
+    start, anchors = (
+        initial_gaussians(data, 40, np.random.default_rng(0)),
+        DepthAnchors.of_maps([flat_map(view.camera) for view in data.train]),
+    )
+    trainer = Trainer(data, first, start, COATED, 0, 0, anchors=anchors)
     for _ in range(3):
         trainer.step()
     return trainer

@@ -54,7 +54,8 @@ class DepthAnchors:
         witnesses = np.full((len(maps), COMPARED), -1)
         for row, one in zip(witnesses, maps, strict=True):
             row[: len(one.witnesses[:COMPARED])] = one.witnesses[:COMPARED]
-        return cls(*(torch.from_numpy(a) for a in (begin, np.concatenate(pixels).astype(np.int32), depth, witnesses)))
+        begin, pixel = torch.from_numpy(begin), torch.from_numpy(np.concatenate(pixels).astype(np.int32))
+        return cls(begin, pixel, torch.from_numpy(depth), torch.from_numpy(witnesses))
 
     def choose(self, dataset: Dataset, depths: Sequence[np.ndarray]) -> DepthAnchors:
         """Keep the anchors in regions where stereo explains the photographs better than the surfels do.

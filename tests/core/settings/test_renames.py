@@ -63,7 +63,15 @@ OLD = {
     "skip": {"outside": "off", "trials": "auto", "constants": "on", "open": "auto", "kept": "off"},
 }
 # Settings that came later, with their defaults.
-ADDED = {"first.subpixels", "first.open_edges", "first.single_rays", "first.stereo", "first.stereo_margin", "skip.subpixels"}
+ADDED = {
+    "first.subpixels",
+    "first.anchor_weight",
+    "first.open_edges",
+    "first.single_rays",
+    "first.stereo",
+    "first.stereo_margin",
+    "skip.subpixels",
+}
 ADDED |= {"second.shading_normals", "second.normal_iterations"}
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {

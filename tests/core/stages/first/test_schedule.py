@@ -5,7 +5,7 @@ import math
 from dataclasses import replace
 
 from irgspp.core.settings.schema import FirstStageSettings
-from irgspp.core.stages.first.schedule import EDGE, loss_weights, rays_per_side, sh_degree
+from irgspp.core.stages.first.schedule import EDGE, anchors_due, loss_weights, rays_per_side, sh_degree
 
 TEN = replace(FirstStageSettings(), iterations=10, sh_growth=0.6, single_rays=0.4, subpixels=2, open_edges=0.5)
 
@@ -24,3 +24,8 @@ def test_edges_are_open_in_the_first_part():
     assert [one.edge for one in weights] == [EDGE] * 5 + [math.inf] * 5
     assert {(one.mask, one.normal) for one in weights} == {(TEN.mask_weight, TEN.normal_weight)}
     assert loss_weights(replace(TEN, open_edges=0.0), 0).edge == math.inf
+
+
+def test_anchors_come_after_the_first_steps():
+    assert [anchors_due(TEN, done) for done in range(10)] == [False] * 3 + [True] * 7
+    assert not anchors_due(replace(TEN, anchor_weight=0.0), 9)
