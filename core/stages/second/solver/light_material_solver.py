@@ -30,6 +30,7 @@ from ...common.finite_check import require_finite
 from ..metal import METAL_ON_AVERAGE
 from .albedo_prior import CONSTANT, DARK, MEDIUM, albedo_prior
 from .light_prior import LightPrior
+from .linear_system import solve_positive
 from .material_search import MaterialSearch
 from .metal_regions import confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
@@ -210,8 +211,7 @@ class LightMaterialSolver:
             hessian = light[:, None] * hessian * light  # with respect to the logarithm of the light
             damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
             right = light * gradient + smoothness @ log_light[:, c]
-            # One after the other: once, three at a time on several threads never returned (torch 2.13, MKL).
-            steps.append(torch.linalg.solve(damped.double(), right.double()).float())
+            steps.append(solve_positive(damped.double(), right.double()).float())
             self._curvature[c] = hessian.sum()
         step = torch.stack(steps, 1).clamp(-1, 1)
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(-9, 7).exp())
