@@ -14,6 +14,8 @@ import torch
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from .cpu.jacobian import jacobian_range
 
+BLOCKS = 4  # of columns of a Gram matrix; with more, little is saved
+
 
 def jacobian(
     start: Any, root_weight: Any, coupling_weight: Any, factors: tuple[Any, Any], transport: tuple[Any, Any, Any], rows: Any
@@ -48,9 +50,14 @@ def jacobian(
 
 
 def gram(rows: torch.Tensor) -> torch.Tensor:
-    """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows."""
-    if rows.device.type != "cpu":
-        return rows.T @ rows
-    array = rows.numpy()
-    # Unlike PyTorch, numpy sees that the result is symmetric and computes half of it (BLAS syrk).
-    return torch.from_numpy(array.T @ array)
+    """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows.
+
+    It is symmetric: only blocks up to the diagonal are multiplied. numpy's BLAS has this built in (syrk), but waits busily for its threads:
+    900 columns took 350 instead of 110 ms with other work on the machine's cores, and 60 instead of 54 ms alone.
+    """
+    count = rows.shape[1]
+    product = rows.new_empty(count, count)
+    for begin, end in even_ranges(count, BLOCKS):
+        product[begin:end, :end] = rows[:, begin:end].T @ rows[:, :end]
+        product[:begin, begin:end] = product[begin:end, :begin].T
+    return product

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.kernels.jacobian import jacobian
+from irgspp.core.kernels.jacobian import gram, jacobian
 
 TEXELS = 24
 
@@ -33,3 +33,11 @@ def test_rows_and_coupling_are_those_of_plain_sums(jacobian):
     np.add.at(expected, point, coupling_weight[:, None] * plain.astype(float))
     np.testing.assert_allclose(coupling, expected, rtol=1e-6)
     assert (coupling[1] == 0).all()
+
+
+@pytest.mark.parametrize(("count", "columns"), [(50, 24), (7, 3), (4, 1), (0, 5)])
+def test_gram_matrix_is_that_of_numpy(count, columns):
+    rows = np.random.default_rng(columns).normal(size=(count, columns)).astype(np.float32)
+    product = gram(torch.from_numpy(rows)).numpy()
+    np.testing.assert_allclose(product, rows.T.astype(float) @ rows, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(product, product.T)
