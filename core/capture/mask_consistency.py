@@ -20,7 +20,7 @@ from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cropped_camera, cut, l
 from .soft_hull import projected_voxels, silhouettes, soft_hull
 from .support_plane import SupportPlane
 
-ROUNDS = 1  # of carving and cutting again
+ROUNDS = 2  # of carving and cutting again
 LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
 AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
 ON = 0.87  # first prior where the object's points are
@@ -143,12 +143,20 @@ class _Work:
         if self.plane is None:
             return [None] * len(chosen)
         if self.texture is None:
-            self.texture = plane_texture(self.colours, self.cameras, self.masks, self.plane, self.region.bound)
+            on_object = [self._seen_object(i) for i in range(len(self.cutouts))]
+            self.texture = plane_texture(self.colours, self.cameras, self.masks, self.plane, self.region.bound, on_object)
         jobs = []
         for i, prior in zip(chosen, priors, strict=True):
             cutout = self._cutout(i)
             jobs.append((self.texture, cutout.colour, cropped_camera(self.cameras[i], cutout.box), prior))
         return background_evidence(list(run_jobs(plane_differences, jobs)), priors)
+
+    def _seen_object(self, i: int) -> np.ndarray | None:
+        """Return (H, W) float32, 1 where stereo sees the object in a view, else 0; None where it says nothing."""
+        cutout, camera = self.cutouts[i], self.cameras[i]
+        if cutout is None or not (cutout.seed > 0).any():
+            return None
+        return cutout.full(cutout.seed > 0, (camera.height, camera.width))
 
     def _cut(
         self,

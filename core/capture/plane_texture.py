@@ -22,10 +22,12 @@ from .support_plane import SupportPlane
 REACH = 3.0  # radii of the object around it in which the texture is made
 LARGEST = 768  # texels along a side
 CLEAR = 0.006  # distance that a texel keeps from the object's mask, in the image's longest sides
-ROUNDS = 2  # of the robust mean
+ROUNDS, GAP_ROUNDS = 2, 4  # of the robust mean, and of that of gaps, where some views see the object
+AGREED = 0.5  # share of the views of a texel in a gap that must agree
 NOISE = 0.06  # difference, encoded, at which a view's weight in the robust mean falls to a quarter
 AT_ONCE = 8  # photographs that are in memory as texels
 FEWEST = 2.0  # sum of the weights of a texel's views from which it is known
+_Job = tuple[np.ndarray, np.ndarray, Camera, np.ndarray, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,12 @@ class PlaneTexture:
 
 
 def plane_texture(
-    colours: Sequence[np.ndarray], cameras: Sequence[Camera], masks: Sequence[np.ndarray | None], plane: SupportPlane, bound: Bound
+    colours: Sequence[np.ndarray],
+    cameras: Sequence[Camera],
+    masks: Sequence[np.ndarray | None],
+    plane: SupportPlane,
+    bound: Bound,
+    on_object: Sequence[np.ndarray | None] | None = None,
 ) -> PlaneTexture:
     """Average what the views show of the plane around the object.
 
@@ -63,24 +70,55 @@ def plane_texture(
         masks: (H, W) 0..1 of the object; photographs without are not used.
         plane: that the object stands on.
         bound: sphere about the object.
+        on_object: (H, W) of each view, 1 where stereo sees the object, else 0; None for a view without stereo. With these, what the masks
+            hide of the plane is looked for where stereo sees no object: masks fill gaps through which a shaded plane is seen.
     """
     frame, side = _frame(cameras, plane, bound)
-    jobs = [
-        (np.round(255 * np.clip(colour, 0, 1)).astype(np.uint8), _free(mask), camera, frame, side)
-        for colour, mask, camera in zip(colours, masks, cameras, strict=True)
-        if mask is not None
-    ]
-    mean = weight = np.zeros((side, side), np.float32)
-    for turn in range(ROUNDS):
-        total, sum_of_weights = np.zeros((side, side, 3), np.float32), np.full((side, side), 1e-6, np.float32)
+    images = [np.round(255 * np.clip(colour, 0, 1)).astype(np.uint8) for colour in colours]
+
+    def jobs(hidden: Sequence[np.ndarray | None], clear: float, frame: np.ndarray, side: int) -> list[_Job]:
+        views = zip(images, hidden, cameras, strict=True)
+        return [(image, _free(one, clear), camera, frame, side) for image, one, camera in views if one is not None]
+
+    mean, weight, _ = _robust_mean(jobs(masks, CLEAR, frame, side), side, ROUNDS)
+    known = weight > FEWEST
+    if on_object is not None:
+        begin, width = side // 4, side - 2 * (side // 4)  # the object, and enough around it to tell each photograph's exposure
+        part = (slice(begin, begin + width), slice(begin, begin + width))
+        shifted = frame @ np.array([[1.0, 0, begin], [0, 1, begin], [0, 0, 1]])
+        through, weight, count = _robust_mean(jobs(on_object, CLEAR / 2, shifted, width), width, GAP_ROUNDS, (mean[part], known[part]))
+        gap = ~known[part] & (weight > FEWEST) & (weight > AGREED * count)
+        mean[part], known[part] = np.where(gap[..., None], through, mean[part]), known[part] | gap
+    return PlaneTexture(mean, known.astype(np.float32), frame)
+
+
+def _robust_mean(
+    jobs: Sequence[_Job], side: int, rounds: int, reference: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Average photographs on the plane, with less weight where they differ from the mean of the round before.
+
+    Args:
+        jobs: arguments of `_on_plane`.
+        side: texels along a side.
+        rounds: of averaging.
+        reference: colours (side, side, 3), and (side, side) True where they tell exposures; None: the mean of the round before does.
+
+    Returns:
+        The mean (side, side, 3), and the sum of weights and the number of views of each texel (side, side).
+    """
+    mean, weight, count = np.zeros((side, side, 3), np.float32), *np.zeros((2, side, side), np.float32)
+    for turn in range(rounds):
+        exposure = reference if reference is not None else (mean, weight > FEWEST)
+        total, sum_of_weights, count = np.zeros_like(mean), np.full_like(weight, 1e-6), np.zeros_like(weight)
         for colour, seen in chain.from_iterable(run_jobs(_on_plane, jobs[k : k + AT_ONCE]) for k in range(0, len(jobs), AT_ONCE)):
+            count += seen
+            colour = colour * _gain(exposure[0], colour, seen * exposure[1])
             if turn > 0:
-                colour = colour * _gain(mean, colour, seen * (weight > FEWEST))
                 seen = seen / (1 + np.square(colour - mean).mean(-1) / NOISE**2) ** 2
             total += seen[..., None] * colour
             sum_of_weights += seen
         mean, weight = total / sum_of_weights[..., None], sum_of_weights
-    return PlaneTexture(mean, (weight > FEWEST).astype(np.float32), frame)
+    return mean, weight, count
 
 
 def _frame(cameras: Sequence[Camera], plane: SupportPlane, bound: Bound) -> tuple[np.ndarray, int]:
@@ -107,9 +145,9 @@ def _in_front(to_texel: np.ndarray, height: int, width: int) -> np.ndarray:
     return to_texel[2, 0] * column + to_texel[2, 1] * row + to_texel[2, 2] > 0
 
 
-def _free(mask: np.ndarray) -> np.ndarray:
-    """Return (H, W) uint8, 255 away from the object's mask, else 0."""
-    reach = 2 * max(1, round(CLEAR * max(mask.shape))) + 1
+def _free(mask: np.ndarray, clear: float) -> np.ndarray:
+    """Return (H, W) uint8, 255 away from the object's mask, else 0; `clear` is the distance kept, in the image's longest sides."""
+    reach = 2 * max(1, round(clear * max(mask.shape))) + 1
     return 255 * (cv2.dilate((mask > 0.02).astype(np.uint8), np.ones((reach, reach), np.uint8)) == 0).astype(np.uint8)
 
 

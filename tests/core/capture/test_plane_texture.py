@@ -72,3 +72,33 @@ def test_without_an_object_yet_there_is_no_evidence():
     nothing = [np.zeros_like(mask) for mask in masks]
     evidence = background_evidence([plane_differences(texture, *one) for one in zip(colours, cams, nothing, strict=True)], nothing)
     assert not np.any(evidence)
+
+
+def balls(cams, radius):
+    """Silhouettes (H, W) of balls of another radius in the place of the photographs' ball."""
+    found = []
+    for camera in cams:
+        rays, to = camera.rays(), np.array([0, 0, 0.25]) - camera.centre
+        found.append((to @ to - (rays @ to) ** 2 / (rays * rays).sum(-1) < radius**2).astype(np.float32))
+    return found
+
+
+def test_gaps_that_all_masks_fill_are_seen_where_stereo_sees_no_object():
+    cams = cameras()
+    colours, own = photographs(cams, np.array([0.9, 0.1, 0.1]))
+    filled = balls(cams, 0.4)  # all masks are too large
+    without = plane_texture(colours, cams, filled, PLANE, BOUND)
+    texture = plane_texture(colours, cams, filled, PLANE, BOUND, [*own[:-1], None])
+    gap = filled[0] - own[0]
+    assert behind(texture, cams[0], gap)[1] > behind(without, cams[0], gap)[1] + 0.1
+    assert behind(texture, cams[0], gap)[0] < 0.03
+
+
+def test_gaps_in_which_views_disagree_are_not_known():
+    cams = cameras()
+    colours, own = photographs(cams, np.array([0.9, 0.1, 0.1]))
+    filled, random = balls(cams, 0.4), np.random.default_rng(0)
+    for colour, mask in zip(colours, filled, strict=True):
+        colour[mask > 0] = random.random(3)
+    without, texture = (plane_texture(colours, cams, filled, PLANE, BOUND, one) for one in (None, own))
+    assert texture.known.sum() < without.known.sum() * 1.01
