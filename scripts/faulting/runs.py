@@ -43,10 +43,8 @@ def short_training() -> Trainer:
     with tempfile.TemporaryDirectory(prefix="irgspp-faults-") as name:
         data = load_dataset(write_dataset(Path(name)), settings().data)
     first = replace(settings().first, light_height=8)
-    start, anchors = (
-        initial_gaussians(data, 40, np.random.default_rng(0)),
-        DepthAnchors.of_maps([flat_map(view.camera) for view in data.train]),
-    )
+    start = initial_gaussians(data, 40, np.random.default_rng(0))
+    anchors = DepthAnchors.of_maps([flat_map(view.camera) for view in data.train])
     trainer = Trainer(data, first, start, COATED, 0, 0, anchors=anchors)
     for _ in range(3):
         trainer.step()
