@@ -177,7 +177,7 @@ PRESETS: dict[str, Settings] = {
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
         data=replace(DataSettings(), resolution=800),
-        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, subpixels=1),
+        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, subpixels=1, anchor_weight=0.0),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(
             SecondStageSettings(),
