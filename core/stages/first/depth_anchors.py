@@ -23,6 +23,7 @@ SUPPORT = 3  # views that must agree with a depth of stereo
 COMPARED = 4  # views that each view is compared with
 BETTER = 0.8  # reprojection error at stereo's depth over that at the surfels', below which stereo's is taken
 APART = 1.0  # pixels of parallax between the two depths of a region, from which they differ by more than noise
+WORTH = 0.003  # fraction of the object's pixels below which none is kept: chance finds 0.001 of them on smooth objects
 FAR = 3.0  # pixels of parallax at which a difference counts half
 FLOOR = 1e-3  # smallest opacity that depths are divided by
 
@@ -61,7 +62,8 @@ class DepthAnchors:
         """Keep the anchors in regions where stereo explains the photographs better than the surfels do.
 
         There the reprojection error is lower by BETTER, and not above what is typical of stereo on this object: a reflection matches at
-        the depth of its virtual image, but worse than a matt surface does. The depths differ by more than APART.
+        the depth of its virtual image, but worse than a matt surface does. The depths differ by more than APART. If less than WORTH of the
+        object is found, none is kept.
 
         Args:
             dataset: training views with masks.
@@ -77,6 +79,8 @@ class DepthAnchors:
             points = view.camera.centre + depth[:, None].numpy() * rays
             better = (evidence.ratio(points) < BETTER) & (evidence.error(points) < evidence.typical_error())
             kept.append(better & (evidence.distance(points) > APART) & (own.reshape(-1)[pixel] > 0))
+        if sum(int(one.sum()) for one in kept) < WORTH * sum(int((own > 0).sum()) for own in depths):
+            kept = [np.zeros_like(one) for one in kept]
         begin = np.concatenate([[0], np.cumsum([one.sum() for one in kept])])
         keep = torch.from_numpy(np.concatenate(kept))
         return replace(self, begin=torch.from_numpy(begin), pixel=self.pixel[keep], depth=self.depth[keep], chosen=True)

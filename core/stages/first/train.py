@@ -93,7 +93,7 @@ def train(
     trainer.run(progress, checkpoint)
     if incomplete := incomplete_images() - before:
         progress.message(f"warning: in {incomplete} steps the image lacked some surfels, as more were visible than the GPU's buffers hold")
-    if trainer.anchors is not None and trainer.anchors.chosen:
+    if trainer.anchors is not None and trainer.anchors.chosen and len(trainer.anchors.pixel):
         progress.message(f"{len(trainer.anchors.pixel):,} depths were held at stereo's, where the photographs agree better")
     trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))

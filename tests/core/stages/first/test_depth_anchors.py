@@ -53,6 +53,15 @@ def test_nothing_is_held_where_stereo_is_the_wrong_one(wall):
     assert len(stereo(dataset, bent(dataset, depths, 1.06)).choose(dataset, depths).pixel) == 0
 
 
+@pytest.mark.parametrize(("side", "held"), [(2, False), (4, True)])
+def test_a_few_pixels_are_not_worth_it(wall, side, held):
+    dataset, depths = wall
+    patch, spot = np.s_[31 : 31 + side, 41 : 41 + side], [depth.copy() for depth in depths]
+    for own, behind in zip(spot, bent(dataset, depths, 1.06), strict=True):
+        own[patch] = behind[patch]
+    assert (len(stereo(dataset, depths).choose(dataset, spot).pixel) > 0) == held
+
+
 def test_reflections_are_not_held():
     """Where colours differ from view to view, stereo's depth explains them badly, even if it does so better than the surfels'."""
     dataset, depths = textured_wall(shine=0.15)
