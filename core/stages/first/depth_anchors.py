@@ -18,9 +18,8 @@ from ...scene.dataset import Dataset
 from ...stereo.depth_map import DepthMap
 from ...stereo.settings import StereoSettings
 from .depth_evidence import DepthEvidence
+from .stereo_initialization import COMPARED, SUPPORT
 
-SUPPORT = 3  # views that must agree with a depth of stereo
-COMPARED = 4  # views that each view is compared with
 BETTER = 0.8  # reprojection error at stereo's depth over that at the surfels', below which stereo's is taken
 APART = 1.0  # pixels of parallax between the two depths of a region, from which they differ by more than noise
 WORTH = 0.003  # fraction of the object's pixels below which none is kept: chance finds 0.001 of them on smooth objects
@@ -30,7 +29,7 @@ FLOOR = 1e-3  # smallest opacity that depths are divided by
 
 @dataclass(frozen=True, eq=False)
 class DepthAnchors:
-    """Depths of stereo at K pixels of V views, sorted by view: first all that views agree on, then the chosen ones.
+    """Depths of stereo at K pixels of V views, sorted by view: at first all that views agree on, after `choose` some of them.
 
     Attributes:
         begin: (V + 1,) int64; view i has the anchors begin[i] to begin[i + 1].
@@ -48,8 +47,8 @@ class DepthAnchors:
 
     @classmethod
     def of_maps(cls, maps: Sequence[DepthMap]) -> DepthAnchors:
-        """Collect the depths of stereo that at least SUPPORT views agree on, from a depth map for each training view."""
-        pixels = [np.flatnonzero(one.support >= SUPPORT) for one in maps]
+        """Collect the depths of stereo that enough views agree on for a start on them, from a depth map for each training view."""
+        pixels = [np.flatnonzero(one.support >= SUPPORT[True]) for one in maps]
         depth = np.concatenate([one.depth.reshape(-1)[pixel] for one, pixel in zip(maps, pixels, strict=True)])
         begin = np.concatenate([[0], np.cumsum([len(pixel) for pixel in pixels])])
         witnesses = np.full((len(maps), COMPARED), -1)
@@ -61,9 +60,9 @@ class DepthAnchors:
     def choose(self, dataset: Dataset, depths: Sequence[np.ndarray]) -> DepthAnchors:
         """Keep the anchors in regions where stereo explains the photographs better than the surfels do.
 
-        There the reprojection error is lower by BETTER, and not above what is typical of stereo on this object: a reflection matches at
-        the depth of its virtual image, but worse than a matt surface does. The depths differ by more than APART. If less than WORTH of the
-        object is found, none is kept.
+        There the reprojection error is below BETTER times the surfels', and below what is typical of stereo on this object: a reflection
+        matches at the depth of its virtual image, but worse than a matt surface does. The depths differ by more than APART. If less than
+        WORTH of the object is found, none is kept.
 
         Args:
             dataset: training views with masks.
@@ -72,12 +71,12 @@ class DepthAnchors:
         stereo = [self._filled(i, depth) for i, depth in enumerate(depths)]
         sources = [row[row >= 0].tolist() for row in self.witnesses]
         evidence = DepthEvidence.collect(dataset.train, dataset.bound, (depths, stereo), sources, StereoSettings().relative_depth)
-        kept = []
+        typical, kept = evidence.typical_error(), []
         for i, (view, own) in enumerate(zip(dataset.train, depths, strict=True)):
             pixel, depth = self._of(i)
             rays = view.camera.rays().reshape(-1, 3)[pixel].astype(np.float64)
             points = view.camera.centre + depth[:, None].numpy() * rays
-            better = (evidence.ratio(points) < BETTER) & (evidence.error(points) < evidence.typical_error())
+            better = (evidence.ratio(points) < BETTER) & (evidence.error(points) < typical)
             kept.append(better & (evidence.distance(points) > APART) & (own.reshape(-1)[pixel] > 0))
         if sum(int(one.sum()) for one in kept) < WORTH * sum(int((own > 0).sum()) for own in depths):
             kept = [np.zeros_like(one) for one in kept]
