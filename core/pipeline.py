@@ -36,6 +36,7 @@ from .scene.reconstruction import Reconstruction
 from .scene.surface import Surface
 from .settings import overrides
 from .settings.schema import Settings, paced
+from .settings.sizes import with_sizes
 from .stages.common.memory_layout import MemoryLayout, fit_into_memory
 from .stages.common.pixel_rays import with_needed_rays
 from .stages.common.preview import surface_shape
@@ -89,6 +90,7 @@ def reconstruct(
             if bare:
                 _capture(dataset, folder, settings, recorder)
             data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
+            settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
             timed = chosen.device.type == "cpu" and not earlier  # GPUs were not measured, and a resumed job has done a part before
             if timed and (seconds := estimate_seconds(settings, data)) is not None:
                 recorder.message(f"takes about {in_words(seconds)}")
@@ -129,6 +131,7 @@ def _read(dataset: Path, run: Path, settings: Settings, device: ChosenDevice, pr
     if settings.second.brdf != "principled" and settings.second.solver != "joint":
         raise InputError("second.brdf", f"{settings.second.brdf} is of the joint optimisation alone", "add --set second.solver=joint")
     data = load_dataset(dataset, settings.data, progress)
+    settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
     if settings.second.solver != "closed":
         check_joint(data.train)
     check_disk_space(run, settings, data.pixels(distorted=True))

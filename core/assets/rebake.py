@@ -117,7 +117,7 @@ def _mesh(
         masks = [view.alpha for view in views] if reconstruction.background is None else None
         surface = extract_geometry(views, samples, reconstruction.bound, settings, progress, masks)
         return textured_mesh(surface, views, samples, settings, progress), reconstruction
-    voxel = make_grid(views, samples, reconstruction.bound, settings.voxels).voxel
+    voxel = make_grid(views, samples, reconstruction.bound, settings).voxel
     if given is not None:
         return _edited_mesh(given, views, samples, voxel, settings, progress), reconstruction
     mesh = load_mesh_ply(run / "mesh.ply")

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import json
+import math
 import statistics
 from pathlib import Path
 
 from ..io.atomic import write_atomic
 from ..scene.dataset import Dataset
 from ..settings.schema import Settings
+from ..settings.sizes import gaussians_at_start, voxels_along
 from .cache_folder import private_folder
 from .thread_pool import thread_count
 
@@ -18,6 +20,7 @@ START, END = 5.0, 5.0  # of the libraries and the reader, and of the files at th
 STEP, STEP_SURFEL, STEP_PIXEL = 0.005, 6.2e-7, 1.1e-7  # of the first stage, for each surfel, and for each pixel that it fits
 UNMASKED = 2.5  # times as long for a pixel without masks, where surfels of the surroundings lie behind one another
 TRIAL_STEP = 0.014  # of a trial fit
+LONGEST = 1.5  # longest side of an object in roots of its area: 1.25 to 1.9 on six scenes
 SURFACE = 18.0  # stereo, fusion and bake at the balanced preset; by the square of the voxels
 PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
 SOLVER = 19.0  # at the balanced preset; texels of the light solved for enter by their cube
@@ -61,13 +64,15 @@ def step_seconds(settings: Settings, data: Dataset) -> float:
     """Estimate the mean duration of a step of the first stage; arguments as of `reference_seconds`."""
     depth = 1.0 if data.has_alpha else UNMASKED
     pixels = _fitted_pixels(data, settings.data.resolution) / max(1, len(data.train))
-    return STEP + STEP_SURFEL * settings.first.gaussians + STEP_PIXEL * depth * pixels
+    surfels = gaussians_at_start(settings.first, _object_pixels(data, settings.data.resolution))
+    return STEP + STEP_SURFEL * surfels + STEP_PIXEL * depth * pixels
 
 
 def fixed_seconds(settings: Settings, data: Dataset) -> float:
     """Estimate the duration of the phases beside the first stage that no schedule scales; arguments as of `reference_seconds`."""
-    second = settings.second
-    surface = SURFACE * (settings.surface.voxels / 192) ** 2 + _fitted_pixels(data, settings.data.resolution) * PHOTOGRAPH_PIXEL
+    second, pixels = settings.second, _object_pixels(data, settings.data.resolution) or 0.0
+    voxels = voxels_along(settings.surface, LONGEST * math.sqrt(pixels))
+    surface = SURFACE * (voxels / 192) ** 2 + _fitted_pixels(data, settings.data.resolution) * PHOTOGRAPH_PIXEL
     if second.solver == "joint":
         return surface + END
     solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
@@ -131,6 +136,14 @@ def _fitted_pixels(data: Dataset, resolution: int) -> float:
         share = float(view.alpha.mean()) if masked and view.alpha is not None else 1.0
         count += share * width * height * min(1.0, resolution / max(width, height)) ** 2
     return count
+
+
+def _object_pixels(data: Dataset, resolution: int) -> float | None:
+    """Return the mean number of pixels that show the object after reduction to a resolution; None without masks."""
+    if not data.has_alpha:
+        return None
+    largest = max(max(view.camera.width, view.camera.height) for view in data.train)
+    return data.object_pixels * min(1.0, resolution / largest) ** 2
 
 
 def _key() -> str:

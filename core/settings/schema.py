@@ -53,7 +53,8 @@ class FirstStageSettings:
     """First stage: fit 2D Gaussians, their radiance, and initial materials and light to the images."""
 
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
-    gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # number at the start; with masks also the largest number
+    gaussians: Annotated[int, Range(16, 10_000_000)] = 120_000  # number at the start, at most; with masks also the largest number
+    gaussians_per_pixel: Annotated[float, Range(0)] = 4.0  # of these, for each pixel of the object by its masks; 0: always `gaussians`
     subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images, at most (skip.subpixels)
     single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
@@ -110,7 +111,8 @@ class SecondStageSettings:
 class SurfaceSettings:
     """Surface extraction: from rendered depth to a textured mesh."""
 
-    voxels: Annotated[int, Range(16, 2048)] = 192  # grid cells along the longest side of the object
+    voxels: Annotated[int, Range(16, 2048)] = 384  # grid cells along the longest side of the object, at most
+    voxel_pixels: Annotated[float, Range(0)] = 0.6  # side of a cell in pixels of the photographs; 0: always `voxels`
     smoothing: Annotated[int, Range(0, 1000)] = 10  # smoothing passes before decimation
     normal_averages: Annotated[int, Range(0, 100)] = 5  # passes that average vertex normals with their neighbours
     fragment: Annotated[float, Range(0, 1)] = 0.03  # components below this fraction of the largest one's area are removed
@@ -170,14 +172,14 @@ PRESETS: dict[str, Settings] = {
     "high": Settings(  # detail of large photographs, for a job over night
         preset="high",
         data=replace(DataSettings(), resolution=1600),
-        first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000),
+        first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000, gaussians_per_pixel=0.0),
         second=replace(SecondStageSettings(), points=5000, iterations=600, pool=200_000, radiance_iterations=300, normal_iterations=300),
-        surface=replace(SurfaceSettings(), voxels=384, triangles=150_000, texture=4096),
+        surface=replace(SurfaceSettings(), voxel_pixels=0.0, triangles=150_000, texture=4096),
     ),
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
         data=replace(DataSettings(), resolution=800),
-        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, subpixels=1, anchor_weight=0.0),
+        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, gaussians_per_pixel=0.0, subpixels=1, anchor_weight=0.0),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(
             SecondStageSettings(),
@@ -191,7 +193,7 @@ PRESETS: dict[str, Settings] = {
             samples=512,
             pool=400_000,
         ),
-        surface=replace(SurfaceSettings(), voxels=512, triangles=200_000, texture=2048),
+        surface=replace(SurfaceSettings(), voxels=512, voxel_pixels=0.0, triangles=200_000, texture=2048),
     ),
 }
 

@@ -45,7 +45,7 @@ def extract_geometry(
         Cancelled: the user stopped the work.
     """
     progress.phase("fuse", len(views))
-    grid = make_grid(views, samples, bound, settings.voxels)
+    grid = make_grid(views, samples, bound, settings)
     surface = _surface(fuse(views, grid, progress), grid, settings)
     if masks is not None:
         offset = silhouette_offset(surface.vertices, surface.faces, [view.camera for view in views], masks)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from scipy import ndimage
 from ..errors import IrgsppError
 from ..scene.dataset import Bound
 from ..scene.gbuffer import GBuffer, SurfaceSamples
+from ..settings.schema import SurfaceSettings
+from ..settings.sizes import voxels_along
 
 BLOCK = 4  # voxels along a block's side
 MARGIN = 6  # voxels between the object and the border of the grid
@@ -77,24 +80,28 @@ def depth_points(view: GBuffer, bound: Bound) -> np.ndarray:
     return points[_inside(points, bound)]
 
 
-def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, voxels: int) -> Grid:
-    """Make a voxel grid around the object.
+def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, settings: SurfaceSettings) -> Grid:
+    """Make a voxel grid around the object, as fine as the views' pixels ask for.
 
     Args:
         views: G-buffers.
         samples: the Gaussians; opaque ones activate blocks, too.
         bound: sphere around the object.
-        voxels: number along the object's longest side.
+        settings: size of the voxels.
 
     Raises:
         IrgsppError: no view has a depth inside the bound.
     """
     solid = samples.position[(samples.opacity > 0.5) & _inside(samples.position, bound)].astype(np.float64)
-    seen = [depth_points(view, bound) for view in views]
+    seen, footprints = [], []
+    for view in views:
+        seen.append(depth_points(view, bound))
+        footprints.append(_footprint(view, seen[-1]))
     if not sum(map(len, seen)):
         raise IrgsppError("no surface: no view has a depth inside the object's bound where its alpha is above 0.5")
     low, high = _robust_box(solid if len(solid) else np.concatenate(seen))
-    voxel = float((high - low).max()) / voxels
+    longest = float((high - low).max())
+    voxel = longest / voxels_along(settings, longest / float(np.nanmedian(footprints)))
     blocks = np.ceil(((high - low) / voxel + 2 * MARGIN) / BLOCK).astype(int)
     origin = (low + high) / 2 - (blocks * BLOCK - 1) / 2 * voxel
     marked = np.zeros(blocks, bool)
@@ -104,6 +111,14 @@ def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, v
         marked[tuple(index.T)] = True
     active = np.argwhere(ndimage.binary_dilation(marked, np.ones((3, 3, 3)))).astype(np.int32)
     return Grid(origin, voxel, (int(blocks[0]), int(blocks[1]), int(blocks[2])), active)
+
+
+def _footprint(view: GBuffer, points: np.ndarray) -> float:
+    """Return the side of a view's pixel at the mean depth of points (P, 3), world units; not a number without points."""
+    if not len(points):
+        return math.nan
+    depth = (points.mean(0) - view.camera.centre) @ view.camera.world_to_cv[2, :3]
+    return float(depth) / math.sqrt(view.camera.fx * view.camera.fy)
 
 
 def _inside(points: np.ndarray, bound: Bound) -> np.ndarray:

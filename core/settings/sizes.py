@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sizes that follow from how many pixels show the object, so that its relief is represented alike in small and in large photographs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from .schema import FirstStageSettings, Settings, SurfaceSettings
+
+# Unless the settings allow fewer. On smaller objects the time is not in the number of Gaussians or voxels.
+FEWEST_GAUSSIANS, FEWEST_VOXELS = 40_000, 192
+
+
+def gaussians_at_start(first: FirstStageSettings, object_pixels: float | None) -> int:
+    """Return the number of Gaussians that the first stage starts with.
+
+    One number for all sizes leaves relief out where more pixels show the object: on igea_relief, normals were off by 4.83 degrees with
+    1.3 Gaussians for each of them, 4.30 with 2.6, 4.13 with 3.9 and 4.05 with 5.2.
+
+    Args:
+        first: settings; at most `gaussians`.
+        object_pixels: mean number of pixels of a training view that show the object, at the working resolution; None without masks:
+            twice as many Gaussians fitted the training views of such a scene better, and others worse.
+    """
+    if first.gaussians_per_pixel == 0:
+        return first.gaussians
+    return min(first.gaussians, max(FEWEST_GAUSSIANS, round(first.gaussians_per_pixel * (object_pixels or 0))))
+
+
+def with_sizes(settings: Settings, object_pixels: float | None) -> Settings:
+    """Return settings with the number of Gaussians that suits a dataset; applied twice, the same.
+
+    Args:
+        settings: of the job.
+        object_pixels: see `gaussians_at_start`.
+    """
+    return replace(settings, first=replace(settings.first, gaussians=gaussians_at_start(settings.first, object_pixels)))
+
+
+def voxels_along(surface: SurfaceSettings, pixels: float) -> float:
+    """Return the number of voxels along the longest side of an object.
+
+    On igea_relief, normals were off by 4.30 degrees with voxels of .82 pixels, and 4.19 with .61.
+
+    Args:
+        surface: settings; at most `voxels`.
+        pixels: length of this side in pixels of a training view.
+    """
+    if surface.voxel_pixels == 0:
+        return surface.voxels
+    return min(surface.voxels, max(FEWEST_VOXELS, pixels / surface.voxel_pixels))
