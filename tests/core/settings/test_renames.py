@@ -73,6 +73,7 @@ ADDED = {
     "skip.subpixels",
 }
 ADDED |= {"second.shading_normals", "second.normal_iterations"}
+ADDED |= {"first.gaussians_per_pixel", "surface.voxel_pixels"}
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")

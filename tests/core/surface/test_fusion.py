@@ -8,6 +8,7 @@ import pytest
 from irgspp.core.errors import IrgsppError
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.dataset import Bound
+from irgspp.core.settings.schema import SurfaceSettings
 from irgspp.core.surface import fusion
 from irgspp.core.surface.voxel_grid import BLOCK, Grid, make_grid
 
@@ -57,7 +58,7 @@ def integrate_plainly(view, point, voxel, truncation):
 def test_integrate_equals_plain_loops(solids, camera_ring, bound):
     solid, rng = solids["torus"], np.random.default_rng(0)
     views = [solid.view(camera, 0.02, i) for i, camera in enumerate(camera_ring(3, size=24))]
-    grid = make_grid(views, solid.samples(500), bound, 24)
+    grid = make_grid(views, solid.samples(500), bound, SurfaceSettings(voxels=24))
     shape, truncation = (len(grid.active), BLOCK**3), fusion.TRUNCATION * grid.voxel
     total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool)
     for view in views:
@@ -92,7 +93,7 @@ def test_relax_equals_plain_loops():
 def test_field_is_the_signed_distance_near_the_surface(name, solids, camera_ring, bound):
     solid = solids[name]
     views = [solid.view(camera) for camera in camera_ring(32)]
-    grid = make_grid(views, solid.samples(), bound, 48)
+    grid = make_grid(views, solid.samples(), bound, SurfaceSettings(voxels=48))
     field = fusion.fuse(views, grid, Silent()) * fusion.TRUNCATION * grid.voxel
     true = solid.distance(centres(grid))
     near = np.abs(true) < 1.5 * grid.voxel
@@ -115,7 +116,7 @@ def test_grid_keeps_thin_tips_and_drops_outliers(solids, camera_ring, bound):
     samples = solid.samples(5000)
     samples.position[0] = (0, 0, 1.12)  # a tip
     samples.position[1] = (1.4, 0, 0.2)  # an outlier inside the bound
-    grid = make_grid([solid.view(camera) for camera in camera_ring(4)], samples, bound, 64)
+    grid = make_grid([solid.view(camera) for camera in camera_ring(4)], samples, bound, SurfaceSettings(voxels=64))
     top = grid.origin + grid.voxel * (np.array(grid.shape) - 1)
     assert top[2] > 1.12
     assert top[0] < 1.4
@@ -125,4 +126,4 @@ def test_no_depth_inside_the_bound_is_an_error(solids, camera_ring):
     solid = solids["sphere"]
     views = [solid.view(camera) for camera in camera_ring(3)]
     with pytest.raises(IrgsppError, match="no view has a depth inside the object's bound"):
-        make_grid(views, solid.samples(), Bound((9.0, 9.0, 9.0), 1.0), 32)
+        make_grid(views, solid.samples(), Bound((9.0, 9.0, 9.0), 1.0), SurfaceSettings())

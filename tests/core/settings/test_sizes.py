@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers of Gaussians and voxels that follow from the object's pixels, within the bounds of the settings."""
+
+from __future__ import annotations
+
+import pytest
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import PRESETS, FirstStageSettings, Settings, SurfaceSettings, preset
+from irgspp.core.settings.sizes import FEWEST_GAUSSIANS, FEWEST_VOXELS, gaussians_at_start, voxels_along, with_sizes
+
+
+@pytest.mark.parametrize(("pixels", "count"), [(1_000, 40_000), (15_000, 60_000), (28_282, 113_128), (200_000, 120_000), (None, 40_000)])
+def test_balanced_takes_four_gaussians_for_each_pixel(pixels: float | None, count: int) -> None:
+    assert gaussians_at_start(FirstStageSettings(), pixels) == count
+
+
+def test_settings_are_never_exceeded() -> None:
+    few = FirstStageSettings(gaussians=500)
+    assert gaussians_at_start(few, 1e6) == gaussians_at_start(few, None) == gaussians_at_start(few, 1) == 500
+    assert voxels_along(SurfaceSettings(voxels=40), 1e4) == voxels_along(SurfaceSettings(voxels=40), 1) == 40
+
+
+def test_presets_of_fixed_size_stay() -> None:
+    for name in ("high", "paper"):
+        for pixels in (None, 10.0, 1e7):
+            assert with_sizes(preset(name), pixels) == preset(name)
+        assert voxels_along(preset(name).surface, 1.0) == preset(name).surface.voxels
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_applied_twice_the_same(name: str) -> None:
+    once = with_sizes(preset(name), 17_000.0)
+    assert with_sizes(once, 17_000.0) == once
+
+
+@pytest.mark.parametrize(("pixels", "count"), [(50.0, FEWEST_VOXELS), (150.0, 250.0), (1000.0, 384)])
+def test_voxels_have_a_fixed_size_in_pixels(pixels: float, count: float) -> None:
+    assert voxels_along(SurfaceSettings(), pixels) == pytest.approx(count)
+
+
+def test_zero_turns_the_rules_off() -> None:
+    settings = with_overrides(Settings(), ["first.gaussians_per_pixel=0", "surface.voxel_pixels=0"])
+    assert gaussians_at_start(settings.first, 10.0) == settings.first.gaussians > FEWEST_GAUSSIANS
+    assert voxels_along(settings.surface, 10.0) == settings.surface.voxels > FEWEST_VOXELS
