@@ -15,6 +15,7 @@ from irgspp.core.machine.out_of_resources import OutOfResources, as_out_of_resou
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.run_folder import RunFolder, read_run
 from irgspp.core.settings.schema import Settings, preset
+from irgspp.core.settings.sizes import with_sizes
 
 
 @pytest.mark.parametrize(
@@ -89,7 +90,8 @@ def test_job_on_a_full_disk_reports_the_disk(tmp_path, monkeypatch):
 
 
 def test_disk_space_is_checked_before_anything_is_written(tmp_path, monkeypatch):
-    data, settings = load_dataset(DEMO_DATA), preset("balanced")
+    data = load_dataset(DEMO_DATA)
+    settings = with_sizes(preset("balanced"), data.object_pixels)
     needed = disk_space.estimate_disk_space(settings, data.pixels(distorted=True))
     assert 50e6 < needed < 500e6
     assert (

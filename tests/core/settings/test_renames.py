@@ -78,8 +78,8 @@ ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_r
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")
 }
-CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "second.indirect=off"]
-CHANGED += ["skip.background=off", "skip.cache_hits=on", "skip.cache_rays=off"]
+CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "first.gaussians=40000"]
+CHANGED += ["second.indirect=off", "surface.voxels=192", "skip.background=off", "skip.cache_hits=on", "skip.cache_rays=off"]
 
 
 def keys_of(settings, prefix=""):

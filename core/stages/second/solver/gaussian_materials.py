@@ -23,7 +23,8 @@ from .sample_equation import OUTLIER, approximate_srgb_derivative, view_terms
 from .sharp_samples import sharp_samples
 from .transfer_tracing import trace_radiance_transfer
 
-NEAREST = 8  # solver points whose mean roughness and metallic a Gaussian takes
+NEAREST = 8  # solver points that decide by their majority whether a Gaussian is metal
+ALIKE = 16  # solver points of which those that are metal, or are not, as the Gaussian give their mean roughness
 BATCH = 4000  # Gaussians traced at a time
 REWEIGHTED = 8  # passes of iteratively reweighted least squares
 AROUND = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
@@ -42,8 +43,7 @@ def assign_materials(
 ) -> torch.Tensor:
     """Assign materials to all Gaussians under the solved light.
 
-    A Gaussian is metal where the mean metallic of the NEAREST solver points is above METAL. A Gaussian that no view sees takes the
-    materials of the nearest one that is seen.
+    A Gaussian that no view sees takes the materials of the nearest one that is seen.
 
     Args:
         reconstruction: N Gaussians.
@@ -61,9 +61,7 @@ def assign_materials(
     g = reconstruction.gaussians
     device, position = g.position.device, g.position.T.contiguous().cpu().numpy()
     samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels)
-    _, nearest = KDTree(solver.samples.position.cpu().numpy()).query(samples.position.cpu().numpy(), k=min(NEAREST, len(solver.roughness)))
-    around = torch.from_numpy(np.asarray(nearest).reshape(len(samples.position), -1)).to(device)
-    roughness, metallic = solver.roughness[around].mean(1), (solver.metallic[around].mean(1) > METAL).float()
+    roughness, metallic = nearest_materials(solver.samples.position, solver.roughness, solver.metallic, samples.position)
     albedo = torch.empty_like(samples.position)
     for begin in range(0, len(albedo), BATCH):
         part = slice(begin, begin + BATCH)
@@ -77,6 +75,30 @@ def assign_materials(
     materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(EDGE, 1 - EDGE)
     _, source = KDTree(samples.position.cpu().numpy()).query(position)
     return materials[torch.from_numpy(np.asarray(source)).to(device)].T.contiguous()
+
+
+def nearest_materials(
+    points: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, position: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Take metallic from the majority of the NEAREST points, and roughness from those of the ALIKE nearest that are metal, or are not, too.
+
+    A mean over both sides of an edge is the roughness of neither.
+
+    Args:
+        points: (P, 3) world.
+        roughness: (P,) of the points.
+        metallic: (P,) of the points, 0 or 1.
+        position: (N, 3) world.
+
+    Returns:
+        Roughness (N,), and metallic (N,), 0 or 1.
+    """
+    _, nearest = KDTree(points.cpu().numpy()).query(position.cpu().numpy(), k=min(ALIKE, len(points)))
+    around = torch.from_numpy(np.asarray(nearest).reshape(len(position), -1)).to(points.device)
+    metal = metallic[around] > METAL
+    is_metal = metal[:, :NEAREST].float().mean(1) > METAL
+    alike = (metal == is_metal[:, None]).float()
+    return (alike * roughness[around]).sum(1) / alike.sum(1), is_metal.float()
 
 
 def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
