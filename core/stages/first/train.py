@@ -54,7 +54,7 @@ def train(
 
     Args:
         dataset: views.
-        settings: of the job.
+        settings: of the job, with the number of Gaussians that suits the dataset (`with_sizes`).
         progress: receives the progress and may cancel; None for neither.
         checkpoint: storage of intermediate states. The fit continues from the state "first_stage" where there is one; the result is
             then that of an uninterrupted run.

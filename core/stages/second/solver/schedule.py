@@ -11,8 +11,8 @@ START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared
 SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split
 TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, unless it is clearly better
 DARK_BETTER = 0.95  # ratio of errors below which a dark start is the better one
-# Ratio of errors below which the coarse light is clearly better. Errors that differ by less tell nothing: at the end, on rocker_corner and
-# spot_rough, the split light's was from .5 per cent lower to .8 higher, by chance, and its light was better by 2 and by .6 dB each time.
+# Ratio of errors below which the coarse light is clearly better. Errors that differ by less tell nothing: at the end of two runs on
+# rocker_corner, the split light's was .3 per cent lower and .8 higher, and its light was better by 2 dB in both; on spot_rough by .6 dB.
 CLEAR = 0.99
 
 
