@@ -12,6 +12,7 @@ from ..machine.cpu_memory import estimate_memory
 from ..machine.job_time import estimate_seconds, in_words
 from ..scene.dataset import Dataset, View
 from ..settings.schema import PRESETS
+from ..settings.sizes import with_sizes
 
 SHOWN = 5  # lines of one kind before the rest is only counted
 
@@ -82,7 +83,8 @@ def _jobs(dataset: Dataset) -> dict[str, dict[str, Any]]:
     for name, settings in PRESETS.items():
         seconds = estimate_seconds(settings, dataset)
         if seconds is not None:
-            memory = estimate_memory(settings, dataset.pixels())
+            sized = with_sizes(settings, dataset.object_pixels if dataset.has_alpha else None)
+            memory = estimate_memory(sized, dataset.pixels())
             text = f"about {in_words(seconds)}, {memory / 2**30:.1f} GiB of memory"
             jobs[name] = {"seconds": round(seconds), "memory": memory, "text": text}
     return jobs
