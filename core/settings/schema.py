@@ -54,7 +54,7 @@ class FirstStageSettings:
 
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
     gaussians: Annotated[int, Range(16, 10_000_000)] = 120_000  # number at the start, at most; with masks also the largest number
-    gaussians_per_pixel: Annotated[float, Range(0)] = 4.0  # of these, for each pixel of the object by its masks; 0: always `gaussians`
+    gaussians_per_pixel: Annotated[float, Range(0)] = 3.75  # of these, for each pixel of the object by its masks; 0: always `gaussians`
     subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images, at most (skip.subpixels)
     single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth

@@ -9,8 +9,8 @@ from irgspp.core.settings.schema import PRESETS, FirstStageSettings, Settings, S
 from irgspp.core.settings.sizes import FEWEST_GAUSSIANS, FEWEST_VOXELS, gaussians_at_start, voxels_along, with_sizes
 
 
-@pytest.mark.parametrize(("pixels", "count"), [(1_000, 40_000), (15_000, 60_000), (28_282, 113_128), (200_000, 120_000), (None, 40_000)])
-def test_balanced_takes_four_gaussians_for_each_pixel(pixels: float | None, count: int) -> None:
+@pytest.mark.parametrize(("pixels", "count"), [(1_000, 40_000), (16_000, 60_000), (28_282, 106_058), (200_000, 120_000), (None, 40_000)])
+def test_balanced_takes_gaussians_for_each_pixel(pixels: float | None, count: int) -> None:
     assert gaussians_at_start(FirstStageSettings(), pixels) == count
 
 
