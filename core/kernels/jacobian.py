@@ -58,6 +58,9 @@ def gram(rows: torch.Tensor) -> torch.Tensor:
     count = rows.shape[1]
     product = rows.new_empty(count, count)
     for begin, end in even_ranges(count, BLOCKS):
-        product[begin:end, :end] = rows[:, begin:end].T @ rows[:, :end]
-        product[:begin, begin:end] = product[begin:end, :begin].T
+        strip = rows[:, begin:end].T @ rows[:, :end]
+        square = strip[:, begin:]
+        strip[:, begin:] = square.tril() + square.tril(-1).T  # BLAS rounds the two halves differently on some processors
+        product[begin:end, :end] = strip
+        product[:begin, begin:end] = strip[:, :begin].T
     return product

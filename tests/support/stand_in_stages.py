@@ -16,6 +16,7 @@ from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import Settings
+from irgspp.core.settings.sizes import with_sizes
 
 ALL = ["train", "geometry", "second stage", "surface", "scene", "contact sheet"]
 
@@ -106,7 +107,7 @@ class Stages:
 
     def second_stage(self, first, surface, dataset, settings, progress, deadline, checkpoint):
         assert first.stage == "first"
-        assert settings == self.settings and (deadline is None) == (settings.time is None)
+        assert settings == with_sizes(self.settings, None) and (deadline is None) == (settings.time is None)
         assert checkpoint.load("joint") is None
         self.check(surface)
         self.record("second stage")
