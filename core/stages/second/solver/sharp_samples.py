@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -29,7 +28,8 @@ from ....scene.camera import Camera
 from ....scene.dataset import View
 from ....scene.gaussians import METALLIC, Gaussians
 from ....scene.reconstruction import Reconstruction
-from .multi_view_samples import MultiViewSamples, sample_views
+from .multi_view_samples import MultiViewSamples, sample_images
+from .view_choice import choose_views
 
 VIEWS = 4  # samples of each Gaussian, at most
 AROUND = 64  # nearest points over which the colour of the detail is averaged
@@ -53,14 +53,16 @@ def sharp_samples(
         subpixels: rays along each side of a pixel with which the radiance was fitted.
     """
     g, mirrored = reconstruction.gaussians, reconstruction.mirrored()
-    place = (g.position.T.contiguous().cpu().numpy(), normal)
-    look = partial(sample_views, *place, views, tracer.tree, tracer.offset, most=VIEWS, least=1, device=g.position.device)
-    samples, chosen = look(random=np.random.default_rng(seed))
+    position = g.position.T.contiguous().cpu().numpy()
+    random, device = np.random.default_rng(seed), g.position.device
+    choice = choose_views(position, normal, views, tracer.tree, tracer.offset, random, most=VIEWS, least=1, device=device)
+    chosen = torch.from_numpy(choice.chosen).to(device)
+    samples = sample_images(position, normal, views, (view.colour for view in views), choice, device)
     own = sh_radiance(g, chosen[samples.point], samples.view)
     if mirrored is None:
         return replace(samples, colour=own)
-    # The same seed: the same samples in the same order.
-    blurred, _ = look(random=np.random.default_rng(seed), image_of=lambda view: sh_image(reconstruction, view.camera, subpixels))
+    images = (sh_image(reconstruction, view.camera, subpixels) for view in views)
+    blurred = sample_images(position, normal, views, images, choice, device)
     detail = (1 - mirrored.material[METALLIC, chosen[samples.point], None]) * (own - blurred.colour)
     detail = pigment_share(samples, detail)[samples.point, None] * detail
     return replace(samples, colour=(samples.colour + detail).clamp_min(0))

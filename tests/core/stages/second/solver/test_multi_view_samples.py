@@ -12,7 +12,8 @@ from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import View
 from irgspp.core.stages.common.training_view import SATURATED
 from irgspp.core.stages.first.initialization import surfels
-from irgspp.core.stages.second.solver.multi_view_samples import FACING, MultiViewSamples, sample_views
+from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples, sample_views
+from irgspp.core.stages.second.solver.view_choice import FACING
 
 OFFSET, COUNT = 0.03, 400
 OCCLUDER, SIZE = np.array([0.0, -1.4, 1.2]), 0.6  # a ball in front of the sphere
