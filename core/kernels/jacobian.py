@@ -52,8 +52,9 @@ def jacobian(
 def gram(rows: torch.Tensor) -> torch.Tensor:
     """Compute the Gram matrix (T, T) of rows (K, T), rows^T rows.
 
-    It is symmetric, but for rounding on some processors: only blocks up to the diagonal are multiplied. numpy's BLAS has this built in (syrk), but waits busily for its threads:
-    900 columns took 350 instead of 110 ms with other work on the machine's cores, and 60 instead of 54 ms alone.
+    Only blocks up to the diagonal are multiplied; it is symmetric, but for rounding in the diagonal's blocks on some processors. numpy's
+    BLAS has this built in (syrk), but waits busily for its threads: 900 columns took 350 instead of 110 ms with other work on the machine's
+    cores, and 60 instead of 54 ms alone.
     """
     count = rows.shape[1]
     product = rows.new_empty(count, count)
