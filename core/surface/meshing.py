@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from ..errors import IrgsppError
+from ..scene.unique_rows import unique_rows, used_numbers
 from .voxel_grid import Grid
 
 AGGRESSION = 5  # `agg` of decimation; the library's default, 7, has three times the error in the same time
@@ -64,17 +65,16 @@ def cleaned(mesh: Triangles) -> Triangles:
     f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
     smallest_first = np.take_along_axis(f, (f.argmin(-1)[:, None] + np.arange(3)) % 3, -1)
     side = np.where(smallest_first[:, 1] < smallest_first[:, 2], 1, -1)
-    _, group = np.unique(np.sort(f, -1), axis=0, return_inverse=True)
-    group = group.reshape(-1)
+    _, group = unique_rows(np.sort(f, -1), return_inverse=True)
     keep = np.sign(np.bincount(group, side))[group] == side
-    _, index = np.unique(smallest_first[keep], axis=0, return_index=True)
+    _, index = unique_rows(smallest_first[keep], return_index=True)
     return compacted(Triangles(mesh.vertices, f[keep][np.sort(index)]))
 
 
 def compacted(mesh: Triangles) -> Triangles:
     """Remove the vertices that no face uses."""
-    used, faces = np.unique(mesh.faces, return_inverse=True)
-    return Triangles(mesh.vertices[used], faces.reshape(-1, 3))
+    used, faces = used_numbers(mesh.faces)
+    return Triangles(mesh.vertices[used], faces)
 
 
 def main_components(mesh: Triangles, fraction: float) -> Triangles:
@@ -103,7 +103,7 @@ def main_components(mesh: Triangles, fraction: float) -> Triangles:
 def border_vertices(faces: np.ndarray) -> np.ndarray:
     """Return the vertices on edges that belong to only one of the faces (F, 3)."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    once, count = np.unique(edges, axis=0, return_counts=True)
+    once, count = unique_rows(edges, return_counts=True)
     return np.unique(once[count == 1])
 
 
@@ -134,7 +134,7 @@ def smoothed(mesh: Triangles, passes: int) -> Triangles:
 def _neighbour_average(mesh: Triangles) -> sparse.csr_matrix:
     """Return the matrix (V, V) whose rows average a vertex's neighbours."""
     edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), -1)
-    edges, count = np.unique(edges, axis=0, return_counts=True)
+    edges, count = unique_rows(edges, return_counts=True)
     border = np.zeros(len(mesh.vertices), bool)
     border[edges[count == 1]] = True
     i, j = np.r_[edges[:, 0], edges[:, 1]], np.r_[edges[:, 1], edges[:, 0]]

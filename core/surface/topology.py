@@ -9,6 +9,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from ..scene.unique_rows import unique_rows
+
 
 @dataclass(frozen=True, eq=False)
 class Edges:
@@ -46,8 +48,8 @@ class Edges:
 def edges_of(faces: np.ndarray) -> Edges:
     """Find the edges of the faces (F, 3)."""
     sides = np.asarray(faces, np.int64)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    vertices, of_side, count = np.unique(np.sort(sides, -1), axis=0, return_inverse=True, return_counts=True)
-    return Edges(vertices, of_side.reshape(-1), count, sides[:, 0] < sides[:, 1])
+    vertices, of_side, count = unique_rows(np.sort(sides, -1), return_inverse=True, return_counts=True)
+    return Edges(vertices, of_side, count, sides[:, 0] < sides[:, 1])
 
 
 def face_components(faces: np.ndarray, edges: Edges) -> np.ndarray:
@@ -89,7 +91,7 @@ def joined_corners(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
 def non_manifold_vertices(faces: np.ndarray, edges: Edges) -> np.ndarray:
     """Return the vertices at which several fans of faces meet: parts of the surface that touch at this point alone."""
     vertex = np.asarray(faces).reshape(-1)
-    ends = np.unique(np.stack([vertex, fans(faces, edges)], -1), axis=0)[:, 0]
+    ends = unique_rows(np.stack([vertex, fans(faces, edges)], -1))[:, 0]
     found, count = np.unique(ends, return_counts=True)
     return found[count > 1]
 

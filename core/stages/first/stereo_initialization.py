@@ -14,6 +14,7 @@ from ...progress.protocol import Progress
 from ...scene.camera import Camera
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
+from ...scene.unique_rows import unique_rows
 from ...stereo.depth_bounds import depth_bounds
 from ...stereo.depth_map import DepthMap
 from ...stereo.estimation import Depths, estimate_depth_maps
@@ -219,12 +220,11 @@ def thinned(points: OrientedPoints, count: int) -> OrientedPoints:
     low, high = 0.0, float(np.ptp(points.position, 0).max())
     for _ in range(VOXEL_ROUNDS):
         middle = 0.5 * (low + high) if low else high / 2
-        if len(np.unique(_voxels(points.position, middle), axis=0)) > count:
+        if len(unique_rows(_voxels(points.position, middle))) > count:
             low = middle
         else:
             high = middle
-    _, group = np.unique(_voxels(points.position, high), axis=0, return_inverse=True)
-    group = group.reshape(-1)
+    _, group = unique_rows(_voxels(points.position, high), return_inverse=True)
     weight = np.bincount(group, points.support)
     average = lambda a: np.stack([np.bincount(group, points.support * c) / weight for c in a.T], 1)  # noqa: E731
     normal = average(points.normal)

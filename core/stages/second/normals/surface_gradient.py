@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from ....scene.surface import Surface
+from ....scene.unique_rows import unique_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class SurfaceGradient:
     def of(cls, surface: Surface) -> SurfaceGradient:
         """Compute the operators of a mesh."""
         vertices, count = surface.vertices, len(surface.vertices)
-        edges = np.unique(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1), axis=0)
+        edges = unique_rows(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1))
         length = float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
         row = np.arange(len(edges))
         ones = np.ones(len(edges))
@@ -69,7 +70,7 @@ def subdivided(surface: Surface) -> Surface:
     """Split each triangle into four at the midpoints of its edges; the first vertices are the old ones."""
     faces, count = surface.faces, len(surface.vertices)
     sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
-    edges, index = np.unique(sides, axis=0, return_inverse=True)
+    edges, index = unique_rows(sides, return_inverse=True)
     middle = count + index.reshape(-1, 3)
     vertices = np.concatenate([surface.vertices, surface.vertices[edges].mean(1)])
     normals = np.concatenate([surface.normals, surface.normals[edges].sum(1)])

@@ -15,6 +15,7 @@ from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
 from ....scene.dataset import View, light_rotations
 from ....scene.gaussians import Gaussians
+from ....scene.unique_rows import used_numbers
 from ...common.mask_band import narrowest_mask
 from ...common.training_view import SATURATED
 
@@ -201,7 +202,7 @@ def select_rays_and_gaussians(lists: HitLists, rays: np.ndarray) -> tuple[HitLis
     length = lists.start[rays + 1] - lists.start[rays]
     start = np.concatenate([[0], np.cumsum(length)])
     hits = np.repeat(lists.start[rays] - start[:-1], length) + np.arange(start[-1])
-    hit, index = np.unique(lists.index[hits], return_inverse=True)
+    hit, index = used_numbers(lists.index[hits])
     return HitLists(start, index.astype(np.int32), lists.weight[hits], lists.distance[hits], lists.left[rays]), hit
 
 
