@@ -51,7 +51,7 @@ def find_mask_band(view: View) -> MaskBand | None:
         return None
     outside = widest_mask(view) < INSIDE
     band = ~outside & (narrowest_mask(view) < INSIDE)
-    background = continued_colour(decode_srgb(view.colour), outside, NEAR * 2 * view.mask_error, DOUBLED)
+    background = continued_colour(decode_srgb(view.colour), outside, NEAR * 2 * view.mask_error, DOUBLED, band)
     return MaskBand(band, np.where(band[..., None], background, 0).astype(np.float32))
 
 
