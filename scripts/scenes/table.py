@@ -11,6 +11,12 @@ from .shader_nodes import dielectric
 
 PATTERN = [(0.36, (0.30, 0.24, 0.18)), (0.46, (0.55, 0.50, 0.42)), (0.54, (0.16, 0.22, 0.26)), (0.64, (0.62, 0.40, 0.28))]
 WIDTH = 5.0  # of the table in radii of the object
+BOXES = (
+    (1.9, 1.3, 0.42),
+    (-2.0, 1.2, 0.33),
+    (-1.6, -1.7, 0.38),
+    (2.0, -1.6, 0.25),
+)  # place and half side, in radii of the object
 
 
 def add_table(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -31,3 +37,18 @@ def add_table(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     x, y = np.meshgrid(across, across)
     points = np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3) + place
     return points, np.tile([0.0, 0.0, 1.0], (len(points), 1))
+
+
+def add_desk(corners: np.ndarray) -> list[bpy.types.Object]:
+    """Put a table with patterned boxes under and around an object, and return them; arguments as of `add_table`."""
+    low, high = corners.min(0), corners.max(0)
+    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    add_table(corners)
+    things = [bpy.context.object]
+    for number, (x, y, side) in enumerate(BOXES):
+        place = (centre[0] + x * radius, centre[1] + y * radius, low[2] + side * radius)
+        bpy.ops.mesh.primitive_cube_add(size=2 * side * radius, location=place, rotation=(0.0, 0.0, 0.7 * number))
+        stops = [(position, tuple(np.roll(colour, number + 1))) for position, colour in PATTERN]
+        material = dielectric(f"box {number}", (4.0 / radius, 20.0 + 3 * number), stops, (0.4, 0.7))
+        things.append(finished(bpy.context.object, material, smooth=False))
+    return things
