@@ -81,7 +81,9 @@ def smooth_ratio(images: np.ndarray, sigma: float) -> np.ndarray:
     """
     height, width = images.shape[:2]
     step = max(1, int(sigma / COARSE))  # so smooth a result needs few pixels
-    small = cv2.resize(images, (-(-width // step), -(-height // step)), interpolation=cv2.INTER_AREA)
+    size = (-(-width // step), -(-height // step))
+    parts = (images[..., :4], images[..., 4:])  # OpenCV averages at most four channels, unless the size is a multiple of the step
+    small = np.dstack([cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in parts])
     smooth = cv2.GaussianBlur(small, (0, 0), sigma / step)
     # Far from all known pixels the ratio of the whole image takes over.
     mean = images.reshape(-1, 7).mean(0) * 1e-3

@@ -39,6 +39,16 @@ def test_ratios_are_smooth_and_bounded():
     assert np.isfinite(ratio).all() and ratio.max() <= 4
 
 
+def test_photographs_of_any_size_are_levelled():
+    """Sizes that are no multiples of the reduction's step, on which the filter of a wide window works."""
+    images = np.ones((83, 131, 7), np.float32)
+    images[..., :3] = 0.8
+    images[..., 3:6] = 0.5
+    ratio = smooth_ratio(images, 40.0)
+    assert ratio.shape == (83, 131, 3)
+    np.testing.assert_allclose(ratio, 1.6, rtol=1e-2)
+
+
 def test_weights_fall_to_zero_at_steps_of_depth_and_at_masks_but_not_on_slopes():
     column = np.arange(40)[None] * np.ones((40, 1))
     inverse = 0.2 + 0.004 * column  # a slanted plane
