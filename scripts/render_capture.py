@@ -15,11 +15,11 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.errors import InputError
 from irgspp.core.scene.camera import Camera
 from irgspp.irgspp_addon.world.light_to_world import world_from_map
 from PIL import Image
-from render_dataset import load_scene, log, orbit, render_test, write_lights, write_meta, write_transforms
+from render_dataset import load_scene, log, orbit, render_test, reported, write_lights, write_meta, write_transforms
 from scenes import cycles_ground_truth, phone
 from scenes.catalogue import SCENES
 from scenes.dataset_files import write_surface
@@ -35,12 +35,12 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("blend", nargs="?", type=Path, help=".blend file with the object (default: the built-in scene that --scene names)")
     parser.add_argument("--scene", choices=SCENES, default="relief", help="built-in scene; default: relief")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write, must not exist or be empty")
-    parser.add_argument("--photographs", dest="train", type=int, default=40)
+    parser.add_argument("--photographs", dest="train", type=int, default=40, help="number of photographs")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"), help="of the photographs; default: 640 480")
     parser.add_argument("--samples", type=int, default=8, help="Cycles samples per pixel of the photographs, then denoised")
     parser.add_argument("--test", type=int, default=8, help="test views, with ground truth")
     parser.add_argument("--resolution", type=int, default=256, help="of the test views")
-    parser.add_argument("--test-samples", type=int, default=48)
+    parser.add_argument("--test-samples", type=int, default=48, help="Cycles samples per pixel of the test views, then denoised")
     parser.add_argument("--light", help="lat-long EXR or a built-in light; default: the World of the .blend file, or sky")
     parser.add_argument("--relight", nargs="*", help="more lights for the test views; default: studio sunset")
     parser.add_argument("--light-height", type=int, default=256, help="rows of built-in and baked light maps")
@@ -131,20 +131,18 @@ def render_capture(args: argparse.Namespace) -> None:
     write_transforms(truth / "transforms_test.json", test, "./test/r_{:03d}/rgba")
     render_test(scene, test, worlds, truth / "test")
     write_meta(of_truth, lights, corners, scene)
-    meta = json.loads((truth / "meta.json").read_text())
-    (truth / "meta.json").write_text(
-        json.dumps(meta | {"bounding_radius": radius, "mean_camera_distance": phone.DISTANCE * radius}, indent=1)
-    )
+    _add_to_meta(truth / "meta.json", {"bounding_radius": radius, "mean_camera_distance": phone.DISTANCE * radius})
+
+
+def _add_to_meta(path: Path, values: dict[str, float]) -> None:
+    """Add lengths that scorers of captures measure by."""
+    path.write_text(json.dumps(json.loads(path.read_text()) | values, indent=1))
 
 
 def main(argv: list[str] | None = None) -> int:
     """Render the capture and return the exit status."""
-    try:
-        render_capture(arguments(argv))
-    except IrgsppError as error:
-        log(str(error))
-        return error.exit_status
-    return 0
+    args = arguments(argv)
+    return reported(lambda: render_capture(args))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -239,8 +240,14 @@ def render_dataset(args: argparse.Namespace) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Render the dataset and return the exit status."""
+    args = arguments(argv)
+    return reported(lambda: render_dataset(args))
+
+
+def reported(work: Callable[[], None]) -> int:
+    """Do some work and return the exit status; an error becomes one line."""
     try:
-        render_dataset(arguments(argv))
+        work()
     except IrgsppError as error:
         log(str(error))
         return error.exit_status

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from irgspp.core.capture import exif
 from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.scene.camera import Camera, look_at
 from PIL import Image
@@ -17,10 +18,9 @@ DISTANCE = 3.2  # of the cameras in radii of the object
 UNSTEADY, OFF_CENTRE = 3.0, 0.07  # deviations of a camera's direction, degrees, and of the point that it looks at, radii of the object
 STOPS, TINT = 0.45, 0.02  # largest change of the exposure, EV, and deviation of the white balance of red and blue
 SHOT_NOISE, READ_NOISE = 2e-4, 4e-6  # variance of linear values, for each unit of light, and in the dark
-EXPOSURE_TIME, F_NUMBER, ISO, FILM = 1 / 60, 1.8, 200, 36.0  # at gain 1; width of 35 mm film
+SECONDS, F_NUMBER, ISO = 1 / 60, 1.8, 200  # of the exposure at gain 1
+FILM = 36.0  # width of 35 mm film, millimetres
 QUALITY = 92  # of the JPEG
-MAKE, MODEL, EXIF_IFD = 0x010F, 0x0110, 0x8769
-TIME_TAG, F_TAG, ISO_TAG, FOCAL_35_TAG = 0x829A, 0x829D, 0x8827, 0xA405
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,8 @@ def save_photograph(path: Path, radiance: np.ndarray, shot: Shot, random: np.ran
     light = np.maximum(radiance, 0) * shot.gain * shot.white_balance
     light = light + random.normal(size=light.shape) * np.sqrt(SHOT_NOISE * light + READ_NOISE)
     image = Image.fromarray(np.round(255 * encode_srgb(np.clip(light, 0, 1))).astype(np.uint8))
-    exif = image.getexif()
-    exif[MAKE], exif[MODEL] = "irgspp", "rendered"
-    exif.get_ifd(EXIF_IFD).update({TIME_TAG: EXPOSURE_TIME * shot.gain, F_TAG: F_NUMBER, ISO_TAG: ISO, FOCAL_35_TAG: round(FOCAL * FILM)})
-    image.save(path, quality=QUALITY, exif=exif)
+    tags = image.getexif()
+    tags[exif.MAKE], tags[exif.MODEL] = "irgspp", "rendered"
+    taken = {exif.EXPOSURE_TIME: SECONDS * shot.gain, exif.F_NUMBER: F_NUMBER, exif.ISO: ISO, exif.FOCAL_35: round(FOCAL * FILM)}
+    tags.get_ifd(exif.EXIF_IFD).update(taken)
+    image.save(path, quality=QUALITY, exif=tags)

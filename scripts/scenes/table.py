@@ -11,12 +11,8 @@ from .shader_nodes import dielectric
 
 PATTERN = [(0.36, (0.30, 0.24, 0.18)), (0.46, (0.55, 0.50, 0.42)), (0.54, (0.16, 0.22, 0.26)), (0.64, (0.62, 0.40, 0.28))]
 WIDTH = 5.0  # of the table in radii of the object
-BOXES = (
-    (1.9, 1.3, 0.42),
-    (-2.0, 1.2, 0.33),
-    (-1.6, -1.7, 0.38),
-    (2.0, -1.6, 0.25),
-)  # place and half side, in radii of the object
+# Place on the table and half side of boxes around the object, in its radii.
+BOXES = ((1.9, 1.3, 0.42), (-2.0, 1.2, 0.33), (-1.6, -1.7, 0.38), (2.0, -1.6, 0.25))
 
 
 def add_table(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

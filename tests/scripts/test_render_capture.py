@@ -29,14 +29,8 @@ NUMBERS = {"photographs": 12, "samples": 2, "test": 2, "resolution": 40, "test-s
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
     folder = tmp_path_factory.mktemp("capture")
-    options = [
-        "--size",
-        "80",
-        "60",
-        "--relight",
-        "studio",
-        *(word for name, value in NUMBERS.items() for word in (f"--{name}", str(value))),
-    ]
+    numbers = [word for name, value in NUMBERS.items() for word in (f"--{name}", str(value))]
+    options = ["--size", "80", "60", "--relight", "studio", *numbers]
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder), "OMP_WAIT_POLICY": "PASSIVE"}
     command = [sys.executable, str(ROOT / "scripts" / "render_capture.py"), "--scene", "demo", "-o", str(folder / "out"), *options]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
