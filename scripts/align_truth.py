@@ -30,7 +30,7 @@ FAR, ROUNDS = 3.0, 10  # cameras further off than this many medians are left out
 
 
 def fitted_similarity(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Fit the similarity (4, 4) that moves points (P, 3) onto others, by least squares without those that are far off.
+    """Fit the similarity (4, 4) that moves points (P, 3) onto others (Procrustes), without those that are far off.
 
     Raises:
         InputError: too few points.
@@ -83,6 +83,9 @@ def align(run: Path, capture: Path, output: Path) -> None:
     if output.exists():
         raise InputError(output, "exists", "name a new folder")
     truth = capture / "truth"
+    for needed in (capture / "photos", *(truth / name for name in ("test", "envs", "meta.json", "surface_points.npz"))):
+        if not needed.exists():
+            raise InputError(needed, "is missing", "give a folder of scripts/render_capture.py")
     similarity = truth_to_run(run, truth)
     rotation, scale = similarity[:3, :3] / scale_of(similarity), scale_of(similarity)
     shutil.copytree(truth / "test", output / "test")

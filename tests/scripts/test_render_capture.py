@@ -119,6 +119,11 @@ def test_too_few_cameras_are_refused(script):
         script("align_truth").fitted_similarity(points, points)
 
 
+def test_other_folders_are_refused(tmp_path, script, capsys):
+    assert script("align_truth").main([str(tmp_path), str(tmp_path), "-o", str(tmp_path / "new")]) == 2
+    assert "photos is missing" in capsys.readouterr().err.replace(":", "") and not (tmp_path / "new").exists()
+
+
 def test_folders_that_exist_are_refused(capture, script, capsys):
     assert script("render_capture").main(["-o", str(capture)]) == 2
     assert script("align_truth").main([str(capture), str(capture), "-o", str(capture)]) == 2
