@@ -11,7 +11,7 @@ from pathlib import Path
 from ..io.atomic import write_atomic
 from ..scene.dataset import Dataset
 from ..settings.schema import Settings
-from ..settings.sizes import gaussians_at_start, voxels_along
+from ..settings.sizes import gaussians_at_start, triangles_of_mesh, voxels_along
 from .cache_folder import private_folder
 from .thread_pool import thread_count
 
@@ -24,7 +24,8 @@ LONGEST = 1.5  # longest side of an object in roots of its area: 1.25 to 1.9 on 
 SURFACE = 18.0  # stereo, fusion and bake at the balanced preset; by the square of the voxels
 PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
 SOLVER = 19.0  # at the balanced preset; texels of the light solved for enter by their cube
-NORMALS = 10.0  # shading normals, and materials of the Gaussians
+NORMALS_TRIANGLE = 1.6e-4  # of the shading normals, for each triangle of the mesh
+PAINT = 4.0  # materials of the Gaussians
 REFINEMENT_SAMPLE = 1.4e-6  # of a light sample in the refinement, confidence included
 RADIANCE_STEP = 1.3  # of the radiance refit, in steps of the first stage
 REFERENCE_THREADS, SCALING = 2, 0.5  # threads of the above, and exponent by which others are faster before a job has shown it
@@ -76,7 +77,8 @@ def fixed_seconds(settings: Settings, data: Dataset) -> float:
     if second.solver == "joint":
         return surface + END
     solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
-    return surface + solver + NORMALS + second.normal_iterations * step_seconds(settings, data) + END
+    normals = triangles_of_mesh(settings.surface, pixels) * NORMALS_TRIANGLE
+    return surface + solver + normals + PAINT + second.normal_iterations * step_seconds(settings, data) + END
 
 
 def schedule_seconds(settings: Settings, data: Dataset) -> float:

@@ -118,7 +118,8 @@ class SurfaceSettings:
     fragment: Annotated[float, Range(0, 1)] = 0.03  # components below this fraction of the largest one's area are removed
     detail: Annotated[float, Range(0, 1)] = 1.0  # fraction of the detail of the views' normals, above their noise, in the normal map
     albedo_detail: Choice = "auto"  # albedo from full-size photographs; auto: where they are larger and held-back ones agree better
-    triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # largest number after decimation
+    triangles: Annotated[int, Range(100, 100_000_000)] = 100_000  # largest number after decimation
+    triangles_per_pixel: Annotated[float, Range(0)] = 2.5  # of these, for each pixel of the object by its masks; 0: always `triangles`
     texture: Annotated[int, Range(16, 16384)] = 1024  # texels along a side of each texture
 
 
@@ -174,7 +175,7 @@ PRESETS: dict[str, Settings] = {
         data=replace(DataSettings(), resolution=1600),
         first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000, gaussians_per_pixel=0.0),
         second=replace(SecondStageSettings(), points=5000, iterations=600, pool=200_000, radiance_iterations=300, normal_iterations=300),
-        surface=replace(SurfaceSettings(), voxel_pixels=0.0, triangles=150_000, texture=4096),
+        surface=replace(SurfaceSettings(), voxel_pixels=0.0, triangles=150_000, triangles_per_pixel=0.0, texture=4096),
     ),
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
@@ -193,7 +194,7 @@ PRESETS: dict[str, Settings] = {
             samples=512,
             pool=400_000,
         ),
-        surface=replace(SurfaceSettings(), voxels=512, voxel_pixels=0.0, triangles=200_000, texture=2048),
+        surface=replace(SurfaceSettings(), voxels=512, voxel_pixels=0.0, triangles=200_000, triangles_per_pixel=0.0, texture=2048),
     ),
 }
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from .schema import FirstStageSettings, Settings, SurfaceSettings
 
-# Unless the settings allow fewer. On smaller objects the time is not in the number of Gaussians or voxels.
-FEWEST_GAUSSIANS, FEWEST_VOXELS = 40_000, 192
+# Unless the settings allow fewer. On smaller objects the time is not in the number of Gaussians, voxels or triangles.
+FEWEST_GAUSSIANS, FEWEST_VOXELS, FEWEST_TRIANGLES = 40_000, 192, 40_000
 
 
 def gaussians_at_start(first: FirstStageSettings, object_pixels: float | None) -> int:
@@ -27,6 +27,21 @@ def gaussians_at_start(first: FirstStageSettings, object_pixels: float | None) -
     return min(first.gaussians, max(FEWEST_GAUSSIANS, round(first.gaussians_per_pixel * (object_pixels or 0))))
 
 
+def triangles_of_mesh(surface: SurfaceSettings, object_pixels: float | None) -> int:
+    """Return the largest number of triangles of the mesh, at whose vertices and midpoints of edges shading is explained by relief.
+
+    On a stone of 85,000 pixels, normals were off by 9.99 degrees with half a triangle for each of them, and 9.52 with 1.2; relit images
+    gained 0.5 dB.
+
+    Args:
+        surface: settings; at most `triangles`.
+        object_pixels: see `gaussians_at_start`.
+    """
+    if surface.triangles_per_pixel == 0:
+        return surface.triangles
+    return min(surface.triangles, max(FEWEST_TRIANGLES, round(surface.triangles_per_pixel * (object_pixels or 0))))
+
+
 def with_sizes(settings: Settings, object_pixels: float | None) -> Settings:
     """Return settings with the number of Gaussians that suits a dataset; applied twice, the same.
 
@@ -34,7 +49,9 @@ def with_sizes(settings: Settings, object_pixels: float | None) -> Settings:
         settings: of the job.
         object_pixels: see `gaussians_at_start`.
     """
-    return replace(settings, first=replace(settings.first, gaussians=gaussians_at_start(settings.first, object_pixels)))
+    first = replace(settings.first, gaussians=gaussians_at_start(settings.first, object_pixels))
+    surface = replace(settings.surface, triangles=triangles_of_mesh(settings.surface, object_pixels))
+    return replace(settings, first=first, surface=surface)
 
 
 def voxels_along(surface: SurfaceSettings, pixels: float) -> float:

@@ -73,13 +73,20 @@ ADDED = {
     "skip.subpixels",
 }
 ADDED |= {"second.shading_normals", "second.normal_iterations"}
-ADDED |= {"first.gaussians_per_pixel", "surface.voxel_pixels"}
+ADDED |= {"first.gaussians_per_pixel", "surface.voxel_pixels", "surface.triangles_per_pixel"}
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")
 }
 CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "first.gaussians=40000"]
-CHANGED += ["second.indirect=off", "surface.voxels=192", "skip.background=off", "skip.cache_hits=on", "skip.cache_rays=off"]
+CHANGED += [
+    "second.indirect=off",
+    "surface.voxels=192",
+    "surface.triangles=40000",
+    "skip.background=off",
+    "skip.cache_hits=on",
+    "skip.cache_rays=off",
+]
 
 
 def keys_of(settings, prefix=""):

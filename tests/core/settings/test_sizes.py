@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Numbers of Gaussians and voxels that follow from the object's pixels, within the bounds of the settings."""
+"""Numbers of Gaussians, voxels and triangles that follow from the object's pixels, within the bounds of the settings."""
 
 from __future__ import annotations
 
 import pytest
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import PRESETS, FirstStageSettings, Settings, SurfaceSettings, preset
-from irgspp.core.settings.sizes import FEWEST_GAUSSIANS, FEWEST_VOXELS, gaussians_at_start, voxels_along, with_sizes
+from irgspp.core.settings.sizes import (
+    FEWEST_GAUSSIANS,
+    FEWEST_TRIANGLES,
+    FEWEST_VOXELS,
+    gaussians_at_start,
+    triangles_of_mesh,
+    voxels_along,
+    with_sizes,
+)
 
 
 @pytest.mark.parametrize(("pixels", "count"), [(1_000, 40_000), (16_000, 60_000), (28_282, 106_058), (200_000, 120_000), (None, 40_000)])
@@ -14,9 +22,16 @@ def test_balanced_takes_gaussians_for_each_pixel(pixels: float | None, count: in
     assert gaussians_at_start(FirstStageSettings(), pixels) == count
 
 
+@pytest.mark.parametrize(("pixels", "count"), [(1_000, 40_000), (28_000, 70_000), (200_000, 100_000), (None, 40_000)])
+def test_balanced_takes_triangles_for_each_pixel(pixels: float | None, count: int) -> None:
+    assert triangles_of_mesh(SurfaceSettings(), pixels) == count
+    assert with_sizes(Settings(), pixels).surface.triangles == count
+
+
 def test_settings_are_never_exceeded() -> None:
     few = FirstStageSettings(gaussians=500)
     assert gaussians_at_start(few, 1e6) == gaussians_at_start(few, None) == gaussians_at_start(few, 1) == 500
+    assert triangles_of_mesh(SurfaceSettings(triangles=500), 1e6) == triangles_of_mesh(SurfaceSettings(triangles=500), None) == 500
     assert voxels_along(SurfaceSettings(voxels=40), 1e4) == voxels_along(SurfaceSettings(voxels=40), 1) == 40
 
 
@@ -39,6 +54,7 @@ def test_voxels_have_a_fixed_size_in_pixels(pixels: float, count: float) -> None
 
 
 def test_zero_turns_the_rules_off() -> None:
-    settings = with_overrides(Settings(), ["first.gaussians_per_pixel=0", "surface.voxel_pixels=0"])
+    settings = with_overrides(Settings(), ["first.gaussians_per_pixel=0", "surface.voxel_pixels=0", "surface.triangles_per_pixel=0"])
+    assert triangles_of_mesh(settings.surface, 10.0) == settings.surface.triangles > FEWEST_TRIANGLES
     assert gaussians_at_start(settings.first, 10.0) == settings.first.gaussians > FEWEST_GAUSSIANS
     assert voxels_along(settings.surface, 10.0) == settings.surface.voxels > FEWEST_VOXELS
