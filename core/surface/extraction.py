@@ -58,6 +58,20 @@ def extract_geometry(
     return surface
 
 
+def coarser(surface: Surface, triangles: int) -> Surface:
+    """Return a surface of fewer triangles, whose vertex normals are those of the nearest vertices; itself where it is small enough.
+
+    Args:
+        surface: to decimate.
+        triangles: approximate number of triangles of the result, at most.
+    """
+    if len(surface.faces) <= triangles:
+        return surface
+    fine = meshing.Triangles(surface.vertices, surface.faces)
+    mesh = meshing.compacted(meshing.decimated(fine, triangles))
+    return Surface(mesh.vertices, meshing.carried_normals(fine, surface.normals, mesh), mesh.faces, surface.voxel)
+
+
 def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Surface:
     """Mesh distances (B, BLOCK^3) within the triangle budget, with unit vertex normals that a finer mesh supplies."""
     fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)

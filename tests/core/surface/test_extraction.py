@@ -9,7 +9,7 @@ import trimesh
 from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import SurfaceSettings
-from irgspp.core.surface.extraction import extract_geometry
+from irgspp.core.surface.extraction import coarser, extract_geometry
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000)
 
@@ -103,3 +103,18 @@ def test_progress_reports_every_view(solids, camera_ring, bound, recorder):
     views = [solid.view(camera, seed=i) for i, camera in enumerate(camera_ring(12, size=48))]
     extract_geometry(views, solid.samples(), bound, replace(SETTINGS, voxels=24), recorded)
     assert recorded.events == [("fuse", 12), *((i,) for i in range(1, 13))]
+
+
+def test_a_coarser_surface_keeps_shape_and_normals(extracted):
+    surface = extracted[1]
+    coarse = coarser(surface, 2000)
+    assert 1000 < len(coarse.faces) <= 2000 < len(surface.faces)
+    assert abs(body_of(coarse).volume / body_of(surface).volume - 1) < 0.01
+    assert np.allclose(np.linalg.norm(coarse.normals, axis=1), 1)
+    nearest = np.linalg.norm(coarse.vertices[:, None] - surface.vertices[None], axis=-1).argmin(1)
+    assert (coarse.normals * surface.normals[nearest]).sum(1).mean() > 0.995
+
+
+def test_a_small_surface_stays_as_it_is(extracted):
+    surface = extracted[1]
+    assert coarser(surface, len(surface.faces)) is surface
