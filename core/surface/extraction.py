@@ -59,10 +59,12 @@ def extract_geometry(
 
 
 def coarser(surface: Surface, triangles: int) -> Surface:
-    """Return a surface of fewer triangles, whose vertex normals are those of the nearest vertices; itself where it is small enough.
+    """Decimate a surface; its vertex normals are interpolated from those of the fine one.
+
+    Decimation can leave folds and edges of more than two faces: the result serves to draw points, not as an asset.
 
     Args:
-        surface: to decimate.
+        surface: to decimate; it is returned itself where it is small enough.
         triangles: approximate number of triangles of the result, at most.
     """
     if len(surface.faces) <= triangles:
