@@ -91,5 +91,9 @@ def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Sur
 
 def _unfolded(surface: Surface) -> Surface:
     """Return the surface without folded faces, and with normals that face them."""
-    mesh = repair.unfolded(meshing.Triangles(surface.vertices, surface.faces))
-    return Surface(mesh.vertices, repair.facing_normals(mesh, surface.normals), mesh.faces, surface.voxel)
+    moved = meshing.Triangles(surface.vertices, surface.faces)
+    mesh = repair.without_folds(moved)
+    normals = surface.normals
+    if len(mesh.vertices) != len(moved.vertices):  # an edge was collapsed
+        normals = meshing.carried_normals(moved, normals, mesh)
+    return Surface(mesh.vertices, repair.facing_normals(mesh, normals), mesh.faces, surface.voxel)

@@ -9,6 +9,7 @@ import trimesh
 from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import SurfaceSettings
+from irgspp.core.surface import extraction, meshing, repair
 from irgspp.core.surface.extraction import coarser, extract_geometry
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000)
@@ -49,6 +50,22 @@ def test_masks_move_a_surface_that_is_too_small(solids, camera_ring, bound):
     surface = extract_geometry([small.view(camera) for camera in cameras], small.samples(), bound, SETTINGS, Silent(), masks)
     assert np.abs(solid.distance(surface.vertices)).mean() < 0.25 * voxel
     assert body_of(surface).is_watertight
+
+
+def test_a_rough_offset_to_the_silhouettes_leaves_no_folded_face(solids, camera_ring, bound, monkeypatch):
+    """Where smoothing does not unfold a face, an edge of it is collapsed; normals follow."""
+    noise = np.random.default_rng(0)
+    monkeypatch.setattr(
+        extraction, "silhouette_offset", lambda vertices, *_: np.where(vertices[:, 0] > 0.8, 0.1, 0) * noise.normal(size=len(vertices))
+    )
+    monkeypatch.setattr(repair, "UNFOLDING", 0)
+    solid = solids["sphere"]
+    views = [solid.view(camera) for camera in camera_ring(12)]
+    surface = extract_geometry(views, solid.samples(), bound, SETTINGS, Silent(), [view.alpha for view in views])
+    mesh = meshing.Triangles(surface.vertices, surface.faces)
+    assert repair.folded_faces(mesh, surface.normals).sum() == 0
+    assert repair.folded_faces(mesh, meshing.vertex_normals(mesh, repair.AVERAGES)).sum() == 0
+    assert body_of(surface).is_watertight and len(surface.normals) == len(surface.vertices)
 
 
 def test_vertex_normals_are_those_of_the_solid(extracted):
