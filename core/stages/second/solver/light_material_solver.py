@@ -38,8 +38,9 @@ from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
 
 STEPS = 40
-MATERIAL_STEPS = (8, 12, 16, 20, 28, 36)  # numbers of steps done when roughness and metallic are searched
-METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before, and can only leave after
+MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # numbers of steps done when roughness and metallic are searched
+METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before
+METAL_BORDERS = 38  # that of these at which the borders of metal are drawn anew: the light has adapted to the metal by then
 TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
@@ -239,15 +240,15 @@ class LightMaterialSolver:
         return hessian / len(weight), self._rows.T @ (root * residual) / len(weight)
 
     def _search_materials(self, done: int) -> None:
-        """Search roughness and metallic; at METAL_TEST, test the candidates for metal."""
+        """Search roughness and metallic; test the candidates for metal at METAL_TEST, draw its borders anew at METAL_BORDERS."""
         if done == METAL_TEST and bool(self.candidates.any()):
             self._test_metal()
             return
-        costs, metal = self._costs(), torch.zeros_like(self.candidates)
+        costs, metal = self._costs(), self.candidates & (self.metallic > 0)
         if self._search_metal and done < METAL_TEST:
             metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
-        elif done > METAL_TEST:
-            metal = self._search.still_metal(costs, self.metallic > 0)
+        elif done == METAL_BORDERS:
+            metal = self._search.redrawn_metal(costs, metal)
         self._set_materials(costs, metal)
 
     def _test_metal(self) -> None:

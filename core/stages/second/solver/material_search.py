@@ -8,14 +8,15 @@ import copy
 import torch
 
 from ....shading.specular_albedo import diffuse_fraction
+from .metal_cut import cut_metal
 from .metal_regions import SUPPORT, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import DiffuseRows, RadianceTransfer
 from .sample_equation import robust_error, view_terms
 
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
+NOISE = 1.0  # robust error of a view, about, that noise alone makes; the ratio of errors below it tells nothing
 METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
-CONTRADICTED = -0.6  # gain below which a point of a confirmed region is no metal after all
 
 
 class MaterialSearch:
@@ -100,9 +101,12 @@ class MaterialSearch:
             gain = self._smoothed(gain)
         return candidates & (gain > SUPPORT * self._views)
 
-    def still_metal(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
-        """Return the metal points `metal` (P,) without those that costs now contradict."""
-        return metal & (self._gain(costs) > CONTRADICTED) if bool(metal.any()) else metal
+    def redrawn_metal(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
+        """Redraw the borders of the metal `metal` (P,) bool by costs (P, M, J) that are known better now, see `cut_metal`."""
+        if not bool(metal.any()):
+            return metal
+        dielectric, conductor = (least / self._views + NOISE for least in self._least(costs))
+        return cut_metal((dielectric / conductor).log(), metal, self._neighbours, self._similarity)
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
         """Split points (P,) bool into connected regions, see `connected_regions`."""
@@ -110,8 +114,14 @@ class MaterialSearch:
 
     def _gain(self, costs: torch.Tensor) -> torch.Tensor:
         """Compute by how much less a metal's fit costs than a dielectric's, per view: (P,)."""
-        dielectric, metal = self._smoothed(costs).unbind(1)
-        return (dielectric.amin(1) - metal[:, :METAL_ROUGHNESS].amin(1)) / self._views
+        dielectric, metal = self._least(self._smoothed(costs))
+        return (dielectric - metal) / self._views
+
+    @staticmethod
+    def _least(costs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the least cost (P,) of each point as a dielectric, and as a metal."""
+        dielectric, metal = costs.unbind(1)
+        return dielectric.amin(1), metal[:, :METAL_ROUGHNESS].amin(1)
 
     def _smoothed(self, values: torch.Tensor) -> torch.Tensor:
         """Average values (P, ...) over the neighbours of each point, by similarity of colour."""

@@ -5,6 +5,7 @@ A single point hardly tells metal from a rough dielectric: wrong normals and sha
 in Canny's edge detector, ask for strong evidence once and keep a region whole. The candidates found so count as metal until the test, so
 that the light adapts to them: without that, a region that was missed once was seldom found again. Before the test, those candidates leave
 that metal does not explain better once light and albedo have adapted to it. Without that, metal grew in the shadow from a belt over skin.
+After the test, a graph cut draws the borders of the regions anew, see `metal_cut`.
 """
 
 from __future__ import annotations

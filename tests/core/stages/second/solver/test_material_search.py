@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second.solver import material_search as module
-from irgspp.core.stages.second.solver.material_search import CONTRADICTED, METAL_ROUGHNESS, MaterialSearch
+from irgspp.core.stages.second.solver.material_search import METAL_ROUGHNESS, MaterialSearch
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from sphere_on_floor import make
 
@@ -39,17 +39,8 @@ def test_candidates_are_the_metal_and_stay(searched):
     search, cost, (_, _, metallic) = searched
     metal = metallic > 0
     assert torch.equal(search.metal_candidates(cost), metal)
-    assert torch.equal(search.still_metal(cost, torch.ones_like(metal)), metal)  # the others are contradicted
-
-
-def test_a_little_doubt_does_not_release_metal(searched):
-    search, cost, _ = searched
-    level = torch.zeros_like(cost)
-    level[:, 1] = -0.9 * CONTRADICTED * search.samples.lengths.float().mean()
-    everything = torch.ones(len(level), dtype=torch.bool)
-    assert search.still_metal(level, everything).all()
-    assert not search.still_metal(level * 1.3, everything).any()
-    assert not search.still_metal(cost, ~everything).any()
+    assert torch.equal(search.redrawn_metal(cost, torch.ones_like(metal)), metal)  # the others are contradicted
+    assert not search.redrawn_metal(cost, torch.zeros_like(metal)).any()
 
 
 def test_costs_of_metals_are_left_out_where_there_are_none(searched):
