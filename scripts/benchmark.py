@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import signal
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -105,8 +106,10 @@ def measure(args: argparse.Namespace, sections: list[ModuleType]) -> tuple[Store
         sections: modules of the chosen sections.
 
     Returns:
-        The store, and the exit status: 0, 1 where a measurement failed, 130 after Ctrl-C.
+        The store, and the exit status: 0, 1 where a measurement failed, 130 after Ctrl-C or SIGTERM.
     """
+    # By default SIGTERM would leave the running reconstruction behind, whose folder the next benchmark would find locked.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     args.out.mkdir(parents=True, exist_ok=True)
     store = Store(args.out, machine(), args.fresh)
     repeats, budgets = (2, (0.25,)) if args.quick else (5, (1, 2, 4))

@@ -3,6 +3,8 @@
 
 import importlib
 import json
+import os
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -90,6 +92,18 @@ def test_an_interruption_loses_nothing(work, task, script, tmp_path):
     assert script("benchmarks.store").Store(tmp_path).done(("things", "-", "one"))
     work(section(task("one", 1.0, done), task("two", 2.0, done), task("three", 3.0, done)))
     assert done == ["one", "two", "two", "three"]
+
+
+def test_sigterm_stops_as_ctrl_c_does(script, tmp_path, monkeypatch, capsys):
+    benchmark = script("benchmark")
+    monkeypatch.setattr(benchmark, "scenes_of", lambda args: [])
+    monkeypatch.setattr(benchmark.Session, "work", lambda self, steps: os.kill(os.getpid(), signal.SIGTERM))
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        _, status = benchmark.measure(benchmark.arguments(["--quick", "-o", str(tmp_path)]), [])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert status == 130 and "the same command continues" in capsys.readouterr().err
 
 
 def test_a_figure_that_is_no_number_is_kept_as_text(work, task):
