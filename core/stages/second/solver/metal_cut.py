@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 # that became metal, and points of metal that did not: capture_ogre 112 and 111 by a threshold, 40 and 95 by the cut; rocker_corner 13
 # and 57, 1 and 70; suzanne_mixed 5 and 24, 3 and 18.
 PRIOR, COUPLING = 0.06, 0.75
-NEAR = 2  # rings of neighbours around metal that may become metal
+NEAR = 4  # rings of neighbours around metal that may become metal
 LIMIT = 100.0  # of the evidence; the links of a point sum to about 2 COUPLING, so that more decides by itself
 CAPACITY = 10_000  # capacities are integers, in this fraction of the evidence's unit
 
