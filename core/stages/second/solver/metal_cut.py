@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 # Added to the evidence of a point near metal, and weight of its links to its neighbours. In three runs each, points of another material
-# that became metal, and points of metal that did not: capture_ogre 112 and 111 by a threshold, 40 and 95 by the cut; rocker_corner 13
+# that became metal, and points of metal that did not: capture_ogre 112 and 111 by a threshold, 50 and 57 by the cut; rocker_corner 13
 # and 57, 1 and 70; suzanne_mixed 5 and 24, 3 and 18.
 PRIOR, COUPLING = 0.06, 0.75
 NEAR = 4  # rings of neighbours around metal that may become metal
