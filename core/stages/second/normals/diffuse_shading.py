@@ -50,7 +50,7 @@ def observe_diffuse_shading(
     samples, seen = sample_views(vertices, normals, chosen, tracer.tree, tracer.offset, random, VIEWS, least=1, device=tracer.device)
     harmonics, openness = point_irradiance(solver)
     materials = torch.stack([solver.roughness, solver.metallic, openness], 1)
-    index, weight = _nearest_points(surface, solver)
+    index, weight = nearest_points(surface, solver)
     around = (materials.cpu().numpy()[index] * weight[..., None]).sum(1)
     irradiance = np.asarray(sum(harmonics[index[:, k]] * weight[:, k, None, None] for k in range(index.shape[1])))
     at = torch.from_numpy(around.astype(np.float32)).to(tracer.device)[seen]
@@ -118,8 +118,12 @@ def _diffuse_parts(
         yield diffuse.clamp_min(2 * DARKEST)
 
 
-def _nearest_points(surface: Surface, solver: LightMaterialSolver) -> tuple[np.ndarray, np.ndarray]:
-    """Return the solver points (V, N) nearest to each vertex in place and normal, and their weights (V, N) of sum 1."""
+def nearest_points(surface: Surface, solver: LightMaterialSolver) -> tuple[np.ndarray, np.ndarray]:
+    """Find the solver's points that are nearest to each of V vertices in place and normal.
+
+    Returns:
+        Indices (V, N), and weights (V, N) of sum 1.
+    """
     size = TURN * float(np.linalg.norm(np.ptp(surface.vertices, axis=0))) / 2
     places = np.concatenate([solver.samples.position.cpu().numpy(), size * solver.samples.normal.cpu().numpy()], 1)
     count = min(NEAREST, len(places))

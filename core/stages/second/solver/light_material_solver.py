@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -32,6 +33,7 @@ from .albedo_prior import CONSTANT, DARK, MEDIUM, albedo_prior
 from .light_prior import LightPrior
 from .linear_system import solve_positive
 from .material_search import MaterialSearch
+from .metal_normals import reflected_normals
 from .metal_regions import confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
@@ -42,6 +44,7 @@ MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # numbers of steps done when rough
 METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before
 METAL_BORDERS = 38  # that of these at which the borders of metal are drawn anew: the light has adapted to the metal by then
 TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
+TURN_STEPS = 4  # in which the light follows the turned normals of metal
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
@@ -50,7 +53,8 @@ class LightMaterialSolver:
     """Solver with its current estimates; each point needs at least one sample.
 
     Attributes:
-        samples: multi-view samples of P points, K in all.
+        samples: multi-view samples of P points, K in all; normals of metal turn at the end.
+        surface_normal: (P, 3) unit, of the samples at the start.
         transfer: radiance transfer from T texels to the points.
         light: (T, 3) linear radiance of the texels.
         albedo: (P, 3).
@@ -84,6 +88,7 @@ class LightMaterialSolver:
             search_metal: some points may be metal; otherwise none is.
         """
         self.samples, self.transfer, self._search_metal, self._seed = samples, transfer, search_metal, seed
+        self.surface_normal = samples.normal
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
@@ -124,8 +129,9 @@ class LightMaterialSolver:
 
     def thinned(self, every: int) -> LightMaterialSolver:
         """Return a solver at its start for each `every`-th point; this one must be at its start, too."""
-        materials = (self.roughness[::every], self.metallic[::every])
-        return LightMaterialSolver(self.samples.every(every), self.transfer.every(every), *materials, self._seed, self._search_metal)
+        kept = torch.arange(len(self.albedo), device=self.albedo.device) % every == 0
+        materials = (self.roughness[kept], self.metallic[kept])
+        return LightMaterialSolver(self.samples.subset(kept), self.transfer.subset(kept), *materials, self._seed, self._search_metal)
 
     def start_dark(self) -> None:
         """Start from a dark albedo under a bright light instead."""
@@ -148,6 +154,20 @@ class LightMaterialSolver:
         self._diffuse = self.transfer.diffuse_rows(self.samples)
         self._search = self._search.with_transfer(self.transfer, self._diffuse)
         self._trace_lobes()
+
+    def turn_metal(self) -> None:
+        """Turn the normals of metal points to where their reflections point, with the roughness that belongs to them; the light follows."""
+        metal = self.metallic > 0
+        if not bool(metal.any()):
+            return
+        known = (self.samples.subset(metal), self.transfer.subset(metal), self.light, self.surface_normal[metal])
+        normal, roughness = self.samples.normal.clone(), self.roughness.clone()
+        normal[metal], roughness[metal] = reflected_normals(*known)
+        self.samples, self.roughness = replace(self.samples, normal=normal), roughness
+        self.n_v = (normal[self.samples.point] * self.samples.view).sum(1).clamp_min(1e-3)
+        self._trace_lobes()
+        for _ in range(TURN_STEPS):
+            self._step(STEPS)
 
     def reduce_tint(self) -> None:
         """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""

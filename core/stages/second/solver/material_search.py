@@ -11,6 +11,7 @@ from ....shading.specular_albedo import diffuse_fraction
 from .metal_cut import cut_metal
 from .metal_regions import SUPPORT, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
+from .parabola import parabola_minimum
 from .radiance_transfer import DiffuseRows, RadianceTransfer
 from .sample_equation import robust_error, view_terms
 
@@ -83,8 +84,8 @@ class MaterialSearch:
 
     def roughness(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
         """Return the roughness (P,) of least cost of points that are metal where `metal` (P,) is True."""
-        as_metal = _vertex(self._knots[:METAL_ROUGHNESS], costs[:, -1, :METAL_ROUGHNESS])
-        return torch.where(metal, as_metal, _vertex(self._knots, costs[:, 0]))
+        as_metal = parabola_minimum(self._knots[:METAL_ROUGHNESS], costs[:, -1, :METAL_ROUGHNESS])
+        return torch.where(metal, as_metal, parabola_minimum(self._knots, costs[:, 0]))
 
     def metal_candidates(self, costs: torch.Tensor) -> torch.Tensor:
         """Find the points (P,) bool that may be metal."""
@@ -126,11 +127,3 @@ class MaterialSearch:
     def _smoothed(self, values: torch.Tensor) -> torch.Tensor:
         """Average values (P, ...) over the neighbours of each point, by similarity of colour."""
         return torch.einsum("pn,pn...->p...", self._similarity, values[self._neighbours])
-
-
-def _vertex(knots: torch.Tensor, cost: torch.Tensor) -> torch.Tensor:
-    """Return the (P,) minimum of costs (P, J) at knots (J,): the vertex of the parabola through the least cost and its neighbours."""
-    row, j = torch.arange(len(cost), device=cost.device), cost.argmin(1).clamp(1, len(knots) - 2)
-    below, least, above = cost[row, j - 1], cost[row, j], cost[row, j + 1]
-    shift = ((below - above) / (2 * (below - 2 * least + above)).clamp_min(1e-6)).clamp(-1, 1)
-    return knots[j] + torch.where(shift < 0, shift * (knots[j] - knots[j - 1]), shift * (knots[j + 1] - knots[j]))

@@ -60,12 +60,14 @@ class MultiViewSamples:
         of_points = (self.position[begin:end], self.normal[begin:end])
         return MultiViewSamples(*of_points, point, self.view[rows], self.colour[rows], self.saturated[rows], image)
 
-    def every(self, step: int) -> MultiViewSamples:
-        """Return each `step`-th point and its samples."""
-        rows = self.point % step == 0
+    def subset(self, kept: torch.Tensor) -> MultiViewSamples:
+        """Return the points `kept` (P,) bool and their samples."""
+        rows = kept[self.point]
+        point = (kept.cumsum(0) - 1)[self.point[rows]]
         image = None if self.image is None else self.image[rows]
-        of_points = (self.position[::step].contiguous(), self.normal[::step].contiguous())
-        return MultiViewSamples(*of_points, self.point[rows] // step, self.view[rows], self.colour[rows], self.saturated[rows], image)
+        return MultiViewSamples(
+            self.position[kept], self.normal[kept], point, self.view[rows], self.colour[rows], self.saturated[rows], image
+        )
 
     def sums(self, values: torch.Tensor) -> torch.Tensor:
         """Sum values (K, ...) of samples over each point, always in the same order: (P, ...)."""

@@ -58,11 +58,13 @@ class RadianceTransfer:
         """Convert tensors (...,) to the type of `fixed`: numpy arrays that share memory, or the tensors themselves."""
         return tensors if isinstance(self.fixed[0], torch.Tensor) else tuple(t.numpy() for t in tensors)
 
-    def every(self, step: int) -> RadianceTransfer:
-        """Return the transfer to each `step`-th point."""
+    def subset(self, kept: torch.Tensor) -> RadianceTransfer:
+        """Return the transfer to the points `kept` (P,) bool."""
         direction, angle, visible, incoming = self.fixed
-        fixed = (direction, angle, _contiguous(visible[::step]), _contiguous(incoming[::step]))
-        return replace(self, fixed=fixed, irradiance=self.irradiance[::step].contiguous(), indirect=self.indirect[::step].contiguous())
+        (rows,) = self.arrays(kept)
+        return replace(
+            self, fixed=(direction, angle, visible[rows], incoming[rows]), irradiance=self.irradiance[kept], indirect=self.indirect[kept]
+        )
 
     def rows(self, samples: MultiViewSamples, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Compute the specular lobe of each sample as weights of the texels, see `lobe_rows`.

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ..metal import METAL_ON_AVERAGE
 from .light_material_solver import STEPS, LightMaterialSolver, Split
 
 START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared, and about how many points they are compared on
@@ -14,6 +15,7 @@ DARK_BETTER = 0.95  # ratio of errors below which a dark start is the better one
 # Ratio of errors below which the coarse light is clearly better. Errors that differ by less tell nothing: at the end of two runs on
 # rocker_corner, the split light's was .3 per cent lower and .8 higher, and its light was better by 2 dB in both; on spot_rough by .6 dB.
 CLEAR = 0.99
+TURNS = 2  # of the normals of metal; a third one changes little
 
 
 def run_solver(
@@ -50,6 +52,9 @@ def run_solver(
             coarse = None
     if coarse and _clearly_better(coarse, solver):
         solver.become(coarse)
+    if float(solver.metallic.mean()) <= METAL_ON_AVERAGE:  # else the first stage's reflections know its normals better
+        for _ in range(TURNS):
+            solver.turn_metal()
     solver.reduce_tint()
 
 

@@ -4,7 +4,6 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.solver import material_search as module
 from irgspp.core.stages.second.solver.material_search import METAL_ROUGHNESS, MaterialSearch
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from sphere_on_floor import make
@@ -48,22 +47,6 @@ def test_costs_of_metals_are_left_out_where_there_are_none(searched):
     transfer, seen, (light, *_) = make()
     alone = costs(search_of(seen, transfer, False), light)
     np.testing.assert_allclose(alone, cost[:, :1], rtol=1e-5)
-
-
-def test_vertex_of_a_parabola():
-    knots = torch.arange(6.0)
-    vertices = torch.tensor([0.0, 0.4, 1.0, 2.3, 3.5, 4.9, 5.0])
-    cost = 2 * (knots - vertices[:, None]) ** 2 + 1
-    np.testing.assert_allclose(module._vertex(knots, cost), vertices, atol=1e-5)
-
-
-def test_vertex_stays_within_the_knots():
-    knots = torch.tensor([0.1, 0.2, 0.4, 0.8])
-    falling, rising, flat = torch.tensor([4.0, 3.0, 2.0, 1.0]), torch.tensor([1.0, 2.0, 3.0, 4.0]), torch.ones(4)
-    hollow = torch.tensor([5.0, 1.0, 2.0, 5.0])  # knots are not evenly spread: towards 0.4 steps are longer
-    found = module._vertex(knots, torch.stack([falling, rising, flat, hollow]))
-    assert found[:2].tolist() == pytest.approx([0.8, 0.1])
-    assert 0.1 <= found[2] <= 0.4 and 0.2 < found[3] < 0.3
 
 
 def test_candidates_stay_where_metal_explains_the_photographs_better(searched):

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Normals and roughness of metal by its reflections, in several views each and under a known light.
+
+Fused depth leaves the normals of metal wrong by 8 to 20 degrees. A mirror image that is displaced so is explained by a rougher metal: with
+normals fixed, the search of roughness found .30 to .70 on four scenes whose metals have .20 to .26. Here every normal near that of the
+surface is tried with every roughness, so that a wrong normal is no reason for roughness (a profile likelihood over normals).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from .multi_view_samples import MultiViewSamples
+from .parabola import parabola_minimum
+from .radiance_transfer import RadianceTransfer
+from .sample_equation import approximate_srgb_derivative, robust_error
+
+ROUGHNESS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7)  # searched
+STEP, RINGS = math.radians(4), 4  # distance of the rings of normals that are tried, and their number
+PRIOR = 0.15  # robust error of a view that a turn by STEP costs; it rises with the square of the turn
+ALIKE = 64  # nearest points that share their roughness
+
+
+def reflected_normals(
+    samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, surface_normal: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Find the normals and the roughness with which metal reflects what the photographs show, with the best albedo for each.
+
+    Args:
+        samples: K samples of P points of metal.
+        transfer: radiance transfer to the points.
+        light: (T, 3) linear radiance of the texels.
+        surface_normal: (P, 3) unit normals of the surface, around which is searched.
+
+    Returns:
+        (P, 3) unit normals, and roughness (P,).
+    """
+    knots = light.new_tensor(ROUGHNESS)
+    least = light.new_full((len(surface_normal), len(knots)), math.inf)
+    normal = surface_normal[:, None].repeat(1, len(knots), 1)
+    for turn, turned in _turned(surface_normal):
+        cost = _errors(replace(samples, normal=turned), transfer, light, knots) + PRIOR * (turn / STEP) ** 2
+        better = cost < least
+        least = torch.where(better, cost, least)
+        normal = torch.where(better[..., None], turned[:, None], normal)
+    shared = _averaged(samples.position, least)
+    chosen = shared.argmin(1)
+    return normal[torch.arange(len(normal), device=normal.device), chosen], parabola_minimum(knots, shared)
+
+
+def _turned(normal: torch.Tensor) -> Iterator[tuple[float, torch.Tensor]]:
+    """Yield angles in radians, and unit normals (P, 3) turned so far: the given ones, then ring by ring around them."""
+    across = torch.linalg.cross(_least_axis(normal), normal)
+    across = across / across.norm(dim=1, keepdim=True)
+    along = torch.linalg.cross(normal, across)
+    yield 0.0, normal
+    for ring in range(1, RINGS + 1):
+        turn = ring * STEP
+        for direction in np.linspace(0, 2 * math.pi, 6 * ring, endpoint=False):
+            tangent = math.cos(direction) * across + math.sin(direction) * along
+            yield turn, (math.cos(turn) * normal + math.sin(turn) * tangent).contiguous()
+
+
+def _least_axis(normal: torch.Tensor) -> torch.Tensor:
+    """Return the coordinate axis (P, 3) that is farthest from each normal."""
+    return torch.nn.functional.one_hot(normal.abs().argmin(1), 3).to(normal)
+
+
+def _errors(samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, knots: torch.Tensor) -> torch.Tensor:
+    """Compute the robust error of a view (P, J), on average, of points as metal of roughness `knots` (J,)."""
+    derivative = approximate_srgb_derivative(samples.colour)
+    scaled, added = transfer.sums(samples, knots, light)
+    errors = []
+    for factor, rest in zip(scaled.unbind(1), added.unbind(1), strict=True):  # y = a S + S' for a metal
+        weighted = derivative**2 * factor
+        albedo = samples.sums(weighted * (samples.colour - rest)) / samples.sums(weighted * factor).clamp_min(1e-9)
+        errors.append(robust_error(samples, albedo.clamp(0, 1)[samples.point] * factor + rest, derivative))
+    return torch.stack(errors, 1) / samples.lengths[:, None]
+
+
+def _averaged(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """Average values (P, J) over the ALIKE nearest points."""
+    places = position.cpu().numpy()
+    _, nearest = KDTree(places).query(places, k=min(ALIKE, len(places)))
+    return values[torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(values.device)].mean(1)

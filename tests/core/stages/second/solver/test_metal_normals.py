@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Wrong normals of metal turn towards those of its reflections, and no longer look like roughness."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.stages.second.solver.material_search import MaterialSearch
+from irgspp.core.stages.second.solver.metal_normals import RINGS, ROUGHNESS, STEP, reflected_normals
+from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
+from sphere_on_floor import make, start
+
+
+@pytest.fixture(scope="module")
+def brass():
+    """Samples of points of brass with true normals, the transfer to them, the light, and normals that are wrong by 6 degrees or so."""
+    transfer, seen, (light, _, _, metallic) = make(900, 10)
+    metal = metallic > 0
+    seen, transfer = seen.subset(metal), transfer.subset(metal)
+    generator = torch.Generator().manual_seed(0)
+    wrong = seen.normal + 0.075 * torch.randn(seen.normal.shape, generator=generator)
+    return seen, transfer, light, wrong / wrong.norm(dim=1, keepdim=True)
+
+
+def angles(one, other):
+    """Angles between unit vectors (P, 3), degrees."""
+    return torch.rad2deg(torch.acos((one * other).sum(1).clamp(-1, 1)))
+
+
+def test_wrong_normals_turn_towards_the_true_ones(brass):
+    seen, transfer, light, wrong = brass
+    found, _ = reflected_normals(replace(seen, normal=wrong), transfer, light, wrong)
+    before, after = angles(wrong, seen.normal), angles(found, seen.normal)
+    assert before.mean() > 4 and after.mean() < 0.6 * before.mean()
+    np.testing.assert_allclose(found.norm(dim=1), 1, atol=1e-5)
+    assert float(angles(found, wrong).max()) < np.degrees(RINGS * STEP) + 0.1
+
+
+def test_wrong_normals_are_no_reason_for_roughness(brass):
+    seen, transfer, light, wrong = brass
+    tilted = replace(seen, normal=wrong)
+    _, found = reflected_normals(tilted, transfer, light, wrong)
+    n_v = (wrong[seen.point] * seen.view).sum(1).clamp_min(1e-3)
+    search = MaterialSearch(tilted, transfer, transfer.diffuse_rows(tilted), n_v, seen.sums(seen.colour) / seen.lengths[:, None])
+    derivative = approximate_srgb_derivative(seen.colour)
+    fixed = search.roughness(search.costs(light, derivative**2, derivative), torch.ones(len(wrong), dtype=torch.bool))
+    assert (found - 0.25).abs().mean() < 0.5 * (fixed - 0.25).abs().mean()
+    assert ROUGHNESS[0] <= float(found.min()) and float(found.max()) <= ROUGHNESS[-1]
+
+
+def test_true_normals_stay(brass):
+    seen, transfer, light, _ = brass
+    found, roughness = reflected_normals(seen, transfer, light, seen.normal)
+    assert float(angles(found, seen.normal).median()) < 0.1
+    assert (roughness - 0.25).abs().max() < 0.06
+
+
+def test_the_solver_turns_metal_alone_and_keeps_the_surface():
+    transfer, seen, (light, albedo, roughness, metallic) = make()
+    wrong = seen.normal + 0.06 * torch.randn(seen.normal.shape, generator=torch.Generator().manual_seed(0))
+    wrong = wrong / wrong.norm(dim=1, keepdim=True)
+    solver = start(replace(seen, normal=wrong), transfer)
+    solver.light, solver.albedo, solver.roughness, solver.metallic = light, albedo, roughness.clone(), metallic.float()
+    solver.turn_metal()
+    metal = metallic > 0
+    assert torch.equal(solver.surface_normal, wrong) and torch.equal(solver.samples.normal[~metal], wrong[~metal])
+    assert angles(solver.samples.normal, seen.normal)[metal].mean() < 0.8 * angles(wrong, seen.normal)[metal].mean()
+    assert torch.equal(solver.roughness[~metal], roughness[~metal])
+
+
+def test_without_metal_nothing_changes():
+    transfer, seen, _ = make()
+    solver = start(seen, transfer)
+    light = solver.light
+    solver.turn_metal()
+    assert solver.samples is seen and solver.light is light
