@@ -9,7 +9,8 @@ given roughness and metallic, in the albedo a:
 where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and S, S' are the parts of the specular lobe that F0 scales
 and that Fresnel adds (core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect light. The albedo is
 eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes Gauss-Newton steps, and
-roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal: `material_regions.py`).
+roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal: `metal_regions.py`). At the end
+the normals of metal turn towards its reflections (`metal_normals.py`).
 
 "Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
 from the radiance itself would keep all shading.
@@ -156,10 +157,8 @@ class LightMaterialSolver:
         self._trace_lobes()
 
     def turn_metal(self) -> None:
-        """Turn the normals of metal points to where their reflections point, with the roughness that belongs to them; the light follows."""
+        """Turn the normals of metal, of which there is some, towards its reflections, with the roughness found so; the light follows."""
         metal = self.metallic > 0
-        if not bool(metal.any()):
-            return
         known = (self.samples.subset(metal), self.transfer.subset(metal), self.light, self.surface_normal[metal])
         normal, roughness = self.samples.normal.clone(), self.roughness.clone()
         normal[metal], roughness[metal] = reflected_normals(*known)

@@ -52,7 +52,9 @@ def run_solver(
             coarse = None
     if coarse and _clearly_better(coarse, solver):
         solver.become(coarse)
-    if float(solver.metallic.mean()) <= METAL_ON_AVERAGE:  # else the first stage's reflections know its normals better
+    if (
+        0 < float(solver.metallic.mean()) <= METAL_ON_AVERAGE
+    ):  # of an object of metal, the first stage's reflections know the normals better
         for _ in range(TURNS):
             solver.turn_metal()
     solver.reduce_tint()

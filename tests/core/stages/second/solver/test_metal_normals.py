@@ -2,13 +2,16 @@
 """Wrong normals of metal turn towards those of its reflections, and no longer look like roughness."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from irgspp.core.stages.second.solver.light_material_solver import STEPS
 from irgspp.core.stages.second.solver.material_search import MaterialSearch
 from irgspp.core.stages.second.solver.metal_normals import RINGS, ROUGHNESS, STEP, reflected_normals
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
+from irgspp.core.stages.second.solver.schedule import TURNS, run_solver
 from sphere_on_floor import make, start
 
 
@@ -69,9 +72,15 @@ def test_the_solver_turns_metal_alone_and_keeps_the_surface():
     assert torch.equal(solver.roughness[~metal], roughness[~metal])
 
 
-def test_without_metal_nothing_changes():
-    transfer, seen, _ = make()
-    solver = start(seen, transfer)
-    light = solver.light
-    solver.turn_metal()
-    assert solver.samples is seen and solver.light is light
+@pytest.mark.parametrize(("metallic", "turns"), [((0.0, 0.0, 0.0), 0), ((1.0, 0.0, 0.0), TURNS), ((1.0, 1.0, 0.0), 0)])
+def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
+    """Not on an object that is metal as a whole: its normals come from the first stage's reflections."""
+    done = []
+    solver = SimpleNamespace(
+        metallic=torch.tensor(metallic),
+        advance=lambda step: done.append("step"),
+        turn_metal=lambda: done.append("turn"),
+        reduce_tint=lambda: done.append("tint"),
+    )
+    run_solver(solver)
+    assert done == ["step"] * STEPS + ["turn"] * turns + ["tint"]
