@@ -14,11 +14,11 @@ from ....scene.dataset import Dataset
 from ....scene.reconstruction import Reconstruction
 from ....scene.surface import Surface
 from ....settings.schema import Settings
-from ....surface.meshing import unit
 from ..solver.light_material_solver import LightMaterialSolver
-from .diffuse_shading import nearest_points, observe_diffuse_shading
+from .diffuse_shading import observe_diffuse_shading
 from .normal_alignment import follow_normals
 from .normal_fit import fit_rendered_normals
+from .reflection_normals import turn_to_reflections
 from .shading_normals import ITERATIONS, fit_normals
 from .surface_gradient import subdivided
 
@@ -58,8 +58,8 @@ def improve_normals(
     if second.shading_normals > 0 and solver.transfer.rotations is None:  # the mean over views that it explains is of one light
         progress.phase("normals", ITERATIONS)
         before = subdivided(surface)
-        metal = turned_metal(before, solver)
-        surface = fit_normals(metal, observe_diffuse_shading(metal, solver, dataset.train, tracer), report)
+        start = subdivided(turn_to_reflections(surface, solver, dataset.train, tracer, settings.seed, report))
+        surface = fit_normals(start, observe_diffuse_shading(start, solver, dataset.train, tracer), report)
         turned = np.degrees(np.arccos(np.clip((before.normals * surface.normals).sum(1), -1, 1)))
         progress.message(f"shading turns the surface's normals by {turned.mean():.1f} degrees on average")
         gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
@@ -68,16 +68,3 @@ def improve_normals(
         size = (reconstruction.bound.radius, second.normal_iterations)
         gaussians = fit_rendered_normals(gaussians, surface, dataset.train, *size, settings.seed, report, settings.first.subpixels)
     return replace(reconstruction, gaussians=gaussians), surface
-
-
-def turned_metal(surface: Surface, solver: LightMaterialSolver) -> Surface:
-    """Turn the normals of a surface by as much as those of the solver's points of metal turned towards their reflections.
-
-    Args:
-        surface: mesh with V vertices.
-        solver: at its end.
-    """
-    index, weight = nearest_points(surface, solver)
-    turn = (solver.samples.normal - solver.surface_normal).double().cpu().numpy()
-    normal = surface.normals + (turn[index] * weight[..., None]).sum(1)
-    return Surface(surface.vertices, unit(normal), surface.faces, surface.voxel)

@@ -42,16 +42,35 @@ def reflected_normals(
         (P, 3) unit normals, and roughness (P,).
     """
     knots = light.new_tensor(ROUGHNESS)
-    least = light.new_full((len(surface_normal), len(knots)), math.inf)
-    normal = surface_normal[:, None].repeat(1, len(knots), 1)
-    for turn, turned in _turned(surface_normal):
+    least, normal = search_normals(samples, transfer, light, surface_normal, knots)
+    shared = _averaged(samples.position, least)
+    row = torch.arange(len(normal), device=normal.device)
+    return normal[row, shared.argmin(1)], parabola_minimum(knots, shared)
+
+
+def search_normals(
+    samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, around: torch.Tensor, knots: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Find the normals with which metal of given roughness reflects best what the photographs show.
+
+    Args:
+        samples: K samples of P points of metal.
+        transfer: radiance transfer to the points.
+        light: (T, 3) linear radiance of the texels.
+        around: (P, 3) unit normals around which is searched.
+        knots: (J,) values of roughness.
+
+    Returns:
+        The least error of a view (P, J), with what the turn costs, and the unit normals (P, J, 3) that have it.
+    """
+    least = light.new_full((len(around), len(knots)), math.inf)
+    normal = around[:, None].repeat(1, len(knots), 1)
+    for turn, turned in _turned(around):
         cost = _errors(replace(samples, normal=turned), transfer, light, knots) + PRIOR * (turn / STEP) ** 2
         better = cost < least
         least = torch.where(better, cost, least)
         normal = torch.where(better[..., None], turned[:, None], normal)
-    shared = _averaged(samples.position, least)
-    chosen = shared.argmin(1)
-    return normal[torch.arange(len(normal), device=normal.device), chosen], parabola_minimum(knots, shared)
+    return least, normal
 
 
 def _turned(normal: torch.Tensor) -> Iterator[tuple[float, torch.Tensor]]:

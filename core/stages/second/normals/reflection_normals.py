@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Normals of a mesh's metal by its reflections: searched at each vertex under the solved light, and averaged with the neighbours' in turn.
+
+Searches at single vertices are noisy, and a normal that is wrong by more than the search reaches takes several rounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy import sparse
+
+from ....rendering.secondary_rays import SecondaryTracer
+from ....scene.dataset import View
+from ....scene.surface import Surface
+from ....surface.meshing import Triangles, adjacency, unit
+from ..metal import METAL
+from ..solver.light_material_solver import LightMaterialSolver
+from ..solver.metal_normals import search_normals
+from ..solver.multi_view_samples import MultiViewSamples, sample_views
+from ..solver.radiance_transfer import RadianceTransfer
+from ..solver.transfer_tracing import trace_radiance_transfer
+from .diffuse_shading import nearest_points
+
+ROUNDS = 3  # of searches, each around the last one's normals
+AVERAGES = 2  # of the turn with the neighbours', after each search
+VIEWS = 8  # of a vertex, at most
+BATCH = 2000  # vertices searched at a time; those of one batch share their roughness
+
+
+def turn_to_reflections(
+    surface: Surface,
+    solver: LightMaterialSolver,
+    views: Sequence[View],
+    tracer: SecondaryTracer,
+    seed: int,
+    report: Callable[[int], object] = lambda done: None,
+) -> Surface:
+    """Turn the normals of metal so that they reflect what the photographs show; vertices stay.
+
+    Args:
+        surface: mesh with V vertices.
+        solver: solved light, which stands still, and materials of its points.
+        views: training images.
+        tracer: of the Gaussians.
+        seed: of the choice of views and of ray directions.
+        report: called with 0 now and then; may raise.
+
+    Returns:
+        The mesh with new normals; the same one without metal.
+    """
+    metal, roughness = _metal_vertices(surface, solver)
+    if not len(metal):
+        return surface
+    position, normal = surface.vertices[metal].astype(np.float32), surface.normals[metal].astype(np.float32)
+    random = np.random.default_rng(seed)
+    samples, seen = sample_views(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, device=tracer.device)
+    chosen = seen.cpu().numpy()
+    metal, roughness = metal[chosen], roughness[chosen]
+    average, normals = _average(surface), surface.normals
+    for _ in range(ROUNDS):
+        change = np.zeros_like(normals)
+        for part, seen_part, transfer in _batches(samples, solver, tracer, seed):
+            report(0)
+            rows, around = metal[part], torch.from_numpy(normals[metal[part]]).to(solver.light)
+            shared = solver.light.new_tensor([np.median(roughness[part])])
+            _, found = search_normals(seen_part, transfer, solver.light, around, shared)
+            change[rows] = (found[:, 0] - around).double().cpu().numpy()
+        for _ in range(AVERAGES):
+            change = average @ change
+        normals = unit(normals + change)
+    return replace(surface, normals=normals)
+
+
+def _metal_vertices(surface: Surface, solver: LightMaterialSolver) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices of metal in the order of their roughness, and that roughness."""
+    index, weight = nearest_points(surface, solver)
+    roughness, metallic = ((values.cpu().numpy()[index] * weight).sum(1) for values in (solver.roughness, solver.metallic))
+    metal = np.flatnonzero(metallic > METAL)
+    metal = metal[np.argsort(roughness[metal], kind="stable")]
+    return metal, roughness[metal]
+
+
+def _batches(
+    samples: MultiViewSamples, solver: LightMaterialSolver, tracer: SecondaryTracer, seed: int
+) -> Iterator[tuple[slice, MultiViewSamples, RadianceTransfer]]:
+    """Yield batches of points, their samples, and the transfer to them, which is traced anew each time, as it is large."""
+    for begin in range(0, len(samples.position), BATCH):
+        part = slice(begin, min(begin + BATCH, len(samples.position)))
+        own = samples.part(part.start, part.stop)
+        options = (solver.transfer.texels, 1, seed, solver.transfer.bounces)
+        yield part, own, trace_radiance_transfer(own.position, own.normal, tracer, *options)
+
+
+def _average(surface: Surface) -> sparse.csr_matrix:
+    """Return the matrix (V, V) that averages values of a vertex and its neighbours."""
+    near = adjacency(Triangles(surface.vertices, surface.faces)) + sparse.identity(len(surface.vertices), format="csr")
+    return sparse.csr_matrix(sparse.diags(1 / np.asarray(near.sum(1)).ravel()) @ near)
