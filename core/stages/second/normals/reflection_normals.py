@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -29,6 +30,7 @@ ROUNDS = 3  # of searches, each around the last one's normals
 AVERAGES = 2  # of the turn with the neighbours', after each search
 VIEWS = 8  # of a vertex, at most
 BATCH = 2000  # vertices searched at a time; those of one batch share their roughness
+KEPT = 10_000  # vertices up to which the transfer to them is kept from round to round, about 100 MB; else it is traced anew
 
 
 def turn_to_reflections(
@@ -61,18 +63,24 @@ def turn_to_reflections(
     chosen = seen.cpu().numpy()
     metal, roughness = metal[chosen], roughness[chosen]
     average, normals = _average(surface), surface.normals
+    batches = partial(_batches, samples, solver, tracer, seed)
+    kept = list(batches()) if len(metal) <= KEPT else None
     for _ in range(ROUNDS):
         change = np.zeros_like(normals)
-        for part, seen_part, transfer in _batches(samples, solver, tracer, seed):
+        for part, own, transfer in kept or batches():
             report(0)
-            rows, around = metal[part], torch.from_numpy(normals[metal[part]]).to(solver.light)
-            shared = solver.light.new_tensor([np.median(roughness[part])])
-            _, found = search_normals(seen_part, transfer, solver.light, around, shared)
-            change[rows] = (found[:, 0] - around).double().cpu().numpy()
+            change[metal[part]] = _turn(normals[metal[part]], own, transfer, solver.light, float(np.median(roughness[part])))
         for _ in range(AVERAGES):
             change = average @ change
         normals = unit(normals + change)
     return replace(surface, normals=normals)
+
+
+def _turn(normals: np.ndarray, samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, roughness: float) -> np.ndarray:
+    """Return by how much normals (P, 3) of metal turn, (P, 3), in one search."""
+    around = torch.from_numpy(normals).to(light)
+    _, found = search_normals(samples, transfer, light, around, light.new_tensor([roughness]))
+    return (found[:, 0] - around).double().cpu().numpy()
 
 
 def _metal_vertices(surface: Surface, solver: LightMaterialSolver) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +95,7 @@ def _metal_vertices(surface: Surface, solver: LightMaterialSolver) -> tuple[np.n
 def _batches(
     samples: MultiViewSamples, solver: LightMaterialSolver, tracer: SecondaryTracer, seed: int
 ) -> Iterator[tuple[slice, MultiViewSamples, RadianceTransfer]]:
-    """Yield batches of points, their samples, and the transfer to them, which is traced anew each time, as it is large."""
+    """Yield batches of points, their samples, and the transfer to them."""
     for begin in range(0, len(samples.position), BATCH):
         part = slice(begin, min(begin + BATCH, len(samples.position)))
         own = samples.part(part.start, part.stop)
