@@ -95,7 +95,7 @@ def photographed(transfer, position, normal, views=8):
     point, camera = np.array(pairs).T
     view = torch.from_numpy(toward[point, camera].astype(np.float32))
     dark = torch.zeros(len(point), 3)
-    seen = MultiViewSamples(torch.from_numpy(position), torch.from_numpy(normal), torch.from_numpy(point), view, dark, dark.bool())
+    seen = MultiViewSamples(torch.from_numpy(position), torch.from_numpy(normal), torch.from_numpy(point.copy()), view, dark, dark.bool())
     truth = (soft_light(), *known_materials(position))
     return replace(seen, colour=rendered(seen, transfer, *truth)), truth
 
