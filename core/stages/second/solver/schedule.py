@@ -52,9 +52,8 @@ def run_solver(
             coarse = None
     if coarse and _clearly_better(coarse, solver):
         solver.become(coarse)
-    if (
-        0 < float(solver.metallic.mean()) <= METAL_ON_AVERAGE
-    ):  # of an object of metal, the first stage's reflections know the normals better
+    # Of an object that is metal as a whole, the first stage's reflections know the normals better.
+    if 0 < float(solver.metallic.mean()) <= METAL_ON_AVERAGE:
         for _ in range(TURNS):
             solver.turn_metal()
     solver.reduce_tint()
