@@ -60,7 +60,7 @@ def _graph(value: np.ndarray, neighbours: np.ndarray, link: np.ndarray) -> csr_m
 
 def _source_side(graph: csr_matrix) -> np.ndarray:
     """Return the (P,) bool nodes on the source's side of the least cut of a graph of P + 2 nodes, see `_graph`."""
-    count = graph.shape[0] - 2
+    count = len(graph.indptr) - 3
     rest = graph - maximum_flow(graph, count, count + 1).flow
     rest.eliminate_zeros()  # breadth_first_order follows stored zeros
     side = np.zeros(count + 2, np.bool_)
