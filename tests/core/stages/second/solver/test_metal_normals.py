@@ -59,6 +59,19 @@ def test_true_normals_stay(brass):
     assert (roughness - 0.25).abs().max() < 0.06
 
 
+def test_normals_are_found_under_a_light_that_turns(brass):
+    seen, transfer, light, wrong = brass
+    angle = torch.linspace(0, 6, 8)
+    zero, one = torch.zeros(8), torch.ones(8)
+    rows = (torch.stack([angle.cos(), -angle.sin(), zero]), torch.stack([angle.sin(), angle.cos(), zero]), torch.stack([zero, zero, one]))
+    transfer = replace(transfer, rotations=torch.stack(rows).permute(2, 0, 1).contiguous())
+    seen = replace(seen, image=torch.arange(len(seen.point)) % 8)
+    scaled, added, scaled_own, added_own = transfer.rows(seen, torch.full((len(wrong),), 0.25))
+    colour = torch.tensor([0.9, 0.7, 0.4]) * (scaled @ light + scaled_own) + added @ light + added_own
+    found, _ = reflected_normals(replace(seen, colour=colour, normal=wrong), transfer, light, wrong)
+    assert angles(found, seen.normal).mean() < 0.6 * angles(wrong, seen.normal).mean()
+
+
 def test_the_solver_turns_metal_alone_and_keeps_the_surface():
     transfer, seen, (light, albedo, roughness, metallic) = make()
     wrong = seen.normal + 0.06 * torch.randn(seen.normal.shape, generator=torch.Generator().manual_seed(0))
