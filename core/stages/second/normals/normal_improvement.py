@@ -33,7 +33,7 @@ def improve_normals(
     progress: Progress,
     report: Callable[[int], object],
 ) -> tuple[Reconstruction, Surface]:
-    """Turn the surface's normals so that they explain the shading under the solved light, and the surfels after them.
+    """Turn the surface's normals so that they explain shading and reflections under the solved light, and the surfels after them.
 
     Where the light turns relative to the object, only the surfels turn, to the surface's normals.
 
@@ -61,7 +61,7 @@ def improve_normals(
         start = subdivided(turn_to_reflections(surface, solver, dataset.train, tracer, settings.seed, report))
         surface = fit_normals(start, observe_diffuse_shading(start, solver, dataset.train, tracer), report)
         turned = np.degrees(np.arccos(np.clip((before.normals * surface.normals).sum(1), -1, 1)))
-        progress.message(f"shading turns the surface's normals by {turned.mean():.1f} degrees on average")
+        progress.message(f"shading and reflections turn the surface's normals by {turned.mean():.1f} degrees on average")
         gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
     if second.normal_iterations > 0:
         progress.phase("turn surfels", second.normal_iterations)
