@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Normal improvement: shading turns the surface's normals, on metal the solver's reflections do, and the surfels follow them."""
+"""Normal improvement: shading turns the surface's normals, reflections turn those of its metal, and the surfels follow them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Normals of a mesh's metal by its reflections: searched at each vertex under the solved light, and averaged with the neighbours' in turn.
+"""Normals of a mesh's metal by its reflections: rounds of a search at each vertex under the solved light, and an average over neighbours.
 
-Searches at single vertices are noisy, and a normal that is wrong by more than the search reaches takes several rounds.
+A search at a single vertex is noisy. Several rounds also reach normals that are wrong by more than one search can turn them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROUNDS = 3  # of searches, each around the last one's normals
 AVERAGES = 2  # of the turn with the neighbours', after each search
 VIEWS = 8  # of a vertex, at most
 BATCH = 2000  # vertices searched at a time; those of one batch share their roughness
-KEPT = 10_000  # vertices up to which the transfer to them is kept from round to round, about 100 MB; else it is traced anew
+KEPT = 10_000  # vertices up to which the transfer to them is kept from round to round, about 130 MB; else it is traced anew
 
 
 def turn_to_reflections(

@@ -19,7 +19,7 @@ from ..metal import METAL
 from .light_material_solver import LightMaterialSolver
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
-from .sample_equation import OUTLIER, approximate_srgb_derivative, view_terms
+from .sample_equation import OUTLIER, approximate_srgb_derivative, least_squares_albedo, view_terms
 from .sharp_samples import sharp_samples
 from .transfer_tracing import trace_radiance_transfer
 
@@ -148,7 +148,7 @@ def fitted_albedo(
     robust_weight = derivative**-2
     for _ in range(REWEIGHTED):
         weight = robust_weight * derivative**2
-        albedo = samples.sums(weight * factor * (samples.colour - rest)) / samples.sums(weight * factor * factor).clamp_min(1e-9)
+        albedo = least_squares_albedo(samples, weight, factor, rest)
         error = (albedo[point] * factor + rest - samples.colour) * derivative
         robust_weight = torch.where(samples.saturated & (error > 0), 0.0, 1 / (1 + (error / OUTLIER) ** 2))
     return albedo

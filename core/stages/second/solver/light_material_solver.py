@@ -157,7 +157,7 @@ class LightMaterialSolver:
         self._trace_lobes()
 
     def turn_metal(self) -> None:
-        """Turn the normals of metal, of which there is some, towards its reflections, with the roughness found so; the light follows."""
+        """Search the normals of metal by its reflections, with its roughness, and let the light follow; at least one point is metal."""
         metal = self.metallic > 0
         known = (self.samples.subset(metal), self.transfer.subset(metal), self.light, self.surface_normal[metal])
         normal, roughness = self.samples.normal.clone(), self.roughness.clone()

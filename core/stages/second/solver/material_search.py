@@ -13,7 +13,7 @@ from .metal_regions import SUPPORT, SUPPORT_PASSES, connected_regions, grow_meta
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
 from .radiance_transfer import DiffuseRows, RadianceTransfer
-from .sample_equation import robust_error, view_terms
+from .sample_equation import least_squares_albedo, robust_error, view_terms
 
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
 NOISE = 1.0  # robust error of a view, about, that noise alone makes; the ratio of errors below it tells nothing
@@ -78,7 +78,7 @@ class MaterialSearch:
             diffuse = diffuse_fraction(self._n_v, knot.expand_as(self._n_v))[:, None]
             for metal in self._kinds:
                 factor, rest = view_terms(light.new_tensor(metal), diffuse, irradiance, scaled[:, j], added[:, j])
-                fit = samples.sums(weight * factor * (samples.colour - rest)) / samples.sums(weight * factor * factor).clamp_min(1e-9)
+                fit = least_squares_albedo(samples, weight, factor, rest)
                 cost[:, metal, j] = robust_error(samples, fit.clamp(0, 1)[samples.point] * factor + rest, derivative)
         return self._smoothed(self._smoothed(cost))
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Normals and roughness of metal by its reflections, in several views each and under a known light.
 
-Fused depth leaves the normals of metal wrong by 8 to 20 degrees. A mirror image that is displaced so is explained by a rougher metal: with
-normals fixed, the search of roughness found .30 to .70 on four scenes whose metals have .20 to .26. Here every normal near that of the
-surface is tried with every roughness, so that a wrong normal is no reason for roughness (a profile likelihood over normals).
+Fused depth leaves the normals of metal wrong by 8 to 20 degrees, and a reflection in the wrong place looks like that of a rougher metal:
+with normals fixed, the search found a roughness of .30 to .70 on four scenes whose metals have .20 to .26. Here normals around that of
+the surface are tried with every roughness, and the best one counts for each roughness (a profile likelihood).
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
+from .material_search import ROUGHNESS_VALUES
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
 from .radiance_transfer import RadianceTransfer
-from .sample_equation import approximate_srgb_derivative, robust_error
+from .sample_equation import approximate_srgb_derivative, least_squares_albedo, robust_error
 
-ROUGHNESS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7)  # searched
+ROUGHNESS = ROUGHNESS_VALUES[:9]  # searched
 STEP, RINGS = math.radians(4), 4  # distance of the rings of normals that are tried, and their number
 PRIOR = 0.15  # robust error of a view that a turn by STEP costs; it rises with the square of the turn
 ALIKE = 64  # nearest points that share their roughness
@@ -74,7 +75,7 @@ def search_normals(
 
 
 def _turned(normal: torch.Tensor) -> Iterator[tuple[float, torch.Tensor]]:
-    """Yield angles in radians, and unit normals (P, 3) turned so far: the given ones, then ring by ring around them."""
+    """Yield an angle in radians and unit normals (P, 3) turned by it: the given ones with 0, then those on rings around them."""
     across = torch.linalg.cross(_least_axis(normal), normal)
     across = across / across.norm(dim=1, keepdim=True)
     along = torch.linalg.cross(normal, across)
@@ -97,9 +98,8 @@ def _errors(samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.
     scaled, added = transfer.sums(samples, knots, light)
     errors = []
     for factor, rest in zip(scaled.unbind(1), added.unbind(1), strict=True):  # y = a S + S' for a metal
-        weighted = derivative**2 * factor
-        albedo = samples.sums(weighted * (samples.colour - rest)) / samples.sums(weighted * factor).clamp_min(1e-9)
-        errors.append(robust_error(samples, albedo.clamp(0, 1)[samples.point] * factor + rest, derivative))
+        albedo = least_squares_albedo(samples, derivative**2, factor, rest).clamp(0, 1)
+        errors.append(robust_error(samples, albedo[samples.point] * factor + rest, derivative))
     return torch.stack(errors, 1) / samples.lengths[:, None]
 
 

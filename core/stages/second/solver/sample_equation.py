@@ -40,6 +40,21 @@ def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
     return 0.44 / colour.clamp_min(3e-3) ** 0.58
 
 
+def least_squares_albedo(samples: MultiViewSamples, weight: torch.Tensor, factor: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
+    """Fit the albedo of each point to its samples by y = a c + d.
+
+    Args:
+        samples: K samples of P points.
+        weight: (K, 3) of the squared residuals in linear radiance.
+        factor: c, (K, 3).
+        rest: d, (K, 3).
+
+    Returns:
+        a, (P, 3); it may lie outside 0..1.
+    """
+    return samples.sums(weight * factor * (samples.colour - rest)) / samples.sums(weight * factor * factor).clamp_min(1e-9)
+
+
 def robust_error(samples: MultiViewSamples, radiance: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
     """Compute the robust error of each point: Cauchy's cost in encoded values, summed over its samples and channels.
 

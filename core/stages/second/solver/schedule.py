@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Schedule of the solver: the better of two starts, then smaller texels of the light, unless coarse ones are clearly better so far."""
+"""Schedule of the solver: the better of two starts, then smaller texels of the light, unless coarse ones are clearly better so far.
+
+At the end the normals of metal parts are searched.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ DARK_BETTER = 0.95  # ratio of errors below which a dark start is the better one
 # Ratio of errors below which the coarse light is clearly better. Errors that differ by less tell nothing: at the end of two runs on
 # rocker_corner, the split light's was .3 per cent lower and .8 higher, and its light was better by 2 dB in both; on spot_rough by .6 dB.
 CLEAR = 0.99
-TURNS = 2  # of the normals of metal; a third one changes little
+TURNS = 2  # searches of the normals of metal; a third one changes little
 
 
 def run_solver(
