@@ -28,7 +28,7 @@ from .store import Results
 
 PREFIX = "inverse: "
 OURS, MITSUBA = "our second stage", "Mitsuba"
-TIMES = (1, 2, 4)  # multiples of our second stage's time
+TIMES = (1, 2)  # multiples of our second stage's time
 FIGURES = ("albedo_psnr", "roughness_mae", "metallic_mae", "environment_psnr", "nvs_psnr", "relight_psnr")
 UNITS = ("albedo dB ↑", "roughness error ↓", "metallic error ↓", "light dB ↑", "NVS dB ↑", "relit dB ↑")
 SHADED = 4  # test views that are rendered with light

@@ -26,7 +26,7 @@ ABOUT = (
     "no denoiser for a CPU) and by Cycles (all bounces, with and without OpenImageDenoise), in as many threads. Error: PSNR over the "
     "object's pixels, each renderer against its own converged image; the differences of these are listed too. Our camera rays see the "
     "Gaussians, with light reflected between the mesh's vertices; the others see the mesh. Seconds: of a frame with the scene loaded and "
-    "everything compiled; all alternate."
+    "everything compiled; all alternate. On the first low-gloss and the first glossy scene; materials and light on all."
 )
 ONCE = False
 PRINCIPLED = "Mitsuba, its own BRDF"
@@ -44,8 +44,16 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
     if not scene.relights:
         return
-    run, effort = [bench.balanced()], QUICK if bench.quick else FULL
     absent = absent_peers()
+    if bench.in_detail(scene):
+        yield from _relighting(bench, scene, absent)
+    if MITSUBA not in absent and mitsuba_peer.variant()[0] == mitsuba_peer.VARIANTS[0]:
+        yield from peer_inverse.tasks(bench, scene)
+
+
+def _relighting(bench: Bench, scene: Scene, absent: dict[str, str]) -> Iterator[Task]:
+    """Yield the measurements of relighting by all renderers but the absent ones."""
+    run, effort = [bench.balanced()], QUICK if bench.quick else FULL
     comparisons: dict[str, RendererComparison] = {}
 
     def comparison() -> RendererComparison:
@@ -64,8 +72,6 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
         yield Task(f"to our error: {samples} samples", partial(_against, comparison, samples), 0.1, run)
     if not bench.quick and MITSUBA not in absent:
         yield Task(PRINCIPLED, partial(_principled, bench, scene), 20.0, run)
-    if MITSUBA not in absent and mitsuba_peer.variant()[0] == mitsuba_peer.VARIANTS[0]:
-        yield from peer_inverse.tasks(bench, scene)
 
 
 def absent_peers() -> dict[str, str]:
@@ -128,9 +134,13 @@ def _principled(bench: Bench, scene: Scene) -> Measurement:
 
 def blocks(results: Results) -> Iterator[Block]:
     """Yield the charts, tables and images of the report."""
-    scenes = [scene for scene in results.scenes if results.get(scene, "difference")]
-    if not scenes:
-        return
+    if scenes := [scene for scene in results.scenes if results.get(scene, "difference")]:
+        yield from _relighting_blocks(results, scenes)
+    yield from peer_inverse.blocks(results)
+
+
+def _relighting_blocks(results: Results, scenes: list[str]) -> Iterator[Block]:
+    """Yield the charts, tables and images of relighting."""
     panels = {scene: [series for name in RENDERERS if (series := _series(results, scene, name)).x] for scene in scenes}
     yield Chart(
         "Relighting: error against time",
@@ -153,7 +163,6 @@ def blocks(results: Results) -> Iterator[Block]:
     yield from _differences(results, scenes)
     shown = [[(f"{r.scene}: {name}", file) for name, file in r.images.items()] for r in results.records(prefix="difference")]
     yield Images("Converged images, and where they differ", shown)
-    yield from peer_inverse.blocks(results)
 
 
 def _series(results: Results, scene: str, name: str) -> Series:

@@ -23,7 +23,8 @@ TITLE = "Reconstruction: error against time"
 ABOUT = (
     "The whole job, from photographs to a textured mesh; every run is an irgspp reconstruct of its own, compared with held-back views. "
     "NVS: views under the photographs' own light, rendered by recovered light and materials; relit: under other lights, with one scale of "
-    "the albedo per channel. Seconds: wall clock of all phases. Time budgets and IRGS: on the first low-gloss and the first glossy scene."
+    "the albedo per channel. Seconds: wall clock of all phases. All scenes by both presets; the effect of single parts, "
+    "time budgets and IRGS on the first low-gloss and the first glossy scene."
 )
 ONCE = False
 FIGURES = ("relight_psnr", "nvs_psnr", "albedo_psnr", "normal_mae", "roughness_mae", "metallic_mae", "environment_psnr", "radiance_psnr")
@@ -36,6 +37,7 @@ COLUMNS = {
     "roughness_mae": "roughness ↓",
     "metallic_mae": "metallic ↓",
 }
+BUDGETED = "balanced"  # preset that gets time budgets
 NOTICED = 0.1  # dB that a longer time must lose to be reported
 IRGS = ("second.sampling=stratified", "second.samples=512")
 # Effect of one part: title, then the configurations that are compared.
@@ -52,30 +54,28 @@ HEADLINE = {  # IRGS, and IRGS++ twice: plan of the run, variant and samples of 
 
 
 def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
-    """Return the plans of a scene's runs by configuration; IRGS and time budgets on the first scene of either material class alone.
+    """Return the plans of a scene's runs by configuration; those beyond the presets on the scenes in detail alone.
 
     Args:
         bench: options, scenes and reconstructions.
         scene: scene to reconstruct.
     """
     found = {preset: bench.plan(preset, preset=preset) for preset in bench.presets}
+    if not bench.in_detail(scene):
+        return found
     found["without indirect light"] = bench.plan("no-indirect", "second.indirect=off", seconds=115)
     if scene.glossy:
         found["without reflections"] = bench.plan("no-reflections", materials="low-gloss")
-    if scene in (bench.of_kind(True), bench.of_kind(False)):
-        # IRGS has no metal, and no reflections in its first stage.
-        found["IRGS"] = bench.plan("irgs", *IRGS, materials="low-gloss", seconds=150)
-        for preset in bench.presets:
-            for minutes in bench.budgets:
-                found[f"{preset}, {minutes:g} min"] = _budget(bench, preset, minutes)
-    return found
+    # IRGS has no metal, and no reflections in its first stage.
+    found["IRGS"] = bench.plan("irgs", *IRGS, materials="low-gloss", seconds=150)
+    return found | {f"{BUDGETED}, {minutes:g} min": _budget(bench, minutes) for minutes in bench.budgets}
 
 
-def _budget(bench: Bench, preset: str, minutes: float) -> RunPlan:
-    """Return the plan of a preset with a time budget."""
+def _budget(bench: Bench, minutes: float) -> RunPlan:
+    """Return the plan of a job with a time budget."""
     seconds = max(1, round(60 * minutes))
     text = f"{seconds // 60}m" if seconds % 60 == 0 else f"{seconds}s"
-    return bench.plan(f"{preset}-{text}", preset=preset, time=text, seconds=seconds)
+    return bench.plan(f"{BUDGETED}-{text}", preset=BUDGETED, time=text, seconds=seconds)
 
 
 def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
@@ -88,8 +88,10 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
     assert scene is not None
     for configuration, plan in plans(bench, scene).items():
         yield Task(configuration, partial(_quality, bench, scene, plan), bench.evaluation_seconds, [plan])
+    if not bench.in_detail(scene):
+        return
     yield Task("first stage alone", partial(_first, bench, scene), 2 * bench.evaluation_seconds, [bench.balanced()])
-    if scene.relights and "IRGS" in plans(bench, scene):
+    if scene.relights:
         for name, (configuration, variant, samples) in HEADLINE.items():
             plan = plans(bench, scene)[configuration]
             yield Task(f"headline, {name}", partial(_headline, bench, scene, plan, variant, samples), bench.evaluation_seconds, [plan])
@@ -170,7 +172,7 @@ def blocks(results: Results) -> Iterator[Block]:
     rows = [_row(results, scene, c) for scene in scenes for c in _configurations(results, scene) if " min" in c or c in PRESETS]
     if rows:
         yield Table("Presets, and what a time budget gives", ["scene, configuration", "seconds ↓", *COLUMNS.values()], rows)
-    overtrained = [text for scene in timed for preset in PRESETS if (text := _overtrained(results, scene, preset))]
+    overtrained = [text for scene in timed if (text := _overtrained(results, scene))]
     if overtrained:
         yield Note(f"More time than did good: {'; '.join(overtrained)}.")
     for title, configurations in PARTS.items():
@@ -187,17 +189,17 @@ def blocks(results: Results) -> Iterator[Block]:
     yield from _phase_table(results)
 
 
-def _overtrained(results: Results, scene: str, preset: str) -> str:
+def _overtrained(results: Results, scene: str) -> str:
     """Return how much the longest time budget loses in relighting against the best shorter one; "" where it does not."""
     found = sorted(
-        (r.figures["seconds"], r.figures["relight_psnr"]) for r in results.records(scene, f"{preset}, ") if "relight_psnr" in r.figures
+        (r.figures["seconds"], r.figures["relight_psnr"]) for r in results.records(scene, f"{BUDGETED}, ") if "relight_psnr" in r.figures
     )
     if not found:
         return ""
     (seconds, best), (longest, last) = max(found, key=lambda point: point[1]), found[-1]
     if best - last < NOTICED:
         return ""
-    return f"{scene}, {preset}: {best - last:.1f} dB relit lost from {seconds:.0f} to {longest:.0f} s"
+    return f"{scene}: {best - last:.1f} dB relit lost from {seconds:.0f} to {longest:.0f} s"
 
 
 def _configurations(results: Results, scene: str) -> list[str]:
@@ -213,11 +215,10 @@ def _row(results: Results, scene: str, configuration: str) -> list[Any]:
 
 
 def _curves(results: Results, scene: str, name: str) -> Iterator[Series]:
-    """Yield the presets with time budgets as curves, and those without as single points."""
-    for preset in PRESETS:
-        found = [r.figures for r in results.records(scene, f"{preset}, ") if name in r.figures]
-        found.sort(key=lambda figures: figures["seconds"])
-        yield Series(f"{preset} --time", [f["seconds"] for f in found], [f[name] for f in found])
+    """Yield the jobs with time budgets as a curve, and the presets without as single points."""
+    found = [r.figures for r in results.records(scene, f"{BUDGETED}, ") if name in r.figures]
+    found.sort(key=lambda figures: figures["seconds"])
+    yield Series(f"{BUDGETED} --time", [f["seconds"] for f in found], [f[name] for f in found])
     for preset in PRESETS:
         seconds, value = (results.figure(scene, preset, n) for n in ("seconds", name))
         if seconds and value is not None:

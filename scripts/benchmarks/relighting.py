@@ -57,7 +57,7 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
         scene: scene to measure.
     """
     assert scene is not None
-    if not scene.relights:
+    if not (scene.relights and bench.in_detail(scene)):
         return
     run, counts = [bench.balanced()], QUICK_COUNTS if bench.quick else COUNTS
     for variant, samples in itertools.product(VARIANTS, counts):

@@ -53,6 +53,8 @@ def tasks(bench: Bench, scene: Scene | None) -> Iterator[Task]:
         scene: scene to measure.
     """
     assert scene is not None
+    if not bench.in_detail(scene):
+        return
     for configuration, plan in plans(bench).items():
         expected = [plan] if configuration in ("auto", ALL) else []  # only the run at auto shows whether the others are needed
         if configuration not in RELIGHTING:
