@@ -19,15 +19,13 @@ from the radiance itself would keep all shading.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 
-from ....kernels.jacobian import gram, jacobian
-from ....shading.brdf import DIELECTRIC_F0
-from ....shading.specular_albedo import diffuse_fraction
 from ...common.finite_check import require_finite
 from ..metal import METAL_ON_AVERAGE
 from .albedo_prior import CONSTANT, DARK, MEDIUM, albedo_prior
@@ -39,12 +37,16 @@ from .metal_regions import confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
+from .sample_radiance import SampleRadiance
 
 STEPS = 40
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # numbers of steps done when roughness and metallic are searched
 METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before
 METAL_BORDERS = 38  # that of these at which the borders of metal are drawn anew: the light has adapted to the metal by then
 TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
+# A Hessian of the light costs most of a step. It counts for KEPT steps at most, while the materials stay and the last step changed the log
+# light by less than MOVED (root mean square): with old ones in its first steps, the solver found none of the metal on rocker_corner.
+KEPT, MOVED = 4, 0.15
 TURN_STEPS = 4  # in which the light follows the turned normals of metal
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
@@ -99,13 +101,12 @@ class LightMaterialSolver:
         self.robust_weight = torch.ones_like(samples.colour)
         self._light_prior = LightPrior(transfer.texels, mean.device)
         self.n_v = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
-        self._start = torch.nn.functional.pad(samples.lengths.cumsum(0), (1, 0))
-        self._rows = mean.new_empty(len(samples.point), len(self.light))
         self._diffuse = transfer.diffuse_rows(samples)
         self._search = MaterialSearch(samples, transfer, self._diffuse, self.n_v, mean, search_metal)
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
-        self._trace_lobes()
+        self._moved = math.inf  # root mean square of the last step of the log light
+        self._update_model()
 
     def advance(self, done: int) -> None:
         """Search the materials where it is time, and do a step.
@@ -151,10 +152,9 @@ class LightMaterialSolver:
         self.transfer, old = split(self.transfer, self.light)
         self.light = self.light[torch.from_numpy(old).to(self.light.device)].contiguous()
         self._light_prior = LightPrior(self.transfer.texels, self.light.device)
-        self._rows = self.light.new_empty(len(self.samples.point), len(self.light))
         self._diffuse = self.transfer.diffuse_rows(self.samples)
         self._search = self._search.with_transfer(self.transfer, self._diffuse)
-        self._trace_lobes()
+        self._update_model()
 
     def turn_metal(self) -> None:
         """Search the normals of metal by its reflections, with its roughness, and let the light follow; at least one point is metal."""
@@ -164,7 +164,7 @@ class LightMaterialSolver:
         normal[metal], roughness[metal] = reflected_normals(*known)
         self.samples, self.roughness = replace(self.samples, normal=normal), roughness
         self.n_v = (normal[self.samples.point] * self.samples.view).sum(1).clamp_min(1e-3)
-        self._trace_lobes()
+        self._update_model()
         for _ in range(TURN_STEPS):
             self._step(STEPS)
 
@@ -179,7 +179,7 @@ class LightMaterialSolver:
 
     def error(self) -> float:
         """Return the median difference between model and images, approximately in encoded values 0..1."""
-        factor, rest = self._model()
+        factor, rest = self._model.terms(self.light)
         return float(((self.albedo[self.samples.point] * factor + rest - self.samples.colour) * self.derivative).abs().median())
 
     def total_error(self) -> float:
@@ -188,26 +188,19 @@ class LightMaterialSolver:
 
     def _robust_errors(self) -> torch.Tensor:
         """Return the robust error (P,) of each point."""
-        factor, rest = self._model()
+        factor, rest = self._model.terms(self.light)
         return robust_error(self.samples, self.albedo[self.samples.point] * factor + rest, self.derivative)
 
-    def _trace_lobes(self) -> None:
-        """Compute, for the current materials, S and d as rows of the light (K, T), their indirect parts (K, 3), and 1 - E_s (K, 1)."""
-        dielectric = DIELECTRIC_F0 * (1 - self.metallic[self.samples.point][:, None])
-        self.scaled, added, self.scaled_own, added_own = self.transfer.rows(self.samples, self.roughness)
-        self.rest, self.rest_own = added.addcmul_(dielectric, self.scaled), added_own.addcmul_(dielectric, self.scaled_own)
-        self.diffuse_fraction = diffuse_fraction(self.n_v, self.roughness[self.samples.point])[:, None]
-
-    def _model(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Evaluate c and d of y = a c + d, (K, 3) each."""
-        metal, irradiance = self.metallic[self.samples.point][:, None], self._diffuse.irradiance(self.light)
-        specular = self.scaled @ self.light + self.scaled_own
-        return (1 - metal) * self.diffuse_fraction * irradiance + metal * specular, self.rest @ self.light + self.rest_own
+    def _update_model(self) -> None:
+        """Compute the radiance's dependence on the light for the current materials, normals and texels."""
+        self._model = SampleRadiance(self.samples, self.transfer, self._diffuse, self.n_v, self.roughness, self.metallic)
+        self._hessian: list[torch.Tensor] | None = None
+        self._age = 0  # steps for which the Hessian has counted
 
     def _step(self, done: int) -> None:
         """Solve the albedo for the current light, then do a Gauss-Newton step of the light with the albedo eliminated."""
         samples, y = self.samples, self.samples.colour
-        factor, rest = self._model()
+        factor, rest = self._model.terms(self.light)
         error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
         robust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
         self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
@@ -215,48 +208,31 @@ class LightMaterialSolver:
         anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
+        if self._hessian is None or self._age >= KEPT or self._moved > MOVED:
+            self._hessian, self._age = self._model.hessian(self.albedo, weight, factor, total), 0
+        self._age += 1
         residual = self.albedo[samples.point] * factor + rest - y
-        self._step_light([(weight[:, c], factor[:, c], total[:, c], residual[:, c]) for c in range(3)])
+        self._step_light(self._hessian, self._model.gradient(self.albedo, weight * residual))
 
-    def _step_light(self, channels: list[tuple[torch.Tensor, ...]]) -> None:
-        """Do a damped Gauss-Newton step of the light, in which the albedo follows (Schur complement).
+    def _step_light(self, hessians: list[torch.Tensor], gradient: torch.Tensor) -> None:
+        """Do a damped Gauss-Newton step of the light, in which the albedo follows.
 
         Args:
-            channels: arguments of `_equations` for each channel.
+            hessians: (T, T) of each channel.
+            gradient: (T, 3).
         """
         smoothness, log_light = self._light_prior.form(self.light), self.light.log()
         steps, self._curvature = [], torch.zeros_like(self._curvature)
-        for c, channel in enumerate(channels):
-            light, (hessian, gradient) = self.light[:, c], self._equations(c, *channel)
-            hessian = light[:, None] * hessian * light  # with respect to the logarithm of the light
+        for c, linear in enumerate(hessians):
+            light = self.light[:, c]
+            hessian = light[:, None] * linear * light  # with respect to the logarithm of the light
             damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
-            right = light * gradient + smoothness @ log_light[:, c]
+            right = light * gradient[:, c] + smoothness @ log_light[:, c]
             steps.append(solve_positive(damped.double(), right.double()).float())
             self._curvature[c] = hessian.sum()
         step = torch.stack(steps, 1).clamp(-1, 1)
+        self._moved = float(step.square().mean().sqrt())
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(-9, 7).exp())
-
-    def _equations(
-        self, channel: int, weight: torch.Tensor, factor: torch.Tensor, total: torch.Tensor, residual: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the Gauss-Newton Hessian (T, T) and gradient (T,) of half the mean squared error in the light, albedo eliminated.
-
-        For one channel: weight, factor c and residual (K,) of the samples; `total` (P,), the error's curvature in each albedo.
-        """
-        point, albedo = self.samples.point, self.albedo[self.samples.point, channel]
-        metal = self.metallic[point]
-        root = weight.sqrt()
-        diffuse, specular, scaled = albedo * (1 - metal) * self.diffuse_fraction[:, 0], albedo * metal, self.scaled
-        if self.transfer.rotations is not None:  # the irradiance is that of the sample, not of its point
-            scaled = (diffuse[:, None] * self._diffuse.rows).addcmul_(specular[:, None], scaled)
-            diffuse, specular = torch.zeros_like(diffuse), torch.ones_like(specular)
-        views = (root, weight * factor / total.sqrt()[point], diffuse, specular)
-        matrices = (self.transfer.irradiance, scaled, self.rest, self._rows)
-        start, root_weight, coupling_weight, *factors = self.transfer.arrays(self._start, *(v.contiguous() for v in views))
-        *transport, rows = self.transfer.arrays(*matrices)
-        coupling = jacobian(start, root_weight, coupling_weight, (factors[0], factors[1]), (transport[0], transport[1], transport[2]), rows)
-        hessian = gram(self._rows) - gram(torch.as_tensor(coupling))
-        return hessian / len(weight), self._rows.T @ (root * residual) / len(weight)
 
     def _search_materials(self, done: int) -> None:
         """Search roughness and metallic; test the candidates for metal at METAL_TEST, draw its borders anew at METAL_BORDERS."""
@@ -280,7 +256,7 @@ class LightMaterialSolver:
         self.metal_gain = 1 - float(least.sum()) / max(float(without[1].sum()), 1e-30)
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
         self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
-        self._trace_lobes()
+        self._update_model()
 
     def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
         """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""
@@ -297,4 +273,4 @@ class LightMaterialSolver:
     def _set_materials(self, costs: torch.Tensor, metal: torch.Tensor) -> None:
         """Set which points are metal (P,) bool, and the roughness of least cost."""
         self.roughness, self.metallic = self._search.roughness(costs, metal), metal.to(self.metallic)
-        self._trace_lobes()
+        self._update_model()

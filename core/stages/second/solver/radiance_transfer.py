@@ -155,6 +155,10 @@ class DiffuseRows:
         """Return the irradiance / pi (K, 3) of the samples under a light (T, 3)."""
         return (self.rows @ light + self.indirect)[self.row]
 
+    def transposed(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the sum (T, 3) over the samples of their rows times values (K, 3)."""
+        return self.rows.T @ torch.zeros(len(self.rows), 3, dtype=values.dtype, device=values.device).index_add_(0, self.row, values)
+
 
 @dataclass(frozen=True, eq=False)
 class _LitView:

@@ -40,7 +40,7 @@ def run_solver(
     """
     if split and try_dark and _dark_start_is_better(solver, step):
         solver.start_dark()
-    coarse = None
+    coarse, ended = None, False
     for done in range(STEPS):
         if split and done == SPLIT_STEPS[0]:
             coarse = solver.twin()
@@ -49,16 +49,18 @@ def run_solver(
         solver.advance(done)
         if coarse:
             coarse.advance(done)
-        if step(done + 1):
+        if ended := bool(step(done + 1)):
             break
         if coarse and done + 1 == TWIN_STEPS and not _clearly_better(coarse, solver):
             coarse = None
     if coarse and _clearly_better(coarse, solver):
         solver.become(coarse)
     # Of an object that is metal as a whole, the first stage's reflections know the normals better.
-    if 0 < float(solver.metallic.mean()) <= METAL_ON_AVERAGE:
+    if not ended and 0 < float(solver.metallic.mean()) <= METAL_ON_AVERAGE:
         for _ in range(TURNS):
             solver.turn_metal()
+            if step(STEPS):
+                break
     solver.reduce_tint()
 
 

@@ -97,3 +97,10 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
     )
     run_solver(solver)
     assert done == ["step"] * STEPS + ["turn"] * turns + ["tint"]
+
+
+def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
+    done = []
+    solver = SimpleNamespace(metallic=torch.tensor([1.0, 0.0, 0.0]), advance=done.append, reduce_tint=lambda: done.append("tint"))
+    run_solver(solver, step=lambda steps: steps == STEPS)
+    assert done == [*range(STEPS), "tint"]

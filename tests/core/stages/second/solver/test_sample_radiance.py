@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The equations of the light-material solver, and its parts, against plain algebra."""
+"""Radiance of samples and its derivatives by the light, against plain algebra."""
 
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.solver.light_material_solver import gram
+from irgspp.core.kernels.jacobian import gram
+from irgspp.core.shading.specular_albedo import diffuse_fraction
 from irgspp.core.stages.second.solver.sample_equation import view_terms
 from irgspp.core.stages.second.solver.schedule import run_solver
 from sphere_on_floor import TEXELS, make, start
@@ -17,7 +18,7 @@ def halfway():
     solver = start(seen, transfer)
     run_solver(solver, step=lambda step: step == 9)
     solver.metallic[::3] = 0.5  # all terms at once
-    solver._trace_lobes()
+    solver._update_model()
     random = torch.Generator().manual_seed(5)
     weight = torch.rand(seen.colour.shape, generator=random)
     pull = 0.1 + torch.rand(solver.albedo.shape, generator=random)
@@ -30,7 +31,7 @@ def model(solver, light, channel):
     rows = [a.double() for a in transfer.rows(solver.samples, solver.roughness)]
     irradiance = (transfer.irradiance.double() @ light + transfer.indirect[:, channel].double())[point]
     lobe = [row @ light + own[:, channel] for row, own in zip(rows[:2], rows[2:], strict=True)]
-    return view_terms(solver.metallic[point].double(), solver.diffuse_fraction[:, 0].double(), irradiance, *lobe)
+    return view_terms(solver.metallic[point].double(), diffuse_fraction(solver.n_v, solver.roughness[point]).double(), irradiance, *lobe)
 
 
 def eliminated(solver, log_light, weight, anchor, pull, channel):
@@ -49,11 +50,21 @@ def equations(solver, weight, anchor, pull, channel):
     residuals, albedo, factor = eliminated(solver, log_light, weight, anchor, pull, channel)
     solver.albedo[:, channel] = albedo.detach().float()
     total = solver.samples.sums(weight[:, channel] * factor.detach().float() ** 2) + pull[:, channel]
-    views = len(solver.samples.point)
-    error = (residuals[:views] / weight[:, channel].double().sqrt()).detach().float()
-    hessian, gradient = solver._equations(channel, weight[:, channel], factor.detach().float(), total, error)
+    error = (residuals[: len(solver.samples.point)] * weight[:, channel].double().sqrt()).detach().float()
+    of_channel = [values.detach().float()[:, None].expand(-1, 3) for values in (weight[:, channel], factor, total)]
+    hessian = solver._model.hessian(solver.albedo, *of_channel)[channel]
+    gradient = solver._model.gradient(solver.albedo, error[:, None].expand(-1, 3))[:, channel]
     light = solver.light[:, channel]
     return light[:, None] * hessian * light, light * gradient, log_light, residuals
+
+
+def test_terms_are_those_of_the_model(halfway):
+    solver = halfway[0]
+    factor, rest = solver._model.terms(solver.light)
+    for channel in range(3):
+        expected = model(solver, solver.light[:, channel].double(), channel)
+        for ours, term in zip((factor, rest), expected, strict=True):
+            np.testing.assert_allclose(ours[:, channel], term, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("channel", [0, 2])
