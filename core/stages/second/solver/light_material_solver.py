@@ -231,8 +231,8 @@ class LightMaterialSolver:
             steps.append(solve_positive(damped.double(), right.double()).float())
             self._curvature[c] = hessian.sum()
         step = torch.stack(steps, 1).clamp(-1, 1)
-        self._moved = float(step.square().mean().sqrt())
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(-9, 7).exp())
+        self._moved = float((self.light.log() - log_light).square().mean().sqrt())
 
     def _search_materials(self, done: int) -> None:
         """Search roughness and metallic; test the candidates for metal at METAL_TEST, draw its borders anew at METAL_BORDERS."""
