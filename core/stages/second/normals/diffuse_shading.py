@@ -91,9 +91,8 @@ def mean_diffuse_radiance(samples: MultiViewSamples, solver: LightMaterialSolver
     Returns:
         (P, 3) log of the robust mean, and its precision (P,), 1 / variance.
     """
-    frontal = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
-    weight = (frontal**FRONTAL)[:, None]
-    value = torch.cat([part.log() for part in _diffuse_parts(samples, solver, materials, frontal)])
+    weight = (samples.n_v**FRONTAL)[:, None]
+    value = torch.cat([part.log() for part in _diffuse_parts(samples, solver, materials)])
     mean, robust = samples.sums(weight * value) / samples.sums(weight), weight
     for _ in range(REWEIGHTED):
         robust = weight / (1 + ((value - mean[samples.point]) / OUTLIER) ** 2)
@@ -103,9 +102,7 @@ def mean_diffuse_radiance(samples: MultiViewSamples, solver: LightMaterialSolver
     return mean.double().cpu().numpy(), precision.double().cpu().numpy()
 
 
-def _diffuse_parts(
-    samples: MultiViewSamples, solver: LightMaterialSolver, materials: torch.Tensor, frontal: torch.Tensor
-) -> Iterator[torch.Tensor]:
+def _diffuse_parts(samples: MultiViewSamples, solver: LightMaterialSolver, materials: torch.Tensor) -> Iterator[torch.Tensor]:
     """Yield the diffuse radiance (B, 3) of the samples, batch by batch."""
     stack = specular_light(solver.light_map(solver.transfer.texels.finest_height))
     for begin in range(0, len(samples.point), BATCH):
@@ -114,7 +111,7 @@ def _diffuse_parts(
         roughness, openness = materials[point, 0].contiguous(), materials[point, 2:]
         dark = torch.zeros_like(view)  # a dielectric's gloss does not depend on its albedo
         gloss = specular_radiance(view, samples.normal[point].contiguous(), dark, roughness, dark[:, 0].contiguous(), stack)
-        diffuse = (samples.colour[part] - gloss * openness) / diffuse_fraction(frontal[part], roughness)[:, None]
+        diffuse = (samples.colour[part] - gloss * openness) / diffuse_fraction(samples.n_v[part], roughness)[:, None]
         yield diffuse.clamp_min(2 * DARKEST)
 
 

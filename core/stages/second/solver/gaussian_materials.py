@@ -140,8 +140,7 @@ def fitted_albedo(
     scaled, added, rest_scaled, rest_added = transfer.rows(samples, roughness)
     point, metal = samples.point, metallic[samples.point][:, None]
     irradiance = transfer.diffuse_rows(samples).irradiance(light)
-    n_v = (samples.normal[point] * samples.view).sum(1).clamp_min(1e-3)
-    diffuse = diffuse_fraction(n_v, roughness[point])[:, None]
+    diffuse = diffuse_fraction(samples.n_v, roughness[point])[:, None]
     factor, rest = view_terms(metal, diffuse, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)
     derivative = approximate_srgb_derivative(samples.colour)
     # At first all samples of a point weigh the same in linear radiance: by the derivative a wrongly dark one would dominate.

@@ -45,7 +45,7 @@ METAL_TEST = 28  # that of these at which the candidates for metal are tested; p
 METAL_BORDERS = 38  # that of these at which the borders of metal are drawn anew: the light has adapted to the metal by then
 TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
 # A Hessian of the light costs most of a step. It counts for KEPT steps at most, while the materials stay and the last step changed the log
-# light by less than MOVED (root mean square): with old ones in its first steps, the solver found none of the metal on rocker_corner.
+# light by less than MOVED (root mean square): with older ones, the solver found none of the metal on rocker_corner.
 KEPT, MOVED = 4, 0.15
 TURN_STEPS = 4  # in which the light follows the turned normals of metal
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
@@ -100,9 +100,8 @@ class LightMaterialSolver:
         self.derivative = approximate_srgb_derivative(samples.colour)
         self.robust_weight = torch.ones_like(samples.colour)
         self._light_prior = LightPrior(transfer.texels, mean.device)
-        self.n_v = (samples.normal[samples.point] * samples.view).sum(1).clamp_min(1e-3)
         self._diffuse = transfer.diffuse_rows(samples)
-        self._search = MaterialSearch(samples, transfer, self._diffuse, self.n_v, mean, search_metal)
+        self._search = MaterialSearch(samples, transfer, self._diffuse, mean, search_metal)
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
         self._moved = math.inf  # root mean square of the last step of the log light
@@ -163,7 +162,6 @@ class LightMaterialSolver:
         normal, roughness = self.samples.normal.clone(), self.roughness.clone()
         normal[metal], roughness[metal] = reflected_normals(*known)
         self.samples, self.roughness = replace(self.samples, normal=normal), roughness
-        self.n_v = (normal[self.samples.point] * self.samples.view).sum(1).clamp_min(1e-3)
         self._update_model()
         for _ in range(TURN_STEPS):
             self._step(STEPS)
@@ -193,7 +191,7 @@ class LightMaterialSolver:
 
     def _update_model(self) -> None:
         """Compute the radiance's dependence on the light for the current materials, normals and texels."""
-        self._model = SampleRadiance(self.samples, self.transfer, self._diffuse, self.n_v, self.roughness, self.metallic)
+        self._model = SampleRadiance(self.samples, self.transfer, self._diffuse, self.roughness, self.metallic)
         self._hessian: list[torch.Tensor] | None = None
         self._age = 0  # steps for which the Hessian has counted
 

@@ -28,7 +28,6 @@ class MaterialSearch:
         samples: MultiViewSamples,
         transfer: RadianceTransfer,
         diffuse: DiffuseRows,
-        n_v: torch.Tensor,
         colour: torch.Tensor,
         metals: bool = True,
     ) -> None:
@@ -38,11 +37,10 @@ class MaterialSearch:
             samples: K samples of P points.
             transfer: radiance transfer to the points.
             diffuse: irradiance of the samples as a function of the light.
-            n_v: (K,) cosine between normal and view direction.
             colour: (P, 3) mean linear radiance of the points, by which neighbours are alike.
             metals: points may be metal; otherwise the costs of metals are not computed.
         """
-        self.samples, self.transfer, self._diffuse, self._n_v = samples, transfer, diffuse, n_v
+        self.samples, self.transfer, self._diffuse = samples, transfer, diffuse
         self._neighbours, self._similarity = neighbourhood(samples.position, colour)
         self._knots = colour.new_tensor(ROUGHNESS_VALUES)
         self._views = float(samples.lengths.float().mean())
@@ -75,7 +73,7 @@ class MaterialSearch:
         irradiance = self._diffuse.irradiance(light)
         cost = light.new_empty(len(samples.position), len(self._kinds), len(self._knots))
         for j, knot in enumerate(self._knots):
-            diffuse = diffuse_fraction(self._n_v, knot.expand_as(self._n_v))[:, None]
+            diffuse = diffuse_fraction(samples.n_v, knot.expand_as(samples.n_v))[:, None]
             for metal in self._kinds:
                 factor, rest = view_terms(light.new_tensor(metal), diffuse, irradiance, scaled[:, j], added[:, j])
                 fit = least_squares_albedo(samples, weight, factor, rest)

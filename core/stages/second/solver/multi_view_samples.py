@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -45,6 +46,11 @@ class MultiViewSamples:
     def lengths(self) -> torch.Tensor:
         """(P,) number of samples of each point."""
         return torch.bincount(self.point, minlength=len(self.position))
+
+    @cached_property
+    def n_v(self) -> torch.Tensor:
+        """(K,) cosine between normal and view direction, at least 0.001."""
+        return (self.normal[self.point] * self.view).sum(1).clamp_min(1e-3)
 
     def part(self, begin: int, end: int) -> MultiViewSamples:
         """Return the points begin..end and their samples.

@@ -27,7 +27,6 @@ class SampleRadiance:
         samples: MultiViewSamples,
         transfer: RadianceTransfer,
         diffuse: DiffuseRows,
-        n_v: torch.Tensor,
         roughness: torch.Tensor,
         metallic: torch.Tensor,
     ) -> None:
@@ -37,13 +36,12 @@ class SampleRadiance:
             samples: K samples of P points.
             transfer: radiance transfer to the points.
             diffuse: irradiance of the samples as a function of the light.
-            n_v: (K,) cosine between normal and view direction.
             roughness: (P,).
             metallic: (P,).
         """
         self._samples, self._transfer, self._diffuse = samples, transfer, diffuse
         self.metal = metallic[samples.point][:, None]
-        self.diffuse_share = (1 - self.metal) * diffuse_fraction(n_v, roughness[samples.point])[:, None]
+        self.diffuse_share = (1 - self.metal) * diffuse_fraction(samples.n_v, roughness[samples.point])[:, None]
         dielectric = DIELECTRIC_F0 * (1 - self.metal)
         self.scaled, added, self._scaled_own, added_own = transfer.rows(samples, roughness)
         self.rest, self._rest_own = added.addcmul_(dielectric, self.scaled), added_own.addcmul_(dielectric, self._scaled_own)

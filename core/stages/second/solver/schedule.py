@@ -32,7 +32,8 @@ def run_solver(
     Args:
         solver: at its start; afterwards with the result.
         split: splits texels of the light; None: they stay as they are, and no dark start is tried.
-        step: called with the number of steps done; it may raise, and ends the run early by returning True.
+        step: called with the number of steps done, and with that of all after each search of normals; it may raise, and ends the run early
+            by returning True.
         try_dark: also try a dark start, see `LightMaterialSolver.start_dark`.
 
     Raises:

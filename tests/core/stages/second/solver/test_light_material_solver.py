@@ -14,6 +14,7 @@ from irgspp.core.stages.second.solver import light_material_solver as module
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
+from irgspp.core.stages.second.solver.sample_radiance import SampleRadiance
 from irgspp.core.stages.second.solver.schedule import run_solver
 from sphere_on_floor import HEIGHT, TEXELS, make, rendered, solved, start, transport
 
@@ -127,6 +128,20 @@ def test_steps_are_reported_and_can_end_the_run(scene):
     with pytest.raises(KeyboardInterrupt):
         run_solver(start(seen, transfer), step=stop)
     assert max(module.MATERIAL_STEPS) + 1 < STEPS  # the light follows the materials
+
+
+@pytest.mark.parametrize("moved, computed", [(0.0, 2), (1.0, 8)])
+def test_the_hessian_is_kept_while_the_light_hardly_moves(scene, monkeypatch, moved, computed):
+    """For KEPT steps then; it is computed anew in each step while the light moves, and where materials change."""
+    transfer, seen, _ = scene
+    solver, calls, original = start(seen, transfer), [], SampleRadiance.hessian
+    monkeypatch.setattr(SampleRadiance, "hessian", lambda self, *args: calls.append(self) or original(self, *args))
+    monkeypatch.setattr(LightMaterialSolver, "_moved", property(lambda self: moved, lambda self, value: None), raising=False)
+    for done in range(2 * module.KEPT):
+        solver.advance(done)
+    assert len(calls) == computed and module.MATERIAL_STEPS[0] >= 2 * module.KEPT
+    solver.advance(module.MATERIAL_STEPS[0])
+    assert len(calls) == computed + 1 and calls[-1] is not calls[-2]
 
 
 @pytest.mark.parametrize("error, kept", [(1e-4, True), (1e3, False)])

@@ -18,8 +18,7 @@ def searched():
 
 
 def search_of(seen, transfer, metals=True):
-    n_v = (seen.normal[seen.point] * seen.view).sum(1)
-    return MaterialSearch(seen, transfer, transfer.diffuse_rows(seen), n_v, seen.sums(seen.colour) / seen.lengths[:, None], metals)
+    return MaterialSearch(seen, transfer, transfer.diffuse_rows(seen), seen.sums(seen.colour) / seen.lengths[:, None], metals)
 
 
 def costs(search, light):

@@ -31,7 +31,9 @@ def model(solver, light, channel):
     rows = [a.double() for a in transfer.rows(solver.samples, solver.roughness)]
     irradiance = (transfer.irradiance.double() @ light + transfer.indirect[:, channel].double())[point]
     lobe = [row @ light + own[:, channel] for row, own in zip(rows[:2], rows[2:], strict=True)]
-    return view_terms(solver.metallic[point].double(), diffuse_fraction(solver.n_v, solver.roughness[point]).double(), irradiance, *lobe)
+    return view_terms(
+        solver.metallic[point].double(), diffuse_fraction(solver.samples.n_v, solver.roughness[point]).double(), irradiance, *lobe
+    )
 
 
 def eliminated(solver, log_light, weight, anchor, pull, channel):
