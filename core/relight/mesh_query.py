@@ -38,6 +38,7 @@ class MeshQuery:
         rows = (mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None])
         self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32)).to(device)
         self._triangles, self._mesh, self.device = triangles_of(mesh, device), mesh, device
+        self._kept: tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] | None = None  # points of a view, what they see
 
     @cached_property
     def transfer(self) -> VertexTransfer:
@@ -49,7 +50,7 @@ class MeshQuery:
 
         They lie above the mesh where the pixel sees it: the Gaussians' surface lies inside the mesh in some places and outside in others.
         """
-        ray, _, distance = self._visible_hits(surface)
+        ray, _, distance = self._seen(surface)
         origin = surface.point + OFFSET * self._radius * surface.normal
         on_mesh = _centre(surface) - distance[:, None] * surface.view[ray]
         return origin.index_copy(0, ray, on_mesh + CLEARANCE * self._radius * surface.normal[ray])
@@ -64,8 +65,8 @@ class MeshQuery:
         Returns:
             The surface with normals (P, 3) changed where the pixel sees the mesh.
         """
-        ray, hits, _ = self._visible_hits(surface)
-        normal = (1 - weight) * surface.normal[ray] + weight * hits.normal
+        ray, of_mesh, _ = self._seen(surface)
+        normal = (1 - weight) * surface.normal[ray] + weight * of_mesh
         normal = torch.nn.functional.normalize(normal, dim=1)
         return dataclasses.replace(surface, normal=surface.normal.index_copy(0, ray, normal))
 
@@ -88,20 +89,20 @@ class MeshQuery:
         """
         return self._triangles.meet(origin, direction, reach).float()
 
-    def _visible_hits(self, surface: PrimaryHits) -> tuple[torch.Tensor, Hits, torch.Tensor]:
-        """Find the pixels of a view that see the mesh at or in front of the Gaussians' surface.
+    def _seen(self, surface: PrimaryHits) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Find the pixels of a view that see the mesh at or in front of the Gaussians' surface; kept for a next call with the same points.
 
         In front of it: at a silhouette before another surface, a pixel's mean depth lies between both, often inside the nearer one.
 
         Returns:
-            Indices of the pixels (K,), their hits, and the distances (K,).
+            Indices of the pixels (K,), the mesh's normals there (K, 3), and the distances (K,).
         """
-        direction = -surface.view
-        origin = _centre(surface).expand_as(direction).contiguous()
-        hits, distance = self._closest(origin, direction)
-        near = distance < (surface.point[hits.ray] - origin[hits.ray]).norm(dim=1) + NEAR * self._radius
-        chosen = Hits(*(getattr(hits, field.name)[near] for field in dataclasses.fields(hits)))
-        return chosen.ray, chosen, distance[near]
+        if self._kept is None or self._kept[0] is not surface.point:
+            direction, centre = -surface.view, _centre(surface)
+            hits, distance = self._closest(centre.expand_as(direction).contiguous(), direction)
+            near = distance < (surface.point[hits.ray] - centre).norm(dim=1) + NEAR * self._radius
+            self._kept = surface.point, (hits.ray[near], hits.normal[near], distance[near])
+        return self._kept[1]
 
     def _closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[Hits, torch.Tensor]:
         """Return the hits of rays (R, 3) and their distances (K,)."""

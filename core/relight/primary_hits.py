@@ -10,10 +10,11 @@ import torch
 
 from ..kernels.rasterize import NORMAL
 from ..rendering.deferred import surface_pixels
-from ..rendering.gbuffer import BAND, SUBPIXELS, rasterize_view
+from ..rendering.gbuffer import BAND, SUBPIXELS, rasterize_view, world_rays
 from ..scene.camera import Camera
 from ..scene.gbuffer import EMPTY_ALPHA
 from ..scene.reconstruction import Reconstruction
+from ..scene.unit_vectors import unit_vectors
 
 FLAT = 0.999  # length of the mean unit normal of a pixel's rays from which one point stands for all: 5 degrees between two halves
 
@@ -97,7 +98,7 @@ class DividedHits:
 
         Args:
             surface: P pixels.
-            rays: all rays of some of them, from `bent_rays`.
+            rays: all rays of some of them, from `divided_hits`.
         """
         width, side = surface.camera.width, rays.camera.width // surface.camera.width
         fine_row, fine_column = rays.index // rays.camera.width, rays.index % rays.camera.width
@@ -124,33 +125,42 @@ def primary_hits(reconstruction: Reconstruction, camera: Camera, albedo_scale: t
     return _hits(camera, image, rays, albedo_scale)
 
 
-def bent_rays(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> PrimaryHits:
-    """Return the rays of those pixels in which the surface bends or breaks, as hits of a camera with SUBPIXELS times the resolution.
+def divided_hits(reconstruction: Reconstruction, camera: Camera, albedo_scale: torch.Tensor) -> tuple[PrimaryHits, PrimaryHits]:
+    """Rasterise the Gaussians once, for the hits of the pixels and for those of the rays of pixels in which the surface bends or breaks.
 
     Args:
         reconstruction: Gaussians with materials.
         camera: the camera.
         albedo_scale: (3,) factors of the albedo.
+
+    Returns:
+        The hits of the pixels as of `primary_hits`, and those of the rays, as of a camera with SUBPIXELS times the resolution.
     """
     finer = camera.resized(camera.width * SUBPIXELS, camera.height * SUBPIXELS)
     rows = max(1, BAND // (finer.width * SUBPIXELS)) * SUBPIXELS
-    bands = []
+    means, bands = [], []
     for top in range(0, finer.height, rows):
         part = finer.cropped(0, top, finer.width, min(rows, finer.height - top))
         image, rays = rasterize_view(reconstruction, part, subpixels=1)
-        index = torch.nonzero(_bends(image).flatten())[:, 0]
+        means.append(torch.nn.functional.avg_pool2d(image[None], SUBPIXELS)[0])
+        index = torch.nonzero(_bends(image, means[-1]).flatten())[:, 0]
         hits = _hits(part, image.flatten(1)[:, index][:, None], rays.flatten(1)[:, index][:, None], albedo_scale)
         bands.append(dataclasses.replace(hits, index=index + top * finer.width, coverage=image[-1].clone()))
     joined = {name: torch.cat([getattr(band, name) for band in bands]) for name in (*PrimaryHits.per_point(), "coverage")}
-    return dataclasses.replace(bands[0], camera=finer, **joined)
+    pixels = _hits(camera, torch.cat(means, 1), world_rays(camera, image.device), albedo_scale)
+    return pixels, dataclasses.replace(bands[0], camera=finer, **joined)
 
 
-def _bends(image: torch.Tensor) -> torch.Tensor:
-    """Return which rays (H, W) of sums (13, H, W) are opaque and belong to a pixel, SUBPIXELS wide, in which their normals differ."""
-    alpha, normal = image[-1], image[NORMAL]
-    unit = normal * (alpha / normal.norm(dim=0).clamp_min(1e-12))  # as long as the ray is opaque
-    mean = torch.nn.functional.avg_pool2d(torch.cat([unit, alpha[None]])[None], SUBPIXELS)[0]
-    bent = (mean[:3].norm(dim=0) < FLAT * mean[3]) & (mean[3] > 2 * EMPTY_ALPHA)
+def _bends(image: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
+    """Return which rays (H, W) of sums (13, H, W) are opaque and belong to a pixel in which their normals differ.
+
+    Args:
+        image: (13, H, W) sums of the rays.
+        mean: (13, H / SUBPIXELS, W / SUBPIXELS) their means over the rays of a pixel.
+    """
+    alpha = image[-1]
+    unit = torch.nn.functional.avg_pool2d((unit_vectors(image[NORMAL]) * alpha)[None], SUBPIXELS)[0]  # as long as the rays are opaque
+    bent = ((unit * unit).sum(0) < (FLAT * mean[-1]).square()) & (mean[-1] > 2 * EMPTY_ALPHA)
     return bent.repeat_interleave(SUBPIXELS, 0).repeat_interleave(SUBPIXELS, 1) & (alpha > EMPTY_ALPHA)
 
 

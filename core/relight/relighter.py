@@ -30,7 +30,7 @@ from .indirect_light import SUMS, SecondaryScene, ShadingPoints, gather, trace_s
 from .lamp_light import bounced_sums, lamp_count, lamp_sums
 from .mesh_query import MeshQuery
 from .prepared_light import PreparedLight
-from .primary_hits import DividedHits, PrimaryHits, bent_rays, primary_hits
+from .primary_hits import DividedHits, PrimaryHits, divided_hits, primary_hits
 from .ray_cache import CachedRays, RayCounter
 from .relight_settings import RelightSettings
 from .sample_counts import Counts, pixel_shifts, sample_counts
@@ -91,12 +91,13 @@ class Relighter:
 
     def surface(self, camera: Camera) -> PrimaryHits:
         """Return the surface that a camera sees, to be lit by `relit` under one or several lights."""
-        surface = self._placed(primary_hits(self.reconstruction, camera, self._scale))
-        if self.settings.divide and self.settings.error is None:
-            rays = bent_rays(self.reconstruction, camera, self._scale)
-            if len(rays.index):
-                return dataclasses.replace(surface, divided=DividedHits.of(surface, self._placed(rays)))
-        return surface
+        if not self.settings.divide or self.settings.error is not None:
+            return self._placed(primary_hits(self.reconstruction, camera, self._scale))
+        surface, rays = divided_hits(self.reconstruction, camera, self._scale)
+        surface = self._placed(surface)
+        if not len(rays.index):
+            return surface
+        return dataclasses.replace(surface, divided=DividedHits.of(surface, self._placed(rays)))
 
     def _placed(self, surface: PrimaryHits) -> PrimaryHits:
         """Return a surface with refined normals, and with origins of secondary rays."""

@@ -40,7 +40,12 @@ def rasterize_view(
         parts = [camera.cropped(0, top, camera.width, min(rows, camera.height - top)) for top in range(0, camera.height, rows)]
         bands = [rasterize(*inputs, part, reconstruction.bound.radius, subpixels=subpixels)[0] for part in parts]
         image = bands[0] if len(bands) == 1 else torch.cat(bands, 1)
-    return image, torch.from_numpy(camera.rays()).to(image.device).permute(2, 0, 1)
+    return image, world_rays(camera, image.device)
+
+
+def world_rays(camera: Camera, device: torch.device) -> torch.Tensor:
+    """Return the world rays (3, H, W) of planar depth 1 of a camera."""
+    return torch.from_numpy(camera.rays()).to(device).permute(2, 0, 1)
 
 
 def render_gbuffer(

@@ -268,6 +268,15 @@ def test_divided_rays_share_their_pixel(relighter, camera):
     assert ((mean * surface.normal).sum(1) > 0.9).float().mean() > 0.99
 
 
+def test_pixels_of_divided_hits_are_those_of_whole_pixels(relighter, camera):
+    one = relighter("mesh")
+    whole, divided = relighter("mesh", divide=False).surface(camera), one.surface(camera)
+    assert torch.equal(whole.index, divided.index)
+    for name in ("point", "normal", "albedo", "roughness", "metallic", "alpha", "origin", "coverage"):
+        assert torch.allclose(getattr(whole, name), getattr(divided, name), atol=1e-5), name
+    assert torch.allclose(one.query.origins(dataclasses.replace(divided, point=divided.point.clone())), divided.origin, atol=1e-6)
+
+
 def test_tall_images_are_rasterised_in_bands(relighter, camera, monkeypatch):
     whole = relighter("gaussian").surface(camera).divided.rays
     monkeypatch.setattr(primary_hits, "BAND", 4 * camera.width * 7)
