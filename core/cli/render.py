@@ -145,8 +145,7 @@ def _light_options(one: argparse.ArgumentParser) -> None:
 
 def _accuracy_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--samples", default="hq", metavar="hq|efficient|N", help="light samples per pixel (hq: 512, efficient: 32 or 16)")
-    error = "adaptive sampling to this error in each part of the image: root mean square of the object in sRGB, 0.01 is 1 %%"
-    error += "; an estimate, rough with the denoiser"
+    error = "take as many samples as this error needs, by an estimate: root mean square of the object in sRGB, 0.01 is 1 %%"
     one.add_argument("--error", type=_error, metavar="E", help=error)
     rules = "skip.reuse_visibility=off traces every shadow ray, skip.cache_rays=off traces again for each light; on, off or auto"
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=rules)

@@ -174,7 +174,7 @@ def denoised(estimate: Estimate, surface: PrimaryHits, guides: Guides, mode: str
     return filtered_diffuse * diffuse + filtered_specular * specular
 
 
-def corrected(values: torch.Tensor, split: torch.Tensor, chance: float | torch.Tensor, guides: Guides, bilateral: Filter) -> torch.Tensor:
+def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, guides: Guides, bilateral: Filter) -> torch.Tensor:
     """Filter values, and blend the original values back in where the filter changed them by more than their noise.
 
     With x the value and f the filtered one, f + k (x - f) has the least error for k = 1 - var(x) / E[(x - f)^2] (James and Stein 1961),
@@ -183,7 +183,7 @@ def corrected(values: torch.Tensor, split: torch.Tensor, chance: float | torch.T
     Args:
         values: (P, 3) noisy values.
         split: (P, 3) difference of their two halves of samples, see `Estimate`.
-        chance: squared relative error to assume even where both halves agree, since both may have missed the same lamp; scalar or (P, 1).
+        chance: squared relative error to assume even where both halves agree, since both may have missed the same lamp.
         guides: guide layers of the surface.
         bilateral: widths of the filter.
 

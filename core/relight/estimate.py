@@ -29,19 +29,19 @@ class Estimate:
         specular: (P, 3) linear radiance of the specular lobe.
         diffuse_split: (P, 3) diffuse light of the even samples minus that of the odd ones.
         specular_split: (P, 3) the same of the specular light.
-        samples: samples per point, the same for all or (P, 1).
+        samples: samples per point.
     """
 
     diffuse: torch.Tensor
     specular: torch.Tensor
     diffuse_split: torch.Tensor
     specular_split: torch.Tensor
-    samples: int | torch.Tensor
+    samples: int
 
 
 def estimate_reflected_light(
     sums: torch.Tensor,
-    samples: int | torch.Tensor,
+    samples: int,
     surface: PrimaryHits,
     light: PreparedLight,
     conserving: bool,
@@ -54,7 +54,7 @@ def estimate_reflected_light(
 
     Args:
         sums: (P, 2, 12) sums over even and odd samples; with lamps (P, 2, 21), the last nine from `lamp_sums`.
-        samples: samples per point, the same for all or (P, 1).
+        samples: samples per point.
         surface: the P points.
         light: the light of the sums.
         conserving: reduce the diffuse lobe by what the specular lobe reflects, see `reflect_light`.

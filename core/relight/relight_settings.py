@@ -26,13 +26,13 @@ class RelightSettings:
         albedo_scale: factor of the albedo per channel: under an unknown light its brightness cannot be determined.
         skip: `reuse_visibility` ("off": every ray is traced) and `cache_rays` ("off": nothing is kept from light to light), see
             `SkipSettings`.
-        error: root-mean-square error of the sRGB image to reach by adaptive sampling (`adaptive_sampling.py`), which then chooses the
-            number of samples per tile instead of `samples`; None: not adaptive.
+        error: root-mean-square error of the sRGB image to reach; the image's noise (`image_noise.py`) then tells the number of samples per
+            pixel. None: `samples` tells it.
         allocation: proportions of cosine, visible-normal and light samples; None: by the object's material.
         shadows: other parts of the object hide the light; False: for comparison, they only reflect.
         ratio: the diffuse light's unoccluded part is known and not sampled, see `estimate_reflected_light`; False: it is (the paper).
-        divide: shade the rays of a pixel apart where the surface bends within it, see `DividedHits`; not with `error`. False: one point
-            per pixel (the paper).
+        divide: shade the rays of a pixel apart where the surface bends within it, see `DividedHits`. False: one point per pixel (the
+            paper).
     """
 
     samples: str | int = "hq"

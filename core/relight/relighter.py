@@ -22,10 +22,10 @@ from ..scene.lamps import Lamp
 from ..scene.reconstruction import Reconstruction
 from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
-from .adaptive_sampling import PILOT, ROUNDS, estimate_noise
 from .denoise import Guides, denoised
 from .direct_light import add_light_samples
 from .estimate import Estimate, estimate_reflected_light, joined_estimate
+from .image_noise import PILOT, ROUNDS, estimate_noise
 from .indirect_light import SUMS, SecondaryScene, ShadingPoints, gather, trace_samples
 from .lamp_light import bounced_sums, lamp_count, lamp_sums
 from .mesh_query import MeshQuery
@@ -72,7 +72,7 @@ class Relighter:
         self.counts = self._counts_of(settings.samples)
         self.device = reconstruction.environment.device
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
-        self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[int, CachedRays]] = WeakKeyDictionary()
+        self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[tuple[Counts, int], CachedRays]] = WeakKeyDictionary()
         self._guides: WeakKeyDictionary[PrimaryHits, Guides] = WeakKeyDictionary()
         self.tally = RayCounter()
         self.estimated_error = 0.0  # of the last image, if settings.error is set
@@ -91,7 +91,7 @@ class Relighter:
 
     def surface(self, camera: Camera) -> PrimaryHits:
         """Return the surface that a camera sees, to be lit by `relit` under one or several lights."""
-        if not self.settings.divide or self.settings.error is not None:
+        if not self.settings.divide:
             return self._placed(primary_hits(self.reconstruction, camera, self._scale))
         surface, rays = divided_hits(self.reconstruction, camera, self._scale)
         surface = self._placed(surface)
@@ -126,52 +126,48 @@ class Relighter:
             light: from `prepare`.
             lamps: lamps that light the points as well.
         """
-        if light.distribution is None and not lamps:
-            black = torch.zeros_like(surface.albedo)
-            return Estimate(black, black, black, black, sum(self.counts))
-        if surface.divided is None:
-            return self._sampled(surface, self.counts, light, lamps)
-        single = self._sampled(surface.divided.single, self.counts, light, lamps)
-        of_ray = self._counts_of(max(1, sum(self.counts) // SUBPIXELS**2))
-        return joined_estimate(surface.divided, single, self._sampled(surface.divided.rays, of_ray, light, lamps))
+        return self._reflected(surface, self.counts, light, lamps)
 
     @torch.no_grad()
+    def _reflected(self, surface: PrimaryHits, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
+        """Estimate as `reflected`, with a number of samples of each strategy."""
+        if light.distribution is None and not lamps:
+            black = torch.zeros_like(surface.albedo)
+            return Estimate(black, black, black, black, sum(counts))
+        if surface.divided is None:
+            return self._sampled(surface, counts, light, lamps)
+        single = self._sampled(surface.divided.single, counts, light, lamps)
+        of_ray = self._counts_of(max(1, sum(counts) // SUBPIXELS**2))
+        return joined_estimate(surface.divided, single, self._sampled(surface.divided.rays, of_ray, light, lamps))
+
     def _sampled(self, surface: PrimaryHits, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
         """Estimate the light that points reflect, by as many samples at each."""
-        return self._estimate(self._sums(surface, counts, light, lamps), sum(counts), surface, light)
+        sums = self._sums(surface, counts, light, lamps)
+        return estimate_reflected_light(sums, sum(counts), surface, light, self.settings.conserving, self.settings.ratio)
 
-    def _estimate(self, sums: torch.Tensor, samples: int | torch.Tensor, surface: PrimaryHits, light: PreparedLight) -> Estimate:
-        """Return the reflected light of sums over samples, see `estimate_reflected_light`."""
-        return estimate_reflected_light(sums, samples, surface, light, self.settings.conserving, self.settings.ratio)
-
+    @torch.no_grad()
     def _relit(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
         """Render as `relit`, on the device."""
         if light.distribution is None and not lamps:
             return surface.composite(torch.zeros_like(surface.albedo))
-        with torch.no_grad():
-            if self.settings.error is not None:
-                return surface.composite(self._render_to_error(surface, light, lamps, self.settings.error))
-            estimate = self.reflected(surface, light, lamps)
-            return surface.composite(denoised(estimate, surface, self._guides_of(surface), self.settings.denoise))
+        if self.settings.error is not None:
+            return surface.composite(self._render_to_error(surface, light, lamps, self.settings.error))
+        estimate = self.reflected(surface, light, lamps)
+        return surface.composite(denoised(estimate, surface, self._guides_of(surface), self.settings.denoise))
 
     def _render_to_error(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp], error: float) -> torch.Tensor:
-        """Return colours (P, 3) with as many samples in each tile as the requested error needs."""
-        sums, samples = self._sums(surface, self._counts_of(PILOT), light, lamps), torch.full_like(surface.index, PILOT)
+        """Return colours (P, 3) with as many samples per pixel as the requested error needs, which the noise of few samples tells."""
+        samples = PILOT
         for remaining in reversed(range(ROUNDS)):
-            estimate = self._estimate(sums, samples[:, None], surface, light)
+            estimate = self._reflected(surface, self._counts_of(samples), light, lamps)
             colour = denoised(estimate, surface, self._guides_of(surface), self.settings.denoise)
-            raw, split = estimate.diffuse + estimate.specular, estimate.diffuse_split + estimate.specular_split
-            noise = estimate_noise(raw, split, colour, samples, surface, self.settings.denoise != "off")
+            noise = estimate_noise(estimate, colour, surface, self.settings.denoise != "off")
             self.estimated_error = noise.error()
-            if self.estimated_error <= error or not remaining:
+            if self.estimated_error <= error or not remaining or samples == noise.needed(error):
                 break
-            needed = noise.needed(error)[noise.tile]
-            for count in needed[needed > samples].unique().tolist():
-                which = torch.nonzero((needed == count) & (needed > samples))[:, 0]
-                sums[which] = self._sums(surface.only(which), self._counts_of(count), light, lamps)
-                samples[which] = count
-        self.tally.add("samples", int(samples.sum()))
-        self.tally.add("pixels", len(samples))
+            samples = noise.needed(error)
+        self.tally.add("samples", samples * len(surface.index))
+        self.tally.add("pixels", len(surface.index))
         return colour
 
     def _counts_of(self, samples: str | int) -> Counts:
@@ -234,15 +230,16 @@ class Relighter:
     def _cached_rays(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight, for_lamps: bool) -> CachedRays:
         """Return what does not depend on the light for some of the points; it is kept for the next light if memory allows."""
         parts = self._ray_cache.setdefault(surface, {})
-        kept = parts.pop(part.start, None)
+        key = (counts, part.start)
+        kept = parts.pop(key, None)
         if kept is not None and (not for_lamps or kept.rays.surfaces is not None or not self.settings.indirect):
             self.tally.add("kept", kept.rays.traced)
-            parts[part.start] = kept
+            parts[key] = kept
             return kept
         cached = self._trace_part(surface, part, counts, light, for_lamps)
         self.tally.add("traced", cached.rays.traced)
         if self.settings.skip.cache_rays != "off" and cached.size <= self._free_bytes():
-            parts[part.start] = cached
+            parts[key] = cached
         return cached
 
     def _free_bytes(self) -> int:

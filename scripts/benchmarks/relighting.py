@@ -82,7 +82,7 @@ def _point(bench: Bench, scene: Scene, variant: str, samples: int) -> Measuremen
 
 
 def _to_error(bench: Bench, scene: Scene, error: float) -> Measurement:
-    """Measure the adaptive samples of every tile that reach an error; `samples` is their mean."""
+    """Measure how many samples per pixel `--error` takes to reach an error, and which error it reaches."""
     one, variant = studio(bench, scene), RelightVariant(error=error)
     figures = one.errors(variant, 16) | {"seconds": one.seconds(variant, 16, bench.repeats), "asked": error}
     relighter = one.relighter(variant, 16)
@@ -235,8 +235,8 @@ def _summaries(results: Results) -> Iterator[Block]:
         [r.scene, *(r.figures[name] for name in ("asked", "rms_error", "samples", "seconds"))] for r in results.records(prefix=TO_ERROR)
     ]
     if asked:
-        columns = ("scene", "error asked for", "error reached ↓", "mean samples", "seconds ↓")
-        yield Table("Rendered to an error (--error): every tile gets the samples that it needs", columns, asked)
+        columns = ("scene", "error asked for", "error reached ↓", "samples", "seconds ↓")
+        yield Table("Rendered to an error (--error): as many samples a pixel as it needs", columns, asked)
     speeds = [
         [r.scene, *(1 / r.figures[f"{b}{turned}_seconds"] for b in SPEEDS for turned in ("", "_turned"))]
         for r in results.records(prefix="speed")

@@ -72,7 +72,7 @@ def test_the_same_image_whatever_was_rendered_before(relighter, camera):
     assert torch.equal(first.relit(surface, STUDIO), relighter("mesh").relit(same, STUDIO))
 
 
-def test_adaptive_samples_count_lamps(relighter, camera):
+def test_samples_for_an_error_count_lamps(relighter, camera):
     one, many = relighter("mesh", error=0.01), relighter("mesh", samples=1024)
     image = one.relit(one.surface(camera), STUDIO, [OVERHEAD])
     assert (image - many.relit(many.surface(camera), STUDIO, [OVERHEAD])).abs().mean() < 0.01

@@ -284,7 +284,3 @@ def test_tall_images_are_rasterised_in_bands(relighter, camera, monkeypatch):
     assert torch.equal(whole.index, parts.index)
     assert torch.allclose(whole.normal, parts.normal, atol=1e-5)
     assert torch.allclose(whole.coverage, parts.coverage, atol=1e-5)
-
-
-def test_adaptive_sampling_takes_pixels_as_one_point(relighter, camera):
-    assert relighter("mesh", error=0.02).surface(camera).divided is None

@@ -32,7 +32,7 @@ def view_terms(
 def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
     """Approximate the derivative of the sRGB encoding by its power law, so that errors count as encoded differences.
 
-    Unlike the exact derivative in `core.relight.adaptive_sampling`, it is constant below 0.003 and does not vanish above 1.
+    It is constant below 0.003, and does not vanish above 1 as that of a clipped image does.
 
     Args:
         colour: (...,) linear.
