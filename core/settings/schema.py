@@ -166,7 +166,7 @@ PRESETS: dict[str, Settings] = {
         preset="draft",
         data=replace(DataSettings(), resolution=320),
         first=replace(FirstStageSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
-        second=replace(SecondStageSettings(), points=1500),
+        second=replace(SecondStageSettings(), points=1500, iterations=100, radiance_iterations=50, normal_iterations=60),
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
     ),
     "balanced": Settings(),
