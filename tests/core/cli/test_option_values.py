@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Values of options: units are understood, and nonsense gets a line."""
+
+from argparse import ArgumentTypeError
+
+import pytest
+from irgspp.core.cli.option_values import count, length, positive, seconds, texels
+
+
+def test_units():
+    assert [texels(text) for text in ("2k", "8K", "300")] == [2048, 8192, 300]
+    assert [seconds(text) for text in ("90", "90s", "1.5m", "2h")] == [90, 90, 90, 7200]
+    assert [length(text) for text in ("50mm", "5cm", "0.05 m")] == pytest.approx([0.05] * 3)
+    assert positive("3") == 3 and count("0") == 0
+
+
+@pytest.mark.parametrize(
+    ("parse", "text"),
+    [(texels, "0"), (texels, "2m"), (seconds, "5d"), (seconds, "-5"), (length, "5"), (length, "0cm"), (positive, "0"), (count, "-1")],
+)
+def test_what_is_refused(parse, text):
+    with pytest.raises(ArgumentTypeError, match=text):
+        parse(text)
