@@ -43,7 +43,7 @@ from .stages.common.preview import surface_shape
 from .stages.common.time_budget import FUSED
 from .stages.first.quick_fit import quick_renderings
 from .stages.first.train import train
-from .stages.phase_results import FIRST_STAGE, GEOMETRY, MASKS, PhaseResults
+from .stages.phase_results import FIRST_STAGE, GEOMETRY, MASKS, UNWRAP, PhaseResults
 from .stages.second.joint.solve import check_joint, has_moved
 from .stages.second.solve import solve_second_stage
 from .stages.second.solver.transfer_tracing import rays_at_a_time
@@ -215,7 +215,8 @@ class Job:
         deadline = None if self.deadline is None else self.deadline - FUSED * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
         if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
-            self.unwrapping = UnwrapProcess(Triangles(surface.vertices, surface.faces), self.settings.surface.texture)
+            mesh, texture = Triangles(surface.vertices, surface.faces), self.settings.surface.texture
+            self.unwrapping = UnwrapProcess(mesh, texture, self.folder.path / UNWRAP)
         solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
         self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * scale, 3)
         solved.save(self.folder.path)

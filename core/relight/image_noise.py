@@ -3,8 +3,9 @@
 
 The error is the root mean square of the sRGB image in 0..1 over the object's pixels and channels, against the converged image. The two
 halves of the samples tell the variance V of a pixel x. Where the denoiser changes x to f, Stein's unbiased risk estimate (1981) is
-E (f - mean)^2 = D - V + 2 V df/dx with D = E (x - f)^2, all as means over a tile. The denoiser keeps k = 1 - D / V of x at most (see
-`corrected` in `denoise.py`), and a share MIXED / 2 of the rest is x itself: df/dx = k + (1 - k) MIXED / 2.
+E (f - mean)^2 = D - V + 2 V df/dx with D = E (x - f)^2, all as means over a tile. The denoiser keeps k = B / (B + V) of x, B its squared
+bias (see `corrected` in `denoise.py`), so that D = V^2 / (B + V) tells B, and a share MIXED / 2 of the rest is x itself. Then df/dx is
+k + (1 - k) MIXED / 2, and the risk V (k + (1 - k) MIXED), to which comes what D exceeds V by.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class Noise:
 
     Attributes:
         variance: (T,) variance before denoising, of sRGB values.
-        bias2: (T,) squared bias of the denoiser by which the least error is reached; infinite without one.
+        bias2: (T,) squared bias B of the denoiser; infinite without one.
         excess: (T,) squared change by the denoiser beyond the variance: it spread single bright samples, or filled what samples missed.
         pixels: (T,) number of the object's pixels in each tile.
         samples: samples per pixel.

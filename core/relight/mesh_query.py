@@ -97,12 +97,13 @@ class MeshQuery:
         Returns:
             Indices of the pixels (K,), the mesh's normals there (K, 3), and the distances (K,).
         """
-        if self._kept is None or self._kept[0] is not surface.point:
+        kept = self._kept
+        if kept is None or kept[0] is not surface.point:
             direction, centre = -surface.view, _centre(surface)
             hits, distance = self._closest(centre.expand_as(direction).contiguous(), direction)
             near = distance < (surface.point[hits.ray] - centre).norm(dim=1) + NEAR * self._radius
-            self._kept = surface.point, (hits.ray[near], hits.normal[near], distance[near])
-        return self._kept[1]
+            kept = self._kept = surface.point, (hits.ray[near], hits.normal[near], distance[near])
+        return kept[1]
 
     def _closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[Hits, torch.Tensor]:
         """Return the hits of rays (R, 3) and their distances (K,)."""

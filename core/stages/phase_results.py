@@ -19,6 +19,7 @@ from ..scene.surface import Surface
 FIRST_STAGE = Path("checkpoint", "first")  # in the run folder: result of the first stage, until the job is done
 MASKS = "masks"  # checkpoint of the masks that were cut again
 GEOMETRY = "geometry"  # checkpoint of the surface without textures
+UNWRAP = Path("checkpoint", "unwrap")  # in the run folder: files of the process that unwraps the surface, beside the second stage
 
 
 class PhaseResults:

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,11 +29,12 @@ class UnwrapProcess:
     Args:
         mesh: to unwrap.
         texture: texels along a side.
+        folder: for the files of this process and the child, created here and removed by `close`.
     """
 
-    def __init__(self, mesh: Triangles, texture: int) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="irgspp-unwrap-")
-        folder = Path(self._folder.name)
+    def __init__(self, mesh: Triangles, texture: int, folder: Path) -> None:
+        self._folder = folder
+        folder.mkdir(parents=True, exist_ok=True)  # a killed job may have left it
         np.savez(folder / MESH, vertices=mesh.vertices, faces=mesh.faces)
         self._errors = (folder / "errors.txt").open("w+", encoding="utf-8", errors="replace")
         command = [sys.executable, str(LAUNCHER), "core.surface.unwrap_process", str(folder), str(texture)]
@@ -64,7 +65,7 @@ class UnwrapProcess:
             lines = [line.strip() for line in self._errors if line.strip()] or ["no message"]
             raise IrgsppError(f"UV unwrapping ended with status {status}: {lines[-1]}")
         # Copied: they are read-only, and numba compiles kernels anew for such arrays.
-        source, faces, uvs = (array.copy() for array in read_arrays(Path(self._folder.name) / ATLAS, "source", "faces", "uvs"))
+        source, faces, uvs = (array.copy() for array in read_arrays(self._folder / ATLAS, "source", "faces", "uvs"))
         return source, faces, uvs
 
     def close(self) -> None:
@@ -74,7 +75,7 @@ class UnwrapProcess:
         self._child.wait()
         self._child.stdin.close()
         self._errors.close()
-        self._folder.cleanup()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
 
 def main(folder: Path, texture: int) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """UV unwrapping in a child process."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
@@ -19,8 +17,8 @@ def mesh():
 
 
 @pytest.fixture
-def started(mesh):
-    process = UnwrapProcess(mesh, 128)
+def started(mesh, tmp_path):
+    process = UnwrapProcess(mesh, 128, tmp_path / "run" / "unwrap")
     yield process
     process.close()
 
@@ -30,17 +28,17 @@ def test_result_is_that_of_this_process(mesh, started):
         np.testing.assert_array_equal(found, expected, strict=True)
 
 
-def test_cancel_ends_the_wait_and_close_removes_the_files(started):
+def test_cancel_ends_the_wait_and_close_removes_the_files(started, tmp_path):
     with pytest.raises(Cancelled):
         started.result(lambda: True)
-    folder = Path(started._folder.name)
+    folder = tmp_path / "run" / "unwrap"
     assert (folder / MESH).is_file()
     started.close()
     assert not folder.exists() and started._child.poll() is not None
 
 
-def test_failure_of_the_child_is_an_error_with_its_last_line():
-    process = UnwrapProcess(Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64)), 128)
+def test_failure_of_the_child_is_an_error_with_its_last_line(tmp_path):
+    process = UnwrapProcess(Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64)), 128, tmp_path)
     with pytest.raises(IrgsppError, match="UV unwrapping ended with status 1: ValueError"):
         process.result(lambda: False)
     process.close()
