@@ -70,7 +70,7 @@ class Stages:
         monkeypatch.setattr(pipeline, "extract_geometry", self.extract)
         monkeypatch.setattr(pipeline, "solve_second_stage", self.second_stage)
         monkeypatch.setattr(pipeline, "textured_mesh", self.texture)
-        monkeypatch.setattr(pipeline, "UnwrapProcess", lambda mesh, texture: SimpleNamespace(close=lambda: None))
+        monkeypatch.setattr(pipeline, "UnwrapProcess", lambda mesh, texture, folder: SimpleNamespace(close=lambda: None))
         monkeypatch.setattr(pipeline, "detailed_by_dataset", lambda mesh, *_: (mesh, DetailReport(False, "stand-in")))
         monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
         monkeypatch.setattr(Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
