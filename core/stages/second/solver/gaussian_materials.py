@@ -26,7 +26,7 @@ from .transfer_tracing import trace_radiance_transfer
 NEAREST = 8  # solver points that decide by their majority whether a Gaussian is metal
 ALIKE = 16  # solver points of which those that are metal, or are not, as the Gaussian give their mean roughness
 BATCH = 4000  # Gaussians traced at a time
-REWEIGHTED = 8  # passes of iteratively reweighted least squares
+REWEIGHTED = 7  # passes of iteratively reweighted least squares after a first one with equal weights
 AROUND = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
 EDGE = 2e-3  # materials are kept this far inside 0..1, so that their logits are finite
 
@@ -144,12 +144,13 @@ def fitted_albedo(
     factor, rest = view_terms(metal, diffuse, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)
     derivative = approximate_srgb_derivative(samples.colour)
     # At first all samples of a point weigh the same in linear radiance: by the derivative a wrongly dark one would dominate.
-    robust_weight = derivative**-2
+    albedo = least_squares_albedo(samples, torch.ones_like(factor), factor, rest)
     for _ in range(REWEIGHTED):
-        weight = robust_weight * derivative**2
-        albedo = least_squares_albedo(samples, weight, factor, rest)
         error = (albedo[point] * factor + rest - samples.colour) * derivative
-        robust_weight = torch.where(samples.saturated & (error > 0), 0.0, 1 / (1 + (error / OUTLIER) ** 2))
+        weight = torch.where(samples.saturated & (error > 0), 0.0, derivative**2 / (1 + (error / OUTLIER) ** 2))
+        fit = least_squares_albedo(samples, weight, factor, rest)
+        # Where all samples of a point are clipped and the model is brighter, no sample tells more: the albedo stays as it is.
+        albedo = torch.where(samples.sums(weight) > 0, fit, albedo)
     return albedo
 
 
