@@ -33,7 +33,7 @@ from .light_prior import LightPrior
 from .linear_system import solve_positive
 from .material_search import MaterialSearch
 from .metal_normals import reflected_normals
-from .metal_regions import confirm_metal, sharp_regions
+from .metal_regions import EVIDENCE, confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
@@ -241,7 +241,7 @@ class LightMaterialSolver:
         if self._search_metal and done < METAL_TEST:
             metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
         elif done == METAL_BORDERS:
-            metal = self._search.redrawn_metal(costs, metal)
+            metal = self._completed_metal(self._search.redrawn_metal(costs, metal))
         self._set_materials(costs, metal)
 
     def _test_metal(self) -> None:
@@ -255,6 +255,16 @@ class LightMaterialSolver:
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
         self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
         self._update_model()
+
+    def _completed_metal(self, metal: torch.Tensor) -> torch.Tensor:
+        """Return all points for an object that is mostly metal, `metal` (P,) bool, unless its other points clearly contradict that.
+
+        Wrong normals make a part of a metal object look like a dielectric: on a metal figure, the underside of its base did.
+        """
+        if float(metal.float().mean()) <= METAL_ON_AVERAGE or bool(metal.all()):
+            return metal
+        mixed, whole = (float(self._adapted(points)[1].sum()) for points in (metal, torch.ones_like(metal)))
+        return torch.ones_like(metal) if whole - mixed <= EVIDENCE * mixed else metal
 
     def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
         """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""

@@ -190,3 +190,24 @@ def test_a_lamp_smaller_than_a_texel_is_found_by_its_shadows(scene):
     texels = found.transfer.texels
     assert [int(part[brightest]) for part in (texels.level, texels.row, texels.column)] == [2, truth.row[-1], truth.column[-1]]
     assert float(found.light[brightest].mean()) > 0.5 * 400
+
+
+@pytest.mark.parametrize("loss, whole", [(0.5, True), (2.0, False)])
+def test_a_metal_object_is_metal_as_a_whole_unless_a_part_contradicts(scene, monkeypatch, loss, whole):
+    """The error rises by a multiple of the evidence that is asked for where the rest is metal, too."""
+    transfer, seen, _ = scene
+    count = len(seen.position)
+    solver = LightMaterialSolver(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), 0)
+    metal = torch.arange(count) > 0.1 * count
+    errors = lambda points: torch.ones(count) * (1 + loss * module.EVIDENCE * float(points.all()))  # noqa: E731
+    monkeypatch.setattr(solver, "_adapted", lambda points: (solver, errors(points)))
+    completed = solver._completed_metal(metal)
+    assert torch.equal(completed, torch.ones_like(metal) if whole else metal)
+
+
+def test_an_object_with_little_metal_keeps_its_other_parts(scene):
+    transfer, seen, _ = scene
+    count = len(seen.position)
+    solver = LightMaterialSolver(seen, transfer, torch.full((count,), 0.5), torch.ones(count), 0)
+    metal = torch.arange(count) < 0.4 * count
+    assert torch.equal(solver._completed_metal(metal), metal)
