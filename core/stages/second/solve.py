@@ -227,7 +227,8 @@ def _solve_from_first_stage(
     split = partial(split_brightest, samples=samples, tracer=tracer, seed=settings.seed, rows=settings.second.light_height)
     # A light that turns meets other traced rays in each view. Of a metal's light, the first stage's reflections know more.
     stays_coarse = transfer.rotations is not None or is_metal_on_average(g)
-    solver = LightMaterialSolver(samples, transfer, roughness, (metallic > METAL).float(), settings.seed, search_metal)
+    metallic = (metallic > METAL).float() * search_metal
+    solver = LightMaterialSolver(samples, transfer, roughness, metallic, settings.seed, search_metal)
     progress.phase("second stage", STEPS)
     step = lambda done: report_step(progress, done) or progress.finish_early  # noqa: E731
     run_solver(solver, None if stays_coarse else split, step, try_dark=search_metal)

@@ -11,7 +11,6 @@ from scipy.spatial import KDTree
 
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.dataset import View
-from ....scene.gaussians import METALLIC, Gaussians
 from ....scene.reconstruction import Reconstruction
 from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
@@ -152,20 +151,6 @@ def fitted_albedo(
         # Where all samples of a point are clipped and the model is brighter, no sample tells more: the albedo stays as it is.
         albedo = torch.where(samples.sums(weight) > 0, fit, albedo)
     return albedo
-
-
-def binarise_metallic_by_median(gaussians: Gaussians) -> torch.Tensor:
-    """Set each surfel's metallic to almost 0 or 1: metal where the median over its AROUND nearest surfels is above METAL.
-
-    Values between 0 and 1 compensate errors of normals rather than describe a material.
-
-    Returns:
-        (5, N) logits of albedo (3), roughness, metallic.
-    """
-    materials, position = gaussians.materials().detach(), gaussians.position.detach().T
-    metallic = neighbourhood_medians(position, materials[METALLIC, :, None])[:, 0] > METAL
-    materials = torch.cat([materials[:METALLIC], metallic[None].float().clamp(EDGE, 1 - EDGE)])
-    return torch.logit(materials)
 
 
 def neighbourhood_medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:

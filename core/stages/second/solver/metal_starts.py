@@ -14,10 +14,10 @@ from scipy.spatial import KDTree
 from ....scene.gaussians import ALBEDO, ROUGHNESS
 from ....scene.reconstruction import Reconstruction
 from ...common.light_map import resized_light
-from .gaussian_materials import binarise_metallic_by_median
 from .light_material_solver import LightMaterialSolver
 
 DARKEST = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
+BRIGHTEST = 0.99  # albedo, at most
 
 
 def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMaterialSolver) -> list[Reconstruction]:
@@ -29,19 +29,19 @@ def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMat
         solver: its light, and the albedo of its points.
 
     Returns:
-        Two starts: albedo and metallic of the solver, or of the first stage with metallic binarised. Both take the roughness of the first
-        stage and its light with the levels of the solver's, of the rows of `solved`.
+        Two starts: with the albedo of the solver, and with that of the first stage. Both take metallic of the solver, roughness of the
+        first stage, and its light with the levels of the solver's, of the rows of `solved`. Nothing tells a tint of the light from the
+        metal's own colour: that of the first stage's light goes into the albedo, as the solver's light is about neutral.
     """
     sharp = resized_light(first.environment, solved.environment.shape[0])
     rows = solver.transfer.texels.height  # of the large texels: the first stage knows better what is smaller
-    levels = area_means(solver.light_map(solver.transfer.texels.finest_height), rows)
+    light = levelled_light(sharp, area_means(solver.light_map(solver.transfer.texels.finest_height), rows))
     materials = solved.gaussians.material.clone()
     materials[ROUGHNESS] = first.gaussians.material.detach()[ROUGHNESS]
-    own = binarise_metallic_by_median(first.gaussians)
-    return [
-        first.relabelled(materials, levelled_light(sharp, levels)),
-        first.relabelled(own, levelled_light(sharp, levels * albedo_ratio(first, solver))),
-    ]
+    own = materials.clone()
+    albedo = first.gaussians.materials().detach()[ALBEDO] * albedo_ratio(first, solver)[:, None]
+    own[ALBEDO] = torch.logit(albedo.clamp(DARKEST, BRIGHTEST))
+    return [first.relabelled(materials, light), first.relabelled(own, light)]
 
 
 def albedo_ratio(first: Reconstruction, solver: LightMaterialSolver) -> torch.Tensor:

@@ -12,7 +12,7 @@ import trimesh
 from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound, View
-from irgspp.core.scene.gaussians import METALLIC, SH_DC
+from irgspp.core.scene.gaussians import SH_DC
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.shading.brdf import base_reflectance
@@ -21,7 +21,6 @@ from irgspp.core.stages.second.solver import gaussian_materials as module
 from irgspp.core.stages.second.solver.gaussian_materials import (
     EDGE,
     assign_materials,
-    binarise_metallic_by_median,
     fitted_albedo,
     nearest_materials,
     surface_normals,
@@ -234,18 +233,3 @@ def test_a_point_that_all_views_clip_is_as_bright_as_they_show_it(lit):
     fit = fitted_albedo(replace(seen, colour=torch.where(everywhere, 0.8 * seen.colour, seen.colour), saturated=everywhere), *problem)
     assert (fit[0::2] > 0.5 * albedo[0::2]).all() and (fit[0::2] < 1.01 * albedo[0::2]).all()
     np.testing.assert_allclose(fit[1::2], albedo[1::2], rtol=1e-3, atol=1e-4)
-
-
-def test_surfels_become_metal_or_not_as_those_around_them_are(splat_sphere):
-    sphere = splat_sphere(COUNT)
-    top = sphere.position[2] > 0
-    some = torch.rand(COUNT, generator=torch.Generator().manual_seed(0))
-    metallic = torch.where(top, 0.55 + 0.4 * some, 0.4 * some)
-    metallic[::10] = 1 - metallic[::10]  # isolated errors
-    material = sphere.material.clone()
-    material[METALLIC] = torch.logit(metallic)
-    decided = binarise_metallic_by_median(replace(sphere, material=material))
-    torch.testing.assert_close(decided[:METALLIC], material[:METALLIC])
-    away = sphere.position[2].abs() > 0.1
-    expected = torch.where(top, 1 - EDGE, EDGE)[away]
-    torch.testing.assert_close(decided[METALLIC].sigmoid()[away], expected)
