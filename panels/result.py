@@ -25,7 +25,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
     """Panel of the reconstructed object."""
 
     bl_label = "Result"
-    bl_order = 3
+    bl_order = 4
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the object and its quality, or how to get one."""
