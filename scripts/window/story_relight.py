@@ -15,6 +15,7 @@ import bpy
 import browsing
 import driver
 import numpy as np
+from mathutils import Vector
 
 
 def story() -> Iterator[float]:
@@ -101,10 +102,11 @@ def drag_light() -> Iterator[float]:
 
 
 def add_lamp() -> Iterator[float]:
-    """Add a lamp, which lights the object in the preview too."""
-    before = pixels()
+    """Add a lamp on the side that is seen, which lights the object in the preview too."""
+    before, view = pixels(), driver.view3d().spaces[0].region_3d
+    place = view.view_location + view.view_rotation @ Vector((0.0, 0.0, 3.0))
     with driver.override():
-        bpy.ops.object.light_add(type="AREA", location=(2.0, -2.0, 2.0), rotation=(0.9, 0.0, 0.8))
+        bpy.ops.object.light_add(type="AREA", location=place, rotation=view.view_rotation.to_euler())
     bpy.context.object.data.energy, bpy.context.object.data.color = 300.0, (1.0, 0.3, 0.1)
     yield from updated(before)
     driver.shot("76_lamp")
@@ -167,9 +169,12 @@ def updated(before: np.ndarray | None = None) -> Iterator[float]:
     """
     if before is not None:  # an update can be over before this looks at it
         yield from driver.wait(lambda: not np.array_equal(pixels(), before), 20, step=0.1)
-    yield from driver.wait(lambda: follower().done or follower().failed, 120)
-    assert not follower().failed, follower().message
-    yield 1.0
+    shown = np.empty(0)
+    while not np.array_equal(pixels(), shown):  # a change that was just made is not noticed at once
+        yield from driver.wait(lambda: follower().done or follower().failed, 120)
+        assert not follower().failed, follower().message
+        shown = pixels()
+        yield 1.5
 
 
 def pixels() -> np.ndarray:
