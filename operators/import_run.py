@@ -30,7 +30,7 @@ class IRGSPP_OT_import_run(PlacedImport, bpy.types.Operator):
         name="Pack Textures", description="Keep textures and light inside the .blend instead of linking to the run folder", default=True
     )
     as_photographed: BoolProperty(
-        name="Show as Photographed",
+        name="As Photographed",
         description="Light the scene with the recovered light and look through the first camera, without tone mapping",
         default=False,
     )

@@ -29,7 +29,7 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
     """Panel of the photographs and their cameras."""
 
     bl_label = "Dataset"
-    bl_order = 1
+    bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the folder, the buttons, the inspection, and the guide where no folder is chosen."""

@@ -14,7 +14,7 @@ class IRGSPP_PT_engine(SidebarPanel, bpy.types.Panel):
     """Panel that is shown until an engine works."""
 
     bl_label = "Engine"
-    bl_order = 0
+    bl_order = 1
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

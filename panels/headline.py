@@ -15,28 +15,34 @@ SILENT = ("check",)  # kinds of jobs whose outcome the panel Engine shows
 
 
 class IRGSPP_PT_headline(SidebarPanel, bpy.types.Panel):
-    """Line at the head of the tab, which no closed panel hides."""
+    """Line at the head of the tab, which no closed panel hides: the job is its header.
 
-    bl_label = "State"
-    bl_order = -1  # above the panel Engine
-    bl_options = {"HIDE_HEADER"}  # noqa: RUF012 (Blender wants a plain set)
+    Blender puts panels without a header, or with an order below 0, before its own: the tab would jump to the top while a job runs.
+    """
+
+    bl_label = ""
+    bl_order = 0  # above the panel Engine
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where a job is unfinished, or the last one failed."""
         return headline() is not None
 
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the job in one line, and its error."""
+    def draw_header(self, context: bpy.types.Context) -> None:
+        """Draw the job in one line."""
         job = headline()
-        if job is None:
+        if job is not None:
+            _draw_line(self.layout, headline_text(job), job)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the error of a job that failed."""
+        job = headline()
+        if job is None or not is_trouble(job):
             return
         column = self.layout.column()
-        column.alert = is_trouble(job)
-        say(column, context, headline_text(job), icon="ERROR" if is_trouble(job) else ICONS[job.state])
-        if is_trouble(job):
-            say(column, context, job.error or "It ended without a message.")
-            button(self.layout, "irgspp.job_log", "Open Log", "TEXT", job=job.id)
+        column.alert = True
+        say(column, context, job.error or "It ended without a message.")
+        button(self.layout, "irgspp.job_log", "Open Log", "TEXT", job=job.id)
 
 
 def headline() -> Job | None:
@@ -75,9 +81,13 @@ def draw_status(self: bpy.types.Header, context: bpy.types.Context) -> None:
     """
     job = headline()
     if job is not None:
-        row = self.layout.row()
-        row.alert = is_trouble(job)
-        row.label(text=f"IRGS++: {headline_text(job)}", icon="ERROR" if is_trouble(job) else ICONS[job.state])
+        _draw_line(self.layout, f"IRGS++: {headline_text(job)}", job)
+
+
+def _draw_line(layout: bpy.types.UILayout, text: str, job: Job) -> None:
+    row = layout.row()
+    row.alert = is_trouble(job)
+    row.label(text=text, icon="ERROR" if is_trouble(job) else ICONS[job.state])
 
 
 CLASSES = (IRGSPP_PT_headline,)

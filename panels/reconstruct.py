@@ -24,7 +24,7 @@ class IRGSPP_PT_reconstruct(SidebarPanel, bpy.types.Panel):
     """Panel that reconstructs an object with materials from photographs."""
 
     bl_label = "Reconstruct"
-    bl_order = 2
+    bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options, the buttons, and the job."""

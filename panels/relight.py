@@ -36,7 +36,7 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
     """Panel that relights the object."""
 
     bl_label = "Relight"
-    bl_order = 4
+    bl_order = 5
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the World, the options, the preview and the render engine."""

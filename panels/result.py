@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 
 from ..core.assets.options import AssetOptions
-from ..irgspp_addon.importer.arrangement import cameras_shown, is_imported_camera
+from ..irgspp_addon.importer.arrangement import camera_label, cameras_shown, is_imported_camera
 from ..irgspp_addon.importer.confidence_view import has_confidence
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.ownership import KEY, folder_of
@@ -25,7 +25,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
     """Panel of the reconstructed object."""
 
     bl_label = "Result"
-    bl_order = 3
+    bl_order = 4
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the object and its quality, or how to get one."""
@@ -171,7 +171,7 @@ def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     button(row, "irgspp.step_photograph", "", "TRIA_LEFT", step=-1)
     through = context.scene.camera if is_imported_camera(context.scene.camera) else None
     photograph = shown_photograph(context.scene)
-    button(row, "irgspp.step_photograph", through.name if through else "Photographs", step=1)
+    button(row, "irgspp.step_photograph", camera_label(through) if through else "Photographs", step=1)
     button(row, "irgspp.step_photograph", "", "TRIA_RIGHT", step=1)
     if photograph is not None:
         layout.prop(context.scene, "irgspp_photograph", text="Photograph", slider=True)

@@ -101,13 +101,13 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Remove Blender's files, and leave before the interpreter's end where its module would spoil it.
 
-    What still refers to the module then makes 4.5 hang (a failed test's traceback does) and 4.2 crash (any fixture does); timers that
-    are left behind do so too, and show in the later versions.
+    What still refers to the module then makes 4.5 hang (a failed test's traceback does, and with torch in the same process any test can)
+    and 4.2 crash (any fixture does); timers that are left behind do so too, and show in the later versions without torch.
     """
     side, blender = sys.modules.get("blender_side"), sys.modules.get("bpy")
     if side is not None and side.RESOURCES is not None:
         side.RESOURCES.cleanup()
-    if blender is not None and _ended and (_ended[-1] or blender.app.version < (4, 3)):
+    if blender is not None and _ended and (_ended[-1] or blender.app.version < (4, 3) or "torch" in sys.modules):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(_ended[-1])

@@ -6,6 +6,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from .ownership import KEY
+
 CUBE_CORNERS = 8  # of Blender's default cube, each coordinate 1 or -1
 LIGHT_PLACE, LIGHT_WATTS = (4.0762, 1.0055, 5.9039), 1000.0  # of Blender's default light
 WORLD_GREY = 0.0508761  # linear colour of Blender's default World, nearly black
@@ -49,6 +51,12 @@ def is_imported_camera(thing: bpy.types.Object | None) -> bool:
 def cameras_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return the imported cameras of a scene, sorted by name."""
     return sorted((thing for thing in scene.objects if is_imported_camera(thing)), key=lambda thing: thing.name)
+
+
+def camera_label(camera: bpy.types.Object) -> str:
+    """Return an imported camera's name, without the number that Blender adds where a camera of another import has the same name."""
+    imported_as, (name, _, number) = str(camera.get(KEY, "")).rpartition("#camera ")[2], camera.name.rpartition(".")
+    return name if name == imported_as and number.isdigit() else camera.name
 
 
 def cameras_shown(scene: bpy.types.Scene) -> bool:

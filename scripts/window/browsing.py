@@ -11,6 +11,8 @@ from typing import Any
 import bpy
 import driver
 
+PAGE = 15  # steps of scrolling that are less than the height of the sidebar
+
 
 def from_menu(x: float, entry: str) -> Iterator[float]:
     """Choose an entry of a menu of the top bar by the menu's own search.
@@ -96,15 +98,18 @@ def reach(button: str, across: float = 0.4, part: str = "") -> Generator[float, 
     Raises:
         RuntimeError: where there is no such button.
     """
-    for scroll in ("", "scroll_down", "scroll_up"):
-        if scroll:
-            yield from scrolled(scroll)
+    try:
+        return (yield from driver.find(button, across=across, part=part))
+    except RuntimeError:
+        yield from scrolled("scroll_up")
+    while True:
         try:
             return (yield from driver.find(button, across=across, part=part))
         except RuntimeError:
-            if scroll == "scroll_up":
+            before = driver.region().view2d.region_to_view(0, 0)
+            yield from scrolled("scroll_down", PAGE)
+            if driver.region().view2d.region_to_view(0, 0) == before:  # the end
                 raise
-    raise AssertionError("the last failure was raised")
 
 
 def press_button(button: str, across: float = 0.4, part: str = "") -> Iterator[float]:
@@ -167,9 +172,14 @@ def open_image_editor() -> bpy.types.Area:
     return new
 
 
-def scrolled(operator: str) -> Iterator[float]:
-    """Scroll the sidebar to its end ("scroll_down") or its beginning ("scroll_up")."""
+def scrolled(operator: str, steps: int = 120) -> Iterator[float]:
+    """Scroll the sidebar down ("scroll_down") or up ("scroll_up").
+
+    Args:
+        operator: of the module `view2d`.
+        steps: of 40 pixels; by default as many as lead to the end.
+    """
     with driver.override("UI"):
-        for _ in range(60):
+        for _ in range(steps):
             getattr(bpy.ops.view2d, operator)()
     yield 1.0

@@ -15,6 +15,7 @@ import bpy
 import browsing
 import driver
 import numpy as np
+from mathutils import Vector
 
 
 def story() -> Iterator[float]:
@@ -69,14 +70,14 @@ def start_preview() -> Iterator[float]:
 
 def choose_thumbnail() -> Iterator[float]:
     """Choose one of Blender's HDRIs by its thumbnail."""
-    before, place = bpy.context.scene.world, driver.region()
+    before, unchanged, place = bpy.context.scene.world, pixels(), driver.region()
     x, y = yield from browsing.reach("irgspp.open_hdri", across=0.25)
     yield from driver.click_at(x, y + 70)  # the thumbnail above that button is none that Blender tells the name of
     yield 5.0  # thumbnails are made in the background
     driver.shot("72_thumbnails")
     yield from driver.click_at(place.x + place.width - 720, y - 50)  # the second of eight in the pop-up's first row
     yield from driver.wait(lambda: bpy.context.scene.world != before, 10)
-    yield from updated()
+    yield from updated(unchanged)
     driver.shot("73_other_hdri")
     driver.sidebar_shot("73_other_hdri_sidebar")
 
@@ -96,17 +97,18 @@ def drag_light() -> Iterator[float]:
     yield 1.0
     rotation = controls(bpy.context.scene.world).rotation.default_value[2]
     assert abs(rotation - before) > 0.5, (before, rotation)
-    yield from updated(changed=False)
+    yield from updated()
     driver.shot("75_dragged")
 
 
 def add_lamp() -> Iterator[float]:
-    """Add a lamp, which lights the object in the preview too."""
-    before = pixels()
+    """Add a lamp on the side that is seen, which lights the object in the preview too."""
+    before, view = pixels(), driver.view3d().spaces[0].region_3d
+    place = view.view_location + view.view_rotation @ Vector((0.0, 0.0, 3.0))
     with driver.override():
-        bpy.ops.object.light_add(type="AREA", location=(2.0, -2.0, 2.0), rotation=(0.9, 0.0, 0.8))
+        bpy.ops.object.light_add(type="AREA", location=place, rotation=view.view_rotation.to_euler())
     bpy.context.object.data.energy, bpy.context.object.data.color = 300.0, (1.0, 0.3, 0.1)
-    yield from updated()
+    yield from updated(before)
     driver.shot("76_lamp")
     after = pixels()
     assert after[..., 0].sum() > 1.1 * before[..., 0].sum(), "the lamp does not light the object"
@@ -117,7 +119,7 @@ def cast_shadow() -> Iterator[float]:
     before = pixels()
     yield from browsing.press_button("ground_shadow", across=0.5)
     assert bpy.context.scene.irgspp.ground_shadow
-    yield from updated()
+    yield from updated(before)
     driver.shot("77_ground_shadow")
     assert pixels()[..., 3].sum() > before[..., 3].sum() + 100, "the image has no shadow"
     yield from browsing.press_button("irgspp.relight_stop")
@@ -159,17 +161,20 @@ def follower() -> Any:
     return live_image.follower_of(preview.CHANNEL)
 
 
-def updated(changed: bool = True) -> Iterator[float]:
+def updated(before: np.ndarray | None = None) -> Iterator[float]:
     """Wait until the preview has followed a change.
 
     Args:
-        changed: False where it may have done so already.
+        before: the preview's pixels before the change; None where it may have followed already.
     """
-    if changed:
-        yield from driver.wait(lambda: not follower().done, 20, step=0.02)
-    yield from driver.wait(lambda: follower().done or follower().failed, 120)
-    assert not follower().failed, follower().message
-    yield 1.0
+    if before is not None:  # an update can be over before this looks at it
+        yield from driver.wait(lambda: not np.array_equal(pixels(), before), 20, step=0.1)
+    shown = np.empty(0)
+    while not np.array_equal(pixels(), shown):  # a change that was just made is not noticed at once
+        yield from driver.wait(lambda: follower().done or follower().failed, 120)
+        assert not follower().failed, follower().message
+        shown = pixels()
+        yield 1.5
 
 
 def pixels() -> np.ndarray:

@@ -3,7 +3,7 @@
 
 import bpy
 import pytest
-from irgspp.irgspp_addon.importer.arrangement import cameras_in, cameras_shown, is_default_world
+from irgspp.irgspp_addon.importer.arrangement import camera_label, cameras_in, cameras_shown, is_default_world
 from irgspp.panels import result
 from mathutils import Vector
 from recording_layout import draw
@@ -83,6 +83,15 @@ def test_photographs_one_after_the_other(scene, run_folder):
         assert [camera for camera in cameras if not camera.hide_viewport] == [scene.camera]  # else Blender draws no photograph
     assert seen == [cameras[0], cameras[1], cameras[2], cameras[0], cameras[2]]
     assert not cameras_shown(scene)
+
+
+def test_a_camera_is_labelled_without_the_number_that_blender_added(scene, run_folder):
+    arrive(run_folder)
+    camera = cameras_in(scene)[0]
+    name = camera.name
+    for given, label in ((name, name), (f"{name}.001", name), (f"{name}.mine", f"{name}.mine"), ("mine.001", "mine.001")):
+        camera.name = given
+        assert camera_label(camera) == label
 
 
 def test_the_panel_has_the_switch_and_the_steps(scene, run_folder):

@@ -36,6 +36,12 @@ def status_bar() -> str:
     return layout.words
 
 
+def header() -> str:
+    layout = RecordingLayout()
+    headline.IRGSPP_PT_headline.draw_header(SimpleNamespace(layout=layout), bpy.context)
+    return layout.words
+
+
 def test_nothing_without_jobs(tmp_path):
     assert not headline.IRGSPP_PT_headline.poll(bpy.context) and status_bar() == ""
     add(tmp_path, state="done", ended=time.time())
@@ -48,23 +54,23 @@ def test_a_running_job(tmp_path):
     assert status_bar() == "IRGS++: Bake spot waits"
     add(tmp_path, state="running", step=46, of=100, made=2.0)
     assert status_bar() == "IRGS++: Reconstruct spot, 46 %"
-    assert draw(headline.IRGSPP_PT_headline).words == "Reconstruct spot, 46 %"
+    assert header() == "Reconstruct spot, 46 %" and draw(headline.IRGSPP_PT_headline).drawn == []
     jobs.find("j1").phase = "second stage"  # the whole counts, where it is known
     assert status_bar() == f"IRGS++: Reconstruct spot, {100 * total_fraction('reconstruct', 'second stage', 0.46):.0f} %"
 
 
 @pytest.mark.parametrize(
-    ("values", "text"),
+    ("values", "line", "text"),
     [
-        ({"state": "failed", "error": "disk full"}, "Reconstruct spot failed disk full"),
-        ({"state": "lost", "error": "no status"}, "Reconstruct spot failed no status"),
-        ({"state": "done", "error": "done, but: another file is open now"}, "Reconstruct spot: result not used done, but: another file"),
+        ({"state": "failed", "error": "disk full"}, "Reconstruct spot failed", "disk full"),
+        ({"state": "lost", "error": "no status"}, "Reconstruct spot failed", "no status"),
+        ({"state": "done", "error": "done, but: another file is open now"}, "Reconstruct spot: result not used", "done, but: another file"),
     ],
 )
-def test_a_job_that_failed_until_another_ends_well(tmp_path, values, text):
+def test_a_job_that_failed_until_another_ends_well(tmp_path, values, line, text):
     add(tmp_path, ended=time.time(), **values)
     drawn = draw(headline.IRGSPP_PT_headline)
-    assert text in drawn.words and drawn.buttons("irgspp.job_log")[0].values == {"job": "j1"}
+    assert header() == line and text in drawn.words and drawn.buttons("irgspp.job_log")[0].values == {"job": "j1"}
     assert "spot" in status_bar()
     add(tmp_path, id="j2", state="cancelled", ended=time.time() + 1)
     assert not headline.IRGSPP_PT_headline.poll(bpy.context) and status_bar() == ""
@@ -78,8 +84,10 @@ def test_it_is_in_blenders_status_bar_while_registered():
     irgspp.register()
 
 
-def test_it_is_the_first_panel_and_has_no_header():
+def test_it_is_the_first_panel_and_leaves_the_tab_at_its_place():
     panels = [cls for cls in bpy.types.Panel.__subclasses__() if getattr(cls, "bl_category", "") == "IRGS++"]
     tops = [cls for cls in panels if not hasattr(cls, "bl_parent_id") and cls.bl_space_type == "VIEW_3D"]
-    assert min(tops, key=lambda cls: cls.bl_order) is headline.IRGSPP_PT_headline
-    assert "HIDE_HEADER" in headline.IRGSPP_PT_headline.bl_options
+    first, second = sorted(tops, key=lambda cls: cls.bl_order)[:2]
+    assert first is headline.IRGSPP_PT_headline and first.bl_order < second.bl_order
+    # Blender orders tabs by their first panel: its own have order 0 and a header, and a panel without one comes before them
+    assert first.bl_order >= 0 and "HIDE_HEADER" not in getattr(first, "bl_options", ())

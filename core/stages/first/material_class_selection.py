@@ -106,7 +106,7 @@ def _choice_in_words(score: dict[str, float], chosen: str, margins: dict[str, fl
         gain, needed = score[best] - score[chosen], abs(margins[max(best, chosen, key=list(score).index)])
         return f"materials: {chosen}; {best} would be only {gain:.1f} dB better, less than the {needed:.1f} dB that it needs"
     rest = [value for name, value in score.items() if name != chosen]
-    return f"materials: {chosen}, by {score[chosen] - max(rest):.1f} dB the best on held-back photographs"
+    return f"materials: {chosen}, {score[chosen] - max(rest):.1f} dB better than the next on held-back photographs"
 
 
 def material_class_named(name: str, dataset: Dataset) -> MaterialClass:
