@@ -239,5 +239,5 @@ def _solve_from_first_stage(
     tested, confirmed = solver.regions
     if tested:
         progress.message(f"metal: {confirmed} of {tested} regions that may be metal explain the photographs better so")
-    progress.message(f"light and materials fit the photographs with a median error of {solver.error():.4f} (encoded, 0..1)")
+    progress.message(f"light and materials explain the photographs: half of their values differ by less than {solver.error():.1%} of white")
     return solver
