@@ -60,7 +60,7 @@ class IRGSPP_OT_step_photograph(bpy.types.Operator):
 
 
 class IRGSPP_OT_show_cameras(bpy.types.Operator):
-    """Show or hide the imported cameras in the 3D View."""
+    """Show or hide the imported cameras and the sphere around the object in the 3D View."""
 
     bl_idname = "irgspp.show_cameras"
     bl_label = "Show Cameras"

@@ -103,7 +103,7 @@ def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         say(layout, context, "The cameras are found first.", icon="INFO")
     elif sphere is not None and is_changed(sphere):
         say(layout, context, f"What is inside the sphere {sphere.name} is reconstructed.", icon="SPHERE")
-    elif sphere is not None:
+    elif sphere is not None and not sphere.hide_viewport:
         say(layout, context, f'Move or scale the sphere "{sphere.name}" if it does not surround the object.', icon="SPHERE")
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from .object_sphere import BOUND
 from .ownership import KEY
 
 CUBE_CORNERS = 8  # of Blender's default cube, each coordinate 1 or -1
@@ -15,7 +16,7 @@ ROUNDING = 1e-3
 
 
 def arrange(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, light: bpy.types.World) -> None:
-    """Hide the imported cameras and the untouched default cube and light; replace the untouched default World by the recovered light.
+    """Hide imported cameras and spheres, and the untouched default cube and light; replace the default World by the recovered light.
 
     Args:
         scene: scene with the result.
@@ -65,15 +66,15 @@ def cameras_shown(scene: bpy.types.Scene) -> bool:
 
 
 def show_cameras(scene: bpy.types.Scene, show: bool) -> None:
-    """Show or hide all imported cameras of a scene in 3D Views.
+    """Show or hide all imported cameras of a scene in 3D Views, and the spheres of their datasets, whose outlines lie across the object.
 
     Args:
         scene: the scene.
         show: True to show them.
     """
-    for camera in cameras_in(scene):
-        if camera.hide_viewport == show:
-            camera.hide_viewport = not show
+    for thing in [*cameras_in(scene), *(thing for thing in scene.objects if BOUND in thing)]:
+        if thing.hide_viewport == show:
+            thing.hide_viewport = not show
 
 
 def show_alone(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:

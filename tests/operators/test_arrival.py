@@ -4,6 +4,7 @@
 import bpy
 import pytest
 from irgspp.irgspp_addon.importer.arrangement import camera_label, cameras_in, cameras_shown, is_default_world
+from irgspp.irgspp_addon.importer.object_sphere import BOUND
 from irgspp.panels import result
 from mathutils import Vector
 from recording_layout import draw
@@ -40,6 +41,16 @@ def test_cameras_and_the_untouched_cube_and_light_are_hidden(scene, run_folder):
     for name in ("Cube", "Light"):
         assert scene.objects[name].hide_get() and scene.objects[name].hide_render
     assert not mesh_of(scene).hide_get() and scene.objects["Camera"].visible_get()
+
+
+def test_the_sphere_around_the_object_comes_and_goes_with_the_cameras(scene, run_folder):
+    sphere = bpy.data.objects.new("object", None)
+    sphere[BOUND] = [0.0, 0.0, 0.0, 1.0]
+    scene.collection.objects.link(sphere)
+    arrive(run_folder)
+    assert sphere.hide_viewport
+    bpy.ops.irgspp.show_cameras(show=True)
+    assert not sphere.hide_viewport
 
 
 def test_what_was_changed_stays(scene, run_folder):
