@@ -114,12 +114,9 @@ def setup() -> None:
 
 
 def workers() -> list:
-    """Return options of pytest; a later `-n 0` overrules them.
-
-    One process more than cores, since tests wait for processes that they start; four at most, since each needs over 1 GB.
-    """
+    """Return options of pytest: one process for each core, four at most, since each needs over 1 GB; a later `-n 0` overrules it."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return ["-n", str(min(cores + 1, 4)), "--dist", "worksteal"] if cores > 1 else []
+    return ["-n", str(min(cores, 4)), "--dist", "worksteal"] if cores > 1 else []
 
 
 def copy_package() -> None:

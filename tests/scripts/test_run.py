@@ -96,8 +96,8 @@ def test_arguments_and_exit_status_are_passed_on(script):
     assert script.calls[-1].endswith("irgspp demo -o there")
 
 
-@pytest.mark.parametrize(("cores", "words"), [(1, []), (2, ["-n", "3", "--dist", "worksteal"]), (64, ["-n", "4", "--dist", "worksteal"])])
-def test_a_process_more_than_cores(script, monkeypatch, cores, words):
+@pytest.mark.parametrize(("cores", "words"), [(1, []), (2, ["-n", "2", "--dist", "worksteal"]), (64, ["-n", "4", "--dist", "worksteal"])])
+def test_a_process_for_each_core(script, monkeypatch, cores, words):
     monkeypatch.setattr(script.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
     assert script.workers() == words
 
