@@ -20,7 +20,7 @@ from .user_folder import EXTENSION
 KINDS = [
     ("EXISTING", "Existing", "Use a Python environment that already has the engine's libraries", 0),
     ("MANAGED", "Managed", "Use an environment that this extension installs for itself", 1),
-    ("INTERPRETER", "Blender's", "Use the Python that runs Blender, if the libraries are installed there", 2),
+    ("INTERPRETER", "In Blender", "Use the Python that runs Blender, if the libraries are installed there", 2),
 ]
 DEVICES = [
     ("cpu", "CPU", "Install the libraries for the processor", 0),

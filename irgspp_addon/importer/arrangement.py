@@ -72,7 +72,8 @@ def show_cameras(scene: bpy.types.Scene, show: bool) -> None:
         scene: the scene.
         show: True to show them.
     """
-    for thing in [*cameras_in(scene), *(thing for thing in scene.objects if BOUND in thing)]:
+    spheres = [thing for thing in scene.objects if BOUND in thing]
+    for thing in cameras_in(scene) + spheres:
         if thing.hide_viewport == show:
             thing.hide_viewport = not show
 

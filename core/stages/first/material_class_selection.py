@@ -16,8 +16,8 @@ from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
 # dB by which a more reflecting class must be better where the light turns, beside `first.trial_margin`: a reflected light map also explains
 # some of the matt shading that changes with the turns (0.7 dB on a dielectric of roughness 0.45), for which SH need more than a brief fit.
 TURNING = 1.0
-# dB by which metal must be better than low-gloss to be chosen where glossy is as good: 3.2 to 5.4 on four metal objects, at most .6 on
-# eleven others.
+# dB by which metal must be better than low-gloss to be chosen where glossy is about as good: it is by 3.2 to 5.4 on four metal objects. Of
+# thirteen others, glossy is as good only on a resin skull under the camera's flash, where metal is better than low-gloss by .6.
 REFLECTING = 2.0
 
 

@@ -206,9 +206,12 @@ def _is_doubtful_metal(reconstruction: Reconstruction, solver: LightMaterialSolv
 def _decided(metal: LightMaterialSolver, plain: LightMaterialSolver, glossy: bool, progress: Progress) -> LightMaterialSolver:
     """Return the solver with metal where it explains far more, and the first stage found reflections (`glossy`); else the one without."""
     share = 1 - metal.total_error() / max(plain.total_error(), 1e-30)
-    decisive = glossy and share > DECISIVE
-    progress.message(f"metal explains {share:.0%} of the error, so {'it' if decisive else 'none of it'} is metal")
-    return metal if decisive else plain
+    explained = f"metal explains {share:.0%} of the error"
+    if not glossy:
+        progress.message(f"{explained}, but the first stage found no reflections: none of it is metal")
+        return plain
+    progress.message(f"{explained}: {'all' if share > DECISIVE else 'none'} of it is metal")
+    return metal if share > DECISIVE else plain
 
 
 def _solve_from_first_stage(

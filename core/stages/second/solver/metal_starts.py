@@ -14,10 +14,10 @@ from scipy.spatial import KDTree
 from ....scene.gaussians import ALBEDO, ROUGHNESS
 from ....scene.reconstruction import Reconstruction
 from ...common.light_map import resized_light
+from .gaussian_materials import EDGE
 from .light_material_solver import LightMaterialSolver
 
 DARKEST = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
-BRIGHTEST = 0.99  # albedo, at most
 
 
 def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMaterialSolver) -> list[Reconstruction]:
@@ -40,7 +40,7 @@ def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMat
     materials[ROUGHNESS] = first.gaussians.material.detach()[ROUGHNESS]
     own = materials.clone()
     albedo = first.gaussians.materials().detach()[ALBEDO] * albedo_ratio(first, solver)[:, None]
-    own[ALBEDO] = torch.logit(albedo.clamp(DARKEST, BRIGHTEST))
+    own[ALBEDO] = torch.logit(albedo.clamp(EDGE, 1 - EDGE))
     return [first.relabelled(materials, light), first.relabelled(own, light)]
 
 

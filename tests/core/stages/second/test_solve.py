@@ -94,7 +94,7 @@ def test_an_object_is_metal_only_by_clear_evidence(sphere, sphere_dataset, camer
     make, surface = sphere
     monkeypatch.setattr(Found, "metal_gain", 0.15)
     dataset = sphere_dataset(camera_ring(12, size=48))
-    cases = ((88.0, "metal explains 12% of the error, so none of it is metal", 0), (70.0, "30% of the error, so it is metal", 1))
+    cases = ((88.0, "metal explains 12% of the error: none of it is metal", 0), (70.0, "30% of the error: all of it is metal", 1))
     for error, words, expected in cases:
         monkeypatch.setattr(Found, "with_metal", error)
         tried.clear()
@@ -106,6 +106,23 @@ def test_an_object_is_metal_only_by_clear_evidence(sphere, sphere_dataset, camer
     metal.material = torch.full_like(metal.material, 3.0)
     transport.solve_light_materials(replace(make(True), gaussians=metal), surface, dataset, SETTINGS, Listener())
     assert tried == [True, False, True]  # the first stage has found it, too
+
+
+@pytest.mark.parametrize("search_metal", [True, False])
+def test_none_of_it_starts_as_metal_where_none_may_be(sphere, sphere_dataset, camera_ring, monkeypatch, search_metal):
+    """Though the first stage took the object for metal."""
+    make, surface = sphere
+    metal = make(search_metal).gaussians.select(slice(None))
+    metal.material = torch.full_like(metal.material, 3.0)
+
+    def started(samples, transfer, roughness, metallic, *_):
+        assert (metallic == float(search_metal)).all()
+        raise Cancelled("seen")
+
+    monkeypatch.setattr(transport, "LightMaterialSolver", started)
+    dataset = sphere_dataset(camera_ring(12, size=48), search_metal)
+    with pytest.raises(Cancelled, match="seen"):
+        transport.solve_light_materials(replace(make(search_metal), gaussians=metal), surface, dataset, SETTINGS, Silent())
 
 
 def test_too_few_views_are_one_clear_line(sphere, sphere_dataset, camera_ring):

@@ -74,6 +74,8 @@ def test_starts_have_the_same_roughness_and_reflect_the_same(parts):
         np.testing.assert_allclose(materials[ROUGHNESS], 0.2, rtol=1e-4)
     assert all(start.environment.shape == (64, 128, 3) for start in starts)
     assert torch.equal(starts[0].environment, starts[1].environment)  # the metal's colour is not in the light
+    reflected = [start.environment * materials[ALBEDO, 0] for start, materials in zip(starts, (by_solver, by_first), strict=True)]
+    np.testing.assert_allclose(*reflected, rtol=1e-3)
 
 
 def test_an_albedo_stays_below_one(parts):
