@@ -24,6 +24,11 @@ ROUNDS = 2  # of carving and cutting again
 LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
 AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
 ON = 0.87  # first prior where the object's points are
+HIDING = 0.3  # first prior from which a pixel may hide the support plane
+SPECKLES, GAPS = (
+    1.5,
+    7,
+)  # pixels, at 640 a side: sigma of the first evidence's blur, and diameter of gaps in the first masks that are closed
 ELSEWHERE = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
 AGREED = 0.6  # IoU with the other views' silhouette below which a mask has no vote
 DOUBTFUL = 0.75  # IoU below which a finished mask is reported
@@ -84,16 +89,31 @@ class _Work:
         self.agreement = np.ones(len(cutouts))
         self.refused: set[int] = set()
         self.texture: PlaneTexture | None = None
+        self.pixel = float(np.median([max(camera.width, camera.height) for camera in cameras])) / 640
         self.done = 0
 
     def first(self, ready: list[bool]) -> None:
-        """Cut the views that have evidence of their own, with the object's points as a weak prior."""
+        """Cut the views that have evidence of their own, with the object's points as a weak prior.
+
+        Metal reflects the table: here and there it looks like the plane behind it. Such speckles would become holes, which carve the hull.
+        """
         chosen = [i for i, one in enumerate(ready) if one]
         if not chosen:
             return
-        priors = [self._cutout(i).cropped(self._first_prior(self.cameras[i])) for i in chosen]
+        whole = [self._first_prior(camera) for camera in self.cameras]
+        priors = [self._cutout(i).cropped(whole[i]) for i in chosen]
         sure = [_first_sureness(self._cutout(i), prior) for i, prior in zip(chosen, priors, strict=True)]
-        self._cut(chosen, priors, sure, [SEED] * len(chosen), [np.maximum(one, 0) for one in sure])
+        evidence: Sequence[np.ndarray | None] = ()
+        if len(self.region.points()):
+            known = [np.select([one > 0.9, one < -0.5], [1.0, 0.0], 0.5).astype(np.float32) for one in sure]
+            found = self._plane_evidence(chosen, known, [(prior > HIDING).astype(np.float32) for prior in whole])
+            evidence = [None if one is None else cv2.GaussianBlur(one, (0, 0), SPECKLES * self.pixel) for one in found]
+        self._cut(chosen, priors, sure, [SEED] * len(chosen), [np.maximum(one, 0) for one in sure], evidence)
+        gap = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, 2 * [2 * round(GAPS * self.pixel / 2 - 0.5) + 1])
+        for i in chosen:
+            mask = self.masks[i]
+            assert mask is not None
+            self.masks[i] = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, gap)
 
     def again(self) -> None:
         """Carve the hull from all masks, and cut every view with the silhouette that the other views give."""
@@ -105,7 +125,7 @@ class _Work:
         chosen = [i for i, cutout in enumerate(self.cutouts) if cutout is not None]
         priors = [self._cutout(i).cropped(found[i]) for i in chosen]
         seeds = [LATER_SEED if self.agreement[i] >= AGREED else 0.0 for i in chosen]
-        evidence = self._plane_evidence(chosen, priors)
+        evidence = self._plane_evidence(chosen, priors, self.masks)
         self._cut(chosen, priors, [2 * prior - 1 for prior in priors], seeds, priors, evidence)
         self._compare(found)
 
@@ -138,13 +158,18 @@ class _Work:
         distance = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 5)
         return np.where(on, ON, 0.5 * np.clip(1 - distance / max(AROUND * radius, 1), 0, 1)).astype(np.float32)
 
-    def _plane_evidence(self, chosen: list[int], priors: list[np.ndarray]) -> Sequence[np.ndarray | None]:
-        """Return the evidence (h, w) that pixels of the chosen views show the support plane; None for each without a plane."""
+    def _plane_evidence(
+        self, chosen: list[int], priors: list[np.ndarray], hidden: Sequence[np.ndarray | None]
+    ) -> Sequence[np.ndarray | None]:
+        """Return the evidence (h, w) that pixels of the chosen views show the support plane; None for each without a plane.
+
+        The first call makes the plane's texture, where `hidden` (H, W) of each view is 0.
+        """
         if self.plane is None:
             return [None] * len(chosen)
         if self.texture is None:
             on_object = [self._seen_object(i) for i in range(len(self.cutouts))]
-            self.texture = plane_texture(self.colours, self.cameras, self.masks, self.plane, self.region.bound, on_object)
+            self.texture = plane_texture(self.colours, self.cameras, hidden, self.plane, self.region.bound, on_object)
         jobs = []
         for i, prior in zip(chosen, priors, strict=True):
             cutout = self._cutout(i)
@@ -172,8 +197,7 @@ class _Work:
         Lists hold for each of them a prior, what is sure, the seeds' cost, the start, and the evidence of the plane; none: no evidence.
         """
         cutouts = [self._cutout(i) for i in chosen]
-        near = NEAR * float(np.median([max(camera.width, camera.height) for camera in self.cameras])) / 640
-        models = learn_colours(cutouts, sure, near)
+        models = learn_colours(cutouts, sure, NEAR * self.pixel)
         jobs = list(zip(cutouts, models, priors, seeds, starts, evidence or [None] * len(chosen), strict=True))
         for i, cutout, crop in zip(chosen, cutouts, run_jobs(cut, jobs), strict=False):
             self.masks[i] = cutout.full(crop, (self.cameras[i].height, self.cameras[i].width))
