@@ -231,10 +231,19 @@ def _solve_from_first_stage(
     # A light that turns meets other traced rays in each view. Of a metal's light, the first stage's reflections know more.
     stays_coarse = transfer.rotations is not None or is_metal_on_average(g)
     metallic = (metallic > METAL).float() * search_metal
-    solver = LightMaterialSolver(samples, transfer, roughness, metallic, settings.seed, search_metal)
-    progress.phase("second stage", STEPS)
     step = lambda done: report_step(progress, done) or progress.finish_early  # noqa: E731
-    run_solver(solver, None if stays_coarse else split, step, try_dark=search_metal)
+
+    def solved(try_dark: bool) -> LightMaterialSolver:
+        solver = LightMaterialSolver(samples, transfer, roughness, metallic, settings.seed, search_metal)
+        progress.phase("second stage", STEPS)
+        run_solver(solver, None if stays_coarse else split, step, try_dark=try_dark)
+        return solver
+
+    solver = solved(try_dark=search_metal)
+    if solver.start_albedo < MEDIUM and not progress.finish_early:
+        # Before its metal is known, an object with metal parts looks darker than it is: what both starts end with decides.
+        medium = solved(try_dark=False)
+        solver = min(solver, medium, key=lambda one: one.total_error())
     if solver.start_albedo < MEDIUM:
         progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():

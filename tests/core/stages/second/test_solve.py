@@ -125,6 +125,25 @@ def test_none_of_it_starts_as_metal_where_none_may_be(sphere, sphere_dataset, ca
         transport.solve_light_materials(replace(make(search_metal), gaussians=metal), surface, dataset, SETTINGS, Silent())
 
 
+@pytest.mark.parametrize(("dark_error", "is_dark"), [(0.9, True), (1.1, False)])
+def test_what_both_starts_end_with_decides_whether_an_object_is_dark(sphere, sphere_dataset, camera_ring, monkeypatch, dark_error, is_dark):
+    """A hammer with a steel head looked dark in the first steps, before its metal was known."""
+    make, surface = sphere
+
+    def started(solver, split, step, try_dark):
+        if try_dark:
+            solver.start_dark()
+
+    monkeypatch.setattr(transport, "run_solver", started)
+    error = lambda self: dark_error if self.start_albedo < 0.5 else 1.0  # noqa: E731
+    monkeypatch.setattr(transport.LightMaterialSolver, "total_error", error)
+    listener = Listener()
+    dataset = sphere_dataset(camera_ring(12, size=48))
+    solved, _ = transport.solve_light_materials(make(True), surface, dataset, SETTINGS, listener)
+    assert (solved.start_albedo < 0.5) == is_dark
+    assert any("a dark object" in text for text in listener.messages) == is_dark
+
+
 def test_too_few_views_are_one_clear_line(sphere, sphere_dataset, camera_ring):
     make, surface = sphere
     with pytest.raises(IrgsppError, match=r"only \d+ points .* three photographs") as error:
