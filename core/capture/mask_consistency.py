@@ -25,10 +25,8 @@ LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know
 AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
 ON = 0.87  # first prior where the object's points are
 HIDING = 0.3  # first prior from which a pixel may hide the support plane
-SPECKLES, GAPS = (
-    1.5,
-    7,
-)  # pixels, at 640 a side: sigma of the first evidence's blur, and diameter of gaps in the first masks that are closed
+SPECKLES = 1.5  # pixels at 640 a side, sigma of the blur of the plane's evidence in the first cut
+GAPS = 7  # pixels at 640 a side, diameter of gaps in the first masks that are closed
 ELSEWHERE = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
 AGREED = 0.6  # IoU with the other views' silhouette below which a mask has no vote
 DOUBTFUL = 0.75  # IoU below which a finished mask is reported
@@ -103,17 +101,27 @@ class _Work:
         whole = [self._first_prior(camera) for camera in self.cameras]
         priors = [self._cutout(i).cropped(whole[i]) for i in chosen]
         sure = [_first_sureness(self._cutout(i), prior) for i, prior in zip(chosen, priors, strict=True)]
-        evidence: Sequence[np.ndarray | None] = ()
-        if len(self.region.points()):
-            known = [np.select([one > 0.9, one < -0.5], [1.0, 0.0], 0.5).astype(np.float32) for one in sure]
-            found = self._plane_evidence(chosen, known, [(prior > HIDING).astype(np.float32) for prior in whole])
-            evidence = [None if one is None else cv2.GaussianBlur(one, (0, 0), SPECKLES * self.pixel) for one in found]
+        evidence = self._first_evidence(chosen, sure, whole)
         self._cut(chosen, priors, sure, [SEED] * len(chosen), [np.maximum(one, 0) for one in sure], evidence)
-        gap = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, 2 * [2 * round(GAPS * self.pixel / 2 - 0.5) + 1])
+        side = 2 * round((GAPS * self.pixel - 1) / 2) + 1  # odd
         for i in chosen:
             mask = self.masks[i]
             assert mask is not None
-            self.masks[i] = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, gap)
+            self.masks[i] = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+
+    def _first_evidence(self, chosen: list[int], sure: list[np.ndarray], whole: list[np.ndarray]) -> Sequence[np.ndarray | None]:
+        """Return the evidence of the plane (h, w) in the chosen views before any view was cut; none where no point tells what hides it.
+
+        Args:
+            chosen: the views.
+            sure: (h, w) -1..1 of each chosen view, as of `_first_sureness`.
+            whole: first prior (H, W) of all views.
+        """
+        if not len(self.region.points()):
+            return ()
+        known = [np.select([one > 0.9, one < -0.5], [1.0, 0.0], 0.5).astype(np.float32) for one in sure]  # object, background, either
+        found = self._plane_evidence(chosen, known, [(prior > HIDING).astype(np.float32) for prior in whole])
+        return [None if one is None else cv2.GaussianBlur(one, (0, 0), SPECKLES * self.pixel) for one in found]
 
     def again(self) -> None:
         """Carve the hull from all masks, and cut every view with the silhouette that the other views give."""

@@ -223,7 +223,10 @@ def _solve_from_first_stage(
     progress: Progress,
     search_metal: bool,
 ) -> LightMaterialSolver:
-    """Run a solver that starts with the roughness and metallic of the nearest Gaussians; `search_metal` also allows a dark start."""
+    """Run a solver that starts with the roughness and metallic of the nearest Gaussians.
+
+    `search_metal` also allows a dark start, which must end with less error than that with a medium albedo.
+    """
     g = reconstruction.gaussians
     _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
     roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
@@ -242,6 +245,7 @@ def _solve_from_first_stage(
     solver = solved(try_dark=search_metal)
     if solver.start_albedo < MEDIUM and not progress.finish_early:
         # Before its metal is known, an object with metal parts looks darker than it is: what both starts end with decides.
+        progress.message("it may be dark: solved again from a medium albedo")
         medium = solved(try_dark=False)
         solver = min(solver, medium, key=lambda one: one.total_error())
     if solver.start_albedo < MEDIUM:
