@@ -10,7 +10,8 @@ where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and S,
 and that Fresnel adds (core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect light. The albedo is
 eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes Gauss-Newton steps, and
 roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal: `metal_regions.py`). At the end
-the normals of metal turn towards its reflections (`metal_normals.py`).
+the roughness gets a prior from all points of like albedo (`roughness_prior.py`), and the normals of metal turn towards its reflections
+(`metal_normals.py`).
 
 "Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
 from the radiance itself would keep all shading.
@@ -243,6 +244,9 @@ class LightMaterialSolver:
         elif done == METAL_BORDERS:
             metal = self._completed_metal(self._search.redrawn_metal(costs, metal))
         self._set_materials(costs, metal)
+        if done == MATERIAL_STEPS[-1]:  # sooner, the prior would settle on a roughness before the light does, see `roughness_prior`
+            self.roughness = self._search.likely_roughness(costs, metal, self.albedo)
+            self._update_model()
 
     def _test_metal(self) -> None:
         """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""

@@ -13,6 +13,7 @@ from .metal_regions import SUPPORT, SUPPORT_PASSES, connected_regions, grow_meta
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
 from .radiance_transfer import DiffuseRows, RadianceTransfer
+from .roughness_prior import with_roughness_prior
 from .sample_equation import least_squares_albedo, robust_error, view_terms
 
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
@@ -84,6 +85,18 @@ class MaterialSearch:
         """Return the roughness (P,) of least cost of points that are metal where `metal` (P,) is True."""
         as_metal = parabola_minimum(self._knots[:METAL_ROUGHNESS], costs[:, -1, :METAL_ROUGHNESS])
         return torch.where(metal, as_metal, parabola_minimum(self._knots, costs[:, 0]))
+
+    def likely_roughness(self, costs: torch.Tensor, metal: torch.Tensor, albedo: torch.Tensor) -> torch.Tensor:
+        """Return the most likely roughness (P,) of points; that of dielectrics has a prior, see `with_roughness_prior`.
+
+        Args:
+            costs: (P, M, J), see `costs`.
+            metal: (P,) bool, the points that are metal.
+            albedo: (P, 3) of the points.
+        """
+        likely = costs.clone()
+        likely[~metal, 0] = with_roughness_prior(costs[~metal, 0], albedo[~metal])
+        return self.roughness(likely, metal)
 
     def metal_candidates(self, costs: torch.Tensor) -> torch.Tensor:
         """Find the points (P,) bool that may be metal."""

@@ -33,6 +33,23 @@ def test_true_materials_cost_least(searched):
     assert (search.roughness(cost, metal) - roughness).abs().max() < 0.06
 
 
+def test_the_prior_leaves_clear_evidence_and_metal_alone(searched):
+    search, cost, (albedo, roughness, metallic) = searched
+    metal = metallic > 0
+    found = search.likely_roughness(cost, metal, albedo)
+    assert torch.equal(found[metal], search.roughness(cost, metal)[metal])
+    assert (found - roughness).abs().max() < 0.06
+
+
+def test_the_prior_fills_in_a_roughness_that_nothing_shows(searched):
+    search, cost, (albedo, roughness, metallic) = searched
+    metal, hidden = metallic > 0, torch.zeros(len(albedo), dtype=torch.bool)
+    hidden[torch.nonzero(metallic == 0)[::20]] = True
+    flat = torch.where(hidden[:, None, None], cost.amin(2, keepdim=True) * (1 + 1e-3 * torch.arange(cost.shape[2]).flip(0)), cost)
+    assert (search.roughness(flat, metal) - roughness)[hidden].abs().min() > 0.1  # all of them too rough
+    assert (search.likely_roughness(flat, metal, albedo) - roughness)[hidden].abs().max() < 0.06
+
+
 def test_candidates_are_the_metal_and_stay(searched):
     search, cost, (_, _, metallic) = searched
     metal = metallic > 0
