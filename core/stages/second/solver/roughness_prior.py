@@ -15,16 +15,18 @@ import torch
 
 from .albedo_prior import COLOURS
 
-INDEPENDENT = 5  # number of independent errors in the views of a point, which err alike
+INDEPENDENT = 5  # number of independent errors of a point, whose views err alike
 FLOOR = 1e-3  # of the prior: no roughness is impossible
 PASSES = 3  # of the expectation maximisation
+SOURCES = 2500  # points, evenly chosen, from which the prior is estimated, at most
+BLOCK = 10_000  # points compared with the sources at a time
 
 
 def with_roughness_prior(costs: torch.Tensor, albedo: torch.Tensor) -> torch.Tensor:
     """Add the negative logarithm of the prior to costs.
 
     Args:
-        costs: (P, J) robust errors of P points at J values of the roughness.
+        costs: (P, J) robust errors of P points at J values of the roughness, 0 and more.
         albedo: (P, 3) of the points.
 
     Returns:
@@ -32,13 +34,20 @@ def with_roughness_prior(costs: torch.Tensor, albedo: torch.Tensor) -> torch.Ten
     """
     if not len(costs):
         return costs
-    # A point's least error is its noise, and that of half of the points is so at least: wrong normals fit with a wrong roughness, too.
+    # The noise of a point is its least error, or the median of all points' where that is larger. So points whose normals are wrong, which
+    # no roughness fits well, count little.
     least = costs.amin(1, keepdim=True)
-    scale = (least.clamp_min(least.median()) / INDEPENDENT).clamp_min(1e-12)  # turns costs into negative log likelihoods
-    log_albedo = albedo.clamp_min(0.02).log()
-    similarity = 1 / (1 + torch.cdist(log_albedo, log_albedo).square() / COLOURS**2) ** 2
-    similarity = similarity / similarity.sum(1, keepdim=True)
-    prior = similarity @ torch.softmax(-costs / scale, 1)
+    scale = (least.clamp_min(least.median()) / INDEPENDENT).clamp_min(1e-12)  # costs / scale: negative log likelihoods
+    log_albedo, sources = albedo.clamp_min(0.02).log(), slice(None, None, -(-len(costs) // SOURCES))
+    known, others = (-costs / scale)[sources], log_albedo[sources]
+    likeness, posterior = _likeness(others, others), torch.softmax(known, 1)
     for _ in range(PASSES):
-        prior = similarity @ torch.softmax(-costs / scale + (prior + FLOOR).log(), 1)
+        posterior = torch.softmax(known + (likeness @ posterior + FLOOR).log(), 1)
+    prior = torch.cat([_likeness(block, others) @ posterior for block in log_albedo.split(BLOCK)])
     return costs - scale * (prior + FLOOR).log()
+
+
+def _likeness(log_albedo: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+    """Return by how much points (P, 3) are like others (S, 3), (P, S); it sums to 1 over the others."""
+    likeness = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
+    return likeness / likeness.sum(1, keepdim=True)

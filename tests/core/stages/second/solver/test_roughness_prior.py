@@ -2,6 +2,7 @@
 """The prior of the roughness decides where a point's own evidence does not."""
 
 import torch
+from irgspp.core.stages.second.solver import roughness_prior
 from irgspp.core.stages.second.solver.roughness_prior import FLOOR, INDEPENDENT, PASSES, with_roughness_prior
 
 KNOTS = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0])
@@ -32,6 +33,14 @@ def test_a_point_with_clear_evidence_keeps_its_own():
 def test_two_finishes_of_one_colour_both_stay():
     found = likely(torch.cat([costs([0.2] * 20), costs([0.6] * 20)]), [RED] * 40)
     torch.testing.assert_close(found, torch.tensor([0.2] * 20 + [0.6] * 20))
+
+
+def test_many_points_take_the_prior_of_some(monkeypatch):
+    cost = torch.cat([costs([0.3] * 20), costs([0.8] * 20), costs([1.0, 1.0], slope=1e-3)])
+    colours = [RED] * 20 + [BLUE] * 20 + [RED, BLUE]
+    monkeypatch.setattr(roughness_prior, "SOURCES", 10)
+    monkeypatch.setattr(roughness_prior, "BLOCK", 7)
+    torch.testing.assert_close(likely(cost, colours)[-2:], torch.tensor([0.3, 0.8]))
 
 
 def test_no_points():
