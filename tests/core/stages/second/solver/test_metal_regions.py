@@ -2,8 +2,10 @@
 """Metal grows from clear evidence over points that do not contradict it, and is kept by regions that explain the photographs better."""
 
 import numpy as np
+import pytest
 import torch
 from irgspp.core.stages.second.solver.metal_regions import (
+    DENSITY,
     EVIDENCE,
     NEIGHBOURS,
     POSSIBLE,
@@ -78,7 +80,7 @@ def test_regions_are_confirmed_by_what_they_gain():
 
     def adapt(metal):
         asked.append(metal)
-        errors = torch.full((60,), 2.0) - (metal & true).float() + (metal & false).float() - 0.5 * float((metal & misleading).any())
+        errors = torch.full((60,), 2.0) - (metal & true).float() + (metal & false).float() - 0.9 * float((metal & misleading).any())
         return metal, errors
 
     found, errors, count = confirm_metal([true, false, misleading], adapt(NONE), adapt)
@@ -97,9 +99,19 @@ def test_region_must_gain_itself_and_in_all():
     assert confirmed(-1, 0.1) == 1
     assert confirmed(-1, 0.6) == 0  # the others lose more
     assert confirmed(0.1, -1) == 0  # only the others gain
-    enough = 120 * EVIDENCE / 20  # of each point, as all errors are 120 and the region has 20 points
-    assert confirmed(-1.1 * enough, 0) == 1
-    assert confirmed(-0.9 * enough, 0) == 0
+
+
+@pytest.mark.parametrize(("points", "needed"), [(1, EVIDENCE), (20, DENSITY * 20 / 60), (30, DENSITY * 30 / 60), (40, EVIDENCE)])
+def test_large_regions_must_gain_more_but_for_whole_objects(points, needed):
+    (region,) = masks((0, points))
+
+    def confirmed(gain):
+        """Whether the region is metal if that takes this share off all errors, which are 120."""
+        adapt = lambda metal: (metal, 2.0 - 120 * gain / points * metal.any() * region.float())  # noqa: E731
+        return confirm_metal([region], adapt(NONE), adapt)[2]
+
+    assert confirmed(1.1 * needed) == 1
+    assert confirmed(0.9 * needed) == 0
 
 
 def test_region_that_cannot_gain_enough_is_not_tested():
