@@ -31,8 +31,13 @@ def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch
         return torch.full_like(albedo, start), torch.full_like(albedo, 1e3)
     log_albedo = albedo.log()
     others = log_albedo[torch.randperm(len(log_albedo), generator=generator)[:SAMPLE].to(log_albedo.device)]
-    similarity = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
+    similarity = colour_likeness(log_albedo, others)
     total = similarity.sum(1, keepdim=True)
     strength = PRIOR[0] * (PRIOR[1] / PRIOR[0]) ** min(1.0, (done - CONSTANT) / RELEASE)
     pull = strength * total / len(others) / albedo.clamp_min(0.02) ** 2 + 1e-6
     return (similarity @ others / total).exp(), pull
+
+
+def colour_likeness(log_albedo: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+    """Return by how much points with log albedos (P, 3) are of the colour of others (S, 3): (P, S), 1 for equal ones."""
+    return 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2

@@ -243,10 +243,8 @@ class LightMaterialSolver:
             metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
         elif done == METAL_BORDERS:
             metal = self._completed_metal(self._search.redrawn_metal(costs, metal))
-        self._set_materials(costs, metal)
-        if done == MATERIAL_STEPS[-1]:  # sooner, the prior would settle on a roughness before the light does, see `roughness_prior`
-            self.roughness = self._search.likely_roughness(costs, metal, self.albedo)
-            self._update_model()
+        # Sooner, the prior would settle on a roughness before the light does, see `roughness_prior`.
+        self._set_materials(costs, metal, with_prior=done == MATERIAL_STEPS[-1])
 
     def _test_metal(self) -> None:
         """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""
@@ -282,7 +280,9 @@ class LightMaterialSolver:
         """Return the costs of materials under the current light, see `MaterialSearch.costs`."""
         return self._search.costs(self.light, self.robust_weight * self.derivative**2, self.derivative)
 
-    def _set_materials(self, costs: torch.Tensor, metal: torch.Tensor) -> None:
-        """Set which points are metal (P,) bool, and the roughness of least cost."""
-        self.roughness, self.metallic = self._search.roughness(costs, metal), metal.to(self.metallic)
+    def _set_materials(self, costs: torch.Tensor, metal: torch.Tensor, with_prior: bool = False) -> None:
+        """Set which points are metal (P,) bool, and the roughness of least cost, or the most likely one `with_prior`."""
+        search = self._search
+        self.roughness = search.likely_roughness(costs, metal, self.albedo) if with_prior else search.roughness(costs, metal)
+        self.metallic = metal.to(self.metallic)
         self._update_model()

@@ -31,8 +31,8 @@ LEAST, MOST = 4, 6  # points of a region, and regions that are tested
 # Least gain of a region as a share of the robust error of all samples. Regions of metal gained 0.014 and more on rocker_corner, whose
 # normals are wrong there, on capture_ogre and on suzanne_mixed; others up to 0.005 there and on spot_rough.
 EVIDENCE = 0.009
-# Least gain of a region over its share of the points, as a share of the robust error of all samples: a large region must gain more. Leaves
-# of a captured plant, which are no metal, gained 0.23 and 0.27; regions of metal 0.49 and more on six scenes.
+# A large region needs a larger gain: DENSITY times its share of the points. Leaves of a captured plant, which are no metal, gained 0.23 and
+# 0.27 times their share; regions of metal that gained EVIDENCE, on five scenes, 0.49 times and more.
 DENSITY = 0.35
 # Median roughness above which a region is not tested: where the surface is wrong, in gaps and at contacts, rough metal explains shadows
 # better. Such regions had .79 and more on four scenes, regions of metal .35 to .69 on seven. Two false ones were sharper (.69, and below .6

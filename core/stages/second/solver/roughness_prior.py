@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import torch
 
-from .albedo_prior import COLOURS
+from .albedo_prior import colour_likeness
 
 INDEPENDENT = 5  # number of independent errors of a point, whose views err alike
 FLOOR = 1e-3  # of the prior: no roughness is impossible
@@ -48,6 +48,6 @@ def with_roughness_prior(costs: torch.Tensor, albedo: torch.Tensor) -> torch.Ten
 
 
 def _likeness(log_albedo: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
-    """Return by how much points (P, 3) are like others (S, 3), (P, S); it sums to 1 over the others."""
-    likeness = 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
+    """Return the weights (P, S) of others (S, 3) by their likeness to points (P, 3); they sum to 1 over the others."""
+    likeness = colour_likeness(log_albedo, others)
     return likeness / likeness.sum(1, keepdim=True)
