@@ -8,6 +8,9 @@ subdivisions. The lobe is split where Fresnel adds to F0,
     f_s = F0 D V (1 - p) + D V p,  p = (1 - v.h)^5,
 
 so that both parts are linear in the light and independent of the albedo.
+
+A direction stands for a part of the sphere. Where the lobe is narrow against it (`constants.NARROW`), the lobe's mean over `constants.WITHIN`
+directions in it counts: a few directions would miss the highlight or weigh it too much, which looks like a rougher surface.
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ def _subdivisions(fixed: tuple[Any, ...], texels: int) -> int:
     return subs
 
 
-def lobe_rows(point: Any, view: Any, normal: Any, alpha: Any, fixed: tuple[Any, ...], texels: int) -> tuple[Any, Any, Any, Any]:
+def lobe_rows(point: Any, view: Any, normal: Any, alpha: Any, fixed: tuple[Any, ...], within: Any, texels: int) -> tuple[Any, Any, Any, Any]:
     """Compute the weight of every texel of the light in K views of points.
 
     Args:
@@ -45,6 +48,7 @@ def lobe_rows(point: Any, view: Any, normal: Any, alpha: Any, fixed: tuple[Any, 
         normal: (P, 3) unit normals of the points.
         alpha: (P,) GGX widths of the points.
         fixed: directions (3, D), their solid angles (D,), visible (P, D), indirect (P, 3, D); D = subs x texels. All float32.
+        within: (D, 3, WITHIN) float32 unit directions that are spread over what each direction stands for.
         texels: number of texels of the light, a multiple of 8.
 
     Returns:
@@ -56,15 +60,15 @@ def lobe_rows(point: Any, view: Any, normal: Any, alpha: Any, fixed: tuple[Any, 
     """
     k, subs = len(point), _subdivisions(fixed, texels)
     if isinstance(view, torch.Tensor):
-        return _warp_lobes().lobe_rows(point, view, normal, alpha, fixed, texels)
+        return _warp_lobes().lobe_rows(point, view, normal, alpha, fixed, within, texels)
     rows = np.empty((2, k * texels), np.float32)
     rest = np.empty((2, k, 3), np.float32)
-    arrays = (point, view, normal, alpha, *(f.reshape(-1) for f in fixed), *rows, *rest)
+    arrays = (point, view, normal, alpha, *(f.reshape(-1) for f in (*fixed, within)), *rows, *rest)
     run_ranges(lobe_rows_range, even_ranges(k, 4 * thread_count()), texels, subs, *arrays)
     return rows[0].reshape(k, texels), rows[1].reshape(k, texels), rest[0], rest[1]
 
 
-def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, fixed: tuple[Any, ...], light: Any) -> tuple[Any, Any]:
+def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, fixed: tuple[Any, ...], within: Any, light: Any) -> tuple[Any, Any]:
     """Integrate both parts of the lobe over a light and the indirect light, for J GGX widths.
 
     Args:
@@ -72,7 +76,7 @@ def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, fixed: tuple[Any,
         view: (K, 3) unit, towards the eye.
         normal: (P, 3) unit normals of the points.
         alphas: (J,) GGX widths, the same for all views.
-        fixed: as for `lobe_rows`.
+        fixed, within: as for `lobe_rows`.
         light: (texels, 3) linear radiance, `texels` a multiple of 8.
 
     Returns:
@@ -84,9 +88,9 @@ def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, fixed: tuple[Any,
     k, texels = len(point), len(light)
     subs = _subdivisions(fixed, texels)
     if isinstance(view, torch.Tensor):
-        return _warp_lobes().lobe_sums(point, view, normal, alphas, fixed, light)
+        return _warp_lobes().lobe_sums(point, view, normal, alphas, fixed, within, light)
     sums = np.empty((2, k, len(alphas), 3), np.float32)
     planes = np.ascontiguousarray(light.T, np.float32).reshape(-1)
-    arrays = (point, view, normal, alphas, *(f.reshape(-1) for f in fixed), planes, *sums)
+    arrays = (point, view, normal, alphas, *(f.reshape(-1) for f in (*fixed, within)), planes, *sums)
     run_ranges(lobe_sums_range, even_ranges(k, 4 * thread_count()), texels, subs, *arrays)
     return sums[0], sums[1]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from irgspp.core.kernels.constants import WITHIN
 from irgspp.core.kernels.lobes import lobe_rows, lobe_sums
 from irgspp.core.shading.brdf import base_reflectance, bend_view_to_normal, ggx_alpha, specular_lobe
 from irgspp.core.shading.environment_lookup import solid_angles, texel_directions
@@ -274,8 +275,9 @@ def lobes(measured: Measured) -> None:
     angle = solid_angles(height, 2 * height)[:, None].repeat(1, 2 * height).flatten()
     seen = np.ones((len(view), len(towards)), np.float32)
     fixed = (towards.T.contiguous().numpy(), angle.numpy(), seen, np.zeros((len(view), 3, len(towards)), np.float32))
+    within = np.repeat(towards.numpy()[:, :, None], WITHIN, 2)  # a mean over them is the lobe in the direction
     alpha = ggx_alpha(roughness)
-    scaled, added, *_ = lobe_rows(place, view.numpy(), normal.numpy(), alpha.numpy(), fixed, len(towards))
+    scaled, added, *_ = lobe_rows(place, view.numpy(), normal.numpy(), alpha.numpy(), fixed, within, len(towards))
     bent = view.double() + (1e-3 - (view * normal).sum(1, keepdim=True).double()).clamp_min(0) * normal.double()
     directions = towards.double().expand(len(view), -1, 3)
     bent = torch.nn.functional.normalize(bent, dim=1)
@@ -289,6 +291,6 @@ def lobes(measured: Measured) -> None:
     measured.at_most("error", float((rows - exact)[:, front].abs().max() / exact[:, front].max()), 1e-3)
     light = some_light(height).reshape(-1, 3)
     widths = np.unique(alpha.numpy())
-    sums = np.stack(lobe_sums(place, view.numpy(), normal.numpy(), widths, fixed, light.numpy()))
+    sums = np.stack(lobe_sums(place, view.numpy(), normal.numpy(), widths, fixed, within, light.numpy()))
     mine = sums[:, place, np.searchsorted(widths, alpha.numpy())]
     measured.at_most("sums against rows", relative(torch.from_numpy(mine), rows @ light), 1e-4)

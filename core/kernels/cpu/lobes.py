@@ -10,19 +10,21 @@ import math
 
 import numpy as np
 
-from ..constants import SHORTEST2
+from ..constants import NARROW, SHORTEST2
+from ..constants import WITHIN as _WITHIN
 from .jit import helper, kernel
 from .reductions import total
-from .simd import bits, load, maximum, splat, sqrt, store
+from .simd import bits, load, maximum, select, splat, sqrt, store
 
 _HALF_PI = np.float32(0.5 / math.pi)
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-_SHORTEST2 = np.float32(SHORTEST2)
+_SHORTEST2, _NARROW = np.float32(SHORTEST2), np.float32(NARROW)
+_SHARE = np.float32(1 / _WITHIN)
 
 
 @helper
 def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
-    """Return D V n.l and (1 - v.h)^5 in 8 directions with n_l >= 0.
+    """Return D V n.l, (1 - v.h)^5 and sin^2 (n, h) + alpha^2, about, in 8 directions with n_l >= 0.
 
     D is computed from the sine of the half vector: near 1 its cosine has no significant digits left.
     """
@@ -34,7 +36,7 @@ def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
     both = n_l * np.float32(math.sqrt(n_v * n_v * (_ONE - a2) + a2)) + sqrt(n_l * n_l * (_ONE - a2) + a2) * n_v
     x = maximum(splat(_ONE) - sqrt(length2) * _HALF, splat(_ZERO))
     x2 = x * x
-    return n_l * (a2 * _HALF_PI) / (k * k * both), x2 * x2 * x
+    return n_l * (a2 * _HALF_PI) / (k * k * both), x2 * x2 * x, k
 
 
 @helper
@@ -44,14 +46,38 @@ def _cosines(direction, count, at, nx, ny, nz):
     return dx, dy, dz, dx * nx + dy * ny + dz * nz
 
 
+@helper
+def _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, a2):
+    """Return the means over the directions within direction `at` of D V n.l (1 - p) and D V n.l p, p = (1 - v.h)^5."""
+    value, bias = splat(_ZERO), splat(_ZERO)
+    for i in range(3 * _WITHIN * at, 3 * _WITHIN * at + _WITHIN, 8):
+        dx, dy, dz = load(within, i), load(within, i + _WITHIN), load(within, i + 2 * _WITHIN)
+        n_l = maximum(dx * nx + dy * ny + dz * nz, splat(_ZERO))
+        one, power, _ = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2)
+        value, bias = value + one, bias + one * power
+    return total(value - bias) * _SHARE, total(bias) * _SHARE
+
+
+@helper
+def _listed(narrow, count, at, lanes, factor, offset):
+    """Append `factor` (at + lane) + `offset` to the list `narrow` of `count` entries for each bit of `lanes`; return the new count."""
+    for lane in range(8):
+        if lanes >> lane & 1:
+            narrow[count] = factor * (at + lane) + offset
+            count += 1
+    return count
+
+
 @kernel
 def lobe_rows_range(
-    begin, end, texels, subs, point, view, normal, alpha, direction, solid_angle, visible, indirect, scaled, added, rest_scaled, rest_added
+    begin, end, texels, subs, point, view, normal, alpha, direction, solid_angle, visible, indirect, within, scaled, added,
+    rest_scaled, rest_added,
 ):  # fmt: skip
     """Compute for views begin..end both parts of the lobe per texel, (K, texels) flat, and applied to the indirect light, (K, 3)."""
     count, zero = texels * subs, splat(_ZERO)
+    narrow = np.empty(count, np.int64)  # directions whose lobe is a mean
     for k in range(begin, end):
-        p = point[k]
+        p, listed = point[k], 0
         nx, ny, nz = normal[p, 0], normal[p, 1], normal[p, 2]
         vx, vy, vz = view[k, 0], view[k, 1], view[k, 2]
         n_v = max(nx * vx + ny * vy + nz * vz, np.float32(1e-3))
@@ -64,8 +90,11 @@ def lobe_rows_range(
                 dx, dy, dz, n_l = _cosines(direction, count, at, nx, ny, nz)
                 if bits(n_l > _ZERO) == 0:
                     continue
-                value, power = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero), a2)
-                value = value * load(solid_angle, at)
+                value, power, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero), a2)
+                angle = load(solid_angle, at)
+                few = (spread < angle * _NARROW) & (n_l > _ZERO)
+                listed = _listed(narrow, listed, at, bits(few), 1, 0)
+                value = select(few, zero, value * angle)
                 bias = value * power
                 value = value - bias
                 free = load(visible, p * count + at)
@@ -79,11 +108,21 @@ def lobe_rows_range(
             store(added, k * texels + texel, sum_added)
         rest_scaled[k, 0], rest_scaled[k, 1], rest_scaled[k, 2] = total(r0), total(r1), total(r2)
         rest_added[k, 0], rest_added[k, 1], rest_added[k, 2] = total(s0), total(s1), total(s2)
+        for i in range(listed):
+            at = narrow[i]
+            mean, mean_bias = _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, a2)
+            mean, mean_bias = mean * solid_angle[at], mean_bias * solid_angle[at]
+            scaled[k * texels + at % texels] += mean * visible[p * count + at]
+            added[k * texels + at % texels] += mean_bias * visible[p * count + at]
+            for channel in range(3):
+                reflected = indirect[(p * 3 + channel) * count + at]
+                rest_scaled[k, channel] += mean * reflected
+                rest_added[k, channel] += mean_bias * reflected
 
 
 @kernel
 def lobe_sums_range(
-    begin, end, texels, subs, point, view, normal, alphas, direction, solid_angle, visible, indirect, light, scaled, added
+    begin, end, texels, subs, point, view, normal, alphas, direction, solid_angle, visible, indirect, within, light, scaled, added
 ):  # fmt: skip
     """Integrate for views begin..end both parts of the lobe over all light, (K, J, 3).
 
@@ -91,8 +130,9 @@ def lobe_sums_range(
     """
     count, zero, widths = texels * subs, splat(_ZERO), len(alphas)
     sums = np.empty(widths * 48, np.float32)
+    narrow = np.empty(widths * count, np.int64)  # direction times J, plus the number of the width, whose lobe is a mean
     for k in range(begin, end):
-        p = point[k]
+        p, listed = point[k], 0
         nx, ny, nz = normal[p, 0], normal[p, 1], normal[p, 2]
         vx, vy, vz = view[k, 0], view[k, 1], view[k, 2]
         n_v = max(nx * vx + ny * vy + nz * vz, np.float32(1e-3))
@@ -103,6 +143,7 @@ def lobe_sums_range(
                 dx, dy, dz, n_l = _cosines(direction, count, at, nx, ny, nz)
                 if bits(n_l > _ZERO) == 0:
                     continue
+                above = n_l > _ZERO
                 n_l = maximum(n_l, zero)
                 angle = load(solid_angle, at)
                 free = load(visible, p * count + at)
@@ -110,7 +151,10 @@ def lobe_sums_range(
                 l1 = (load(light, texels + texel) * free + load(indirect, (p * 3 + 1) * count + at)) * angle
                 l2 = (load(light, 2 * texels + texel) * free + load(indirect, (p * 3 + 2) * count + at)) * angle
                 for j in range(widths):
-                    value, power = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, alphas[j] * alphas[j])
+                    value, power, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, alphas[j] * alphas[j])
+                    few = (spread < angle * _NARROW) & above
+                    listed = _listed(narrow, listed, at, bits(few), widths, j)
+                    value = select(few, zero, value)
                     bias = value * power
                     value = value - bias
                     to = j * 48
@@ -124,3 +168,11 @@ def lobe_sums_range(
             for channel in range(3):
                 scaled[k, j, channel] = total(load(sums, j * 48 + channel * 8))
                 added[k, j, channel] = total(load(sums, j * 48 + 24 + channel * 8))
+        for i in range(listed):
+            at, j = narrow[i] // widths, narrow[i] % widths
+            mean, mean_bias = _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, alphas[j] * alphas[j])
+            for channel in range(3):
+                incoming = light[channel * texels + at % texels] * visible[p * count + at]
+                incoming = (incoming + indirect[(p * 3 + channel) * count + at]) * solid_angle[at]
+                scaled[k, j, channel] += mean * incoming
+                added[k, j, channel] += mean_bias * incoming

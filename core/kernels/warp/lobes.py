@@ -4,8 +4,12 @@
 import torch
 import warp as wp
 
-from .reflection import lobe, point_of
+from ..constants import NARROW
+from ..constants import WITHIN as _WITHIN
+from .reflection import Point, lobe, point_of, spread
 from .runtime import launch
+
+_NARROW, WITHIN = wp.constant(NARROW), wp.constant(_WITHIN)
 
 
 @wp.func
@@ -14,11 +18,25 @@ def direction_at(direction: wp.array2d(dtype=float), at: int) -> wp.vec3:
     return wp.vec3(direction[0, at], direction[1, at], direction[2, at])
 
 
+@wp.func
+def parts_of(point: Point, d: wp.vec3, n_l: float, angle: float, within: wp.array3d(dtype=float), at: int) -> wp.vec2:
+    """Return both parts of the lobe times n.l in direction `at`, d, with n_l > 0, or their means within it where the lobe is narrow."""
+    if spread(point, d, n_l) >= _NARROW * angle:
+        return lobe(point, d, n_l) * n_l
+    total = wp.vec2(0.0, 0.0)
+    for i in range(WITHIN):
+        inner = wp.vec3(within[at, 0, i], within[at, 1, i], within[at, 2, i])
+        cosine = wp.dot(point.n, inner)
+        if cosine > 0.0:
+            total += lobe(point, inner, cosine) * cosine
+    return total / float(WITHIN)
+
+
 @wp.kernel
 def rows(
     texels: int, subs: int, point: wp.array(dtype=wp.int64), view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3),
     alpha: wp.array(dtype=float), direction: wp.array2d(dtype=float), solid_angle: wp.array(dtype=float), visible: wp.array2d(dtype=float),
-    scaled: wp.array2d(dtype=float), added: wp.array2d(dtype=float),
+    within: wp.array3d(dtype=float), scaled: wp.array2d(dtype=float), added: wp.array2d(dtype=float),
 ):  # fmt: skip
     """Compute both parts of the lobe per texel of the light, (K, texels)."""
     k, texel = wp.tid()
@@ -31,7 +49,7 @@ def rows(
         d = direction_at(direction, at)
         n_l = wp.dot(n, d)
         if n_l > 0.0:
-            total += lobe(shading_point, d, n_l) * (n_l * solid_angle[at] * visible[p, at])
+            total += parts_of(shading_point, d, n_l, solid_angle[at], within, at) * (solid_angle[at] * visible[p, at])
     scaled[k, texel] = total[0]
     added[k, texel] = total[1]
 
@@ -40,7 +58,7 @@ def rows(
 def sums(
     texels: int, count: int, point: wp.array(dtype=wp.int64), view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3),
     alpha: wp.array(dtype=float), each: int, direction: wp.array2d(dtype=float), solid_angle: wp.array(dtype=float),
-    visible: wp.array2d(dtype=float), indirect: wp.array3d(dtype=float), light: wp.array(dtype=wp.vec3),
+    visible: wp.array2d(dtype=float), indirect: wp.array3d(dtype=float), within: wp.array3d(dtype=float), light: wp.array(dtype=wp.vec3),
     scaled: wp.array2d(dtype=wp.vec3), added: wp.array2d(dtype=wp.vec3),
 ):  # fmt: skip
     """Integrate both parts of the lobe over a light and the indirect light, (K, J); alpha is per point if `each` is 1, else J widths."""
@@ -57,8 +75,8 @@ def sums(
         n_l = wp.dot(n, d)
         if n_l > 0.0:
             reflected = wp.vec3(indirect[p, 0, at], indirect[p, 1, at], indirect[p, 2, at])
-            incoming = (light[at % texels] * visible[p, at] + reflected) * (n_l * solid_angle[at])
-            parts = lobe(shading_point, d, n_l)
+            incoming = (light[at % texels] * visible[p, at] + reflected) * solid_angle[at]
+            parts = parts_of(shading_point, d, n_l, solid_angle[at], within, at)
             by_f0 += incoming * parts[0]
             by_fresnel += incoming * parts[1]
     scaled[k, j] = by_f0
@@ -67,7 +85,7 @@ def sums(
 
 def lobe_sums(
     point: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, alphas: torch.Tensor, fixed: tuple[torch.Tensor, ...],
-    light: torch.Tensor, each: bool = False,
+    within: torch.Tensor, light: torch.Tensor, each: bool = False,
 ) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
     """Integrate both parts of the lobe over a light and the indirect light, see core/kernels/lobes.py.
 
@@ -77,6 +95,7 @@ def lobe_sums(
         normal: (P, 3) unit.
         alphas: (J,) GGX widths, or (P,) where `each`.
         fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D).
+        within: (D, 3, WITHIN) unit directions.
         light: (texels, 3) linear radiance.
         each: use each point's own width; J is 1.
 
@@ -88,13 +107,14 @@ def lobe_sums(
     views = (point, view.contiguous(), normal.contiguous(), alphas.contiguous())
     counts = (len(light), direction.shape[1])
     if len(point):
-        launch(sums, scaled.shape[:2], *counts, *views, int(each), direction, angle, visible, indirect, light.contiguous(), scaled, added)
+        launch(sums, scaled.shape[:2], *counts, *views, int(each), direction, angle, visible, indirect, within, light.contiguous(), scaled, added)
     return scaled, added
 
 
 def lobe_rows(
-    point: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, fixed: tuple[torch.Tensor, ...], texels: int
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    point: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, fixed: tuple[torch.Tensor, ...],
+    within: torch.Tensor, texels: int,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:  # fmt: skip
     """Compute the weight of every texel of the light in K views of points, see core/kernels/lobes.py.
 
     Args:
@@ -103,6 +123,7 @@ def lobe_rows(
         normal: (P, 3) unit.
         alpha: (P,) GGX widths.
         fixed: directions (3, D), solid angles (D,), visible (P, D), indirect (P, 3, D).
+        within: (D, 3, WITHIN) unit directions.
         texels: number of texels of the light.
 
     Returns:
@@ -113,7 +134,7 @@ def lobe_rows(
     subs = direction.shape[1] // texels
     views = (point, view.contiguous(), normal.contiguous(), alpha.contiguous())
     if len(point):
-        launch(rows, scaled.shape, texels, subs, *views, direction, angle, visible, scaled, added)
+        launch(rows, scaled.shape, texels, subs, *views, direction, angle, visible, within, scaled, added)
     dark = view.new_zeros(texels, 3)
-    rest_scaled, rest_added = lobe_sums(point, view, normal, alpha, fixed, dark, each=True)
+    rest_scaled, rest_added = lobe_sums(point, view, normal, alpha, fixed, within, dark, each=True)
     return scaled, added, rest_scaled[:, 0], rest_added[:, 0]

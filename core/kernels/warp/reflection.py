@@ -35,12 +35,19 @@ def point_of(n: wp.vec3, v: wp.vec3, n_v: float, alpha: float) -> Point:
 
 
 @wp.func
+def spread(point: Point, d: wp.vec3, n_l: float) -> float:
+    """Return sin^2 (n, h) + alpha^2, about: the lobe of D falls with its square."""
+    h = d + point.v
+    t = h - point.n * (n_l + point.n_v)
+    return point.a2 + wp.dot(t, t) / wp.max(wp.dot(h, h), _SHORTEST2) * (1.0 - point.a2)
+
+
+@wp.func
 def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
     """Return the two parts of D V for n_l > 0: the one that F0 scales and the one that Fresnel adds."""
     h = d + point.v
     length2 = wp.max(wp.dot(h, h), _SHORTEST2)
-    t = h - point.n * (n_l + point.n_v)
-    k = point.a2 + wp.dot(t, t) / length2 * (1.0 - point.a2)
+    k = spread(point, d, n_l)
     both = n_l * point.root + point.n_v * wp.sqrt(n_l * n_l * (1.0 - point.a2) + point.a2)
     value = point.a2 * _HALF_PI / (k * k * both)
     x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from ....kernels.constants import WITHIN
 from ...common.light_map import resized_light
 
 
@@ -65,17 +66,31 @@ class LightTexels:
         Returns:
             Unit directions (3, D) and solid angles (D,) in steradians, float32, D = side^2 T; texels run fastest.
         """
-        random, rows = np.random.default_rng(seed), self.height << self.level
-        top, bottom = np.cos(self.row * (math.pi / rows)), np.cos((self.row + 1) * (math.pi / rows))
+        random = np.random.default_rng(seed)
         parts = []
         for i in range(side):
             for j in range(side):
                 down, across = (i + random.random(self.count)) / side, (j + random.random(self.count)) / side
-                z, phi = top + (bottom - top) * down, math.pi - (self.column + across) * (math.pi / rows)
-                r = np.sqrt(1 - z * z)
-                parts.append(np.stack([r * np.cos(phi), r * np.sin(phi), z]))
+                parts.append(self._directions(down, across))
         angle = (self.solid_angles / side**2).astype(np.float32)
         return np.concatenate(parts, 1).astype(np.float32), np.tile(angle, side**2)
+
+    def within(self, side: int) -> np.ndarray:
+        """Return WITHIN directions evenly spread over each of the strata of `directions`: (D, 3, WITHIN) float32 unit."""
+        fine = math.isqrt(WITHIN)
+        parts = []
+        for i, j in np.ndindex(side, side):
+            places = [((i + (a + 0.5) / fine) / side, (j + (b + 0.5) / fine) / side) for a, b in np.ndindex(fine, fine)]
+            parts.append(np.stack([self._directions(down, across).T for down, across in places], 2))
+        return np.concatenate(parts).astype(np.float32)
+
+    def _directions(self, down: np.ndarray | float, across: np.ndarray | float) -> np.ndarray:
+        """Return the unit directions (3, T) of places in the texels, 0..1 from the top and from the left by equal solid angles."""
+        rows = self.height << self.level
+        top, bottom = np.cos(self.row * (math.pi / rows)), np.cos((self.row + 1) * (math.pi / rows))
+        z, phi = top + (bottom - top) * down, math.pi - (self.column + across) * (math.pi / rows)
+        r = np.sqrt(1 - z * z)
+        return np.stack([r * np.cos(phi), r * np.sin(phi), z])
 
     def split(self, chosen: np.ndarray) -> tuple[LightTexels, LightTexels, np.ndarray]:
         """Split texels into four each.

@@ -48,6 +48,13 @@ class RadianceTransfer:
     rotations: torch.Tensor | None = None
 
     @cached_property
+    def within(self) -> Any:
+        """(D, 3, WITHIN) directions within the stratum of each traced one, as an array like those of `fixed`."""
+        subdivisions = self.fixed[0].shape[1] // self.texels.count
+        directions = torch.from_numpy(self.texels.within(math.isqrt(subdivisions))).to(self.irradiance.device)
+        return self.arrays(directions)[0]
+
+    @cached_property
     def nearest(self) -> torch.Tensor:
         """(V, D) number of the traced direction nearest to each direction of the texels of a view's light."""
         assert self.rotations is not None
@@ -79,11 +86,11 @@ class RadianceTransfer:
         texels = self.texels.count
         if self.rotations is None:
             point, view, normal, alpha = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness))
-            return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, texels)))
+            return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, self.within, texels)))
         out = [samples.colour.new_empty(len(samples.point), size) for size in (texels, texels, 3, 3)]
         for one in self._views(samples):
             point, view, normal, alpha = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness[one.point]))
-            for values, part in zip(out, lobe_rows(point, view, normal, alpha, one.fixed, texels), strict=True):
+            for values, part in zip(out, lobe_rows(point, view, normal, alpha, one.fixed, self.within, texels), strict=True):
                 values[one.sample] = torch.as_tensor(part)
         return tuple(out)
 
@@ -100,12 +107,12 @@ class RadianceTransfer:
         """
         if self.rotations is None:
             point, view, normal, alphas, radiance = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness), light)
-            scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, radiance)
+            scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, self.within, radiance)
             return torch.as_tensor(scaled), torch.as_tensor(added)
         out = samples.colour.new_empty(2, len(samples.point), len(roughness), 3)
         for one in self._views(samples):
             point, view, normal, alphas, radiance = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness), light)
-            for values, part in zip(out, lobe_sums(point, view, normal, alphas, one.fixed, radiance), strict=True):
+            for values, part in zip(out, lobe_sums(point, view, normal, alphas, one.fixed, self.within, radiance), strict=True):
                 values[one.sample] = torch.as_tensor(part)
         return out[0], out[1]
 
