@@ -9,8 +9,9 @@ subdivisions. The lobe is split where Fresnel adds to F0,
 
 so that both parts are linear in the light and independent of the albedo.
 
-A direction stands for a part of the sphere. Where the lobe is narrow against it (`constants.NARROW`), the lobe's mean over `constants.WITHIN`
-directions in it counts: a few directions would miss the highlight or weigh it too much, which looks like a rougher surface.
+A direction stands for a part of the sphere. Where the lobe is narrow against it (`constants.NARROW`), the lobe's mean over
+`constants.WITHIN` directions in it counts: few directions would miss a highlight or weigh it too much, and a rougher surface would fit
+better.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ def _subdivisions(fixed: tuple[Any, ...], texels: int) -> int:
     return subs
 
 
-def lobe_rows(point: Any, view: Any, normal: Any, alpha: Any, fixed: tuple[Any, ...], within: Any, texels: int) -> tuple[Any, Any, Any, Any]:
+def lobe_rows(
+    point: Any, view: Any, normal: Any, alpha: Any, fixed: tuple[Any, ...], within: Any, texels: int
+) -> tuple[Any, Any, Any, Any]:
     """Compute the weight of every texel of the light in K views of points.
 
     Args:
@@ -76,7 +79,8 @@ def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, fixed: tuple[Any,
         view: (K, 3) unit, towards the eye.
         normal: (P, 3) unit normals of the points.
         alphas: (J,) GGX widths, the same for all views.
-        fixed, within: as for `lobe_rows`.
+        fixed: as for `lobe_rows`.
+        within: as for `lobe_rows`.
         light: (texels, 3) linear radiance, `texels` a multiple of 8.
 
     Returns:

@@ -107,7 +107,21 @@ def lobe_sums(
     views = (point, view.contiguous(), normal.contiguous(), alphas.contiguous())
     counts = (len(light), direction.shape[1])
     if len(point):
-        launch(sums, scaled.shape[:2], *counts, *views, int(each), direction, angle, visible, indirect, within, light.contiguous(), scaled, added)
+        launch(
+            sums,
+            scaled.shape[:2],
+            *counts,
+            *views,
+            int(each),
+            direction,
+            angle,
+            visible,
+            indirect,
+            within,
+            light.contiguous(),
+            scaled,
+            added,
+        )
     return scaled, added
 
 

@@ -40,7 +40,7 @@ from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
 from .sample_radiance import SampleRadiance
 
-STEPS = 40
+STEPS = 44
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # numbers of steps done when roughness and metallic are searched
 METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before
 METAL_BORDERS = 38  # that of these at which the borders of metal are drawn anew: the light has adapted to the metal by then
@@ -48,6 +48,7 @@ TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
 # A Hessian of the light costs most of a step. It counts for KEPT steps at most, while the materials stay and the last step changed the log
 # light by less than MOVED (root mean square): with older ones, the solver found none of the metal on rocker_corner.
 KEPT, MOVED = 4, 0.15
+LOOSENED = 4.0  # factor of OUTLIER after a split of the light, which halves with each step: at first, highlights would count as outliers
 TURN_STEPS = 4  # in which the light follows the turned normals of metal
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
@@ -106,6 +107,7 @@ class LightMaterialSolver:
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
         self._moved = math.inf  # root mean square of the last step of the log light
+        self._loosened = 1.0  # factor of OUTLIER in the next step
         self._update_model()
 
     def advance(self, done: int) -> None:
@@ -154,6 +156,7 @@ class LightMaterialSolver:
         self._light_prior = LightPrior(self.transfer.texels, self.light.device)
         self._diffuse = self.transfer.diffuse_rows(self.samples)
         self._search = self._search.with_transfer(self.transfer, self._diffuse)
+        self._loosened = LOOSENED
         self._update_model()
 
     def turn_metal(self) -> None:
@@ -201,7 +204,8 @@ class LightMaterialSolver:
         samples, y = self.samples, self.samples.colour
         factor, rest = self._model.terms(self.light)
         error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
-        robust = 1 / (1 + (error / OUTLIER) ** 2) if done >= CONSTANT else torch.ones_like(error)
+        robust = 1 / (1 + (error / (self._loosened * OUTLIER)) ** 2) if done >= CONSTANT else torch.ones_like(error)
+        self._loosened = max(1.0, self._loosened / 2)
         self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
         weight = self.robust_weight * self.derivative**2
         anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator)

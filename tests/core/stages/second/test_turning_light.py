@@ -83,9 +83,9 @@ def found(scene):
 def test_albedo_and_light_are_found_which_are_missed_without_the_turns(scene, found):
     transfer, seen, truth = scene
     ignored = solved(seen, replace(transfer, rotations=None))
-    assert albedo_error(found, truth) < 0.02 and albedo_error(ignored, truth) > 5 * albedo_error(found, truth)
+    assert albedo_error(found, truth) < 0.025 and albedo_error(ignored, truth) > 5 * albedo_error(found, truth)
     differences = [float(((s.light / s.light.mean()).log() - (truth[0] / truth[0].mean()).log()).abs().median()) for s in (found, ignored)]
-    assert differences[0] < 0.15 and differences[1] > 2 * differences[0]
+    assert differences[0] < 0.25 and differences[1] > 2 * differences[0]
     assert found.error() < 0.25 * ignored.error()
 
 

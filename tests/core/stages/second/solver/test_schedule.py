@@ -24,7 +24,7 @@ def unsplit(transfer, light):
 
 def test_a_dark_glossy_object_is_found_under_its_bright_light(scene):
     transfer, seen, (light, albedo, roughness, metallic) = scene
-    dark, gloss = 0.03 * albedo / albedo.mean(), torch.full_like(roughness, 0.2)
+    dark, gloss = 0.03 * albedo / albedo.mean(), torch.full_like(roughness, 0.15)
     seen = replace(seen, colour=rendered(seen, transfer, 8 * light, dark, gloss, 0 * metallic))
     plain, chosen = start(seen, transfer), start(seen, transfer)
     run_solver(plain)
