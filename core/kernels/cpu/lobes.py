@@ -92,9 +92,9 @@ def lobe_rows_range(
                     continue
                 value, power, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero), a2)
                 angle = load(solid_angle, at)
-                few = (spread < angle * _NARROW) & (n_l > _ZERO)
-                listed = _listed(narrow, listed, at, bits(few), 1, 0)
-                value = select(few, zero, value * angle)
+                peak = (spread < angle * _NARROW) & (n_l > _ZERO)
+                listed = _listed(narrow, listed, at, bits(peak), 1, 0)
+                value = select(peak, zero, value * angle)
                 bias = value * power
                 value = value - bias
                 free = load(visible, p * count + at)
@@ -152,9 +152,9 @@ def lobe_sums_range(
                 l2 = (load(light, 2 * texels + texel) * free + load(indirect, (p * 3 + 2) * count + at)) * angle
                 for j in range(widths):
                     value, power, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, alphas[j] * alphas[j])
-                    few = (spread < angle * _NARROW) & above
-                    listed = _listed(narrow, listed, at, bits(few), widths, j)
-                    value = select(few, zero, value)
+                    peak = (spread < angle * _NARROW) & above
+                    listed = _listed(narrow, listed, at, bits(peak), widths, j)
+                    value = select(peak, zero, value)
                     bias = value * power
                     value = value - bias
                     to = j * 48

@@ -102,26 +102,11 @@ def lobe_sums(
     Returns:
         The part that F0 scales and the part that Fresnel adds, (K, J, 3) each.
     """
-    direction, angle, visible, indirect = fixed
     scaled, added = view.new_zeros(2, len(point), 1 if each else len(alphas), 3)
     views = (point, view.contiguous(), normal.contiguous(), alphas.contiguous())
-    counts = (len(light), direction.shape[1])
+    counts = (len(light), fixed[0].shape[1])
     if len(point):
-        launch(
-            sums,
-            scaled.shape[:2],
-            *counts,
-            *views,
-            int(each),
-            direction,
-            angle,
-            visible,
-            indirect,
-            within,
-            light.contiguous(),
-            scaled,
-            added,
-        )
+        launch(sums, scaled.shape[:2], *counts, *views, int(each), *fixed, within, light.contiguous(), scaled, added)
     return scaled, added
 
 
