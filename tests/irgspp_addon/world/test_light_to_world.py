@@ -15,7 +15,7 @@ from sphere_run import map_directions
 def look_up(light: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return the nearest texels (..., 3) of a lat-long map (H, W, 3) in directions (..., 3), in the engine's convention."""
     d = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    u, v = 0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi), np.arccos(d[..., 2]) / np.pi
+    u, v = 0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi), np.arccos(d[..., 2].clip(-1, 1)) / np.pi
     height, width = light.shape[:2]
     return light[np.minimum((v * height).astype(int), height - 1), (u * width).astype(int) % width]
 

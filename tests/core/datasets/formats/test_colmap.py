@@ -49,7 +49,7 @@ def test_the_world_is_upright_and_the_object_at_its_origin(ball_dataset):
     ball_dataset.colmap(True, points=surface)
     data = load_dataset(ball_dataset.folder, ALL)
     up = data.to_world[:3, :3] @ tilt[:3, :3] @ [0, 0, 1]
-    assert np.degrees(np.arccos(up[2])) < 1
+    assert np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2])) < 1  # the arc cosine of a rounded 1 may not exist
     assert np.linalg.norm(data.bound.centre) < 0.1 * ball_dataset.radius
     assert ball_dataset.radius < data.bound.radius < 1.35 * ball_dataset.radius
     np.testing.assert_allclose(np.linalg.svd(data.to_world[:3, :3])[1], 1, atol=1e-9)
