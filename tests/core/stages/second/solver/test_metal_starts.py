@@ -11,7 +11,7 @@ from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import ALBEDO, METALLIC, ROUGHNESS
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.second.solver.light_texels import LightTexels
-from irgspp.core.stages.second.solver.metal_starts import albedo_ratio, levelled_light, metal_starts
+from irgspp.core.stages.second.solver.metal_starts import EXPLAINED, albedo_ratio, levelled_light, metal_starts
 
 SCALE = torch.tensor([0.5, 0.8, 1.25])
 
@@ -33,7 +33,7 @@ def parts(splat_sphere):
     light = torch.full((8 * 16, 3), 2.0)
     texels = LightTexels.uniform(8)
     known = {"light": light, "albedo": albedo, "samples": SimpleNamespace(position=position)}
-    known |= {"transfer": SimpleNamespace(texels=texels), "light_map": lambda height: texels.map(light, height)}
+    known |= {"error": lambda: 0.02, "transfer": SimpleNamespace(texels=texels), "light_map": lambda height: texels.map(light, height)}
     return first, solved, SimpleNamespace(**known)
 
 
@@ -83,3 +83,11 @@ def test_an_albedo_stays_below_one(parts):
     solver.albedo = 2 * solver.albedo
     albedo = metal_starts(first, solved, solver)[1].gaussians.materials()[ALBEDO]
     assert (albedo < 1).all() and (albedo[2] > 0.98).all()  # 0.4 * 1.25 * 2
+
+
+@pytest.mark.parametrize(("error", "count"), [(0.9 * EXPLAINED, 1), (1.1 * EXPLAINED, 2)])
+def test_the_solver_starts_alone_where_it_explains_the_photographs(parts, error, count):
+    first, solved, solver = parts
+    solver.error = lambda: error
+    starts = metal_starts(first, solved, solver)
+    assert len(starts) == count and (starts[0] is solved) == (count == 1)
