@@ -18,8 +18,8 @@ from ...common.light_map import resized_light
 from .gaussian_materials import EDGE
 from .light_material_solver import LightMaterialSolver
 
-# Median error of the solver, in encoded values, below which its result is the start. It was .004 to .009 on three scenes, which gain 2 to 3 dB
-# of albedo and 4 to 9 dB of light so, and .016 on teapot_glossy, which would lose 1 dB.
+# Median error of the solver, in encoded values, below which its result is the start. It was .004 to .009 on three scenes, which gain 2 to
+# 3 dB of albedo and 4 to 9 dB of light so, and .016 on teapot_glossy, which would lose 1 dB.
 EXPLAINED = 0.011
 DARKEST = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
 
