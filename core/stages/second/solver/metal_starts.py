@@ -2,8 +2,8 @@
 """Starts of a metal's refinement: the solver's result where it explains the photographs, else the light of the first stage at its levels.
 
 The reflections of the first stage show the light in detail, but without visibility, and where they are clipped its radiance stays too
-low. The solver's light is coarse, but its levels follow from the rendering equation, with clipped values as lower bounds. Where normals are
-right, it is the better one in detail, too, and held-back views do not tell: the first stage's light fits all of them with its own errors.
+low. The solver's light is coarse, but its levels follow from the rendering equation, with clipped values as lower bounds. Where it
+explains the photographs, it is the better one as a whole; held-back views do not tell, as they prefer the first stage's light in any case.
 """
 
 from __future__ import annotations
