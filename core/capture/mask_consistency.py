@@ -14,11 +14,11 @@ from ..machine.thread_pool import run_jobs
 from ..progress.protocol import Progress
 from ..scene.camera import Camera
 from .background_evidence import background_evidence, plane_differences
+from .ground import Ground
 from .object_region import ObjectRegion
 from .plane_texture import PlaneTexture, plane_texture
 from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cropped_camera, cut, learn_colours
 from .soft_hull import projected_voxels, silhouettes, soft_hull
-from .support_plane import SupportPlane
 
 ROUNDS = 2  # of carving and cutting again
 LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
@@ -39,7 +39,7 @@ def consistent_masks(
     names: Sequence[str],
     mapped: Sequence[bool],
     region: ObjectRegion,
-    plane: SupportPlane | None,
+    ground: Ground | None,
     progress: Progress,
 ) -> tuple[list[np.ndarray | None], list[tuple[str, str]]]:
     """Cut the object out of all views.
@@ -51,7 +51,7 @@ def consistent_masks(
         names: of the views.
         mapped: True for the views with a depth map: the others are cut once the hull is known.
         region: of the object.
-        plane: on which the object stands, or None.
+        ground: on which the object stands, or None.
         progress: receives the phase "cut out the object", and may cancel.
 
     Returns:
@@ -60,7 +60,7 @@ def consistent_masks(
     Raises:
         Cancelled: the user stopped the work.
     """
-    work = _Work(cutouts, cameras, colours, names, region, plane, progress)
+    work = _Work(cutouts, cameras, colours, names, region, ground, progress)
     progress.phase("cut out the object", (ROUNDS + 1) * len(cutouts))
     work.first([cutout is not None and (known or cutout.given is not None) for cutout, known in zip(cutouts, mapped, strict=True)])
     for _ in range(ROUNDS):
@@ -78,11 +78,11 @@ class _Work:
         colours: Sequence[np.ndarray],
         names: Sequence[str],
         region: ObjectRegion,
-        plane: SupportPlane | None,
+        ground: Ground | None,
         progress: Progress,
     ) -> None:
         self.cutouts, self.cameras, self.colours, self.names = list(cutouts), cameras, colours, names
-        self.region, self.plane, self.progress = region, plane, progress
+        self.region, self.ground, self.progress = region, ground, progress
         self.masks: list[np.ndarray | None] = [None] * len(cutouts)
         self.agreement = np.ones(len(cutouts))
         self.refused: set[int] = set()
@@ -125,7 +125,8 @@ class _Work:
 
     def again(self) -> None:
         """Carve the hull from all masks, and cut every view with the silhouette that the other views give."""
-        hull = soft_hull(self.cameras, self.masks, (self.agreement >= AGREED).astype(float), self.region.bound, self.plane)
+        plane = None if self.ground is None else self.ground.plane
+        hull = soft_hull(self.cameras, self.masks, (self.agreement >= AGREED).astype(float), self.region.bound, plane)
         if hull is None:
             return
         found = silhouettes(hull, self.cameras)
@@ -173,11 +174,12 @@ class _Work:
 
         The first call makes the plane's texture, where `hidden` (H, W) of each view is 0.
         """
-        if self.plane is None:
+        if self.ground is None:
             return [None] * len(chosen)
         if self.texture is None:
             on_object = [self._seen_object(i) for i in range(len(self.cutouts))]
-            self.texture = plane_texture(self.colours, self.cameras, hidden, self.plane, self.region.bound, on_object)
+            seen = plane_texture(self.colours, self.cameras, hidden, self.ground.plane, self.region.bound, on_object)
+            self.texture = self.ground.visible(seen)
         jobs = []
         for i, prior in zip(chosen, priors, strict=True):
             cutout = self._cutout(i)

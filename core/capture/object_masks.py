@@ -15,8 +15,9 @@ from ..scene.dataset import Bound, PointCloud, View
 from ..settings.schema import CaptureSettings
 from ..stereo.fusion import OrientedPoints
 from .dense_points import DensePoints, find_dense_points
+from .ground import Ground, find_ground, with_base
 from .mask_consistency import consistent_masks
-from .object_region import ObjectRegion, find_object_region, lowest_height
+from .object_region import ObjectRegion, find_object_region
 from .segmentation import prepare_cutout
 from .soft_edges import soft_edges
 from .support_plane import SupportPlane, find_support_plane
@@ -85,19 +86,21 @@ def cut_out(
     if isinstance(region, str):
         progress.message(f"masks: {region}; the photographs are used whole")
         return None
-    lowest = 0.0 if plane is None else lowest_height(dense, plane)
+    ground = None if plane is None else find_ground(dense, plane, region)
+    if ground is not None and ground.base is not None:
+        region = with_base(region, dense, ground, sphere)
     maps = dict(zip(dense.chosen, dense.maps, strict=True))
     of_view = [(given.get(view.name), background.get(view.name)) for view in views]
-    jobs = [(view, maps.get(i), region, plane, lowest, *of_view[i]) for i, view in enumerate(views)]
+    jobs = [(view, maps.get(i), region, ground, *of_view[i]) for i, view in enumerate(views)]
     cutouts = list(run_jobs(prepare_cutout, jobs))
     names, mapped = [view.name for view in views], [i in maps for i in range(len(views))]
-    masks, doubtful = consistent_masks(cutouts, cameras, [view.colour for view in views], names, mapped, region, plane, progress)
+    masks, doubtful = consistent_masks(cutouts, cameras, [view.colour for view in views], names, mapped, region, ground, progress)
     masks = [None if one is None or one.max() < 0.5 else soft_edges(view.colour, one) for view, one in zip(views, masks, strict=True)]
     if sum(mask is not None for mask in masks) < FEWEST:
         progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")
         return None
     bound, on_object = sphere or _bound(views, masks, region), region.labels(dense.points.position) == 1
-    found = ObjectMasks(masks, plane, bound, doubtful, dense.points, on_object, _left_out(region))
+    found = ObjectMasks(masks, plane, bound, doubtful, dense.points, on_object, [*_base_taken(ground, region), *_left_out(region)])
     for line in found.messages:
         progress.message(line)
     return found
@@ -125,6 +128,14 @@ def _bound(views: Sequence[View], masks: Sequence[np.ndarray | None], region: Ob
     """Return the sphere about the region inside the masks, or that of the points where masks contradict each other."""
     pairs = [(view.camera, mask) for view, mask in zip(views, masks, strict=True) if mask is not None]
     return bound_of_masks([camera for camera, _ in pairs], [mask for _, mask in pairs], region.bound) or region.bound
+
+
+def _base_taken(ground: Ground | None, region: ObjectRegion) -> list[str]:
+    """Return a line about a thin flat part under the object that the masks take in."""
+    if ground is None or ground.base is None:
+        return []
+    share = 100 * ground.base.height / region.bound.radius
+    return [f"masks: a flat part under the object is taken as its own ({share:.1f} % of its radius high); paint masks to leave it out"]
 
 
 def _left_out(region: ObjectRegion) -> list[str]:

@@ -121,7 +121,7 @@ def find_object_region(
     if sphere is not None:
         centres = corner + (clusters.cells + 0.5) * step
         label[tuple(clusters.cells.T)] = np.where(np.linalg.norm(centres - sphere.centre, axis=1) < sphere.radius, 1, 2)
-    bound = sphere or _sphere(corner + (np.argwhere(label == 1) + 0.5) * step, step)
+    bound = sphere or bounding_sphere(corner + (np.argwhere(label == 1) + 0.5) * step, step)
     region = ObjectRegion(bound, corner, step, label, _clutter(clusters, own, corner, step, bound))
     return region if sphere is not None or _framed(region, cameras, HANGING if plane is None else AT_BORDER) else None
 
@@ -166,7 +166,7 @@ def _looked_at(clusters: _Clusters, corner: np.ndarray, step: float, cameras: Se
     own = np.zeros(len(clusters.size), bool)
     own[first] = True
     body = corner + (clusters.cells[clusters.label == first] + 0.5) * step
-    bound = _sphere(body, step)
+    bound = bounding_sphere(body, step)
     standing = clusters.floor < STANDING * step
     own |= (_distances(clusters, first, step) < max(BESIDE * bound.radius, 3 * step)) & ~standing
     return own
@@ -196,8 +196,8 @@ def _inside(clusters: _Clusters, corner: np.ndarray, step: float, sphere: Bound)
     return np.bincount(clusters.label, inside) >= 0.5 * clusters.size
 
 
-def _sphere(points: np.ndarray, step: float) -> Bound:
-    """Return a sphere about points (N, 3) that leaves out the farthest few."""
+def bounding_sphere(points: np.ndarray, step: float) -> Bound:
+    """Return a sphere about the centres (N, 3) of voxels with a side `step` that leaves out the farthest few."""
     low, high = np.quantile(points, [1 - QUANTILE, QUANTILE], axis=0)
     x, y, z = (float(c) for c in (low + high) / 2)
     far = np.quantile(np.linalg.norm(points - (x, y, z), axis=1), QUANTILE)
@@ -209,7 +209,7 @@ def _clutter(clusters: _Clusters, own: np.ndarray, corner: np.ndarray, step: flo
     near = np.linalg.norm(clusters.centre - bound.centre, axis=1) < 3 * bound.radius
     numbers = np.flatnonzero(near & ~own & (clusters.size >= 4 * SMALLEST))
     numbers = numbers[np.argsort(-clusters.size[numbers], kind="stable")]
-    return [_sphere(corner + (clusters.cells[clusters.label == n] + 0.5) * step, step) for n in numbers]
+    return [bounding_sphere(corner + (clusters.cells[clusters.label == n] + 0.5) * step, step) for n in numbers]
 
 
 def _framed(region: ObjectRegion, cameras: Sequence[Camera], most: float) -> bool:

@@ -51,6 +51,11 @@ class PlaneTexture:
         known = cv2.warpPerspective(self.known, matrix, size, flags=cv2.INTER_LINEAR)
         return colour, (known > 0.99) & _in_front(np.linalg.inv(matrix), camera.height, camera.width)
 
+    def points(self) -> np.ndarray:
+        """Return the world points (h, w, 3) of the texels."""
+        row, column = np.indices(self.known.shape)
+        return np.stack([column, row, np.ones_like(row)], -1) @ self.frame[:3].T
+
 
 def plane_texture(
     colours: Sequence[np.ndarray],

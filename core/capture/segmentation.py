@@ -15,8 +15,8 @@ from ..stereo.depth_map import DepthMap
 from .colour_model import count_colours, lab_bins, probabilities
 from .convex_cut import minimum_cut
 from .dense_points import SUPPORT
+from .ground import Ground
 from .object_region import ObjectRegion
-from .support_plane import SupportPlane
 
 MARGIN = 1.15  # factor of the bound's radius in the crop
 THIN = 3  # pixels of a depth map's window in which all depths must agree for a seed
@@ -71,8 +71,7 @@ def prepare_cutout(
     view: View,
     depth_map: DepthMap | None,
     region: ObjectRegion,
-    plane: SupportPlane | None,
-    lowest: float,
+    ground: Ground | None,
     given: np.ndarray | None = None,
     background: np.ndarray | None = None,
 ) -> Cutout | None:
@@ -82,8 +81,7 @@ def prepare_cutout(
         view: the photograph.
         depth_map: of the view, at any resolution; None without.
         region: of the object.
-        plane: on which the object stands, or None.
-        lowest: height above the plane below which points belong to it, world units.
+        ground: on which the object stands, or None.
         given: (H, W) 0..1 mask of a person, or None.
         background: (H, W) bool, True where a static background is seen, or None.
 
@@ -96,7 +94,7 @@ def prepare_cutout(
     crop = (slice(box[1], box[3]), slice(box[0], box[2]))
     seed = np.where(_sphere_mask(cropped_camera(view.camera, box), region.bound), 0, -1).astype(np.int8)
     if depth_map is not None:
-        found = _depth_seeds(depth_map, region, plane, lowest)
+        found = _depth_seeds(depth_map, region, ground)
         found = cv2.resize(found, (view.camera.width, view.camera.height), interpolation=cv2.INTER_NEAREST)[crop]
         seed = np.where(seed == 0, found, seed)
     if background is not None:
@@ -138,13 +136,13 @@ def _sphere_mask(camera: Camera, bound: Bound) -> np.ndarray:
     return (along > 0) & (along**2 >= (rays * rays).sum(-1) * np.float32(to @ to - bound.radius**2))
 
 
-def _depth_seeds(one: DepthMap, region: ObjectRegion, plane: SupportPlane | None, lowest: float) -> np.ndarray:
+def _depth_seeds(one: DepthMap, region: ObjectRegion, ground: Ground | None) -> np.ndarray:
     """Return seeds (h, w) int8 at the depth map's resolution."""
     known = one.support >= SUPPORT
     points = one.points()
     own = known & (region.labels(points) == 1)
-    if plane is not None:
-        own &= plane.height(points) > lowest
+    if ground is not None:
+        own &= ~ground.below(points)
     window = np.ones((THIN, THIN), np.uint8)
     inner = cv2.erode((own | ~known).astype(np.uint8), window) * own
     outer = cv2.erode((~own).astype(np.uint8), window) * (known & ~own)
