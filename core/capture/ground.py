@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What of a capture belongs to the ground: the support plane, without a thin flat part of the object that lies on it.
+"""Ground of a capture: the support plane, without a thin flat part of the object that lies on it.
 
 A plate, a saucer or a disc is lower than the noise of single points of stereo. It lies so near to the plane that all photographs agree
 about its colours there, as they do about the table's. The heights of its points, averaged in cells of the plane, tell it: their noise is a
