@@ -21,7 +21,8 @@ from ..stereo.settings import StereoSettings
 LONGEST = 320  # longest side of a depth map, pixels
 VIEWS = 64  # most views with a depth map: more add time but hardly any surface
 SUPPORT = 2  # views that must agree with a depth
-QUICK = StereoSettings(sources=5, fine_sweeps=1, geometric_sweeps=0)  # a third of the time; the depths only have to tell parts apart
+# A third of the time: the depths only have to tell parts apart. Exposures are not known yet.
+QUICK = StereoSettings(sources=5, fine_sweeps=1, geometric_sweeps=0, brightness=0.0)
 
 
 @dataclass(frozen=True, eq=False)

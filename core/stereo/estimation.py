@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import Cancelled
 from ..kernels.constants import WORST_COST
-from ..kernels.cpu.matching_cost import Sources
+from ..kernels.cpu.matching_cost import Penalties, Sources
 from ..machine.thread_pool import run_jobs
 from ..progress.protocol import Progress
 from ..scene.dataset import View
@@ -23,6 +23,7 @@ from .settings import StereoSettings
 from .view_selection import choose_sources, choose_witnesses
 
 FINE_STEP, GEOMETRIC_STEP = 0.25, 0.25  # of the first sweep's random changes; the coarse sweeps start with 1, and each halves it
+NO_PENALTIES = Penalties(np.float32(0), np.float32(0))
 PROBES = 2000  # points that tell which views see the same places
 Depths = Sequence[np.ndarray | float]  # for each view, (H, W) or one for all its pixels
 
@@ -128,7 +129,7 @@ class _Search:
             packed = pack_sources(self.images[i], [self.images[k] for k in self.sources[i]], depths)
             penalty = self.settings.geometric_penalty
             self._sweep(planes, self.images[i], self.bounds[i], packed, self.settings.geometric_sweeps, GEOMETRIC_STEP, rng, penalty)
-            self._evaluate(planes, self.images[i], packed, True, 0.0)  # the cost without the penalty
+            self._evaluate(planes, self.images[i], packed, True, NO_PENALTIES)  # 1 - NCC alone
         return planes
 
     def _sweep(
@@ -143,20 +144,21 @@ class _Search:
         penalty: float = 0.0,
     ) -> None:
         """Compute the costs of planes, and improve them in `sweeps` sweeps whose random changes start with `step`."""
-        self._evaluate(planes, image, sources, False, penalty)
+        penalties = Penalties(np.float32(penalty), np.float32(self.settings.brightness))
+        self._evaluate(planes, image, sources, False, penalties)
         best, sigma = min(self.settings.best, len(sources.pose)), np.float32(1 / self.settings.sigma)
         for n in range(sweeps):
             seed = np.uint32(rng.integers(1, 1 << 32))
             sweep(
                 n % 2 == 1, np.float32(step / 2**n), seed, image.grey, image.inside, image.lens, bounds.nearest, bounds.farthest, sources,
-                best, np.float32(penalty), sigma, planes.depth, planes.normal, planes.cost, planes.chosen,
+                best, penalties, sigma, planes.depth, planes.normal, planes.cost, planes.chosen,
             )  # fmt: skip
 
-    def _evaluate(self, planes: Planes, image: MatchingImage, sources: Sources, only_chosen: bool, penalty: float) -> None:
+    def _evaluate(self, planes: Planes, image: MatchingImage, sources: Sources, only_chosen: bool, penalties: Penalties) -> None:
         """Compute the costs of planes among all sources, or among those chosen so far."""
         best, sigma = min(self.settings.best, len(sources.pose)), np.float32(1 / self.settings.sigma)
         layers = planes.depth, planes.normal, planes.cost, planes.chosen
-        evaluate(image.grey, image.inside, image.lens, sources, only_chosen, best, np.float32(penalty), sigma, *layers)
+        evaluate(image.grey, image.inside, image.lens, sources, only_chosen, best, penalties, sigma, *layers)
 
     def depth_maps(self, planes: list[Planes]) -> list[DepthMap]:
         """Return the depth maps of all views with the support of their witnesses."""

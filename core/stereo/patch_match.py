@@ -70,7 +70,7 @@ def _depth_of_plane(depth, normal, row, column, x, y, lens):
 
 
 @kernel
-def evaluate(grey, inside, lens, sources, only_chosen, best, penalty, inverse_sigma, depth, normal, cost, chosen):
+def evaluate(grey, inside, lens, sources, only_chosen, best, penalties, inverse_sigma, depth, normal, cost, chosen):
     """Compute `cost` (H, W) of all planes and the bit masks `chosen` (H, W) of their best sources, among all or those chosen so far.
 
     Pixels with depth 0 are left as they are; where a patch has no texture the cost is WORST_COST.
@@ -82,20 +82,36 @@ def evaluate(grey, inside, lens, sources, only_chosen, best, penalty, inverse_si
             if depth[row, column] <= 0:
                 continue
             cost[row, column] = WORST_COST
-            variance = read_patch(grey, inside, row, column, inverse_sigma, centred, weights)
+            variance, level = read_patch(grey, inside, row, column, inverse_sigma, centred, weights)
             if variance < FLAT_VARIANCE:
                 continue
             x, y = _ray(row, column, lens)
             nx, ny, nz = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
             asked = chosen[row, column] if only_chosen else (1 << count) - 1
             cost[row, column], chosen[row, column] = plane_cost(
-                x, y, depth[row, column], nx, ny, nz, lens[0], lens[1], sources, asked, best, penalty, centred, weights, variance, costs
+                x,
+                y,
+                depth[row, column],
+                nx,
+                ny,
+                nz,
+                lens[0],
+                lens[1],
+                sources,
+                asked,
+                best,
+                penalties,
+                centred,
+                weights,
+                variance,
+                level,
+                costs,
             )
 
 
 @kernel
 def sweep(
-    backwards, step, seed, grey, inside, lens, nearest, farthest, sources, best, penalty, inverse_sigma, depth, normal, cost, chosen
+    backwards, step, seed, grey, inside, lens, nearest, farthest, sources, best, penalties, inverse_sigma, depth, normal, cost, chosen
 ):  # fmt: skip
     """Sweep once over a view, from the upper left or backwards, and improve depth, normal, cost and chosen sources in place.
 
@@ -113,7 +129,7 @@ def sweep(
             column = width - 1 - j if backwards else j
             if depth[row, column] <= 0:
                 continue
-            variance = read_patch(grey, inside, row, column, inverse_sigma, centred, weights)
+            variance, level = read_patch(grey, inside, row, column, inverse_sigma, centred, weights)
             if variance < FLAT_VARIANCE:
                 continue
             x, y = _ray(row, column, lens)
@@ -145,7 +161,7 @@ def sweep(
                 if not (low <= td <= high):
                     continue
                 other, found = plane_cost(
-                    x, y, td, tx, ty, tz, lens[0], lens[1], sources, asked, best, penalty, centred, weights, variance, costs
+                    x, y, td, tx, ty, tz, lens[0], lens[1], sources, asked, best, penalties, centred, weights, variance, level, costs
                 )
                 if other < least:
                     least, own, d, nx, ny, nz = other, found, td, tx, ty, tz

@@ -19,6 +19,8 @@ class StereoSettings:
         fine_sweeps: passes at full resolution.
         geometric_sweeps: passes that also compare with the sources' depth maps.
         geometric_penalty: cost of one pixel of reprojection error in these passes.
+        brightness: largest cost of patches that are not equally bright: shading without texture looks alike at many depths. 0 where
+            exposure or light differ from view to view.
         sigma: of the bilateral weights, in grey values of 0..1.
         largest_cost: 1 - NCC above which a pixel has no support.
         reprojection: error in pixels, there and back, up to which two depths agree.
@@ -36,6 +38,7 @@ class StereoSettings:
     fine_sweeps: int = 2
     geometric_sweeps: int = 1
     geometric_penalty: float = 0.12
+    brightness: float = 0.3
     sigma: float = 0.08
     largest_cost: float = 0.45
     reprojection: float = 1.5

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..constants import (
+    BRIGHTNESS_RANGE,
     FLAT_VARIANCE,
     LARGEST_REPROJECTION,
     PATCH_REACH,
@@ -51,9 +52,21 @@ class Sources(NamedTuple):
     depth: np.ndarray
 
 
+class Penalties(NamedTuple):
+    """What is added to 1 - NCC.
+
+    Attributes:
+        reprojection: for one pixel of reprojection error to the source's depth.
+        brightness: where the patches' means differ by BRIGHTNESS_RANGE or more; less in proportion.
+    """
+
+    reprojection: np.float32
+    brightness: np.float32
+
+
 @helper
 def read_patch(grey, inside, row, column, inverse_sigma, centred, weights):
-    """Fill the weights (sum 1) and the weighted, centred grey values of a pixel's patch, (PATCH_SAMPLES,) each; return its variance.
+    """Fill the weights (sum 1) and the weighted, centred grey values (PATCH_SAMPLES,) of a pixel's patch; return its variance and mean.
 
     A sample's weight falls with its distance and its difference from the middle; outside the object it is 0.
     """
@@ -74,14 +87,14 @@ def read_patch(grey, inside, row, column, inverse_sigma, centred, weights):
             mean += weight * value
             k += 1
     if total <= 0:
-        return np.float32(0)
+        return np.float32(0), np.float32(0)
     scale, variance = np.float32(1) / total, np.float32(0)
     mean *= scale
     for k in range(PATCH_SAMPLES):
         offset, weight = centred[k] - mean, weights[k] * scale
         variance += weight * offset * offset
         centred[k], weights[k] = weight * offset, weight
-    return variance
+    return variance, mean
 
 
 @helper
@@ -108,8 +121,8 @@ def _warp(x, y, depth, nx, ny, nz, fx, fy, pose):
 
 
 @helper
-def _correlate(grey, first, width, u, v, uc, ur, vc, vr, centred, weights, variance):
-    """Return 1 - NCC of the patch with its bilinear samples in a source; WORST_COST where these have no texture."""
+def _correlate(grey, first, width, u, v, uc, ur, vc, vr, centred, weights, variance, level, brightness):
+    """Return 1 - NCC of the patch with its bilinear samples in a source, plus the cost of brightness; WORST_COST without texture."""
     mean, square, cross = np.float32(0), np.float32(0), np.float32(0)
     stride = np.uint32(width)
     for k in range(PATCH_SAMPLES):
@@ -126,7 +139,10 @@ def _correlate(grey, first, width, u, v, uc, ur, vc, vr, centred, weights, varia
         square += weighted * value
         cross += centred[k] * value
     spread = square - mean * mean
-    return WORST_COST if spread < FLAT_VARIANCE else np.float32(1) - cross / np.sqrt(spread * variance)
+    if spread < FLAT_VARIANCE:
+        return WORST_COST
+    unlike = np.float32(1) - cross / np.sqrt(spread * variance)
+    return unlike + brightness * min(abs(mean - level) / BRIGHTNESS_RANGE, np.float32(1))
 
 
 @helper
@@ -146,8 +162,8 @@ def _reprojection_error(x, y, u, v, fx, fy, pose, depth):
 
 
 @helper
-def source_cost(x, y, depth, nx, ny, nz, fx, fy, sources, s, penalty, centred, weights, variance):
-    """Return the matching cost of a plane in source s: 1 - NCC plus `penalty` per pixel of reprojection error, or WORST_COST."""
+def source_cost(x, y, depth, nx, ny, nz, fx, fy, sources, s, penalties, centred, weights, variance, level):
+    """Return the matching cost of a plane in source s, 1 - NCC with the penalties added, or WORST_COST."""
     pose, first, height, width = sources.pose[s], sources.layout[s, 0], sources.layout[s, 1], sources.layout[s, 2]
     u, v, uc, ur, vc, vr = _warp(x, y, depth, nx, ny, nz, fx, fy, pose)
     reach = np.float32(PATCH_REACH * PATCH_SPACING)
@@ -160,20 +176,20 @@ def source_cost(x, y, depth, nx, ny, nz, fx, fy, sources, s, penalty, centred, w
     nearest = np.uint32(first) + np.uint32(v + np.float32(0.5)) * np.uint32(width) + np.uint32(u + np.float32(0.5))
     if not sources.inside[nearest]:
         return WORST_COST
-    cost = _correlate(sources.grey, first, width, u, v, uc, ur, vc, vr, centred, weights, variance)
-    if penalty > 0 and cost < WORST_COST:
-        cost += penalty * _reprojection_error(x, y, u, v, fx, fy, pose, sources.depth[nearest])
+    cost = _correlate(sources.grey, first, width, u, v, uc, ur, vc, vr, centred, weights, variance, level, penalties.brightness)
+    if penalties.reprojection > 0 and cost < WORST_COST:
+        cost += penalties.reprojection * _reprojection_error(x, y, u, v, fx, fy, pose, sources.depth[nearest])
     return cost
 
 
 @helper
-def plane_cost(x, y, depth, nx, ny, nz, fx, fy, sources, asked, best, penalty, centred, weights, variance, costs):
+def plane_cost(x, y, depth, nx, ny, nz, fx, fy, sources, asked, best, penalties, centred, weights, variance, level, costs):
     """Return the mean of the `best` lowest costs of a plane among the sources in the bit mask `asked`, and the mask of these sources."""
     count = sources.pose.shape[0]
     for s in range(count):
         costs[s] = WORST_COST
         if (asked >> s) & 1:
-            costs[s] = source_cost(x, y, depth, nx, ny, nz, fx, fy, sources, s, penalty, centred, weights, variance)
+            costs[s] = source_cost(x, y, depth, nx, ny, nz, fx, fy, sources, s, penalties, centred, weights, variance, level)
     total, chosen = np.float32(0), 0
     for _ in range(best):
         least = -1

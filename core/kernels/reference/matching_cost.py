@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...scene.camera import Camera
-from ..constants import FLAT_VARIANCE, PATCH_REACH, PATCH_SPACING, WEIGHT_CUT, WORST_COST
+from ..constants import BRIGHTNESS_RANGE, FLAT_VARIANCE, PATCH_REACH, PATCH_SPACING, WEIGHT_CUT, WORST_COST
 
 
 def patch_weights(grey: np.ndarray, inside: np.ndarray, row: int, column: int, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,16 +65,18 @@ def bilinear(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return upper * (1 - t) + lower * t
 
 
-def correlation_cost(first: np.ndarray, second: np.ndarray, weights: np.ndarray) -> float:
-    """Return 1 - NCC of two patches, in 0..2; WORST_COST if one of them has no texture.
+def correlation_cost(first: np.ndarray, second: np.ndarray, weights: np.ndarray, brightness: float = 0.0) -> float:
+    """Return 1 - NCC of two patches, in 0..2, and the cost of brightness; WORST_COST if one of them has no texture.
 
     Args:
         first: (K,) grey values.
         second: (K,) grey values.
         weights: (K,) of sum 1.
+        brightness: cost of means that differ by BRIGHTNESS_RANGE or more.
     """
     a, b = first - weights @ first, second - weights @ second
     variances = weights @ a**2, weights @ b**2
     if min(variances) < FLAT_VARIANCE:
         return float(WORST_COST)
-    return float(1 - weights @ (a * b) / np.sqrt(variances[0] * variances[1]))
+    unlike = 1 - weights @ (a * b) / np.sqrt(variances[0] * variances[1])
+    return float(unlike + brightness * min(abs(weights @ (first - second)) / BRIGHTNESS_RANGE, 1))

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from ...io.srgb import decode_srgb
 from ...progress.protocol import Progress
 from ...scene.camera import Camera
-from ...scene.dataset import Dataset
+from ...scene.dataset import Dataset, light_rotations
 from ...scene.gaussians import Gaussians
 from ...scene.unique_rows import unique_rows
 from ...stereo.depth_bounds import depth_bounds
@@ -106,7 +106,7 @@ def _search(
     progress: Progress,
 ) -> _Found | None:
     """Run stereo within depth bounds and fuse its points; None where they are too few for `count` surfels."""
-    settings = StereoSettings()
+    settings = StereoSettings() if light_rotations(dataset.train) is None else StereoSettings(brightness=0.0)
     nearest, farthest, initial = bounds
     maps = estimate_depth_maps(dataset.train, nearest, farthest, known, settings, seed, progress, initial)
     points = fuse_points(maps, [view.colour for view in dataset.train], SUPPORT[dataset.has_alpha], settings)

@@ -87,5 +87,11 @@ def flat_plane() -> Scene:
 
 
 @pytest.fixture(scope="session")
+def shaded_sphere() -> Scene:
+    """Sphere without texture whose brightness tells the place on it, in steps of 8 bits."""
+    return photographed(sphere_hit, arc(), lambda points: np.round(255 * (0.45 + 0.25 * points @ [0.5, 0.7, 0.5])) / 255, masked=True)
+
+
+@pytest.fixture(scope="session")
 def camera_arc() -> Callable[..., list[Camera]]:
     return arc

@@ -43,6 +43,14 @@ def test_depth_and_normals_are_found(name, request):
     assert np.median(normal) < 10
 
 
+def test_brightness_tells_depth_without_texture(shaded_sphere):
+    """Shading looks alike at many depths when its brightness does not count."""
+    depth, _, kept = errors(shaded_sphere, estimated(shaded_sphere))
+    without, _, _ = errors(shaded_sphere, estimated(shaded_sphere, settings=StereoSettings(brightness=0.0)))
+    assert kept > 0.5
+    assert np.median(depth) < 0.6 * np.median(without)
+
+
 def test_maps_have_the_form_that_they_promise(sphere, sphere_maps):
     for one, view in zip(sphere_maps, sphere.views, strict=True):
         found = one.depth > 0

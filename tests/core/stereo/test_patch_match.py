@@ -4,8 +4,10 @@
 import numpy as np
 import pytest
 from irgspp.core.kernels.constants import FLAT_VARIANCE, WORST_COST
+from irgspp.core.kernels.cpu.matching_cost import Penalties
 from irgspp.core.kernels.reference.matching_cost import bilinear, correlation_cost, patch_weights, plane_homography
 from irgspp.core.stereo.depth_map import cv_rotation
+from irgspp.core.stereo.estimation import NO_PENALTIES
 from irgspp.core.stereo.matching_image import matching_image, pack_sources
 from irgspp.core.stereo.patch_match import evaluate, sweep
 from irgspp.core.stereo.planes import Bounds, Planes, first_planes
@@ -27,15 +29,15 @@ def planes(sphere):
     return Planes.unmatched(depth, normal / np.linalg.norm(normal, axis=-1, keepdims=True))
 
 
-def evaluated(images, planes, sources, best=1, penalty=0.0, depths=None):
+def evaluated(images, planes, sources, best=1, penalty=0.0, depths=None, brightness=0.0):
     image = images[2]
-    packed = pack_sources(image, [images[k] for k in sources], depths)
+    packed, penalties = pack_sources(image, [images[k] for k in sources], depths), Penalties(np.float32(penalty), np.float32(brightness))
     layers = planes.depth, planes.normal, planes.cost, planes.chosen
-    evaluate(image.grey, image.inside, image.lens, packed, False, best, np.float32(penalty), np.float32(1 / SIGMA), *layers)
+    evaluate(image.grey, image.inside, image.lens, packed, False, best, penalties, np.float32(1 / SIGMA), *layers)
     return planes
 
 
-def reference_cost(images, planes, row, column, source):
+def reference_cost(images, planes, row, column, source, brightness=0.0):
     """Cost by explicit homography; None where it cannot be compared."""
     image, other = images[2], images[source]
     offsets, values, weights = patch_weights(image.grey, image.inside, row, column, SIGMA)
@@ -47,7 +49,7 @@ def reference_cost(images, planes, row, column, source):
     if not ((mapped > 1) & (mapped < np.array(other.grey.shape[::-1]) - 1)).all():
         return None
     c, r = np.floor(mapped[len(mapped) // 2]).astype(int)
-    return correlation_cost(values, bilinear(other.grey, mapped), weights) if other.inside[r, c] else float(WORST_COST)
+    return correlation_cost(values, bilinear(other.grey, mapped), weights, brightness) if other.inside[r, c] else float(WORST_COST)
 
 
 def test_cost_is_that_of_the_homography(images, planes):
@@ -63,7 +65,8 @@ def test_cost_is_that_of_the_homography(images, planes):
     assert np.median(np.abs(difference)) < 0.01 and np.quantile(np.abs(difference), 0.95) < 0.08
 
 
-def test_cost_is_exact_where_the_homography_is_affine(images, planes):
+@pytest.mark.parametrize("brightness", [0.0, 0.3])
+def test_cost_is_exact_where_the_homography_is_affine(images, planes, brightness):
     """A fronto-parallel plane seen by a camera that moved sideways: both warps are the same translation."""
     camera = images[2].camera
     to_world = camera.to_world.copy()
@@ -71,9 +74,9 @@ def test_cost_is_exact_where_the_homography_is_affine(images, planes):
     moved = type(images[2])(type(camera)(**{**vars(camera), "to_world": to_world}), images[3].grey, np.ones_like(images[3].inside))
     pair = [None, None, images[2], moved]
     planes.normal[:] = (0, 0, -1)
-    found = evaluated(pair, planes, [3]).cost
+    found = evaluated(pair, planes, [3], brightness=brightness).cost
     rows, columns = np.nonzero(planes.depth)
-    both = [(found[r, c], reference_cost(pair, planes, r, c, 3)) for r, c in list(zip(rows, columns, strict=True))[::5]]
+    both = [(found[r, c], reference_cost(pair, planes, r, c, 3, brightness)) for r, c in list(zip(rows, columns, strict=True))[::5]]
     both = np.array([one for one in both if one[1] is not None])
     assert len(both) > 100 and np.abs(both[:, 0] - both[:, 1]).max() < 1e-3
 
@@ -99,6 +102,18 @@ def test_geometric_penalty_is_the_reprojection_error(images, planes, sphere):
     assert near[found].min() >= 0 and np.median(near[found]) < 0.01
 
 
+def test_a_patch_that_is_brighter_costs_more(images, planes):
+    # Under its own camera every plane leads to the same pixels.
+    brighter = type(images[2])(images[2].camera, images[2].grey + np.float32(0.02), images[2].inside)
+    white = type(images[2])(images[2].camera, images[2].grey + np.float32(0.5), images[2].inside)
+    inner = planes.depth > 0
+    pairs = [[None, None, images[2], other] for other in (images[2], brighter, white)]
+    costs = [evaluated(pair, planes, [3], brightness=0.3).cost[inner].copy() for pair in pairs]
+    assert np.quantile(costs[0], 0.9) < 1e-3
+    assert np.median(costs[1]) == pytest.approx(0.3 * 0.02 / 0.08, abs=1e-3)
+    assert np.median(costs[2]) == pytest.approx(0.3, abs=1e-3)
+
+
 def test_patch_without_texture_or_object_is_worst(images):
     image = images[2]
     flat = type(image)(image.camera, np.full_like(image.grey, 0.5), image.inside)
@@ -121,7 +136,7 @@ def test_sweeps_lower_every_cost_and_keep_to_the_bounds(images):
         images_and_bounds = image.grey, image.inside, image.lens, bounds.nearest, bounds.farthest
         layers = planes.depth, planes.normal, planes.cost, planes.chosen
         step = np.float32(0.5**n)
-        sweep(n % 2 == 1, step, np.uint32(7 + n), *images_and_bounds, packed, 2, np.float32(0), np.float32(1 / SIGMA), *layers)
+        sweep(n % 2 == 1, step, np.uint32(7 + n), *images_and_bounds, packed, 2, NO_PENALTIES, np.float32(1 / SIGMA), *layers)
         assert (planes.cost <= before.cost).all()
         changed = (planes.depth != before.depth) | (planes.normal != before.normal).any(-1)
         assert (planes.cost < before.cost)[changed].all()
