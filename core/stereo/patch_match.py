@@ -89,24 +89,9 @@ def evaluate(grey, inside, lens, sources, only_chosen, best, penalties, inverse_
             nx, ny, nz = normal[row, column, 0], normal[row, column, 1], normal[row, column, 2]
             asked = chosen[row, column] if only_chosen else (1 << count) - 1
             cost[row, column], chosen[row, column] = plane_cost(
-                x,
-                y,
-                depth[row, column],
-                nx,
-                ny,
-                nz,
-                lens[0],
-                lens[1],
-                sources,
-                asked,
-                best,
-                penalties,
-                centred,
-                weights,
-                variance,
-                level,
+                x, y, depth[row, column], nx, ny, nz, lens[0], lens[1], sources, asked, best, penalties, centred, weights, variance, level,
                 costs,
-            )
+            )  # fmt: skip
 
 
 @kernel
