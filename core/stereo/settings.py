@@ -19,7 +19,7 @@ class StereoSettings:
         fine_sweeps: passes at full resolution.
         geometric_sweeps: passes that also compare with the sources' depth maps.
         geometric_penalty: cost of one pixel of reprojection error in these passes.
-        brightness: largest cost of patches that are not equally bright: shading without texture looks alike at many depths. 0 where
+        brightness: largest cost of patches without texture that are not equally bright: shading alone looks alike at many depths. 0 where
             exposure or light differ from view to view.
         sigma: of the bilateral weights, in grey values of 0..1.
         largest_cost: 1 - NCC above which a pixel has no support.

@@ -23,6 +23,7 @@ from ..constants import (
     PATCH_SPACING,
     WARPED_AREA,
     WARPED_REACH,
+    WEAK_VARIANCE,
     WEIGHT_CUT,
     WORST_COST,
 )
@@ -57,7 +58,7 @@ class Penalties(NamedTuple):
 
     Attributes:
         reprojection: for one pixel of reprojection error to the source's depth.
-        brightness: where the patches' means differ by BRIGHTNESS_RANGE or more; less in proportion.
+        brightness: where the patches' means differ by BRIGHTNESS_RANGE or more, less in proportion; less, too, where there is texture.
     """
 
     reprojection: np.float32
@@ -141,8 +142,8 @@ def _correlate(grey, first, width, u, v, uc, ur, vc, vr, centred, weights, varia
     spread = square - mean * mean
     if spread < FLAT_VARIANCE:
         return WORST_COST
-    unlike = np.float32(1) - cross / np.sqrt(spread * variance)
-    return unlike + brightness * min(abs(mean - level) / BRIGHTNESS_RANGE, np.float32(1))
+    weight = brightness * WEAK_VARIANCE / (WEAK_VARIANCE + variance)
+    return np.float32(1) - cross / np.sqrt(spread * variance) + weight * min(abs(mean - level) / BRIGHTNESS_RANGE, np.float32(1))
 
 
 @helper

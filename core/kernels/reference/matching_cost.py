@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...scene.camera import Camera
-from ..constants import BRIGHTNESS_RANGE, FLAT_VARIANCE, PATCH_REACH, PATCH_SPACING, WEIGHT_CUT, WORST_COST
+from ..constants import BRIGHTNESS_RANGE, FLAT_VARIANCE, PATCH_REACH, PATCH_SPACING, WEAK_VARIANCE, WEIGHT_CUT, WORST_COST
 
 
 def patch_weights(grey: np.ndarray, inside: np.ndarray, row: int, column: int, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -72,11 +72,12 @@ def correlation_cost(first: np.ndarray, second: np.ndarray, weights: np.ndarray,
         first: (K,) grey values.
         second: (K,) grey values.
         weights: (K,) of sum 1.
-        brightness: cost of means that differ by BRIGHTNESS_RANGE or more.
+        brightness: cost of means that differ by BRIGHTNESS_RANGE or more, where the first patch has hardly any texture.
     """
     a, b = first - weights @ first, second - weights @ second
     variances = weights @ a**2, weights @ b**2
     if min(variances) < FLAT_VARIANCE:
         return float(WORST_COST)
     unlike = 1 - weights @ (a * b) / np.sqrt(variances[0] * variances[1])
+    brightness *= WEAK_VARIANCE / (WEAK_VARIANCE + variances[0])
     return float(unlike + brightness * min(abs(weights @ (first - second)) / BRIGHTNESS_RANGE, 1))
