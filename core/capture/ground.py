@@ -183,8 +183,10 @@ def _standing(region: ObjectRegion, label: int, plane: SupportPlane, lowest: flo
 
 
 def with_base(region: ObjectRegion, dense: DensePoints, ground: Ground, sphere: Bound | None) -> ObjectRegion:
-    """Return the region with the points of the base; its bound is the sphere, if a person gave it."""
+    """Return the region with the points of the base; if a person gave a sphere, with those in it, and the sphere stays its bound."""
     points = dense.points.position
+    if sphere is not None:
+        points = points[np.linalg.norm(points - np.asarray(sphere.centre), axis=1) < sphere.radius]
     points = points[ground.under_base(points) & ~ground.below(points) & (ground.plane.height(points) <= HIGHEST * ground.lowest)]
     cell = np.floor((points - region.corner) / region.step).astype(np.int64)
     cell = cell[((cell >= 0) & (cell < region.label.shape)).all(1)]

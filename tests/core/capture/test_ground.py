@@ -9,6 +9,7 @@ from irgspp.core.capture.object_region import find_object_region, lowest_height
 from irgspp.core.capture.plane_texture import PlaneTexture
 from irgspp.core.capture.support_plane import SupportPlane
 from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.dataset import Bound
 from irgspp.core.stereo.fusion import OrientedPoints
 
 PIXEL, NOISE = 0.01, 0.17  # size of a depth map's pixel, and the noise of heights in pixels
@@ -56,6 +57,14 @@ def test_a_thin_plate_is_the_objects(pixels):
     whole = with_base(region, dense, ground, None)
     assert whole.labels(np.array([[0.6, 0.0, height]]))[0] == 1
     assert whole.bound.radius > 0.8
+
+
+def test_a_persons_sphere_limits_the_base():
+    dense, region, ground = ground_of(disc(0.8, 1.0))
+    sphere = Bound((0.0, 0.0, 0.4), 0.7)
+    whole = with_base(region, dense, ground, sphere)
+    assert whole.labels(np.array([[0.5, 0.0, PIXEL], [0.75, 0.0, PIXEL]])).tolist() == [1, 0]
+    assert whole.bound == region.bound
 
 
 def test_its_outline_is_found_within_a_cell():
