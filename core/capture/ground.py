@@ -2,8 +2,8 @@
 """Ground of a capture: the support plane, without a thin flat part of the object that lies on it.
 
 A plate, a saucer or a disc is lower than the noise of single points of stereo. It lies so near to the plane that all photographs agree
-about its colours there, as they do about the table's. The heights of its points, averaged in cells of the plane, tell it: their noise is a
-twentieth of a pixel.
+about its colours there, as they do about the table's. It is found by the heights of its points, averaged in cells of the plane: their noise
+is a twentieth of a pixel.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .support_plane import SupportPlane
 CELL = 2.0  # side of a cell, pixels (see DensePoints.pixel)
 REACH = 2.0  # radii of the object around it in which heights are averaged
 AROUND = 1.2  # radii from which the heights are those of the plane
-HIGHEST = 1.25  # height of points that are averaged over the height from which points do not belong to the plane
+HIGHEST = 1.25  # largest height of averaged points, as a factor of the height from which points do not belong to the plane
 LEAST, SURE = 0.6, 8.0  # height of a base over the plane: in pixels, and in standard deviations of the plane's averaged heights
-FOOT = 4.0  # the same height below which voxels of things that are clearly higher than a base tell where they stand
-BESIDE = 2  # cells beside the object's foot that its own points raise
-SHARE = 0.1  # of the cells of the foot, that a base must have beyond these
+FOOT = 4.0  # largest height, likewise, of the voxels above a base that show where a thing stands
+BESIDE = 2  # cells beside the object's foot whose heights its own points raise
+SHARE = 0.1  # least number of a base's cells beyond these, as a share of the foot's
 FEWEST = 1.0  # averaged number of points in a cell whose height is known
 _AROUND_CELL = np.ones((3, 3), bool)
 
@@ -84,12 +84,17 @@ class Base:
     Attributes:
         cells: of the plane.
         covered: (N, N) True where it lies.
-        height: of its upper side, world units above the plane.
+        height: of its upper side over the plane's points around the object, world units.
     """
 
     cells: _Cells
     covered: np.ndarray
     height: float
+
+    def covers(self, points: np.ndarray) -> np.ndarray:
+        """Return (...,) True for the points (..., 3) over or under it."""
+        cell, inside = self.cells.locate(points)
+        return inside & self.covered[cell[..., 0], cell[..., 1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,22 +113,14 @@ class Ground:
 
     def below(self, points: np.ndarray) -> np.ndarray:
         """Return (...,) True for the points (..., 3) that belong to the plane."""
-        lowest = self.lowest if self.base is None else np.where(self.under_base(points), self.base.height / 2, self.lowest)
+        lowest = self.lowest if self.base is None else np.where(self.base.covers(points), self.base.height / 2, self.lowest)
         return self.plane.height(points) <= lowest
-
-    def under_base(self, points: np.ndarray) -> np.ndarray:
-        """Return (...,) True for the points (..., 3) over or under the base."""
-        if self.base is None:
-            return np.zeros(points.shape[:-1], bool)
-        cell, inside = self.base.cells.locate(points)
-        return inside & self.base.covered[cell[..., 0], cell[..., 1]]
 
     def visible(self, texture: PlaneTexture) -> PlaneTexture:
         """Return the plane's texture without what the base covers."""
         if self.base is None:
             return texture
-        covered = self.under_base(texture.points())
-        return replace(texture, known=np.where(covered, np.float32(0), texture.known))
+        return replace(texture, known=np.where(self.base.covers(texture.points()), np.float32(0), texture.known))
 
 
 def find_ground(dense: DensePoints, plane: SupportPlane, region: ObjectRegion) -> Ground:
@@ -183,11 +180,16 @@ def _standing(region: ObjectRegion, label: int, plane: SupportPlane, lowest: flo
 
 
 def with_base(region: ObjectRegion, dense: DensePoints, ground: Ground, sphere: Bound | None) -> ObjectRegion:
-    """Return the region with the points of the base; if a person gave a sphere, with those in it, and the sphere stays its bound."""
+    """Return the region with the points of the base, if there is one.
+
+    If a person gave a sphere, only points in it are added, and it stays the region's bound.
+    """
+    if ground.base is None:
+        return region
     points = dense.points.position
     if sphere is not None:
         points = points[np.linalg.norm(points - np.asarray(sphere.centre), axis=1) < sphere.radius]
-    points = points[ground.under_base(points) & ~ground.below(points) & (ground.plane.height(points) <= HIGHEST * ground.lowest)]
+    points = points[ground.base.covers(points) & ~ground.below(points) & (ground.plane.height(points) <= HIGHEST * ground.lowest)]
     cell = np.floor((points - region.corner) / region.step).astype(np.int64)
     cell = cell[((cell >= 0) & (cell < region.label.shape)).all(1)]
     label = region.label.copy()

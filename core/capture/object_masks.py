@@ -87,8 +87,7 @@ def cut_out(
         progress.message(f"masks: {region}; the photographs are used whole")
         return None
     ground = None if plane is None else find_ground(dense, plane, region)
-    if ground is not None and ground.base is not None:
-        region = with_base(region, dense, ground, sphere)
+    region = region if ground is None else with_base(region, dense, ground, sphere)
     maps = dict(zip(dense.chosen, dense.maps, strict=True))
     of_view = [(given.get(view.name), background.get(view.name)) for view in views]
     jobs = [(view, maps.get(i), region, ground, *of_view[i]) for i, view in enumerate(views)]

@@ -66,7 +66,9 @@ PATCH_SAMPLES = (2 * PATCH_REACH + 1) ** 2
 WORST_COST = np.float32(2)  # 1 - NCC of opposite patches; also of patches that cannot be compared
 FLAT_VARIANCE = np.float32(5e-6)  # variance of grey values below which a patch has no texture; that of rounding to 8 bits is 1.3e-6
 BRIGHTNESS_RANGE = np.float32(0.08)  # difference of two patches' mean grey values at which the cost of brightness is largest
-WEAK_VARIANCE = np.float32(5e-5)  # variance of a patch at which the cost of brightness is halved: texture tells more, whatever the gloss
+WEAK_VARIANCE = np.float32(
+    5e-5
+)  # variance of a patch at which the cost of brightness is halved: gloss misleads it, and texture tells depth
 WEIGHT_CUT = np.float32(2.5)  # grey differences in sigmas from which a sample has weight 0: patches then stop at silhouettes
 WARPED_AREA = (np.float32(0.1), np.float32(8))  # range of pixels in the source for one pixel; outside, sampling loses the texture
 WARPED_REACH = np.float32(25)  # pixels; largest distance of a sample from the middle of the warped patch

@@ -15,7 +15,8 @@ from irgspp.core.stereo.fusion import OrientedPoints
 PIXEL, NOISE = 0.01, 0.17  # size of a depth map's pixel, and the noise of heights in pixels
 PLANE = SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0, NOISE * PIXEL, np.empty((0, 3)))
 CAMERAS = [
-    Camera(320, 240, 360.0, 360.0, 160.0, 120.0, look_at((3.4 * np.cos(a), 3.4 * np.sin(a), 1.8), (0, 0, 0.4))) for a in range(0, 360, 60)
+    Camera(320, 240, 360.0, 360.0, 160.0, 120.0, look_at((3.4 * np.cos(a), 3.4 * np.sin(a), 1.8), (0, 0, 0.4)))
+    for a in np.radians(range(0, 360, 60))
 ]
 
 

@@ -127,6 +127,21 @@ def test_textureless_object_has_no_stereo_start():
     assert from_stereo(bowl(textured=False, count=10, size=48), COUNT, 0, Silent()) is None
 
 
+@pytest.mark.parametrize("turning", [False, True])
+def test_brightness_counts_unless_the_light_turns(dataset, monkeypatch, turning):
+    class Asked(Exception):
+        pass
+
+    def ask(views, nearest, farthest, points, settings, *_):
+        assert (settings.brightness == 0) == turning
+        raise Asked
+
+    monkeypatch.setattr(stereo_initialization, "estimate_depth_maps", ask)
+    views = [replace(view, light_rotation=np.eye(3)) for view in dataset.train] if turning else dataset.train
+    with pytest.raises(Asked):
+        from_stereo(replace(dataset, train=views), COUNT, 0, Silent())
+
+
 def test_thinned_points_are_averages_in_order_of_support():
     rng = np.random.default_rng(0)
     position = rng.random((5000, 3)).astype(np.float32)
