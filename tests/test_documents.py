@@ -110,7 +110,7 @@ def quoted(cell: str) -> list[str]:
 
 def test_functions_of_a_job_are_defined_in_the_files_next_to_them():
     wrong, count = [], 0
-    for row in rows("The way of the data through one job"):
+    for row in rows("Data flow of one job"):
         column = next((i for i, cell in enumerate(row) if re.fullmatch(r"`core/[\w/]+\.py`", cell)), None)
         if column is None:
             continue
@@ -125,7 +125,7 @@ def test_functions_of_a_job_are_defined_in_the_files_next_to_them():
 def test_results_and_phases_of_a_job_exist():
     classes = {name for file in (ROOT / "core").rglob("*.py") for name in definitions(file)}
     pipeline = (ROOT / "core" / "pipeline.py").read_text("utf-8")
-    table = [row for row in rows("The way of the data through one job") if len(row) == 4]
+    table = [row for row in rows("Data flow of one job") if len(row) == 4]
     named = [name for row in table for name in quoted(row[3]) if re.fullmatch(r"[A-Z]\w+", name)]
     phases = [name for row in table for name in quoted(row[0])]
     assert len(named) >= 8 and not [name for name in named if name not in classes]
