@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender side of the extension: registration, scene properties, preferences, and the rooms that run the engine and import results."""
+"""Blender side of the extension: registration, scene properties, preferences, and the packages that run the engine and import results."""

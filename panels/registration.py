@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Registration of all classes, menus and handlers with Blender.
 
-This is the topmost module of the extension: it imports all rooms, and no room imports it.
+This is the topmost module of the extension: it imports all packages, and no package imports it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plain float64 definitions of the kernels of this room, with which tests compare them."""
+"""Plain float64 definitions of the kernels of this package, with which tests compare them."""
 
 from __future__ import annotations
 

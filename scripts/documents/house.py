@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The package's rooms and the imports between them, read from the code, and their drawing as SVG.
+"""The packages of IRGS++ and the imports between them, read from the code, and their drawing as SVG.
 
-A room is a folder or file directly inside `core`, or one of the folders `irgspp_addon`, `operators` and `panels`. The floor of a
-room is one above the highest room that it imports.
+A package (`room` in the code) is here a folder or file directly inside `core`, or one of the folders `irgspp_addon`, `operators` and
+`panels`. Its layer (`floor`) is one above the highest package that it imports.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ COLOURS = {"core": "#e8f0fe", "irgspp_addon": "#e6f4ea", "operators": "#fef7e0",
 
 @dataclass(frozen=True)
 class House:
-    """Rooms and imports.
+    """Packages and imports.
 
     Attributes:
-        rooms: name without the package (`core.kernels`, `panels`) -> number of modules inside.
-        imports: room -> rooms that its modules import.
+        rooms: package, without `irgspp` (`core.kernels`, `panels`) -> number of modules inside.
+        imports: package -> packages that its modules import.
     """
 
     rooms: dict[str, int]
@@ -32,7 +32,7 @@ class House:
 
     @cached_property
     def circles(self) -> list[list[str]]:
-        """Groups of rooms that import each other, directly or by way of others."""
+        """Groups of packages that import each other, directly or by way of others."""
         reach = {room: self._reachable(room) for room in self.rooms}
         found = {tuple(sorted(b for b in reach[a] if a in reach[b])) for a in self.rooms if a in reach[a]}
         return [list(circle) for circle in sorted(found)]
@@ -48,7 +48,7 @@ class House:
         return seen
 
     def floor(self, room: str) -> int:
-        """Return the floor of a room, 0 for one that imports no other; only where there are no circles."""
+        """Return the layer of a package, 0 for one that imports no other; only where there are no circles."""
         return 1 + max((self.floor(one) for one in self.imports[room]), default=-1)
 
 
@@ -69,7 +69,7 @@ def read_house(package: str = "irgspp") -> House:
 
 
 def room_of(module: str) -> str:
-    """Return the room of a module such as `irgspp.core.kernels.cpu.bvh`; empty for the package itself, `core` itself and other packages."""
+    """Return the package of a module such as `irgspp.core.kernels.cpu.bvh`; empty for `irgspp`, `core` and other libraries."""
     parts = module.split(".")[1:]
     if not parts or parts[0] not in COLOURS or parts == ["core"]:
         return ""
@@ -77,10 +77,10 @@ def room_of(module: str) -> str:
 
 
 def draw(house: House, out: Path) -> None:
-    """Write the drawing, top floor first; arrows lead from a room to what it imports.
+    """Write the drawing, top layer first; arrows lead from a package to what it imports.
 
     Args:
-        house: rooms and imports without circles.
+        house: packages and imports without circles.
         out: the SVG file.
     """
     floors: dict[int, list[str]] = {}
