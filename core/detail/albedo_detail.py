@@ -42,7 +42,9 @@ MOST_HELD = 3  # photographs held back at most
 CHUNK = 1 << 20  # texels that are encoded at a time
 ALIGNED = 1024  # largest side of the texture to which photographs are aligned, texels
 DEPTH_SIDE = 1600  # longest side of the depth maps that decide visibility, pixels
-CERTAIN = 0.3  # weight of the best photograph, as a fraction of that of one straight above with the scene's usual pixels, that suffices
+# Weight of a texel's best photograph from which the texel takes all of its colour from the photographs, as a fraction of the median of
+# this weight over the mesh. Below, it is mixed with the working solution.
+CERTAIN = 0.3
 
 
 class AlbedoDetail:

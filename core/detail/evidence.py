@@ -92,7 +92,7 @@ class Evidence:
         agreement = (
             f"fine detail of held-back photographs has the correlation {new:.2f} with it, {old:.2f} with the texture of the Gaussians"
         )
-        return agreement if self.painted else f"{agreement}; but it has hardly any colour, as shading of relief has"
+        return agreement if self.painted else f"{agreement}; it has almost no colour and may be the shading of fine relief"
 
 
 def fine_detail(texels: MeshTexels, known: np.ndarray, values: np.ndarray, sigma: float) -> np.ndarray:

@@ -81,7 +81,15 @@ class VertexShading:
         return ViewShading(smooth[0], smooth[1])
 
     def _points(self, index: np.ndarray, view: np.ndarray) -> PrimaryHits:
-        """Return vertices as surface points of an image that is just wide enough for them."""
+        """Pack vertices into `PrimaryHits`, so that the relighter can shade them.
+
+        The relighter takes the random shift of a point's samples from its pixel, so each vertex gets a pixel of its own in a square image.
+        The camera is a placeholder that only tells the width of this image: its lens and pose are not used.
+
+        Args:
+            index: (P,) the vertices.
+            view: (P, 3) unit directions towards the viewer.
+        """
         mesh, count = self._mesh, len(index)
         width = max(1, math.isqrt(max(count - 1, 0)) + 1)
         camera = Camera(width, width, 1.0, 1.0, 0.0, 0.0, np.eye(4))

@@ -79,7 +79,7 @@ def select_start(
 def _share_in_words(share: float) -> str:
     """Return the evidence with masks: the fraction of the surfels that lie on stereo's points."""
     if share == 0:
-        return "nowhere do the photographs agree better at a stereo depth that is more than a pixel off the visual hull"
+        return "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
     return f"{share:.1%} of the surfels lie on stereo's points, where the photographs agree better than on the visual hull"
 
 

@@ -94,7 +94,8 @@ def train(
     if incomplete := incomplete_images() - before:
         progress.message(f"warning: in {incomplete} steps the image lacked some surfels, as more were visible than the GPU's buffers hold")
     if trainer.anchors is not None and trainer.anchors.chosen and len(trainer.anchors.pixel):
-        progress.message(f"{len(trainer.anchors.pixel):,} depths were held at stereo's, where the photographs agree better")
+        kept = len(trainer.anchors.pixel)
+        progress.message(f"{kept:,} depths are held at stereo's, where it fits the photographs better than the surfels")
     trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()

@@ -188,7 +188,7 @@ def solve_light_materials(
     solve = partial(_solve_from_first_stage, reconstruction, samples, transfer, tracer, settings, progress)
     solver = solve(search_metal)
     if _is_doubtful_metal(reconstruction, solver):
-        progress.message("all of it may be metal, though the first stage found none: solved again without metal")
+        progress.message("the solver takes the whole object for metal, but the first stage does not: solved again without metal")
         solver = _decided(solver, solve(False), reconstruction.glossy, progress)
     return solver, tracer
 
@@ -245,15 +245,15 @@ def _solve_from_first_stage(
     solver = solved(try_dark=search_metal)
     if solver.start_albedo < MEDIUM and not progress.finish_early:
         # Before its metal is known, an object with metal parts looks darker than it is: what both starts end with decides.
-        progress.message("it may be dark: solved again from a medium albedo")
+        progress.message("the best fit has a dark albedo: solved again from a medium albedo, to compare")
         medium = solved(try_dark=False)
         solver = min(solver, medium, key=lambda one: one.total_error())
     if solver.start_albedo < MEDIUM:
         progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():
-        progress.message("the light is finer around its lamps")
+        progress.message("the light is subdivided where it is bright")
     tested, confirmed = solver.regions
     if tested:
-        progress.message(f"metal: {confirmed} of {tested} regions that may be metal explain the photographs better so")
+        progress.message(f"metal: {confirmed} of {tested} candidate regions confirmed")
     progress.message(f"light and materials explain the photographs: half of their values differ by less than {solver.error():.1%} of white")
     return solver

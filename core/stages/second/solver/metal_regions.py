@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Regions of metal: points with clear evidence, those around that do not contradict it, and a test of each region as a whole.
 
-A single point hardly tells metal from a rough dielectric: wrong normals and shadows make either fit a little better. Two thresholds, as
-in Canny's edge detector, ask for strong evidence once and keep a region whole. The candidates found so count as metal until the test, so
-that the light adapts to them: without that, a region that was missed once was seldom found again. Before the test, those candidates leave
-that metal does not explain better once light and albedo have adapted to it. Without that, metal grew in the shadow from a belt over skin.
-After the test, a graph cut draws the borders of the regions anew, see `metal_cut`.
+A single point hardly tells metal from a rough dielectric: wrong normals and shadows make either fit a little better. The search has four
+steps (called by `LightMaterialSolver`):
+
+1. Candidates, by two thresholds as in Canny's edge detector: a point needs clear evidence (SURE), unless its neighbours are candidates
+   (POSSIBLE). They count as metal until the test, so that the light adapts to them: else a region that was missed once was seldom found
+   again.
+2. Before the test, light and albedo adapt to the candidates. Those that metal does not explain better then are dropped (SUPPORT). Without
+   this, metal spread in the shadow from a belt to the skin around it.
+3. The test: each connected region counts as metal only if the photographs are explained clearly better so, see `confirm_metal`.
+4. A graph cut draws the borders of the confirmed regions anew, see `metal_cut`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starts of a metal's refinement: the solver's result where it explains the photographs, else the light of the first stage at its levels.
+"""Starts of a metal's refinement: the solver's result, or the first stage's light scaled to the brightness of the solver's.
 
-The reflections of the first stage show the light in detail, but without visibility, and where they are clipped its radiance stays too
-low. The solver's light is coarse, but its levels follow from the rendering equation, with clipped values as lower bounds. Where it
-explains the photographs, it is the better one as a whole. Held-back views do not tell: refined, they preferred the other on all scenes.
+The first stage's light has more detail, since sharp reflections show it. But that stage computes no visibility, and where reflections are
+clipped in the photographs its radiance is too low. The solver's light is coarse, but its brightness is right: it comes from the rendering
+equation, and a clipped value counts as a lower bound.
+
+A solver that explains the photographs well (error below EXPLAINED) gives the only start. Otherwise the two lights are combined. Held-back
+views cannot decide between these cases: after refinement, they preferred the combination on all scenes.
 """
 
 from __future__ import annotations

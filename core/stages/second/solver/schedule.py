@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Schedule of the solver: the better of two starts, then smaller texels of the light, unless coarse ones are clearly better so far.
+"""Schedule of the solver's steps.
 
-At the end the normals of metal parts are searched.
+1. Start: a few steps on some of the points from a medium and from a dark albedo; the better one is the start.
+2. Twice in the course of the steps, the brightest texels of the light are split into smaller ones. A copy without the split goes on beside
+   the solver; it is given up after TWIN_STEPS unless it is clearly better, and is the result if it is so at the end.
+3. At the end, the normals of metal parts are searched, and a tint of the light moves into the albedo as far as the photographs leave it
+   open.
 """
 
 from __future__ import annotations
@@ -12,8 +16,8 @@ from ..metal import METAL_ON_AVERAGE
 from .light_material_solver import STEPS, LightMaterialSolver, Split
 
 START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared, and about how many points they are compared on
-SPLIT_STEPS = (14, 22)  # numbers of steps done when texels of the light are split
-TWIN_STEPS = 24  # number of steps done when the solver without the split is given up, unless it is clearly better
+SPLIT_STEPS = (14, 22)  # texels of the light are split when so many steps are done
+TWIN_STEPS = 24  # steps done when the copy without the split is given up, unless it is clearly better
 DARK_BETTER = 0.95  # ratio of errors below which a dark start is the better one
 # Ratio of errors below which the coarse light is clearly better. Errors that differ by less tell nothing: at the end of two runs on
 # rocker_corner, the split light's was .3 per cent lower and .8 higher, and its light was better by 2 dB in both; on spot_rough by .6 dB.

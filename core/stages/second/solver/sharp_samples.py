@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Samples of the images at Gaussians, with colours sharper than pixels.
 
-The SH of a Gaussian are sharper than a pixel, as they were fitted to all images. Where they hold all radiance, they are its colour. Of a
-glossy object they hold the diffuse part: a pixel's colour gets the difference between the SH of the Gaussian and the SH rendered in that
-pixel, (1 - m) (c_i - C_sh); its reflection stays the pixel's. With the pixels' own colours, the albedo of a glossy bowl with a fine pattern
-had 2 dB less.
+The SH of a Gaussian are fitted to all images, so they hold finer detail than a pixel of one image does. The colour of a sample is:
 
-Where that detail differs in brightness alone, it is shading of a relief finer than the normals rather than pigment (Retinex, Land and
-McCann 1971), and is left out: with it, the albedo of a stone face had 2 dB less.
+- for an object without reflections, whose SH hold all radiance: the SH of the Gaussian;
+- for a glossy object, whose SH hold the diffuse part only: the colour C of the pixel plus the detail (1 - m) (c_i - C_sh). Here m is the
+  Gaussian's metallic, c_i its SH, and C_sh the SH of all Gaussians rendered at that pixel. The reflection stays the pixel's.
+
+Without this detail, the albedo of a glossy bowl with a fine pattern had 2 dB less.
+
+Detail of a glossy object that differs in brightness alone is not used: it is more likely the shading of a relief finer than the normals
+than pigment (Retinex, Land and McCann 1971). With it, the albedo of a stone face had 2 dB less.
 """
 
 from __future__ import annotations
