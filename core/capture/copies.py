@@ -107,7 +107,7 @@ def copy_photograph(source: Path, name: str, folder: Path) -> Copy:
     """Decode a photograph and write its upright copy, and its alpha channel as a mask.
 
     Args:
-        source: the person's file.
+        source: file of the user.
         name: of the photograph.
         folder: of the capture.
 

@@ -24,7 +24,7 @@ from .raw import decode_raw
 FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "HEIF")  # files of several JPEGs (MPO) are opened as JPEG
 LOSSLESS = ("PNG", "TIFF")
 DEFLATE = 8 * 1032  # largest number of pixels of one bit in a byte of a compressed TIFF
-COMPRESSED = 2000  # the same of HEIC and WebP, which have no such limit; photographs have less than 100
+COMPRESSED = 2000  # largest number of pixels in a byte of HEIC and WebP, whose formats set no limit; photographs have less than 100
 LARGEST = 8 * MAX_PIXELS  # bytes of a file: four channels of 16 bits
 BITS_PER_SAMPLE = 258  # tag of TIFF
 
@@ -59,7 +59,7 @@ class DecodedPhotograph:
 
 
 def decode_photograph(path: Path) -> DecodedPhotograph:
-    """Decode a photograph and turn it upright; of a file with several pictures (gain map, depth, burst) the first.
+    """Decode a photograph and turn it upright; of a file with several images (gain map, depth, burst) the first.
 
     Args:
         path: JPEG, PNG, TIFF, WebP, HEIC or RAW.

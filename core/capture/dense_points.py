@@ -33,10 +33,10 @@ class DensePoints:
         chosen: indices of the views that have a depth map.
         maps: their depth maps; a depth counts where its support is at least SUPPORT.
         points: fused points.
-        target: (3,) the point that the cameras look at, or the centre that a person gave.
+        target: (3,) the point that the cameras look at, or the centre that the user gave.
         distance: median distance of the cameras to it, world units.
         pixel: size of a depth map's pixel at that distance, world units: about the noise of the points.
-        reliable: the cameras do look at one point, or a person gave it.
+        reliable: the cameras do look at one point, or the user gave it.
     """
 
     chosen: list[int]
@@ -54,7 +54,7 @@ def find_dense_points(views: Sequence[View], points: PointCloud | None, sphere: 
     Args:
         views: undistorted photographs, two or more.
         points: sparse points, or None.
-        sphere: about the object, if a person gave it.
+        sphere: bounding sphere of the object, if the user gave it.
         seed: of stereo.
         progress: receives the phase "dense points", and may cancel.
 

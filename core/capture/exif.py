@@ -19,7 +19,7 @@ UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # millimetres of FocalPlaneResolut
 DIAGONAL = math.hypot(36, 24)  # of 35 mm film, millimetres
 TURNS = {1: (0, False), 2: (0, True), 3: (2, False), 4: (2, True), 5: (1, True), 6: (3, False), 7: (3, True), 8: (1, False)}
 LARGEST_ISO16 = 65535  # in the 16-bit field of the sensitivity: too large for it, and stated elsewhere
-POSSIBLE_FOCAL = (0.2, 100.0)  # focal length in long sides of the picture: 136 to 0.6 degrees
+POSSIBLE_FOCAL = (0.2, 100.0)  # focal length in long sides of the image: 136 to 0.6 degrees
 POSSIBLE_TIME, POSSIBLE_F, POSSIBLE_ISO = (1e-6, 3600.0), (0.3, 200.0), (1.0, 1e7)  # seconds, f-number, ISO
 AGREE = 1.15  # ratio up to which two statements of the focal length agree
 LONGEST = 60  # characters of a name that are kept
@@ -50,7 +50,7 @@ class Shot:
         orientation: of the stored pixels.
         focal: focal length in pixels of the photograph, or None.
         exposure: exposure time x ISO / f-number^2, or None.
-        lens: key of camera and lens, without the picture's size.
+        lens: key of camera and lens, without the image's size.
         note: line for the user where EXIF is damaged; else empty.
     """
 
@@ -80,8 +80,8 @@ def shot_of(tags: Mapping[int, Any], width: int, height: int) -> Shot:
 
     Args:
         tags: values of the main and the EXIF directory by their number.
-        width: of the stored picture in pixels.
-        height: of the stored picture in pixels.
+        width: width of the stored image, pixels.
+        height: height of the stored image, pixels.
     """
     return Shot(orientation_of(tags.get(ORIENTATION)), _focal(tags, width, height), _exposure(tags), _lens(tags))
 

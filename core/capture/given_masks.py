@@ -66,7 +66,7 @@ def _scaled(mask: np.ndarray) -> np.ndarray:
 
 
 def _fits(mask: np.ndarray, size: tuple[int, int]) -> bool:
-    """Return True for a mask of a picture's aspect ratio."""
+    """Return True for a mask of an image's aspect ratio."""
     return abs(mask.shape[1] * size[1] / (mask.shape[0] * size[0]) - 1) < ASPECT
 
 

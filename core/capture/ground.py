@@ -24,7 +24,9 @@ REACH = 2.0  # radii of the object around it in which heights are averaged
 AROUND = 1.2  # radii from which the heights are those of the plane
 HIGHEST = 1.25  # largest height of averaged points, as a factor of the height from which points do not belong to the plane
 LEAST, SURE = 0.6, 8.0  # height of a base over the plane: in pixels, and in standard deviations of the plane's averaged heights
-FOOT = 4.0  # largest height, likewise, of the voxels above a base that show where a thing stands
+# Largest height of the voxels above a base that show where a thing stands, as a factor of the height from which points do not belong to the
+# plane.
+FOOT = 4.0
 BESIDE = 2  # cells beside the object's foot whose heights its own points raise
 SHARE = 0.1  # least number of a base's cells beyond these, as a share of the foot's
 FEWEST = 1.0  # averaged number of points in a cell whose height is known
@@ -182,7 +184,7 @@ def _standing(region: ObjectRegion, label: int, plane: SupportPlane, lowest: flo
 def with_base(region: ObjectRegion, dense: DensePoints, ground: Ground, sphere: Bound | None) -> ObjectRegion:
     """Return the region with the points of the base, if there is one.
 
-    If a person gave a sphere, only points in it are added, and it stays the region's bound.
+    If the user gave a sphere, only points in it are added, and it stays the region's bound.
     """
     if ground.base is None:
         return region

@@ -217,7 +217,7 @@ class _Work:
                 raise Cancelled("stopped while the object was cut out")
 
     def _compare(self, found: list[np.ndarray]) -> None:
-        """Compare masks with the other views' silhouettes (H, W); a person's mask that contradicts them is dropped."""
+        """Compare masks with the other views' silhouettes (H, W); a mask of the user's that contradicts them is dropped."""
         for i, (mask, other) in enumerate(zip(self.masks, found, strict=True)):
             self.agreement[i] = 1.0 if mask is None else overlap(mask, other)
             cutout = self.cutouts[i]

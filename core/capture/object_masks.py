@@ -66,8 +66,8 @@ def cut_out(
         settings: without `masks`, nothing is cut out.
         seed: of the random numbers.
         progress: receives the phases "dense points" and "cut out the object" and messages, and may cancel.
-        sphere: about the object, if a person gave it.
-        given: masks (H, W) 0..1 of a person by the view's name, for some or all views; they are followed but for a band at their edge.
+        sphere: bounding sphere of the object, if the user gave it.
+        given: masks (H, W) 0..1 that the user gave, by the view's name, for some or all views; followed but for a band at their edge.
         background: (H, W) bool by the view's name, True where the static background of a turntable is seen.
 
     Returns:

@@ -19,9 +19,9 @@ from .support_plane import SupportPlane
 
 VOXEL = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
 REACH = 0.85  # distances of the cameras around the look-at point in which clusters are sought
-FRAME = 2.0  # the same in radii of the sphere that fills the pictures
-HEIGHT = 2.0  # pixels above the plane from which points do not belong to it; more where it is noisy
-NOISE = 4.0  # the same in standard deviations of the plane's points
+FRAME = 2.0  # reach of that search in radii of the sphere that fills the images; the shorter of both reaches counts
+HEIGHT = 2.0  # height above the plane from which points do not belong to it, in pixels of a depth map at the look-at point's distance
+NOISE = 4.0  # that height in standard deviations of the plane's points; the larger of both heights counts
 FEWEST = 3  # points in a voxel from which it is occupied
 SMALLEST = 12  # voxels of a cluster
 BESIDE = 0.12  # radii of the object to a part that hangs free, up to which it belongs to the object
@@ -29,10 +29,10 @@ STANDING = 4.0  # voxels above the plane below which a cluster stands on it by i
 CENTRAL = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
 QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
 MARGIN = 1.1  # factor of that radius
-SMALL, INSET = 48, 5  # side of the small images in which the pictures' borders are looked at, and pixels that stereo sees badly there
-AT_BORDER = 0.5  # mean fraction of the pictures' borders that an object on a plane may cover
-HANGING = 0.3  # the same without a plane, where only free space around it tells an object from a facade
-FRAMED = 0.6  # mean fraction of the object's points inside the pictures below which it is no object but the scene
+SMALL, INSET = 48, 5  # side of the small images in which the borders are looked at, and width of the rim that stereo sees badly, pixels
+AT_BORDER = 0.5  # largest mean fraction of the images' borders that an object on a plane covers
+HANGING = 0.3  # largest such fraction without a plane: only free space around it tells an object from a facade then
+FRAMED = 0.6  # mean fraction of the object's points inside the images below which it is no object but the scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,16 +90,16 @@ def find_object_region(
     """Find the cluster of points above the plane that the cameras look at.
 
     Points above the plane are joined in voxels and labelled by connectivity. The object is the cluster that is largest and most central in
-    the pictures; parts that hang free right beside it belong to it. If a person gave a sphere, everything above the plane in it does.
+    the images; parts that hang free right beside it belong to it. If the user gave a sphere, everything above the plane in it does.
 
     Args:
         dense: dense points.
         plane: on which the object stands, or None.
         cameras: of all views.
-        sphere: about the object, if a person gave it.
+        sphere: bounding sphere of the object, if the user gave it.
 
     Returns:
-        The region, None where there is no cluster or where it fills the pictures beyond their edges, as a facade does.
+        The region, None where there is no cluster or where it fills the images beyond their edges, as a facade does.
     """
     reach = min(REACH * dense.distance, FRAME * bound_of_cameras(cameras).radius if sphere is None else 3 * sphere.radius)
     points = _above(dense, plane, reach)
@@ -160,7 +160,7 @@ def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: Supp
 
 
 def _looked_at(clusters: _Clusters, corner: np.ndarray, step: float, cameras: Sequence[Camera]) -> np.ndarray:
-    """Return (C,) True for the cluster that is largest and most central in the pictures, and for parts that hang free beside it."""
+    """Return (C,) True for the cluster that is largest and most central in the images, and for parts that hang free beside it."""
     central = np.mean([_centrality(camera, clusters.centre) for camera in cameras], 0)
     first = int(np.argmax(central**2 * np.sqrt(clusters.size)))
     own = np.zeros(len(clusters.size), bool)
@@ -213,7 +213,7 @@ def _clutter(clusters: _Clusters, own: np.ndarray, corner: np.ndarray, step: flo
 
 
 def _framed(region: ObjectRegion, cameras: Sequence[Camera], most: float) -> bool:
-    """Return True where the pictures show most of the object, and it covers at most a fraction of their borders."""
+    """Return True where the images show most of the object, and it covers at most a fraction of their borders."""
     points = region.points()
     shown, border = [], []
     for camera in cameras:

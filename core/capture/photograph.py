@@ -13,7 +13,7 @@ class Photograph:
 
     Attributes:
         name: unique name, also of the files made from it; valid as a file name on every system.
-        source: the person's file, which is never changed; the video for a frame of a video.
+        source: file of the user, which is never changed; the video for a frame of a video.
         image: the upright copy, JPEG or PNG, sRGB.
         width, height: of the copy in pixels.
         lens: key of the camera and its lens; photographs with the same key share their intrinsics.

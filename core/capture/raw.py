@@ -41,7 +41,7 @@ def decode_raw(path: Path) -> tuple[np.ndarray, Shot]:
             linear = raw.postprocess(
                 gamma=(1, 1),
                 no_auto_bright=True,
-                adjust_maximum_thr=0,  # else the white level depends on the picture
+                adjust_maximum_thr=0,  # else the white level depends on the image
                 use_camera_wb=True,
                 output_bps=16,
                 output_color=rawpy.ColorSpace.sRGB,  # pyright: ignore[reportAttributeAccessIssue]

@@ -21,8 +21,8 @@ from .object_region import ObjectRegion
 MARGIN = 1.15  # factor of the bound's radius in the crop
 THIN = 3  # pixels of a depth map's window in which all depths must agree for a seed
 SEED = 4.0  # cost of cutting against a seed, nats
-GIVEN = 4.0  # the same against a person's mask
-LOOSE_EDGE = 8.0  # pixels around the edge of a person's mask over which this cost grows: drawn edges are not exact
+GIVEN = 4.0  # cost of cutting against the user's mask, nats
+LOOSE_EDGE = 8.0  # pixels around the edge of the user's mask over which this cost grows: drawn edges are not exact
 COLOUR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
 MOST = 2.5  # largest log-likelihood ratio of a colour
 PLANE = 0.6  # factor of the log-likelihood ratio of the support plane's texture
@@ -32,7 +32,7 @@ PRIOR = 2.5  # cost of cutting against the other views, nats
 INSIDE = 0.4  # factor of it inside their silhouette: a visual hull fills hollows, so that it tells more of the outside
 NEAR = 12.0  # pixels around the object's silhouette from which the background's colours are learned, at 640 pixels a side
 EDGE = 2.5  # cost of a pixel's length of silhouette where the image is flat
-CONTRAST = 0.1  # the same across the strongest edges, as a fraction
+CONTRAST = 0.1  # fraction of EDGE that a pixel's length of silhouette costs at the strongest edges of the image
 ITERATIONS = 150  # of the cut
 
 
@@ -46,7 +46,7 @@ class Cutout:
         bins: (h, w) int32 bins of the colours (see `colour_model`).
         seed: int8, 1 where stereo sees the object, -1 where it sees something else or where the object can't be, 0 elsewhere.
         weight: float32 cost of a pixel's length of silhouette.
-        given: float32 -1..1, how surely a person's mask says that a pixel is the object; None without.
+        given: float32 -1..1, how surely the user's mask says that a pixel is the object; None without.
     """
 
     box: tuple[int, int, int, int]
@@ -82,7 +82,7 @@ def prepare_cutout(
         depth_map: of the view, at any resolution; None without.
         region: of the object.
         ground: on which the object stands, or None.
-        given: (H, W) 0..1 mask of a person, or None.
+        given: (H, W) 0..1 mask that the user gave, or None.
         background: (H, W) bool, True where a static background is seen, or None.
 
     Returns:
@@ -105,7 +105,7 @@ def prepare_cutout(
 
 
 def _sureness(mask: np.ndarray) -> np.ndarray:
-    """Return (H, W) float32 -1..1 for a person's mask, 0 at its edge."""
+    """Return (H, W) float32 -1..1 for the user's mask, 0 at its edge."""
     inside = (mask >= 0.5).astype(np.uint8)
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, 3) - cv2.distanceTransform(1 - inside, cv2.DIST_L2, 3)
     return np.clip(distance / LOOSE_EDGE, -1, 1).astype(np.float32)

@@ -26,7 +26,7 @@ FEWEST = 200  # averaged points on a plane
 HEIGHT = 4.0  # pixels above or below the plane from which a point is not on it
 STANDING = 0.02  # points above the plane's middle over its inliers from which something stands on it
 BENEATH = 0.5  # points below the plane's middle over those above it from which the plane is a face of the object
-THROUGH = 0.1  # the same for points right below its extent: cameras can't see through a table
+THROUGH = 0.1  # points right below the plane's extent over those above its middle from which it is no table: cameras can't see through one
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ class UndistortedImage:
         image: file of the undistorted image, of full size.
         camera: pinhole camera of the full-size image, in the model's frame.
         view: the reduced image with its camera, in the model's frame; `view.alpha` is None.
-        mask: (H, W) float32 mask that the person gave, of the view's size; None where there is none.
+        mask: (H, W) float32 mask that the user gave, of the view's size; None where there is none.
     """
 
     posed: PosedPhotograph

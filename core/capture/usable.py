@@ -24,7 +24,7 @@ BLURRED = 0.65  # octaves of the energy ratio below the median: a streak of 4 pi
 DEVIATIONS = 3.5  # as many standard deviations of the set below, at least
 GROUP = 5  # photographs of a lens from which on they are compared among themselves
 SOFT = -1.45  # median log2 energy ratio below which all photographs are blurred; sharp sets have -0.2 to -0.9
-TINY = 16  # side of the pictures that are compared all with all, pixels
+TINY = 16  # side of the images that are compared all with all, pixels
 SIMILAR = 0.95  # normalised correlation of these above which displacements are measured; a displacement of MOVED leaves 0.99
 FEATURES, FEWEST, WINDOW = 300, 30, 15  # tracked corners, fewest of them, and side of their windows in pixels
 TRACKED = 0.95  # fraction of corners that must be found again, forwards and backwards, within RETURN pixels
@@ -159,7 +159,7 @@ def _twins(chosen: list[int], seen: list[Appearance]) -> dict[int, int]:
 
 
 def _similar_pairs(chosen: list[int], seen: list[Appearance]) -> list[tuple[int, int]]:
-    """Return pairs of photographs of equal size whose tiny pictures correlate."""
+    """Return pairs of photographs of equal size whose tiny images correlate."""
     if len(chosen) < 2:
         return []
     tiny = np.stack([cv2.resize(seen[i].grey, (TINY, TINY), interpolation=cv2.INTER_AREA).ravel() for i in chosen]).astype(np.float32)

@@ -26,7 +26,7 @@ from .secondary_query import SurfaceQuery
 
 LAMPS = 2  # so many lamps get the samples of the light map each; more lamps share them
 LEAST = 4  # samples of a lamp with extent, per point
-BOUNCE = 2  # the same at surfaces that secondary rays meet
+BOUNCE = 2  # samples of a lamp with extent, per point of a surface that a secondary ray meets
 BOUNCE_ALPHA = 0.25  # least GGX alpha of these surfaces: lamps mirrored by mirrors would be bright dots (as Cycles' Filter Glossy)
 SHORT = 1 - 1e-4  # fraction of the way to a lamp on which occluders count
 

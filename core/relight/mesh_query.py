@@ -17,7 +17,7 @@ from .vertex_transfer import VertexTransfer
 
 # Fractions of the scene radius:
 CLEARANCE = 0.002  # distance of ray origins from the mesh
-OFFSET = 0.012  # the same from the Gaussians' surface, where the pixel does not see the mesh
+OFFSET = 0.012  # distance of ray origins from the Gaussians' surface, where the pixel does not see the mesh
 NEAR = 0.05  # a pixel sees the mesh where it lies in front of the Gaussians' surface, or behind it by less than this
 
 

@@ -19,7 +19,7 @@ SAME_DEPTH, SAME_NORMAL = np.float32(1e-4), np.float32(0.9995)  # relative diffe
 HOPELESS = np.float32(0.6)  # cost above which any depth within the bounds may be drawn
 DEPTH_STEP = np.float32(0.02)  # largest relative change of a depth at step 1
 NORMAL_STEP = np.float32(0.8)  # largest change of each component of a normal at step 1
-JOINT_DEPTH_STEP, JOINT_NORMAL_STEP = np.float32(0.005), np.float32(0.25)  # the same where both change
+JOINT_DEPTH_STEP, JOINT_NORMAL_STEP = np.float32(0.005), np.float32(0.25)  # largest changes at step 1 where depth and normal change
 
 
 @helper

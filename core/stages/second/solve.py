@@ -48,7 +48,9 @@ CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where t
 # Share of the error that metal must explain in the test of its regions where the whole object is to be metal; else the solver runs once
 # more without metal. teapot_glossy .69, two metal Suzannes .55 and .33; a resin skull under the camera's flash .18.
 CLEAR = 0.4
-DECISIVE = 0.2  # the same share, of what both solvers end with: two metal Suzannes .35 and .28, the skull .12
+# Share of the final error of the solver without metal that the one with metal must explain, for its result to be taken: two metal Suzannes
+# .35 and .28, the skull .12.
+DECISIVE = 0.2
 SOLVED = 40_000  # triangles of the surface whose points light and materials are solved for, at most
 SIDE = 2  # rays through each texel of the light along a side
 
