@@ -31,9 +31,9 @@ def plane_differences(texture: PlaneTexture, colour: np.ndarray, camera: Camera,
     around each pixel, measured outside the object.
 
     Args:
-        texture: of the plane.
+        texture: texture of the plane.
         colour: (H, W, 3) float32 sRGB-encoded photograph.
-        camera: of the photograph.
+        camera: camera of the photograph.
         prior: (H, W) 0..1, how surely a pixel is the object.
     """
     plane, known = plane_in_photograph(texture, colour, camera, prior < SURE)
@@ -44,9 +44,9 @@ def plane_in_photograph(texture: PlaneTexture, colour: np.ndarray, camera: Camer
     """Return the plane's colours (H, W, 3), brought to a photograph's brightness, and (H, W) bool where they are known.
 
     Args:
-        texture: of the plane.
+        texture: texture of the plane.
         colour: (H, W, 3) float32 sRGB-encoded photograph.
-        camera: of the photograph.
+        camera: camera of the photograph.
         outside: (H, W) bool, pixels that are not the object.
     """
     plane, known = texture.seen_by(camera)

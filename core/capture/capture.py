@@ -44,8 +44,8 @@ def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0
     Args:
         source: folder of photographs and videos, or a video; it is never changed.
         folder: folder to write.
-        settings: of the capture.
-        seed: of every random number generator.
+        settings: settings of the capture.
+        seed: seed of every random number generator.
         progress: receives the progress and may cancel; None for neither.
 
     Raises:

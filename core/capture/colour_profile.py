@@ -23,7 +23,7 @@ def to_srgb(image: Image.Image, profile: bytes) -> Image.Image | None:
     """Convert an image to sRGB by its embedded profile.
 
     Args:
-        image: of mode RGB, L or CMYK.
+        image: image of mode RGB, L or CMYK.
         profile: the ICC profile.
 
     Returns:

@@ -32,14 +32,14 @@ class Copy:
 
     Attributes:
         stamp: size in bytes and time of change in nanoseconds of the source.
-        suffix: of the copy.
-        width, height: of the copy in pixels.
+        suffix: file name extension of the copy.
+        width, height: size of the copy in pixels.
         lens: key of the camera and its lens.
         focal, exposure: by EXIF, or None.
         turned, mirrored: orientation of the source.
         alpha: True where the source has an alpha channel, whose mask was written.
         notes: lines for the user.
-        number: of the frame in its video; 0 for a photograph.
+        number: number of the frame in its video; 0 for a photograph.
     """
 
     stamp: tuple[int, int]
@@ -64,9 +64,9 @@ class Copy:
         """Return the photograph of an entry.
 
         Args:
-            name: of the photograph.
+            name: name of the photograph.
             source: its file.
-            folder: of the capture.
+            folder: folder of the capture.
         """
         mask = mask_path(folder, name)
         known = self.width, self.height, self.lens, self.focal, self.exposure, self.turned
@@ -77,8 +77,8 @@ def copy_path(folder: Path, name: str, suffix: str) -> Path:
     """Return the path of a copy.
 
     Args:
-        folder: of the capture.
-        name: of the photograph.
+        folder: folder of the capture.
+        name: name of the photograph.
         suffix: .jpg or .png.
     """
     return folder / COPIES / f"{name}{suffix}"
@@ -88,8 +88,8 @@ def mask_path(folder: Path, name: str) -> Path:
     """Return the path of a photograph's given mask.
 
     Args:
-        folder: of the capture.
-        name: of the photograph.
+        folder: folder of the capture.
+        name: name of the photograph.
     """
     return folder / GIVEN_MASKS / f"{name}.png"
 
@@ -108,8 +108,8 @@ def copy_photograph(source: Path, name: str, folder: Path) -> Copy:
 
     Args:
         source: file of the user.
-        name: of the photograph.
-        folder: of the capture.
+        name: name of the photograph.
+        folder: folder of the capture.
 
     Raises:
         InputError: if the photograph can't be decoded.
@@ -148,7 +148,7 @@ class Record:
     """Record of the copies in a capture's folder, written atomically.
 
     Args:
-        folder: of the capture; a damaged record counts as none.
+        folder: folder of the capture; a damaged record counts as none.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -170,7 +170,7 @@ class Record:
         """Return the entry of a copy that need not be made again.
 
         Args:
-            name: of the photograph.
+            name: name of the photograph.
             source: its file.
         """
         entry = self.copies.get(name)

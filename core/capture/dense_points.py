@@ -55,7 +55,7 @@ def find_dense_points(views: Sequence[View], points: PointCloud | None, sphere: 
         views: undistorted photographs, two or more.
         points: sparse points, or None.
         sphere: bounding sphere of the object, if the user gave it.
-        seed: of stereo.
+        seed: seed of stereo's random numbers.
         progress: receives the phase "dense points", and may cancel.
 
     Raises:

@@ -51,12 +51,12 @@ def edge_colours(
     """Compare a photograph with the rendered object and with the background.
 
     Args:
-        texture: of the support plane.
+        texture: texture of the support plane.
         colour: (H, W, 3) float32 sRGB-encoded photograph.
-        camera: of the photograph.
+        camera: camera of the photograph.
         mask: (H, W) 0..1.
         rendered: straight colour (H, W, 3) of the object, encoded, and its opacity (H, W).
-        error: of the mask's edge, pixels.
+        error: error of the mask's edge, pixels.
     """
     inside, outside = _changed(mask > 0.5, cv2.erode, INNER * error), ~_changed(mask > 0.5, cv2.dilate, OUTER * error)
     solid = (rendered[1] > OPAQUE) & _changed(rendered[1] > 0.5, cv2.erode, COVERED * error)

@@ -47,7 +47,7 @@ class Shot:
     """What EXIF says about a photograph.
 
     Attributes:
-        orientation: of the stored pixels.
+        orientation: orientation of the stored pixels.
         focal: focal length in pixels of the photograph, or None.
         exposure: exposure time x ISO / f-number^2, or None.
         lens: key of camera and lens, without the image's size.
@@ -95,9 +95,9 @@ def lens_key(lens: str, width: int, height: int) -> str:
     """Return the key under which photographs share intrinsics: upright and lying copies of one camera differ in them.
 
     Args:
-        lens: of a Shot.
-        width: of the upright copy in pixels.
-        height: of the upright copy in pixels.
+        lens: key of camera and lens, see `Shot`.
+        width: width of the upright copy in pixels.
+        height: height of the upright copy in pixels.
     """
     way = "square" if width == height else "landscape" if width > height else "portrait"
     return f"{lens or 'unknown camera'}|{max(width, height)}x{min(width, height)}|{way}"

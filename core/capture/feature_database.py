@@ -25,7 +25,7 @@ def lens_groups(photographs: Sequence[Photograph]) -> list[list[int]]:
     Photographs of one phone that were held upright and on the side have different lens keys only by the size in them.
 
     Args:
-        photographs: in the order of their indices.
+        photographs: photographs in the order of their indices.
 
     Returns:
         Indices of the photographs of each camera.
@@ -42,7 +42,7 @@ def initial_cameras(photographs: Sequence[Photograph], radial: bool = False) -> 
     """Return the cameras with the focal length of EXIF, or a guess, as the start of their refinement; camera i + 1 is lens group i.
 
     Args:
-        photographs: in the order of their indices.
+        photographs: photographs in the order of their indices.
         radial: one focal length and one distortion coefficient (SIMPLE_RADIAL) for all cameras, also those of many photographs.
     """
     cameras = []

@@ -25,7 +25,7 @@ def write_given_mask(file: Path, size: tuple[int, int], orientation: Orientation
     Args:
         file: the mask; its alpha where it has one, else its largest channel, 255 (or 1 where no value is larger) on the object.
         size: (width, height) of the upright copy in pixels.
-        orientation: of the photograph.
+        orientation: orientation of the photograph.
         target: the PNG to write.
 
     Raises:

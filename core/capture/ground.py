@@ -84,9 +84,9 @@ class Base:
     """Thin flat part of the object on the support plane.
 
     Attributes:
-        cells: of the plane.
+        cells: square cells of the plane.
         covered: (N, N) True where it lies.
-        height: of its upper side over the plane's points around the object, world units.
+        height: height of its upper side over the plane's points around the object, world units.
     """
 
     cells: _Cells
@@ -133,8 +133,8 @@ def find_ground(dense: DensePoints, plane: SupportPlane, region: ObjectRegion) -
 
     Args:
         dense: dense points.
-        plane: on which the object stands.
-        region: of the object, from what is clearly above the plane.
+        plane: plane on which the object stands.
+        region: region of the object, from what is clearly above the plane.
     """
     lowest, step, reach = lowest_height(dense, plane), CELL * dense.pixel, REACH * region.bound.radius
     cells = _Cells(plane, plane.axes() @ np.asarray(region.bound.centre) - reach, step, int(np.ceil(2 * reach / step)))
@@ -152,9 +152,9 @@ def _base(cells: _Cells, height: np.ndarray, least: float, foot: np.ndarray, oth
     """Return the base under an object.
 
     Args:
-        cells: of the plane.
+        cells: square cells of the plane.
         height: (N, N) averaged, over the plane around the object, 0 where it is not known.
-        least: of a base.
+        least: least height of a base over the plane, world units.
         foot: (N, N) True where the object stands.
         others: (N, N) True where other things stand.
     """

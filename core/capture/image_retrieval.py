@@ -20,7 +20,7 @@ def similarity(path: Path, count: int, seed: int) -> np.ndarray:
     Args:
         path: the database of features.
         count: number of photographs.
-        seed: of the clustering.
+        seed: seed of the clustering.
     """
     descriptors = _read_descriptors(path, count)
     every = np.concatenate(descriptors)

@@ -52,7 +52,7 @@ def map_photographs(path: Path, count: int, attempt: Attempt, seed: int, progres
         path: the database with the matches.
         count: number of photographs.
         attempt: settings of this run.
-        seed: of RANSAC.
+        seed: seed of RANSAC.
         progress: receiver; it may cancel.
 
     Returns:

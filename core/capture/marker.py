@@ -33,7 +33,7 @@ class MarkerScale:
 
     Attributes:
         name: dictionary and id, for the user.
-        metres_per_unit: of the model's frame.
+        metres_per_unit: metres in a unit of the model's frame.
         photographs: number of photographs that agree.
         error: median reprojection error of the corners, pixels.
     """
@@ -81,7 +81,7 @@ def find_marker_scale(model: SparseModel, side: float, read: Read) -> MarkerScal
 
     Args:
         model: cameras of the photographs.
-        side: of the marker's black square, metres.
+        side: side of the marker's black square, metres.
         read: returns the pixels of a photograph's upright copy, (H, W, 3) or (H, W) uint8.
 
     Returns:

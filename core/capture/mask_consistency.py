@@ -46,12 +46,12 @@ def consistent_masks(
 
     Args:
         cutouts: the views' crops with their seeds; None for a view that does not show the object.
-        cameras: of the views.
+        cameras: cameras of the views.
         colours: (H, W, 3) float32 sRGB-encoded photographs.
-        names: of the views.
+        names: names of the views.
         mapped: True for the views with a depth map: the others are cut once the hull is known.
-        region: of the object.
-        ground: on which the object stands, or None.
+        region: region of the object.
+        ground: ground on which the object stands, or None.
         progress: receives the phase "cut out the object", and may cancel.
 
     Returns:

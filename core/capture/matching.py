@@ -41,7 +41,7 @@ def select_pairs(path: Path, count: int, matching: str, seed: int) -> Pairs:
         path: the database with the features.
         count: number of photographs.
         matching: "auto", "exhaustive" or "sequential".
-        seed: of the similarity.
+        seed: seed of the clustering behind the similarity.
 
     Returns:
         Pairs (i, j) of indices, i < j, sorted.
@@ -65,7 +65,7 @@ def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress) -> N
     Args:
         path: the database.
         pairs: pairs (i, j) of indices.
-        seed: of RANSAC.
+        seed: seed of RANSAC.
         progress: receiver; it may cancel.
 
     Raises:

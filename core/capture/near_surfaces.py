@@ -29,8 +29,8 @@ def near_surfaces(points: OrientedPoints, on_object: np.ndarray, plane: SupportP
     Args:
         points: N dense points of the scene.
         on_object: (N,) bool, points of the object.
-        plane: that the object stands on, or None.
-        bound: of the object.
+        plane: plane that the object stands on, or None.
+        bound: bounding sphere of the object.
     """
     centre, spacing = np.asarray(bound.centre), SPACING * bound.radius
     near = np.linalg.norm(points.position - centre, axis=1) < REACH * bound.radius

@@ -31,7 +31,7 @@ class ObjectMasks:
 
     Attributes:
         masks: (H, W) float32 in 0..1 of each view, None where the object could not be found.
-        plane: on which the object stands; None where it hangs or where given masks tell the object.
+        plane: plane on which the object stands; None where it hangs or where given masks tell the object.
         bound: sphere about the object.
         doubtful: names of views whose masks should be looked at, with the reason.
         points: dense points of the whole scene.
@@ -64,7 +64,7 @@ def cut_out(
         views: undistorted photographs of about 640 pixels a side; their alpha is not used.
         points: sparse points, or None.
         settings: without `masks`, nothing is cut out.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
         progress: receives the phases "dense points" and "cut out the object" and messages, and may cancel.
         sphere: bounding sphere of the object, if the user gave it.
         given: masks (H, W) 0..1 that the user gave, by the view's name, for some or all views; followed but for a band at their edge.

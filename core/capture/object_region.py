@@ -94,8 +94,8 @@ def find_object_region(
 
     Args:
         dense: dense points.
-        plane: on which the object stands, or None.
-        cameras: of all views.
+        plane: plane on which the object stands, or None.
+        cameras: cameras of all views.
         sphere: bounding sphere of the object, if the user gave it.
 
     Returns:

@@ -15,7 +15,7 @@ class Photograph:
         name: unique name, also of the files made from it; valid as a file name on every system.
         source: file of the user, which is never changed; the video for a frame of a video.
         image: the upright copy, JPEG or PNG, sRGB.
-        width, height: of the copy in pixels.
+        width, height: size of the copy in pixels.
         lens: key of the camera and its lens; photographs with the same key share their intrinsics.
         focal: focal length in pixels of the copy by EXIF, or None.
         exposure: exposure time x ISO / f-number^2 by EXIF, seconds; None where it is not stated.
@@ -40,8 +40,8 @@ class LeftOut:
     """Photograph that is not used.
 
     Attributes:
-        name: of the file, or of the photograph.
-        reason: in one line, such as "blurred: ...".
+        name: name of the file, or of the photograph.
+        reason: reason in one line, such as "blurred: ...".
     """
 
     name: str

@@ -71,9 +71,9 @@ def plane_texture(
 
     Args:
         colours: (H, W, 3) float32 sRGB-encoded photographs.
-        cameras: of the photographs.
+        cameras: cameras of the photographs.
         masks: (H, W) 0..1 of the object; photographs without are not used.
-        plane: that the object stands on.
+        plane: plane that the object stands on.
         bound: sphere about the object.
         on_object: (H, W) of each view, 1 where stereo sees the object, else 0; None for a view without stereo. With these, what the masks
             hide of the plane is looked for where stereo sees no object: masks fill gaps through which a shaded plane is seen.
@@ -105,7 +105,7 @@ def _robust_mean(
     Args:
         jobs: arguments of `_on_plane`.
         side: texels along a side.
-        rounds: of averaging.
+        rounds: number of rounds of averaging.
         reference: colours (side, side, 3), and (side, side) True where they tell exposures; None: the mean of the round before does.
 
     Returns:

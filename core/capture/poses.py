@@ -78,8 +78,8 @@ def find_poses(
     Args:
         photographs: three or more, with upright copies.
         folder: the capture's folder, which keeps features, matches and the model.
-        settings: of the capture.
-        seed: of all random choices.
+        settings: settings of the capture.
+        seed: seed of all random choices.
         progress: receiver; it may cancel.
         turntable: static background before which the object turns, or None: the poses are then those about the object at rest.
 

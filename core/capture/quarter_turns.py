@@ -24,8 +24,8 @@ def turn_pixels(pixels: np.ndarray, width: int, height: int, turns: int) -> np.n
 
     Args:
         pixels: (N, 2) places (x, y); the first pixel's centre is at (0.5, 0.5).
-        width: of the image before the turns, pixels.
-        height: of the image before the turns, pixels.
+        width: width of the image before the turns, pixels.
+        height: height of the image before the turns, pixels.
         turns: number of quarter turns anticlockwise.
 
     Returns:
@@ -43,7 +43,7 @@ def turn_lens(lens: Lens, turns: int) -> Lens:
     With X = y and Y = -x in normalised coordinates, the tangential coefficients become p1' = -p2 and p2' = p1.
 
     Args:
-        lens: of the image before the turns, not a fisheye.
+        lens: lens of the image before the turns, not a fisheye.
         turns: number of quarter turns anticlockwise.
     """
     for _ in range(turns % 4):

@@ -39,7 +39,7 @@ class Prepared:
     """Photograph with its copy.
 
     Attributes:
-        photograph: with its mask.
+        photograph: photograph with its mask.
         copy: entry of the record.
         appearance: measures of the copy.
         mask: entry of the record on its mask; None where no mask file was used.
@@ -60,9 +60,9 @@ def read_photographs(path: Path, folder: Path, settings: CaptureSettings, progre
 
     Args:
         path: folder of photographs and videos, or a video; nothing is written there.
-        folder: of the capture's results; `photographs/`, `given_masks/` and `photographs.json` are written into it.
+        folder: folder of the capture's results; `photographs/`, `given_masks/` and `photographs.json` are written into it.
         settings: number of frames of each video.
-        progress: of the phase.
+        progress: receives the phase, and may cancel.
 
     Returns:
         Usable photographs in natural order, and those left out.
@@ -105,8 +105,8 @@ class Reading:
     Args:
         files: photographs and videos.
         masks: mask file by `mask_key`.
-        record: of the capture's folder.
-        progress: of the phase.
+        record: record of the copies in the capture's folder.
+        progress: receives the phase, and may cancel.
     """
 
     def __init__(self, files: CaptureFiles, masks: dict[str, Path], record: Record, progress: Progress) -> None:
@@ -119,7 +119,7 @@ class Reading:
         """Read everything.
 
         Args:
-            frames: of each video.
+            frames: number of frames taken of each video.
         """
         self._record.write()  # marks the folder of copies, which may lie among the photographs
         files = [*self._files.photographs, *self._files.videos]
@@ -238,7 +238,7 @@ def in_order(pool: ThreadPoolExecutor, function: Callable[[Item], Result], items
 
     Args:
         pool: threads.
-        function: of one item.
+        function: called with one item.
         items: drawn one at a time.
         ahead: number of items in work.
     """

@@ -31,7 +31,7 @@ def check_features(photographs: Sequence[Photograph], counts: np.ndarray) -> Non
     """Check that enough photographs have texture.
 
     Args:
-        photographs: in the order of their indices.
+        photographs: photographs in the order of their indices.
         counts: features of each photograph, (N,).
 
     Raises:
@@ -48,7 +48,7 @@ def check_matches(photographs: Sequence[Photograph], inliers: np.ndarray) -> Non
     """Check that photographs overlap.
 
     Args:
-        photographs: in the order of their indices.
+        photographs: photographs in the order of their indices.
         inliers: verified matches of each pair, (N, N).
 
     Raises:
@@ -62,7 +62,7 @@ def check_model(photographs: Sequence[Photograph], model: pycolmap.Reconstructio
     """Check that a model was found and that its cameras stand at different places.
 
     Args:
-        photographs: in the order of their indices.
+        photographs: photographs in the order of their indices.
         model: the largest model, if there is one.
         panoramic: see `is_panoramic`.
 
@@ -120,7 +120,7 @@ def explain_left_out(
     """Explain why photographs have no pose in the first model.
 
     Args:
-        photographs: in the order of their indices.
+        photographs: photographs in the order of their indices.
         models: the chosen one first; image i + 1 is photograph i.
         counts: features of each photograph, (N,).
         inliers: verified matches of each pair, (N, N).

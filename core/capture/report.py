@@ -28,7 +28,7 @@ def write_contact_sheet(images: Sequence[UndistortedImage], masks: Sequence[np.n
         images: V undistorted images.
         masks: V masks (H, W) in 0..1 of the views' size, or None.
         doubtful: names of photographs whose mask is uncertain.
-        path: of the PNG.
+        path: file of the PNG.
     """
     rows = -(-len(images) // COLUMNS)
     sheet = Image.new("RGB", (COLUMNS * (TILE + GAP) + GAP, rows * (TILE + CAPTION + GAP) + GAP), PAPER)
@@ -61,7 +61,7 @@ def write_page(state: dict[str, Any], path: Path) -> None:
 
     Args:
         state: content of capture.json.
-        path: of the page; contact_sheet.png is next to it.
+        path: file of the page; contact_sheet.png is next to it.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined

@@ -48,9 +48,9 @@ def cut_again(views: Sequence[View], rendered: Sequence[tuple[np.ndarray, np.nda
     """Return the views with masks whose edges agree with the photographs and with the rendered object; their error is smaller.
 
     Args:
-        views: with masks and their error.
-        rendered: of each view the object's straight colour (H, W, 3), encoded, and its opacity (H, W).
-        plane: that the object stands on.
+        views: views with masks and the masks' error.
+        rendered: for each view, the object's straight colour (H, W, 3), encoded, and its opacity (H, W).
+        plane: plane that the object stands on.
         bound: sphere about the object.
     """
     texture = plane_texture([view.colour for view in views], [view.camera for view in views], [view.alpha for view in views], plane, bound)

@@ -79,9 +79,9 @@ def prepare_cutout(
 
     Args:
         view: the photograph.
-        depth_map: of the view, at any resolution; None without.
-        region: of the object.
-        ground: on which the object stands, or None.
+        depth_map: depth map of the view, at any resolution; None without.
+        region: region of the object.
+        ground: ground on which the object stands, or None.
         given: (H, W) 0..1 mask that the user gave, or None.
         background: (H, W) bool, True where a static background is seen, or None.
 

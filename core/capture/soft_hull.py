@@ -53,7 +53,7 @@ class SoftHull:
     Attributes:
         levels: coarse and fine voxels.
         masks: (H, W) uint8 0..254 of each view, narrowed as the fine voxels were carved with, or None.
-        weights: of the views.
+        weights: (V,) weights of the views.
     """
 
     levels: list[_Voxels]
@@ -68,7 +68,7 @@ class SoftHull:
         """Return (H, W) float32 0..1, how surely pixels of a view see the hull by what the other views say.
 
         Args:
-            camera: of the view.
+            camera: camera of the view.
             own: its index among the masks.
         """
         image = np.zeros((camera.height, camera.width), np.float32)
@@ -90,7 +90,7 @@ def soft_hull(
     A voxel is inside a mask if the whole cube is, so masks are narrowed by half a voxel, and the silhouettes of the cubes fit the masks.
 
     Args:
-        cameras: of all views.
+        cameras: cameras of all views.
         masks: (H, W) float32 in 0..1 of each view, None where there is none.
         weights: (V,) of the views, 0 where a mask is not to be trusted.
         bound: sphere outside which everything is empty.

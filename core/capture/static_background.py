@@ -34,9 +34,9 @@ class SeenBackground:
         """Select and undistort what belongs to the registered photographs.
 
         Args:
-            turntable: of all photographs.
-            photographs: in the order of the turntable's.
-            images: of those that have a pose.
+            turntable: static pixels and gains of all photographs.
+            photographs: photographs in the order of the turntable's.
+            images: undistorted images of those that have a pose.
         """
         number = {one.name: i for i, one in enumerate(photographs)}
         chosen = [number[one.posed.photograph.name] for one in images]

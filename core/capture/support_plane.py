@@ -85,8 +85,8 @@ def find_support_plane(dense: DensePoints, cameras: Sequence[Camera], seed: int)
 
     Args:
         dense: dense points.
-        cameras: of all views.
-        seed: of the draws.
+        cameras: cameras of all views.
+        seed: seed of the random selection of hypotheses.
 
     Returns:
         The plane, or None where there is none.

@@ -64,7 +64,7 @@ def find_turntable(photographs: Sequence[Photograph], choice: Choice, progress: 
     """Find out whether the camera was fixed before a turning object, and what stays the same.
 
     Args:
-        photographs: in the order of capture.
+        photographs: photographs in the order of capture.
         choice: "off": they are not of a turntable; "on": they are; "auto": where a background with texture stays at its place.
         progress: receives a message, and may cancel.
 

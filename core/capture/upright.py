@@ -21,7 +21,7 @@ def world_similarity(
     front, ends up at -Y. Without a marker, the object's radius becomes 1.
 
     Args:
-        cameras: in the model's frame, in the order of the photographs.
+        cameras: cameras in the model's frame, in the order of the photographs.
         bound: bounding sphere of the object in the model's frame.
         plane: (unit normal (3,) that points to the cameras, offset) of the plane n . x = offset that the object stands on, or None.
         metres_per_unit: size of the model's unit by a marker, or None.

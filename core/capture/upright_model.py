@@ -23,8 +23,8 @@ def turn_upright(model: pycolmap.Reconstruction, photographs: Sequence[Photograp
     """Return the model of the upright copies, without features that have no point.
 
     Args:
-        model: of the stored images; image i + 1 is photograph i.
-        photographs: in the order of their indices.
+        model: sparse model of the stored images; image i + 1 is photograph i.
+        photographs: photographs in the order of their indices.
     """
     upright, places, kept = pycolmap.Reconstruction(), {}, {}
     for number in sorted(model.reg_image_ids()):
@@ -87,7 +87,7 @@ def sparse_model(upright: pycolmap.Reconstruction, photographs: Sequence[Photogr
 
     Args:
         upright: the model; image i + 1 is photograph i.
-        photographs: in the order of their indices.
+        photographs: photographs in the order of their indices.
         left_out: photographs that are not in the model.
     """
     numbers = sorted(upright.reg_image_ids())

@@ -82,7 +82,7 @@ def unusable(names: list[str], lenses: list[str], seen: list[Appearance]) -> tup
     """Select photographs to leave out.
 
     Args:
-        names: of the photographs, in the order of capture.
+        names: names of the photographs, in the order of capture.
         lenses: key of each photograph's lens; sharpness is compared among photographs of one lens.
         seen: their measures.
 

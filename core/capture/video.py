@@ -34,7 +34,7 @@ class VideoFrame:
     """Frame that was chosen.
 
     Attributes:
-        number: of the frame in the video at its mean frame rate, from 0.
+        number: number of the frame in the video at its mean frame rate, from 0.
         colour: (H, W, 3) uint8 sRGB, upright.
         turned: quarter turns anticlockwise from the stored pixels to the upright frame.
     """
@@ -49,7 +49,7 @@ class Timing:
     """Times of a video, in seconds.
 
     Attributes:
-        start, duration: of the stream.
+        start, duration: start and duration of the stream.
         rate: frames in a second on average.
         keyframes: times of the known keyframes.
     """
@@ -77,7 +77,7 @@ def sharp_frames(path: Path, count: int, progress: Progress) -> Iterator[VideoFr
     Args:
         path: the video.
         count: number of windows; fewer frames are yielded where the video has fewer or ends early.
-        progress: for warnings and cancellation.
+        progress: receives warnings, and may cancel.
 
     Raises:
         InputError: if the file is no video, or no frame can be decoded.

@@ -51,11 +51,11 @@ class AlbedoDetail:
     """Accumulation of photographs into the albedo texture of one mesh.
 
     Args:
-        mesh: with materials and baked textures.
+        mesh: mesh with materials and baked textures.
         reconstruction: solved light and materials.
 
     Attributes:
-        candidates: of the texels.
+        candidates: candidates of the texels.
         failed: lines about files that can't be read, by photograph.
     """
 
@@ -99,8 +99,8 @@ class AlbedoDetail:
         """Sample a photograph; return False where it can't be read or too little of the object is seen in it.
 
         Args:
-            photograph: on the disk.
-            candidates: that receive the samples.
+            photograph: photograph on the disk.
+            candidates: candidates that receive the samples.
         """
         view = self._view(photograph)
         if view is None:
@@ -141,7 +141,7 @@ class AlbedoDetail:
         """Sample photographs one after another; return how many could be used.
 
         Args:
-            photographs: on the disk.
+            photographs: photographs on the disk.
             step: called with the number of photographs done; may raise.
         """
         used = 0
@@ -184,7 +184,7 @@ class AlbedoDetail:
 
         Args:
             photographs: number that the texture was made from.
-            evidence: of the held-back ones.
+            evidence: agreement with the held-back photographs.
             applied: the texture holds the detail.
             why: reason, in one line.
         """
@@ -202,7 +202,7 @@ def detailed(
     """Give the albedo texture of a mesh the detail of full-size photographs.
 
     Args:
-        mesh: with materials and baked textures.
+        mesh: mesh with materials and baked textures.
         reconstruction: solved light and materials.
         photographs: full-size photographs.
         choice: "off": leave the texture as it is; "auto": where the photographs are larger than the working resolution and held-back ones
@@ -247,11 +247,11 @@ def detailed_by_dataset(
     """Give the albedo texture of a run's mesh the detail of the photographs of its dataset.
 
     Args:
-        mesh: with materials and baked textures.
+        mesh: mesh with materials and baked textures.
         reconstruction: solved light and materials.
-        dataset: with cameras, that the run was made from.
+        dataset: folder of the dataset with cameras that the run was made from.
         cameras: training cameras of the run by name.
-        settings: of the run.
+        settings: settings of the run.
         progress: receives steps, warnings and the result; may cancel.
 
     Raises:

@@ -28,10 +28,10 @@ def displacement(
 
     Args:
         photograph: decoded.
-        mesh: with UVs.
+        mesh: mesh with UVs.
         albedo: (S, S, 3) float32 linear texture with detail.
         known: (S, S) bool, texels that photographs show.
-        shading: of the mesh's vertices towards the camera.
+        shading: shading of the mesh's vertices towards the camera.
         level: correction of the photograph.
 
     Returns:
@@ -80,7 +80,7 @@ def rendered_albedo(view: DepthMap, mesh: Mesh, albedo: np.ndarray, known: np.nd
 
     Args:
         view: depth map of the mesh.
-        mesh: with UVs.
+        mesh: mesh with UVs.
         albedo: (S, S, 3) linear texture.
         known: (S, S) bool.
 

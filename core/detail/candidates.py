@@ -64,9 +64,9 @@ class TexelView:
 
     Attributes:
         photograph: decoded.
-        depth: of the mesh, at any resolution.
+        depth: depth map of the mesh, at any resolution.
         level: its correction.
-        shading: of the mesh's vertices.
+        shading: shading of the mesh's vertices.
         blur: standard deviation of its blur relative to a sharp photograph, >= 1.
         shift: (h, w, 2) float32 displacement of its content against the mesh, in pixels of the working resolution.
     """

@@ -22,8 +22,8 @@ def combine(candidates: Candidates, power: float = POWER, outlier: float = OUTLI
     by powers of the weights over the candidates that agree with the centre.
 
     Args:
-        candidates: of P texels.
-        power: of the weights in the result.
+        candidates: candidates of P texels.
+        power: exponent of the weights in the result.
         outlier: difference of log albedo at which a candidate counts half.
     """
     albedo = np.zeros((len(candidates.weight), 3), np.float32)

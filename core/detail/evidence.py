@@ -32,7 +32,7 @@ class Evidence:
     """Agreement of two textures with held-back photographs.
 
     Attributes:
-        texels: of the textures.
+        texels: texels of the textures.
         sums: (2, 3) sums of products of fine detail over the compared texels, for the new and the old texture: with the photograph, with
             itself, and the photograph with itself.
         squares: (2,) sums of squares of the new texture's fine detail over the compared texels: of log luminance, and of log chromaticity.

@@ -45,9 +45,9 @@ def level(photograph: DecodedPhotograph, mesh: Mesh, albedo: np.ndarray, shading
 
     Args:
         photograph: decoded.
-        mesh: with UVs.
+        mesh: mesh with UVs.
         albedo: (S, S, 3) float32 linear texture of the working solution.
-        shading: of the mesh's vertices towards the photograph's camera.
+        shading: shading of the mesh's vertices towards the photograph's camera.
 
     Returns:
         The correction, or None where too little of the object is seen.

@@ -36,7 +36,7 @@ def mesh_texels(mesh: Mesh, size: int) -> MeshTexels:
     """Find the texels of a mesh.
 
     Args:
-        mesh: with UVs.
+        mesh: mesh with UVs.
         size: texels along a side of the texture.
     """
     corners = mesh.uvs.astype(np.float64) * size

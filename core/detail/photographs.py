@@ -46,7 +46,7 @@ class DecodedPhotograph:
         """Return the photograph as a pinhole camera of its pose sees it, (H, W, 3) float32 linear.
 
         Args:
-            camera: with the pose of the photograph.
+            camera: camera with the pose of the photograph.
         """
         scale = self.lens.width / camera.width
         level = min(max(int(np.log2(max(scale, 1.0)) + 0.25), 0), len(self.levels) - 1)
@@ -66,7 +66,7 @@ class Photograph:
     """Photograph on the disk.
 
     Attributes:
-        name: of its view.
+        name: name of its view.
         lens: lens of the file at its full size.
         working: the frame at the working resolution.
         masks: use alpha channels and mask files.
@@ -113,8 +113,8 @@ def find_photographs(dataset: Path, settings: DataSettings, cameras: dict[str, C
     """Find the full-size photographs of a run's training views.
 
     Args:
-        dataset: that the run was made from.
-        settings: that it was read with.
+        dataset: folder of the dataset that the run was made from.
+        settings: settings that the dataset was read with.
         cameras: training cameras of the run by name.
 
     Returns:

@@ -14,7 +14,7 @@ class DetailReport:
         applied: the texture holds detail of the photographs.
         why: reason, in one line.
         photographs: number that the texture was made from.
-        correlation: of the texture's fine detail with that of held-back photographs, or None.
+        correlation: correlation of the texture's fine detail with that of held-back photographs, or None.
         correlation_before: correlation of the texture without the detail of photographs, or None.
         texel: side of a texel on the surface, world units, median.
         pixel: size of the finest pixel on the surface, world units, median over the texels that some photograph sees; or None.

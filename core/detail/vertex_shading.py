@@ -43,10 +43,10 @@ class VertexShading:
     """Shading of all vertices of a mesh under a light.
 
     Args:
-        mesh: with materials at its vertices.
-        relighter: of the reconstruction, whose secondary rays are traced on the mesh.
+        mesh: mesh with materials at its vertices.
+        relighter: relighter of the reconstruction, whose secondary rays are traced on the mesh.
         light: the solved light.
-        radius: of the scene.
+        radius: scene radius, world units.
     """
 
     def __init__(self, mesh: Mesh, relighter: Relighter, light: PreparedLight, radius: float) -> None:

@@ -56,8 +56,8 @@ class Grid:
     """Memory layout of padded image planes: a margin around the image and rows of whole vectors.
 
     Attributes:
-        width: of the image in pixels.
-        height: of the image in pixels.
+        width: width of the image in pixels.
+        height: height of the image in pixels.
     """
 
     width: int
@@ -83,7 +83,7 @@ class Guides:
 
     Args:
         surface: covered pixels of a view.
-        radius: of the scene, world units.
+        radius: scene radius, world units.
         keep_weights: keep the weights from one filter call to the next, 1.2 kB per pixel.
     """
 

@@ -90,7 +90,7 @@ def _plus_lamps(estimate: Estimate, sums: torch.Tensor, albedo: torch.Tensor, f0
     """Add the light of lamps to an estimate.
 
     Args:
-        estimate: of P points under the light map.
+        estimate: light that P points reflect under the light map.
         sums: (P, 2, 9) of `lamp_sums`.
         albedo: (P, 3) of the diffuse lobe over pi.
         f0: (P, 3) reflectance at normal incidence.

@@ -38,8 +38,8 @@ def plane_surface(plane: Plane, camera: Camera, coverage: torch.Tensor, centre: 
         plane: the plane, in the world of the camera.
         camera: the camera.
         coverage: (H, W) opacity of the object.
-        centre: of the scene.
-        radius: of the scene, world units.
+        centre: centre of the scene, world.
+        radius: scene radius, world units.
 
     Returns:
         Points at most REACH radii from the centre; none where the camera looks at the plane from below.
@@ -66,8 +66,8 @@ def shadow_alpha(relighter: Relighter, surface: PrimaryHits, light: PreparedLigh
     """Return the alpha of the shadow at each pixel, (H, W) in 0..1, on the CPU.
 
     Args:
-        relighter: of the object.
-        surface: from `plane_surface`.
+        relighter: relighter of the object.
+        surface: points of the plane, from `plane_surface`.
         light: light map.
         lamps: lamps.
     """

@@ -111,7 +111,7 @@ class SecondaryScene:
         query: mesh or Gaussians.
         scale: (3,) factor of the albedo of hit surfaces; None: they only cast shadows.
         conserving: reduce their diffuse lobe by what the specular lobe reflects, see `reflect_light`.
-        transfer: of the mesh whose vertices light the hit surfaces; None: the unoccluded light does.
+        transfer: radiance transfer of the mesh whose vertices light the hit surfaces; None: the unoccluded light does.
         for_lamps: return the hit surfaces as well, for lamps to light them.
     """
 

@@ -26,7 +26,7 @@ class MeshQuery:
 
     Args:
         mesh: triangles with materials at their vertices.
-        radius: of the scene, the unit of the offsets.
+        radius: scene radius, the unit of the offsets.
         device: device that rays come from.
 
     Attributes:

@@ -109,8 +109,8 @@ class Relighter:
         """Render a surface under a light; further lights on the same surface take less time than the first.
 
         Args:
-            surface: from `surface`.
-            light: from `prepare`.
+            surface: surface that a camera sees, from `surface`.
+            light: light from `prepare_light`.
             lamps: lamps that light it as well, in the frame of the reconstruction.
 
         Returns:
@@ -123,7 +123,7 @@ class Relighter:
 
         Args:
             surface: P points.
-            light: from `prepare`.
+            light: light from `prepare_light`.
             lamps: lamps that light the points as well.
         """
         return self._reflected(surface, self.counts, light, lamps)

@@ -26,7 +26,7 @@ def sample_counts(samples: str | int, glossy: bool, allocation: Counts | None = 
         Numbers of cosine, GGX visible-normal and light-map samples.
 
     Raises:
-        InputError: for anything else.
+        InputError: when `samples` is anything else.
     """
     named = {"hq": HQ, "efficient": EFFICIENT_GLOSSY if glossy else EFFICIENT}
     try:
@@ -49,7 +49,7 @@ def pixel_shifts(index: torch.Tensor, width: int) -> torch.Tensor:
 
     Args:
         index: (P,) flat pixel indices.
-        width: of the image in pixels.
+        width: width of the image in pixels.
     """
     row, column = (index // width).double(), (index % width).double()
     u = column * 0.7548776662466927 + row * 0.5698402909980532

@@ -37,9 +37,9 @@ class VertexTransfer:
 
     Args:
         mesh: triangles with albedo at their vertices.
-        triangles: the same, for tracing.
-        radius: of the scene, world units.
-        device: of the rays and of the lights.
+        triangles: triangles of the mesh, for tracing.
+        radius: scene radius, world units.
+        device: device of the rays and of the lights.
 
     Attributes:
         count: number of vertices, V.

@@ -51,7 +51,7 @@ def build_visibility_cache(direction: torch.Tensor, rays: SecondaryRays, index: 
         direction: (P, M, 3) unit directions of the rays, world.
         rays: the traced rays.
         index: (P,) flat pixel indices.
-        width: of the image in pixels.
+        width: width of the image in pixels.
     """
     if not len(index) or by_warp(index):  # on a GPU tracing every ray is faster than deciding which to skip
         return VisibilityCache.unknown(len(index))

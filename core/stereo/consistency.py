@@ -19,7 +19,7 @@ def support(depth_map: DepthMap, witnesses: Sequence[DepthMap], settings: Stereo
     the normals are alike.
 
     Args:
-        depth_map: of the view.
+        depth_map: depth map of the view.
         witnesses: depth maps of other views.
         settings: limits of the agreement, and of the cost.
 

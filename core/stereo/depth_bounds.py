@@ -18,9 +18,9 @@ def depth_bounds(cameras: Sequence[Camera], points: PointCloud | None, bound: Bo
     """Return the nearest and the farthest depth that stereo searches in each view: around its sparse points, or else the bound.
 
     Args:
-        cameras: of the views.
+        cameras: cameras of the views.
         points: sparse points, or None.
-        bound: of the object, for views with few sparse points.
+        bound: bounding sphere of the object, for views with few sparse points.
     """
     centre, radius = np.asarray(bound.centre), bound.radius
     nearest, farthest = [], []

@@ -15,7 +15,7 @@ class DepthMap:
     """Depth, normals and their evidence, found by stereo for one view.
 
     Attributes:
-        camera: of the view; images are (H, W).
+        camera: camera of the view; images are (H, W).
         depth: (H, W) float32 planar depth, world units, 0 where none was found.
         normal: (H, W, 3) float32 unit normal in world axes, towards the camera; 0 where there is no depth.
         cost: (H, W) float32 matching cost 1 - NCC in 0..2, the mean over the best sources; 2 where there is no depth.

@@ -48,8 +48,8 @@ def estimate_depth_maps(
         nearest: lower bound of the planar depth of each view, (H, W) or a number; 0 leaves a pixel out.
         farthest: upper bound of the planar depth of each view, (H, W) or a number.
         points: (P, 3) sparse points in the world near which three quarters of the pixels start, or None.
-        settings: of stereo.
-        seed: of the random numbers.
+        settings: settings of stereo.
+        seed: seed of the random numbers.
         progress: receives the phase "stereo" with a step for every view and pass, and may cancel between views.
         initial: depths (H, W) of each view near which half of the pixels start, 0 where unknown; None for none.
 
@@ -82,12 +82,12 @@ class _Search:
     """Everything that the passes over the views read.
 
     Attributes:
-        images, halves: of every view at full and half resolution.
-        bounds: of every view's depths.
+        images, halves: images of every view at full and half resolution.
+        bounds: bounds of every view's depths.
         points: (P, 3) sparse points, or None.
         sources: indices of every view's sources.
-        settings: of stereo.
-        seed: of the random numbers.
+        settings: settings of stereo.
+        seed: seed of the random numbers.
     """
 
     images: list[MatchingImage]

@@ -21,7 +21,7 @@ class MatchingImage:
     """Image of one view.
 
     Attributes:
-        camera: of the image.
+        camera: camera of the image.
         grey: (H, W) float32 grey values in 0..1, sRGB-encoded.
         inside: (H, W) bool, True on the object.
     """

@@ -92,8 +92,8 @@ def first_planes(camera: Camera, bounds: Bounds, points: np.ndarray | None, rng:
     """Draw planes: depths near sparse points or the guess, elsewhere uniform in inverse depth; normals about towards the camera.
 
     Args:
-        camera: of the view.
-        bounds: of the depths.
+        camera: camera of the view.
+        bounds: bounds of the depths.
         points: (P, 3) sparse points in the world, or None.
         rng: random numbers.
     """
@@ -113,10 +113,10 @@ def finer_planes(camera: Camera, bounds: Bounds, coarse: Planes, coarse_camera: 
     """Take over the planes of half the resolution: each fine pixel gets the depth of the coarse pixel's plane along its own ray.
 
     Args:
-        camera: of the full resolution.
-        bounds: of the depths at full resolution.
+        camera: camera at full resolution.
+        bounds: bounds of the depths at full resolution.
         coarse: planes at half resolution.
-        coarse_camera: of the half resolution.
+        coarse_camera: camera at half resolution.
         rng: random numbers, for pixels whose plane is out of bounds.
     """
     rows = np.minimum(np.arange(camera.height) // 2, coarse_camera.height - 1)[:, None]

@@ -21,11 +21,11 @@ class StereoSettings:
         geometric_penalty: cost of one pixel of reprojection error in these passes.
         brightness: largest cost of patches without texture that are not equally bright: shading alone looks alike at many depths. 0 where
             exposure or light differ from view to view.
-        sigma: of the bilateral weights, in grey values of 0..1.
+        sigma: standard deviation of the bilateral weights, in grey values of 0..1.
         largest_cost: 1 - NCC above which a pixel has no support.
         reprojection: error in pixels, there and back, up to which two depths agree.
         relative_depth: difference of depths, as a fraction, up to which they agree.
-        cosine: of the angle between normals from which they agree.
+        cosine: cosine of the angle between normals from which they agree.
         witnesses: largest number of views that a view's depths are compared with.
 
     Raises:

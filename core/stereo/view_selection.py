@@ -24,7 +24,7 @@ def choose_sources(cameras: Sequence[Camera], points: np.ndarray, count: int) ->
     (Yao et al. 2018).
 
     Args:
-        cameras: of all views.
+        cameras: cameras of all views.
         points: (P, 3) points about where the surfaces are.
         count: largest number of sources of a view.
 
@@ -60,7 +60,7 @@ def choose_witnesses(sources: Sequence[Sequence[int]], most: int) -> list[tuple[
     """Return the views that each view's depths are compared with: its sources, then those that it is a source of.
 
     Args:
-        sources: of each view.
+        sources: sources of each view.
         most: largest number of witnesses of a view.
     """
     back = [[j for j, own in enumerate(sources) if i in own and j not in sources[i]] for i in range(len(sources))]

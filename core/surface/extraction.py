@@ -64,7 +64,7 @@ def coarser(surface: Surface, triangles: int) -> Surface:
     Decimation can leave folds and edges of more than two faces: the result serves to draw points, not as an asset.
 
     Args:
-        surface: to decimate; it is returned itself where it is small enough.
+        surface: surface to decimate; it is returned itself where it is small enough.
         triangles: approximate number of triangles of the result, at most.
     """
     if len(surface.faces) <= triangles:

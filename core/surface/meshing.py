@@ -81,7 +81,7 @@ def main_components(mesh: Triangles, fraction: float) -> Triangles:
     """Keep the large connected components; closed components that are inside out are cavities that no view can see, and are removed.
 
     Args:
-        mesh: of any number of components.
+        mesh: mesh of any number of components.
         fraction: least area of a component over that of the largest one.
     """
     v, f = mesh.vertices, mesh.faces
@@ -120,7 +120,7 @@ def smoothed(mesh: Triangles, passes: int) -> Triangles:
     """Smooth a mesh while keeping its volume (Taubin 1995); vertices of an open border average their neighbours on the border only.
 
     Args:
-        mesh: to smooth.
+        mesh: mesh to smooth.
         passes: number of shrinking and growing steps.
     """
     average = _neighbour_average(mesh)
@@ -148,7 +148,7 @@ def decimated(mesh: Triangles, triangles: int) -> Triangles:
     """Decimate a mesh by quadric edge collapse (Garland and Heckbert 1997).
 
     Args:
-        mesh: to decimate; it is returned itself where it is small enough.
+        mesh: mesh to decimate; it is returned itself where it is small enough.
         triangles: approximate number of faces of the result, at most.
     """
     if len(mesh.faces) <= triangles:

@@ -22,7 +22,7 @@ def filled(mesh: Triangles, longest: float) -> Triangles:
     """Fill holes, each by a fan of triangles around its centre.
 
     Args:
-        mesh: with any open borders.
+        mesh: mesh, which may have open borders.
         longest: border of a hole, world units; longer ones are ends of the surface and stay open.
     """
     edges = topology.edges_of(mesh.faces)

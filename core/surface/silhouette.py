@@ -31,7 +31,7 @@ def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence
     Args:
         vertices: (V, 3) of the mesh, world.
         faces: (F, 3).
-        cameras: of the images.
+        cameras: cameras of the images.
         masks: (H, W) opacity 0..1 of each camera's image.
 
     Returns:

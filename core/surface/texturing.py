@@ -38,7 +38,7 @@ def textured_mesh(
         samples: its Gaussians, for parts that no view sees.
         settings: texture size and strength of the normal detail.
         progress: receives steps and may cancel.
-        unwrapping: of this surface, begun earlier; None to unwrap it now.
+        unwrapping: unwrapping of this surface that was begun earlier; None to unwrap it now.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -141,7 +141,7 @@ def baked_textures(
     """Bake albedo, roughness, metallic, normal and confidence textures.
 
     Args:
-        mesh: with UVs and normals.
+        mesh: mesh with UVs and normals.
         views: G-buffers of the reconstruction.
         samples: its Gaussians, for parts that no view sees.
         voxel: resolution of the surface, world units.

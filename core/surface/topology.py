@@ -68,7 +68,7 @@ def fans(faces: np.ndarray, edges: Edges) -> np.ndarray:
 
     Args:
         faces: (F, 3).
-        edges: of these faces.
+        edges: edges of these faces.
 
     Returns:
         (3 F,) labels; a vertex is manifold where all its corners have one.
@@ -101,7 +101,7 @@ def flipped_faces(faces: np.ndarray, edges: Edges, area: np.ndarray) -> np.ndarr
 
     Args:
         faces: (F, 3).
-        edges: of these faces.
+        edges: edges of these faces.
         area: (F,) of the faces.
 
     Returns:

@@ -16,7 +16,7 @@ def unwrap(mesh: Triangles, texture: int) -> tuple[np.ndarray, np.ndarray, np.nd
     """Unwrap a mesh into charts packed into one square texture.
 
     Args:
-        mesh: to unwrap.
+        mesh: mesh to unwrap.
         texture: texels along a side.
 
     Returns:

@@ -27,9 +27,9 @@ class UnwrapProcess:
     """Child process that unwraps a mesh; close it to end it early.
 
     Args:
-        mesh: to unwrap.
+        mesh: mesh to unwrap.
         texture: texels along a side.
-        folder: for the files of this process and the child, created here and removed by `close`.
+        folder: folder of the files of this process and the child, created here and removed by `close`.
     """
 
     def __init__(self, mesh: Triangles, texture: int, folder: Path) -> None:

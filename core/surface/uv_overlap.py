@@ -37,7 +37,7 @@ def without_overlap(
     """Move faces that lie over others in UV space, or have no area there, to free places of the texture, each as a chart of its own.
 
     Args:
-        mesh: that was unwrapped.
+        mesh: mesh that was unwrapped.
         source: (V,) vertex of `mesh` that each vertex is a copy of.
         faces: (F, 3).
         uvs: (V, 2) float32 in 0..1.
@@ -84,9 +84,9 @@ def _placed(flat: np.ndarray, occupied: np.ndarray, padding: float) -> np.ndarra
     """Move triangles (N, 3, 2) to free places, the largest first, each shrunk where it doesn't fit.
 
     Args:
-        flat: around their centres, in UV units.
+        flat: (N, 3, 2) corners around their centres, in UV units.
         occupied: (S, S) bool.
-        padding: to keep free around each, UV units.
+        padding: distance to keep free around each, UV units.
     """
     size = len(occupied)
     free = np.asarray(ndimage.distance_transform_edt(np.pad(~occupied, 1)))[1:-1, 1:-1]

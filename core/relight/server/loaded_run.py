@@ -72,7 +72,7 @@ class Request:
     """Request for an image.
 
     Attributes:
-        camera: in the run's frame.
+        camera: camera in the run's frame.
         light: light source; None is the recovered light.
         lamps: lamps that light the object as well, in the run's frame.
         backdrop: show the light behind the object as well.

@@ -21,8 +21,8 @@ class LossWeights:
     """Weights of the losses beside the photometric one.
 
     Attributes:
-        mask: of the difference from the mask, where there is one.
-        normal: of the normal consistency.
+        mask: weight of the difference from the mask, where there is one.
+        normal: weight of the normal consistency.
         edge: disagreement of normals that counts half, see `normal_consistency`; infinite: all count in full.
     """
 
@@ -58,7 +58,7 @@ def image_loss(
         sums: (C, H, W) of `rasterize`.
         view: image to match.
         background: (h, w, 3) linear lat-long map; None where masks separate the object from its background.
-        weights: of the losses.
+        weights: weights of the losses.
     """
     exact = view.alpha is not None and view.band is None and background is None
     if exact and sums.dtype == torch.float32 and not by_warp(sums) and sums[0].numel() >= MIN_PIXELS:
@@ -84,7 +84,7 @@ def image_loss_reference(
         sums: (C, H, W) of `rasterize`.
         view: image to match.
         background: (h, w, 3) linear lat-long map, or None.
-        weights: of the losses.
+        weights: weights of the losses.
     """
     loss = photometric_loss(view.bounded(displayed(straight, sums[-1], view, background)), view.image)
     if view.alpha is not None:

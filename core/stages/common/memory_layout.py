@@ -31,7 +31,7 @@ def fit_into_memory(data: Dataset, settings: Settings, chosen: ChosenDevice, pro
 
     Args:
         data: images as they were loaded.
-        settings: of the job.
+        settings: settings of the job.
         chosen: device to compute on, with its free memory.
         progress: receives a message where fewer rays than usual are traced at a time.
 

@@ -20,7 +20,7 @@ def with_needed_rays(settings: Settings, dataset: Dataset, progress: Progress) -
     surfels were larger than pixels, one ray reproduced held-back photographs as well or better.
 
     Args:
-        settings: of the job.
+        settings: settings of the job.
         dataset: training views.
         progress: receives the decision.
     """

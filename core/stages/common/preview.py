@@ -45,7 +45,7 @@ def points_shape(gaussians: Gaussians, dataset: Dataset) -> dict[str, np.ndarray
 
     Args:
         gaussians: current result.
-        dataset: with the object's bound.
+        dataset: dataset with the object's bound.
 
     Returns:
         The shape as `Progress.shape` describes it.
@@ -63,7 +63,7 @@ def surface_shape(surface: Surface, dataset: Dataset) -> dict[str, np.ndarray]:
 
     Args:
         surface: fused from the first stage's depth.
-        dataset: with the object's bound.
+        dataset: dataset with the object's bound.
     """
     vertices, faces = np.asarray(surface.vertices, np.float32), np.asarray(surface.faces, np.int32)
     return {"position": vertices, "colour": np.full_like(vertices, 0.6), "faces": faces, **_frame(dataset)}

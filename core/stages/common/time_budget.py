@@ -128,7 +128,7 @@ def joint_schedule_scale(iterations: int, seconds: float, step: float) -> float:
     """Return the schedule scale of the joint optimisation that fits into a number of seconds, at most the published schedule.
 
     Args:
-        iterations: of the schedule.
+        iterations: number of iterations of the schedule.
         seconds: time left for it.
         step: measured seconds per iteration.
     """

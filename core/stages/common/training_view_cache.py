@@ -18,9 +18,9 @@ class TrainingViewCache(LazySequence[TrainingView]):
 
     Args:
         views: photographs with cameras and masks.
-        reduction: of the images, see `make_training_view`.
+        reduction: factor by which the images are reduced, see `make_training_view`.
         crop: crop the images, see `make_training_view`.
-        device: that holds the views; on a GPU all are kept, since only what fits is placed there.
+        device: device that holds the views; on a GPU all are kept, since only what fits is placed there.
         memory: largest number of bytes to keep in main memory.
     """
 

@@ -12,7 +12,7 @@ def next_view(order: torch.Tensor, held_back: torch.Tensor, generator: torch.Gen
     Args:
         order: (K,) views of the current epoch that are still to come, last first.
         held_back: (V,) bool, views that are not trained on.
-        generator: of the epochs.
+        generator: random generator that draws the order of an epoch.
 
     Returns:
         The view, and the order without it.

@@ -22,7 +22,7 @@ def state_fits(state: dict[str, Any], view_count: int, optimizer: GaussianOptimi
     Args:
         state: as `Trainer.state` returns it, or anything else.
         view_count: number of training views.
-        optimizer: of the trainer that is to continue.
+        optimizer: optimiser of the trainer that is to continue.
     """
     torch.Generator().set_state(state["generator"])
     order, gradient, seen = state["order"], state["gradient"], state["seen"]

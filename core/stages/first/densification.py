@@ -56,7 +56,7 @@ class DensityControl:
 
         Args:
             optimizer: holds the Gaussians, which are replaced.
-            generator: of the positions of split Gaussians.
+            generator: random generator of the positions of split Gaussians.
             grow: clone and split the Gaussians with the largest mean gradient, as far as the budget allows.
 
         Returns:

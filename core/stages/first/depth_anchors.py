@@ -102,8 +102,8 @@ class DepthAnchors:
         Args:
             view: index of the training view.
             sums: (C, H, W) of `rasterize`, depth and opacity last.
-            camera: of the rendered image, which may be cropped.
-            full: of the uncropped photograph.
+            camera: camera of the rendered image, which may be cropped.
+            full: camera of the uncropped photograph.
         """
         pixel, anchored = (part.to(sums.device) for part in self._of(view))
         row = pixel // full.width - round(full.cy - camera.cy)

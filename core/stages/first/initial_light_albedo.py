@@ -44,7 +44,7 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequ
 
     Args:
         reconstruction: result of the first stage, on the CPU; its light is kept where it is `glossy`. It is modified.
-        seed: of the selection of Gaussians that the light is fitted to.
+        seed: seed of the random selection of Gaussians that the light is fitted to.
         views: training views. Where the light turns between them, each surfel is taken as the camera that it faces most shows it.
 
     Returns:

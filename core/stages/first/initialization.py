@@ -52,7 +52,7 @@ def from_hull(dataset: Dataset, count: int, rng: np.random.Generator) -> Gaussia
     Args:
         dataset: views that all have masks.
         count: number of surfels.
-        rng: of their positions.
+        rng: random generator of their positions.
     """
     points, normals, area = visual_hull(dataset.train, dataset.bound).sample(count, rng)
     order, scale = spatial_order(points), np.full(count, SURFACE_SPREAD * np.sqrt(area / count))
@@ -68,7 +68,7 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     Args:
         dataset: views and sparse points.
         count: most surfels.
-        rng: of the selection and of random positions.
+        rng: random generator of the selection of sparse points and of random positions.
     """
     known = dataset.points.position if dataset.points is not None else np.zeros((0, 3), np.float32)
     colours = decode_srgb(dataset.points.colour) if dataset.points is not None else np.zeros((0, 3), np.float32)
@@ -103,7 +103,7 @@ def random_points(dataset: Dataset, count: int, rng: np.random.Generator) -> tup
     Args:
         dataset: views and bound.
         count: most points.
-        rng: of the draws.
+        rng: random generator of the points.
 
     Returns:
         Points (N, 3), N <= count, and unit normals (N, 3) towards the nearest camera.
@@ -149,6 +149,6 @@ def initial_gaussians(dataset: Dataset, count: int, rng: np.random.Generator) ->
     Args:
         dataset: views, bound and sparse points.
         count: most surfels; exactly as many on a hull.
-        rng: of positions.
+        rng: random generator of positions.
     """
     return from_hull(dataset, count, rng) if dataset.has_alpha else from_points(dataset, count, rng)

@@ -33,7 +33,7 @@ def select_material_class(
 
     Args:
         dataset: views.
-        settings: of the job.
+        settings: settings of the job.
         gaussians: initial Gaussians.
         progress: receives steps and messages, and may cancel.
         crop: crop the images to the object.
@@ -113,7 +113,7 @@ def material_class_named(name: str, dataset: Dataset) -> MaterialClass:
     """Return the material class of a name with the learning rates for a dataset.
 
     Args:
-        name: of the class.
+        name: name of the class.
         dataset: without masks, where the first stage starts on sparse points, the higher geometry rates of COATED apply: surfels have
             farther to move than from a visual hull.
 

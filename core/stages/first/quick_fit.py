@@ -26,7 +26,7 @@ def quick_renderings(dataset: Dataset, settings: Settings, progress: Progress) -
 
     Args:
         dataset: views with masks.
-        settings: of the job.
+        settings: settings of the job.
         progress: receives the phase "quick fit", and may cancel.
 
     Returns:

@@ -45,7 +45,7 @@ def select_start(
 
     Args:
         dataset: views.
-        settings: of the job; `first.stereo` decides without evidence where it is "on" or "off".
+        settings: settings of the job; `first.stereo` decides without evidence where it is "on" or "off".
         plain: Gaussians on the hull, or on the sparse points and at random.
         material_class: selected with the plain start.
         progress: receives steps and the decision, and may cancel.

@@ -41,7 +41,7 @@ class StereoStart:
     """Initial Gaussians that dense stereo contributed to.
 
     Attributes:
-        gaussians: on stereo's points and elsewhere.
+        gaussians: initial Gaussians on stereo's points and elsewhere.
         share: fraction of them that lie on stereo's points.
         maps: depth map of each training view.
     """
@@ -71,7 +71,7 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     Args:
         dataset: training views, bound and sparse points.
         count: most surfels.
-        seed: of stereo and of the samples.
+        seed: seed of stereo and of the samples.
         progress: receives the phase "stereo" and may cancel.
         everywhere: take all of stereo's points, without comparing regions.
 
@@ -212,7 +212,7 @@ def thinned(points: OrientedPoints, count: int) -> OrientedPoints:
     """Average points in voxels, the smallest with which at most `count` points are left.
 
     Args:
-        points: to thin; they are returned themselves where there are few enough.
+        points: points to thin; they are returned themselves where there are few enough.
         count: most points.
     """
     if len(points.position) <= count:

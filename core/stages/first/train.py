@@ -29,7 +29,7 @@ def decide_cropping(dataset: Dataset, settings: Settings, progress: Progress) ->
 
     Args:
         dataset: training views.
-        settings: of the job; the skip rule "background".
+        settings: settings of the job; the skip rule "background" is read.
         progress: receives the decision.
     """
     if not dataset.has_alpha:
@@ -54,13 +54,13 @@ def train(
 
     Args:
         dataset: views.
-        settings: of the job, with the number of Gaussians that suits the dataset (`with_sizes`).
+        settings: settings of the job, with the number of Gaussians that suits the dataset (`with_sizes`).
         progress: receives the progress and may cancel; None for neither.
         checkpoint: storage of intermediate states. The fit continues from the state "first_stage" where there is one; the result is
             then that of an uninterrupted run.
         deadline: end of the whole job in seconds on the monotonic clock, to which schedules are scaled by the duration of the first
             steps; None: schedules as in the settings.
-        device: of the optimisation.
+        device: device that the optimisation runs on.
         resident: keep the training images on the device.
 
     Returns:

@@ -77,9 +77,9 @@ class Trainer:
             settings: schedule and weights.
             gaussians: initial Gaussians, on the device to compute on; their materials are replaced by those of the material class.
             material_class: initial materials, learning rates, and whether reflections are rendered.
-            seed: of the order of views and of density control.
+            seed: seed of the order of views and of density control.
             hold_back: one of so many views is held back for `test`; 0 for none.
-            reduction: of the images, see `make_training_view`.
+            reduction: factor by which the images are reduced, see `make_training_view`.
             crop: crop the images, see `make_training_view`.
             resident: keep the images on the Gaussians' device; otherwise each is copied there for its step.
             anchors: stereo's depths, of which some are chosen in the course of the schedule; None for none.
@@ -137,7 +137,7 @@ class Trainer:
         """Render the current Gaussians without a background and without reflections of the light map.
 
         Args:
-            camera: of the image.
+            camera: camera of the image.
 
         Returns:
             Linear radiance (3, H, W) with straight alpha, and the opacity (H, W).

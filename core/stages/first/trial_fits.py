@@ -31,7 +31,7 @@ def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, ma
 
     Args:
         dataset: views.
-        settings: of the job; `first.trial_*` are the fit's size.
+        settings: settings of the job; `first.trial_*` are the fit's size.
         gaussians: initial Gaussians, of which some are selected.
         material_class: initial materials and learning rates.
         crop: crop the images to the object.
@@ -49,7 +49,7 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
 
     Args:
         fits: by the name of what is tried.
-        settings: of the job; the skip rule "trials" lets fits that have fallen behind be abandoned.
+        settings: settings of the job; the skip rule "trials" lets fits that have fallen behind be abandoned.
         progress: receives steps and previews, and may cancel.
 
     Returns:
@@ -89,7 +89,7 @@ def subsample(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
     Args:
         gaussians: the surfels.
         count: most surfels to keep.
-        seed: of the selection.
+        seed: seed of the random selection.
     """
     index = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))[:count]
     few = gaussians.select(index.sort().values)

@@ -76,7 +76,7 @@ class VisualHull:
 
         Args:
             count: number of points.
-            rng: of the draws.
+            rng: random generator of the points.
 
         Returns:
             Points (count, 3), outward unit normals (count, 3), and the hull's area.

@@ -37,7 +37,7 @@ def refit_radiance(
         reconstruction: result of the refinement.
         views: training images.
         iterations: steps, one view each.
-        seed: of the order of views.
+        seed: seed of the order of views.
         step: called with the number of steps done; it may raise, and ends the fit early by returning True.
         subpixels: rays along each side of a pixel.
 

@@ -16,7 +16,7 @@ def secondary_tracer(reconstruction: Reconstruction, dataset: Dataset, settings:
     Args:
         reconstruction: surfels with their present normals.
         dataset: photographs, with near surfaces where they were captured.
-        settings: of the second stage.
+        settings: settings of the second stage.
     """
     near = dataset.surroundings if settings.surroundings and settings.indirect else None  # shadows without their light would be wrong
     return SecondaryTracer(mean_over_lights(reconstruction, dataset.train), near, settings.shadows)

@@ -70,7 +70,7 @@ def solve_second_stage(
         reconstruction: result of the first stage.
         surface: fused from its depth.
         dataset: training views.
-        settings: of the job.
+        settings: settings of the job.
         progress: receives the progress and may cancel.
         deadline: seconds on the monotonic clock at which this stage is to end, to which its schedules are scaled; None: schedules as in
             the settings.
@@ -111,7 +111,7 @@ def solve_in_closed_form(
         reconstruction: result of the first stage.
         surface: fused from its depth.
         dataset: training views.
-        settings: of the job.
+        settings: settings of the job.
         progress: receives the progress and may cancel.
         deadline: see `solve_second_stage`.
 
@@ -157,9 +157,9 @@ def solve_light_materials(
 
     Args:
         reconstruction: result of the first stage with aligned normals.
-        surface: on which the points are sampled.
+        surface: mesh on which the points are sampled.
         dataset: training views.
-        settings: of the job.
+        settings: settings of the job.
         progress: receives the progress and may cancel.
 
     Returns:

@@ -61,7 +61,7 @@ def rasterize_sums(gaussians: Gaussians, camera: Camera, scene_radius: float, su
 
     Args:
         gaussians: N surfels.
-        camera: of H x W pixels.
+        camera: camera with H x W pixels.
         scene_radius: world units.
         subpixels: rays along each side of a pixel.
     """
@@ -104,7 +104,7 @@ class JointModel:
     """Constants of the model: everything that is not optimised.
 
     Attributes:
-        radius: of the scene, world units.
+        radius: scene radius, world units.
         centre: (3,) of the scene, world.
         inside: (N,) bool, Gaussians that secondary rays meet; the others are a backdrop, part of the distant light.
         near: surfels of near surfaces, which secondary rays meet too; None for none.
@@ -159,7 +159,7 @@ class JointModel:
         Args:
             straight: (3, H, W) linear, straight alpha.
             alpha: (H, W) opacity.
-            view: of H x W pixels.
+            view: training view with H x W pixels.
         """
         image = composite(straight, alpha, view.world_rays, self.background)
         return view.bounded(view.completed(image, straight, alpha))
@@ -208,7 +208,7 @@ class JointModel:
             pixels: (B,) flat indices.
             light: (h, w, 3) linear light map.
             counts: cosine, visible-normal and light samples per pixel.
-            generator: of the draw.
+            generator: random generator of the draw.
             method: "mis" or "stratified".
         """
         with torch.no_grad():

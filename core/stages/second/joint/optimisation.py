@@ -45,8 +45,8 @@ class JointOptimisation:
     Attributes:
         start: reconstruction at the start, whose SH hold all radiance.
         model: constants of rendering.
-        settings: of the second stage; `iterations` is the length of this schedule.
-        weights: of the losses.
+        settings: settings of the second stage; `iterations` is the length of this schedule.
+        weights: weights of the losses.
         training_views: prepared photographs.
         held_back: (V,) bool, views that are tested and not trained on.
         optimizer: Gaussians and light.
@@ -72,11 +72,11 @@ class JointOptimisation:
         Args:
             start: reconstruction whose SH hold all radiance.
             views: photographs.
-            model: of this reconstruction.
-            settings: of the second stage; `joint_iterations` becomes the schedule.
-            seed: of the order of views, the pixels and the samples.
-            weights: of the losses.
-            factor: of all learning rates, over the schedule.
+            model: constants of rendering for this reconstruction.
+            settings: settings of the second stage; `joint_iterations` becomes the length of the schedule.
+            seed: seed of the order of views, the pixels and the samples.
+            weights: weights of the losses.
+            factor: factor of all learning rates, over the schedule.
             hold_back: hold one of HOLD_BACK views back for `test`, where there are so many.
         """
         self.start, self.model, self.settings = start, model, replace(settings, iterations=settings.joint_iterations)

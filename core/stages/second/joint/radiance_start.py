@@ -35,7 +35,7 @@ def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Se
     Args:
         start: reconstruction, glossy or not.
         views: photographs.
-        settings: of the job.
+        settings: settings of the job.
         progress: receives the progress and may cancel.
 
     Raises:

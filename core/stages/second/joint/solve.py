@@ -49,7 +49,7 @@ def optimise_jointly(
     Args:
         first: result of the first stage.
         dataset: training views.
-        settings: of the job.
+        settings: settings of the job.
         progress: receives steps, previews and the PSNR of shaded pixels; it may cancel or finish early.
         deadline: seconds on the monotonic clock at which the optimisation is to end; None: the whole schedule.
         checkpoint: storage of the state "joint", from which the optimisation continues where there is one; None for none.
@@ -82,7 +82,7 @@ def refine_jointly(
     Args:
         solved: result of the closed solver.
         dataset: training views; one of eight is held back.
-        settings: of the job.
+        settings: settings of the job.
         progress: see `optimise_jointly`.
         deadline: see `optimise_jointly`.
         checkpoint: see `optimise_jointly`.

@@ -42,7 +42,7 @@ def observe_diffuse_shading(
         surface: mesh with V vertices.
         solver: solved light, and materials of its points.
         views: training images.
-        tracer: of the Gaussians; decides which view sees a vertex.
+        tracer: tracer of the Gaussians; decides which view sees a vertex.
     """
     vertices, normals = surface.vertices.astype(np.float32), surface.normals.astype(np.float32)
     chosen = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, min(VIEWS, len(views))).round().astype(int))]

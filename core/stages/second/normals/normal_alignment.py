@@ -23,7 +23,7 @@ def align_normals(gaussians: Gaussians, surface: Surface, fraction: float) -> Ga
     Args:
         gaussians: the surfels.
         surface: fused from their depth.
-        fraction: of the surface's normal in the mix, 0..1.
+        fraction: weight of the surface's normal in the mix, 0..1.
     """
     own = gaussians.normals()
     other = torch.from_numpy(surface_normals(surface, np.ascontiguousarray(gaussians.position.T.cpu().numpy()))).to(own.device).T
@@ -40,8 +40,8 @@ def follow_normals(gaussians: Gaussians, before: Surface, after: Surface, fracti
     Args:
         gaussians: the surfels.
         before: surface whose normals did not explain the shading.
-        after: the same vertices with other normals.
-        fraction: of the turn, 0..1.
+        after: surface with the same vertices and the new normals.
+        fraction: part of the turn that the surfels follow, 0..1.
     """
     own, position = gaussians.normals(), np.ascontiguousarray(gaussians.position.T.cpu().numpy())
     old, new = (torch.from_numpy(surface_normals(surface, position)).to(own.device).T for surface in (before, after))

@@ -44,9 +44,9 @@ def fit_rendered_normals(
         gaussians: the surfels.
         surface: mesh whose vertex normals are the goal.
         views: training views, at whose cameras the normals are compared.
-        radius: of the scene's bound, world units.
+        radius: radius of the scene's bound, world units.
         iterations: steps, one view each.
-        seed: of the order of views.
+        seed: seed of the order of views.
         step: called with the number of steps done; may raise.
         subpixels: rays along each side of a pixel.
 

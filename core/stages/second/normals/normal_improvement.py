@@ -38,12 +38,12 @@ def improve_normals(
     Where the light turns relative to the object, only the surfels turn, to the surface's normals.
 
     Args:
-        reconstruction: with aligned normals.
+        reconstruction: reconstruction with aligned normals.
         surface: fused from the first stage's depth.
         solver: solved light, and materials of its points.
-        tracer: of the Gaussians.
+        tracer: tracer of the Gaussians.
         dataset: training views.
-        settings: of the job.
+        settings: settings of the job.
         progress: receives the phases "normals" and "turn surfels", and a message on how far normals turned.
         report: called with the number of steps done; may raise.
 

@@ -47,8 +47,8 @@ def turn_to_reflections(
         surface: mesh with V vertices.
         solver: solved light, which stands still, and materials of its points.
         views: training images.
-        tracer: of the Gaussians.
-        seed: of the choice of views and of ray directions.
+        tracer: tracer of the Gaussians.
+        seed: seed of the random choice of views and of ray directions.
         report: called with 0 now and then; may raise.
 
     Returns:

@@ -93,7 +93,7 @@ def displacement_prior(operators: SurfaceGradient, deviation: float) -> sparse.c
     """Compute the prior of displacements.
 
     Args:
-        operators: of the surface.
+        operators: gradient operators of the surface.
         deviation: standard deviation of the displacement's gradient, in edges.
 
     Returns:
@@ -218,7 +218,7 @@ def _coupled(slope: np.ndarray, weight: sparse.dia_matrix, operators: SurfaceGra
     Args:
         slope: (V, 3) derivative of the log irradiance by the gradient of the displacement.
         weight: (V, V) diagonal weights of the residuals.
-        operators: of the surface.
+        operators: gradient operators of the surface.
     """
     row = sparse.csr_matrix(sum(sparse.diags(slope[:, k]) @ operators.gradient[k] for k in range(3)))
     coupling = (row.T @ weight).tocsr()

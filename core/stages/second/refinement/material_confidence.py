@@ -43,9 +43,9 @@ def with_confidence(
     Args:
         reconstruction: N surfels and light.
         pool: pixels of the training views.
-        tracer: of the surfels.
-        settings: of the second stage.
-        seed: of the choice of pixels and of the light samples.
+        tracer: tracer of the surfels.
+        settings: settings of the second stage.
+        seed: seed of the random choice of pixels and of the light samples.
     """
     nearest = nearest_surfels(reconstruction)
     error, irradiance = surfel_errors(Refinement(reconstruction, pool, tracer, settings, seed), nearest, seed)
@@ -66,9 +66,9 @@ def surfel_errors(refinement: Refinement, nearest: np.ndarray, seed: int) -> tup
     """Measure how far the photographs differ from the prediction around each surfel.
 
     Args:
-        refinement: of the reconstruction, not begun.
+        refinement: refinement of the reconstruction, not begun.
         nearest: (N, K) surfels whose pixels count for a surfel.
-        seed: of the choice of pixels and of the light samples.
+        seed: seed of the random choice of pixels and of the light samples.
 
     Returns:
         (N,) root mean square encoded error, infinite where no photograph shows the surroundings; (N,) irradiance / pi.

@@ -33,7 +33,7 @@ class CachedHits:
         Args:
             among: (B,) pixels to draw from.
             count: number of pixels.
-            generator: of the draw.
+            generator: random generator of the draw.
 
         Returns:
             (count,) pixels.
@@ -66,7 +66,7 @@ class RasterizedViews:
 
         Args:
             pool: pixels.
-            cameras: of the pool's views.
+            cameras: cameras of the pool's views.
             scene_radius: world units.
         """
         self._pool, self._cameras, self._radius = pool, cameras, scene_radius
@@ -77,7 +77,7 @@ class RasterizedViews:
         Args:
             among: (B,) pixels to draw from.
             count: number of pixels.
-            generator: of the draw.
+            generator: random generator of the draw.
 
         Returns:
             (count,) pixels.

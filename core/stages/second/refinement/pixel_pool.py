@@ -62,9 +62,9 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
 
     Args:
         views: images.
-        tracer: of the Gaussians.
+        tracer: tracer of the Gaussians.
         count: most pixels in all.
-        random: of the draw.
+        random: random generator of the draw.
         subpixels: rays along each side of a pixel.
     """
     parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random, subpixels) for number, view in enumerate(views)]
@@ -147,7 +147,7 @@ def _pixel_rays(camera: Camera, index: np.ndarray, subpixels: int) -> tuple[np.n
     """Return origins and unit directions of the rays of some pixels.
 
     Args:
-        camera: of the image.
+        camera: camera of the image.
         index: (B,) flat indices of pixels.
         subpixels: rays along each side of a pixel, k.
 
@@ -176,7 +176,7 @@ def select_rays(lists: Lists, rays: np.ndarray) -> Lists:
     """Select the hit lists of some rays.
 
     Args:
-        lists: of all rays.
+        lists: hit lists of all rays.
         rays: (R,) indices, ascending.
     """
     if not isinstance(lists, HitLists):
@@ -193,7 +193,7 @@ def select_rays_and_gaussians(lists: HitLists, rays: np.ndarray) -> tuple[HitLis
     """Select the hit lists of few rays and renumber the M Gaussians that they hit.
 
     Args:
-        lists: of all rays.
+        lists: hit lists of all rays.
         rays: (R,) indices in any order.
 
     Returns:

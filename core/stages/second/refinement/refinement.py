@@ -79,8 +79,8 @@ class Refinement:
             pool: pixels of the training views.
             tracer: visibility and indirect light.
             settings: schedule, samples and weights.
-            seed: of the choice of pixels and samples.
-            cameras: of the pool's views, to rasterise whole views in each step, for comparison; empty: use the pool's hit lists.
+            seed: seed of the random choice of pixels and samples.
+            cameras: cameras of the pool's views, to rasterise whole views in each step, for comparison; empty: use the pool's hit lists.
         """
         self.start, self.pool, self.tracer, self.settings = reconstruction, pool, tracer, settings
         self.generator = torch.Generator().manual_seed(seed)
@@ -153,7 +153,7 @@ class Refinement:
         Args:
             pixels: (B,) indices in the pool.
             counts: cosine, visible-normal and light samples per pixel.
-            generator: of the samples.
+            generator: random generator of the samples.
 
         Returns:
             (B,) product of both encoded differences, mean over the colours: the squared error on average, negative where noise prevails;
@@ -283,7 +283,7 @@ def split_samples(samples: int, fractions: tuple[float, float, float]) -> tuple[
 
     Args:
         samples: number of samples.
-        fractions: of cosine, visible-normal and light samples; the last takes what remains.
+        fractions: fractions of cosine, visible-normal and light samples; the last takes what remains.
     """
     cosine, normal = (max(1, round(samples * fraction)) for fraction in fractions[:2])
     return cosine, normal, max(1, samples - cosine - normal)

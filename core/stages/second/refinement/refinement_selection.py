@@ -43,8 +43,8 @@ def refine(
     Args:
         starts: reconstructions with the same geometry.
         dataset: training views.
-        tracer: of the Gaussians.
-        settings: of the job.
+        tracer: tracer of the Gaussians.
+        settings: settings of the job.
         progress: receives steps and previews, and may cancel.
         deadline: seconds on the monotonic clock, None for none.
 
@@ -102,9 +102,9 @@ def prepare_refinements(
     Args:
         starts: reconstructions with the same geometry.
         pool: pixels of the training views.
-        tracer: of the Gaussians.
-        cameras: of the training views, which are rasterised anew in each step where the rule is off.
-        settings: of the job.
+        tracer: tracer of the Gaussians.
+        cameras: cameras of the training views, which are rasterised anew in each step where the rule is off.
+        settings: settings of the job.
         progress: receives the decision.
     """
     megabytes = len(pool.lists.index) * 12 / 1e6

@@ -32,7 +32,7 @@ def with_pooled_roughness(reconstruction: Reconstruction, seed: int) -> Reconstr
 
     Args:
         reconstruction: N surfels with the confidence of their materials.
-        seed: of the choice of sources.
+        seed: seed of the random choice of sources.
     """
     if reconstruction.confidence is None:
         return reconstruction
@@ -49,7 +49,7 @@ def pooled_roughness(gaussians: Gaussians, confidence: np.ndarray, random: np.ra
     Args:
         gaussians: N surfels.
         confidence: (N,) of their roughness, in 0..1.
-        random: of the choice of sources.
+        random: random generator of the choice of sources.
     """
     position, materials = gaussians.position.detach().T.cpu().numpy(), gaussians.materials().detach().cpu().numpy()
     sources = random.permutation(len(position))[:SOURCES]

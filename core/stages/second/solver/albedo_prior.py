@@ -22,7 +22,7 @@ def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch
         albedo: (P, 3) current values.
         done: steps of the solver that are done.
         start: albedo of all points while it is constant.
-        generator: of the points that colours are compared with.
+        generator: random generator that selects the points that colours are compared with.
 
     Returns:
         (P, 3) each.

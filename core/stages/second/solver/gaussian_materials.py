@@ -48,9 +48,9 @@ def assign_materials(
         reconstruction: N Gaussians.
         surface: supplies normals.
         views: training images.
-        tracer: of the Gaussians.
+        tracer: tracer of the Gaussians.
         solver: solved light, and materials of its points.
-        seed: of the choice of views and of ray directions.
+        seed: seed of the random choice of views and of ray directions.
         step: called with the fraction done, 0..1.
         subpixels: rays along each side of a pixel with which the radiance was fitted.
 

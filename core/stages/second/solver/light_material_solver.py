@@ -68,7 +68,7 @@ class LightMaterialSolver:
         derivative: (K, 3) approximate derivative of the sRGB encoding at the samples' radiance.
         robust_weight: (K, 3) weights of the last step in 0..1.
         candidates: (P,) bool, points that a search found to be metal before the test.
-        start_albedo: of all points in the first steps: MEDIUM, or DARK where that start explained the photographs better.
+        start_albedo: albedo of all points in the first steps: MEDIUM, or DARK where that start explained the photographs better.
         regions: number of regions that were tested, and of those that are metal.
         metal_gain: share of the robust error that the metal regions explained in their test, 0..1.
     """
@@ -89,7 +89,7 @@ class LightMaterialSolver:
             transfer: radiance transfer to the points.
             roughness: (P,) initial values.
             metallic: (P,) initial values.
-            seed: of the points that colours are compared with.
+            seed: seed of the random selection of points that colours are compared with.
             search_metal: some points may be metal; otherwise none is.
         """
         self.samples, self.transfer, self._search_metal, self._seed = samples, transfer, search_metal, seed

@@ -26,8 +26,8 @@ class LightPrior:
     """Smoothness of the light in its texels.
 
     Args:
-        texels: of the light.
-        device: of its tensors.
+        texels: texels of the light.
+        device: device of its tensors.
     """
 
     def __init__(self, texels: LightTexels, device: torch.device | str) -> None:

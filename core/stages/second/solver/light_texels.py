@@ -61,7 +61,7 @@ class LightTexels:
 
         Args:
             side: strata along a side of a texel.
-            seed: of the positions within the strata.
+            seed: seed of the random positions within the strata.
 
         Returns:
             Unit directions (3, D) and solid angles (D,) in steradians, float32, D = side^2 T; texels run fastest.
@@ -124,7 +124,7 @@ class LightTexels:
 
         Args:
             light: (T, 3) linear radiance.
-            rows: of a map whose texels are as small as parts may be.
+            rows: rows of a map whose texels are as small as parts may be.
             most: number of texels; where fewer may be chosen, none is.
 
         Returns:

@@ -99,10 +99,10 @@ def sample_views(
         views: images.
         tree: the surfels that may occlude a point.
         offset: distance along the normal, world units, that clears the surface's own surfels.
-        random: of the choice among the views of a point.
+        random: random generator of the choice among the views of a point.
         most: samples per point, at most.
         least: points seen by fewer views are left out.
-        device: of the tree and of the result.
+        device: device of the tree and of the result.
 
     Returns:
         The samples, and the indices of their points among the N given ones.
@@ -129,7 +129,7 @@ def sample_images(
         views: supply the cameras.
         images: sRGB-encoded image (H, W, 3) of each view, in order; each is read once.
         choice: points and views.
-        device: of the result.
+        device: device of the result.
     """
     at = position[choice.chosen[choice.point]]
     direction, colour = np.empty_like(at), np.empty_like(at)

@@ -31,7 +31,7 @@ class RadianceTransfer:
     """Radiance transfer from T texels of a light map, and from the object itself, to P points.
 
     Attributes:
-        texels: of the light.
+        texels: texels of the light.
         fixed: directions (3, D), solid angles (D,), visibility (P, D) and indirect radiance (P, 3, D), float32, as `core/kernels/lobes.py`
             takes them: numpy arrays on the CPU, tensors on a GPU.
         irradiance: (P, T) irradiance / pi per unit radiance of a texel.

@@ -51,8 +51,8 @@ def sharp_samples(
         reconstruction: N Gaussians with the radiance that was fitted.
         normal: (N, 3) float32 unit normals of the surface.
         views: training images.
-        tracer: of the Gaussians.
-        seed: of the choice of views.
+        tracer: tracer of the Gaussians.
+        seed: seed of the random choice of views.
         subpixels: rays along each side of a pixel with which the radiance was fitted.
     """
     g, mirrored = reconstruction.gaussians, reconstruction.mirrored()

@@ -47,11 +47,11 @@ def trace_radiance_transfer(
     Args:
         position: (P, 3) world.
         normal: (P, 3) unit.
-        tracer: of the Gaussians.
-        texels: of the light.
+        tracer: tracer of the Gaussians.
+        texels: texels of the light.
         side: rays through each texel along a side.
-        seed: of the ray directions.
-        indirect: with the light that the object reflects onto itself; it casts shadows in any case.
+        seed: seed of the random ray directions.
+        indirect: trace the light that the object reflects onto itself, too; it casts shadows in any case.
         step: called with the number of points done; may raise.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
     """
@@ -65,12 +65,12 @@ def split_brightest(
     """Split the texels whose light is spread over too large an area, as that of a lamp, and trace the rays through the new ones.
 
     Args:
-        transfer: to P points, of a light that stands still.
+        transfer: radiance transfer to P points, of a light that stands still.
         light: (T, 3) linear radiance.
-        samples: of the P points.
-        tracer: of the Gaussians.
-        seed: of the ray directions.
-        rows: of a map whose texels are as small as parts may be.
+        samples: multi-view samples of the P points.
+        tracer: tracer of the Gaussians.
+        seed: seed of the random ray directions.
+        rows: rows of a map whose texels are as small as parts may be.
 
     Returns:
         The transfer from T' texels, and the old texel (T',) in which each lies; the same where texels are small enough.

@@ -53,10 +53,10 @@ def choose_views(
         views: images.
         tree: the surfels that may occlude a point.
         offset: distance along the normal, world units, that clears the surface's own surfels.
-        random: of the choice.
+        random: random generator of the choice.
         most: views per point, at most.
         least: points seen by fewer views are left out.
-        device: of the tree.
+        device: device of the tree.
     """
     candidates = [facing_points(position, normal, view) for view in views]
     view = np.repeat(np.arange(len(views)), [len(points) for points in candidates])
