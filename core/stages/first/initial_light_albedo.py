@@ -25,10 +25,12 @@ from ...shading.split_sum import diffuse_light
 from ..common.adam import Adam
 
 LIGHT_HEIGHT = 16  # rows of the fitted light map
-STEPS = 200
+STEPS = 200  # of Adam: half of them fit the light under a constant albedo, the others both
 SAMPLE = 8000  # Gaussians that the light is fitted to, at most
-ALBEDO_RANGE = (0.03, 0.97)
-SMOOTHNESS = 2.0  # weight of the albedo difference between neighbours of similar colour
+ALBEDO_RANGE = (0.03, 0.97)  # of the diffuse albedo that follows from the light
+SMOOTHNESS = 0.02  # weight of the difference of log albedo between neighbours of similar colour
+LIGHT_PRIOR = 1e-3  # weight of the squared difference of the log light from its mean
+LIGHT_RATE, ALBEDO_RATE, FINAL = 0.1, 0.05, 0.1  # learning rates of the logarithms, and factor of both at the end
 
 
 def facing_radiance(gaussians: Gaussians) -> torch.Tensor:
@@ -85,18 +87,18 @@ def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor)
     similarity = torch.exp(-10 * (seen[:, None] - seen[neighbours]).abs().sum(-1))
     log_light = torch.full((LIGHT_HEIGHT, 2 * LIGHT_HEIGHT, 3), math.log(2 * float(seen.mean()) + 1e-3), requires_grad=True)
     log_albedo = torch.full_like(seen, math.log(0.5)).requires_grad_()
-    adam = Adam([{"params": [log_light], "lr": 0.1}, {"params": [log_albedo], "lr": 0.0}], fused=True)
+    adam = Adam([{"params": [log_light], "lr": LIGHT_RATE}, {"params": [log_albedo], "lr": 0.0}], fused=True)
     for step in range(STEPS):
-        adam.param_groups[0]["lr"] = 0.1 * 0.1 ** (step / STEPS)
-        adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else 0.05 * 0.1 ** (step / STEPS)
+        adam.param_groups[0]["lr"] = LIGHT_RATE * FINAL ** (step / STEPS)
+        adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else ALBEDO_RATE * FINAL ** (step / STEPS)
         albedo = log_albedo.exp()
         predicted = albedo * lookup(diffuse_light(log_light.exp()), normal)
         # gather, not [neighbours]: the gradient of indexing is summed in an order that depends on the threads.
         around = log_albedo.gather(0, neighbours.reshape(-1, 1).expand(-1, 3)).view(*neighbours.shape, 3)
         jumps = (log_albedo[:, None] - around).abs().sum(-1)
-        prior = 1e-3 * (log_light - log_light.detach().mean((0, 1))).square().mean()
+        prior = LIGHT_PRIOR * (log_light - log_light.detach().mean((0, 1))).square().mean()
         loss = (predicted.clamp_min(1e-4).sqrt() - seen.clamp_min(1e-4).sqrt()).abs().mean() + prior
-        loss = loss + SMOOTHNESS * 1e-2 * (similarity * jumps).mean()
+        loss = loss + SMOOTHNESS * (similarity * jumps).mean()
         adam.zero_grad()
         loss.backward()
         adam.step()

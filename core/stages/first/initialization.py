@@ -21,6 +21,7 @@ ASIDE = math.cos(math.radians(45))  # angle to a camera at the bound's centre up
 SURFACE_SPREAD = 0.92  # scale of a surfel over the spacing of points that cover a surface evenly
 SPARSE_SPREAD = 0.65  # scale of a surfel over the distance to its neighbours among points in space
 NEIGHBOURS = 16  # of a point that tell its surface's spacing
+FACING = 0.2  # cosine between normal and view from which a view's colour counts
 
 
 def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -40,7 +41,7 @@ def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) 
         to_camera = view.camera.centre - points
         cosine = (to_camera * normals).sum(1) / np.linalg.norm(to_camera, axis=1)
         column, row = np.floor(pixel).astype(int).T
-        visible = (depth > 0) & (cosine > 0.2) & (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
+        visible = (depth > 0) & (cosine > FACING) & (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
         total[visible] += cosine[visible, None] * view.colour[row[visible], column[visible]]
         weight[visible] += cosine[visible, None]
     return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)

@@ -33,7 +33,7 @@ class MaterialClass:
 
     def rates(self, radius: float) -> dict[str, Rate]:
         """Return the learning rates by parameter for a scene of this radius in world units."""
-        table = {
+        table = {  # Rate: at the start, and its factor at the end of the schedule
             "position": Rate(self.position * radius, 0.05),
             "quaternion": Rate(self.quaternion, 0.2),
             "log_scale": Rate(self.log_scale, 0.2),
@@ -46,6 +46,7 @@ class MaterialClass:
         return table
 
 
+# Material, then the rates of position, quaternion and log scale:
 LOW_GLOSS = MaterialClass("low-gloss", False, (0.5, 0.5, 0.5, 0.5, 0.02), 8e-4, 5e-4, 6e-3)
 COATED = MaterialClass("glossy", True, (0.5, 0.5, 0.5, 0.4, 0.1), 1.5e-3, 2e-3, 1e-2)
 METAL = MaterialClass("metal", True, (0.7, 0.7, 0.7, 0.25, 0.95), 1.2e-3, 5e-4, 1e-2)

@@ -17,7 +17,7 @@ from .initialization import initial_gaussians
 from .material_class import LOW_GLOSS
 from .trainer import Trainer
 
-SURFELS, ITERATIONS = 10_000, 250
+SURFELS, ITERATIONS = 10_000, 250  # of the fit
 LONGEST = 320  # longest side of the images, pixels
 
 

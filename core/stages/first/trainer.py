@@ -34,7 +34,9 @@ from .material_class import GEOMETRY_RATES, MaterialClass
 from .schedule import anchors_due, loss_weights, rays_per_side, sh_degree
 
 START_RADIANCE = 0.5  # of the initial light map, linear
-CHECKPOINT_SECONDS = 30.0
+CHECKPOINT_SECONDS = 30.0  # between two checkpoints
+CONTROLLED = 0.1, 0.7  # fractions of the schedule between which density control acts
+CONTROLS = 20  # it acts at most once in each such part of the schedule
 RESET_EVERY = 3000  # steps between opacity resets (3DGS); shorter schedules have none
 HULL_LEFT = 0.4  # least fraction of the initial surfels that must remain; consistent images prune a few per cent
 RATES_CHOSEN_AT = 1500  # steps of the schedule with which the GEOMETRY_RATES were chosen
@@ -192,11 +194,11 @@ class Trainer:
     def _control(self, statistics: ScreenStatistics) -> None:
         """Apply density control in the middle of the schedule; with masks, Gaussians are only pruned."""
         settings, fraction = self.settings, self.done / self.settings.iterations
-        if not 0.1 < fraction < 0.7:
+        if not CONTROLLED[0] < fraction < CONTROLLED[1]:
             return
         self.density.accumulate(statistics)
         # With masks, every view must have been rendered before a Gaussian counts as unseen.
-        period = max(settings.iterations // 20, 2 * len(self.training_views) if self.masked else 1)
+        period = max(settings.iterations // CONTROLS, 2 * len(self.training_views) if self.masked else 1)
         if self.density.images >= period:
             self.density.refine(self.optimizer, self.generator, grow=not self.masked)
             self._check_hull()

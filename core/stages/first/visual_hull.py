@@ -21,6 +21,9 @@ from ..common.mask_band import widest_mask
 
 GRID = 96  # cells along the longest side of the hull
 UNSEEN = 2.0  # alpha of a cell that no view has seen yet
+OCCUPIED = 0.1  # alpha of a coarse cell from which the fine grid encloses it
+BORDER = 1.5  # coarse cells around these that the fine grid encloses, too
+SMOOTHING = 1.5  # cells, sigma of the blur whose gradient gives the normals
 
 
 @kernel
@@ -93,7 +96,7 @@ class VisualHull:
 
     def _normals(self, points: np.ndarray, flat: np.ndarray) -> np.ndarray:
         """Return the normals (N, 3) of the smoothed hull at points (N, 3); `flat` (N, 3) where it has no gradient."""
-        gradient = np.stack(np.gradient(gaussian_filter(self.inside, 1.5)), -1) / self.step
+        gradient = np.stack(np.gradient(gaussian_filter(self.inside, SMOOTHING)), -1) / self.step
         cell = np.clip(np.round((points - self.corner) / self.step).astype(int), 0, np.array(self.inside.shape) - 1)
         normals = -gradient[tuple(cell.T)]
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -130,12 +133,12 @@ def visual_hull(views: list[View], bound: Bound) -> VisualHull:
     """
     centre, radius = np.asarray(bound.centre), bound.radius
     coarse = _carve(views, bound, centre - radius, centre + radius, GRID // 2)
-    cells = np.argwhere(coarse.inside > 0.1)
+    cells = np.argwhere(coarse.inside > OCCUPIED)
     if not len(cells):
         raise InputError(
             "masks", "no point of the object's bound is inside all masks", "check the cameras, or set data.centre, data.radius"
         )
-    low, high = coarse.corner + (cells.min(0) - 1.5) * coarse.step, coarse.corner + (cells.max(0) + 1.5) * coarse.step
+    low, high = coarse.corner + (cells.min(0) - BORDER) * coarse.step, coarse.corner + (cells.max(0) + BORDER) * coarse.step
     return _carve(views, bound, low, high, GRID)
 
 

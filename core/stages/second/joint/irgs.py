@@ -13,7 +13,7 @@ from ....scene.reconstruction import Reconstruction
 from ....shading.brdf import DIELECTRIC_F0
 from ....shading.sampling import Samples
 
-START_ALBEDO, START_ROUGHNESS, START_LIGHT = 0.3, 0.6, 1.5
+START_ALBEDO, START_ROUGHNESS, START_LIGHT = 0.3, 0.6, 1.5  # of all Gaussians; radiance of all directions
 NO_METAL = -12.0  # logit
 SMALLEST, LARGEST = 1e-6, 4 * math.pi  # bounds of the specular lobe's denominator, which cap lobes of a roughness below 0.12
 
@@ -58,6 +58,7 @@ def reflect_as_irgs(
     n_l, n_h, n_v = (cosine.clamp(1e-6, 1) for cosine in (n_l, n_h, (view * normal).sum(-1)[:, None]))
     v_h = torch.einsum("pnc,pc->pn", half, view).clamp(1e-6, 1)
     alpha, k = roughness[:, None] ** 2, (roughness[:, None] + 1) ** 2 / 8
+    # Schlick's (1 - v_h)^5 as a power of 2 (Karis 2013, "Real Shading in Unreal Engine 4").
     fresnel = DIELECTRIC_F0 + (1 - DIELECTRIC_F0) * 2 ** ((-5.55473 * v_h - 6.98316) * v_h)
     lobe = (n_h**2 * (alpha**2 - 1) + 1) ** 2 * (n_v * (1 - k) + k) * (n_l * (1 - k) + k)
     specular = fresnel * alpha**2 / (4 * math.pi * lobe).clamp(SMALLEST, LARGEST)

@@ -32,7 +32,7 @@ from .losses import LOW_GLOSS, NORMALS_FROM, Weights, joint_losses
 from .model import JointModel
 
 FRACTIONS = (0.5, 0.25, 0.25)  # of cosine, visible-normal and light samples: 256, 128 and 128, or 8, 4 and 4
-RATES = {"sh_dc": 7.5e-3, "sh_rest": 7.5e-3 / 20, "albedo": 7.5e-3, "roughness": 5e-3, "metallic": 5e-3, "light": 1e-2}
+RATES = {"sh_dc": 7.5e-3, "sh_rest": 7.5e-3 / 20, "albedo": 7.5e-3, "roughness": 5e-3, "metallic": 5e-3, "light": 1e-2}  # of Adam
 GEOMETRY = {"position": 1.6e-4, "quaternion": 1e-3, "log_scale": 5e-3, "opacity": 5e-2}  # position: per unit of the cameras' extent
 PUBLISHED = Rate(1.0)  # factor of the rates: constant over the schedule
 EXTENT = 1.1  # extent of the cameras over the largest distance of one from their mean (3DGS)

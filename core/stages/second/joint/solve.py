@@ -23,7 +23,7 @@ from .model import JointModel
 from .optimisation import PUBLISHED, JointOptimisation
 from .radiance_start import with_all_radiance
 
-CHECKPOINT_SECONDS = 30.0
+CHECKPOINT_SECONDS = 30.0  # between two checkpoints
 REFINING, REFINING_SMOOTHNESS = Rate(0.2, 0.1), 0.1  # factor of the published rates, and weight of materials' smoothness
 LEAST_GAIN = 0.2  # dB of held-back views; at the published rates a gain of 0.07 dB was measured with a loss of 1.1 dB under other lights
 TEST_EVERY = 200  # iterations between tests

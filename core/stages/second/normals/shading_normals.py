@@ -35,6 +35,7 @@ STEP = 0.005  # standard deviation of log albedo along an edge where the chromat
 CHROMATICITY = 10.0  # by which the luminance of paint varies more than its chromaticity
 NOISE = 0.004  # of log chromaticity, along an edge
 AROUND = 16  # passes that spread the variation of chromaticity over neighbours
+SPREAD = 0.7  # fraction of the way to the mean of its neighbours that a vertex goes in each pass
 DARKEST = 1e-3  # least irradiance / pi
 
 
@@ -145,7 +146,7 @@ def albedo_weights(log_albedo: np.ndarray, operators: SurfaceGradient) -> np.nda
     ends = abs(operators.difference).T
     energy = (ends @ chromaticity) / np.maximum(np.asarray(ends.sum(1)).ravel(), 1)
     for _ in range(AROUND):
-        energy = energy + 0.7 * (operators.average @ energy - energy)
+        energy = energy + SPREAD * (operators.average @ energy - energy)
     variance = STEP**2 + CHROMATICITY**2 * np.maximum(energy[operators.edges].mean(1) - NOISE**2, 0)
     return 1 / (variance + 3 * luminance**2)
 

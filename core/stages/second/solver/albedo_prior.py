@@ -8,9 +8,11 @@ import torch
 # Albedos to start from. From a medium one, the solver does not find the light of a dark glossy object, which is far brighter: it paints the
 # reflections on. A black camera's light became 17.6 instead of 7.4 dB.
 MEDIUM, DARK = 0.5, 0.1
-CONSTANT = 3  # steps with one albedo for all points
+CONSTANT = 3  # first steps, with one albedo for all points
 RELEASE = 12  # steps over which the weight of the prior falls
-PRIOR = (1.0, 0.03)  # first and last weight
+PRIOR = (1.0, 0.03)  # first and last weight after these
+FIXED = 1e3  # weight in these, far above that of a point's samples
+DARKEST = 0.02  # least albedo by which the weight is divided
 COLOURS = 0.15  # difference in log albedo below which two points count as being of one colour
 SAMPLE = 1000  # points that each point's colour is compared with
 
@@ -28,13 +30,13 @@ def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch
         (P, 3) each.
     """
     if done < CONSTANT:
-        return torch.full_like(albedo, start), torch.full_like(albedo, 1e3)
+        return torch.full_like(albedo, start), torch.full_like(albedo, FIXED)
     log_albedo = albedo.log()
     others = log_albedo[torch.randperm(len(log_albedo), generator=generator)[:SAMPLE].to(log_albedo.device)]
     similarity = colour_likeness(log_albedo, others)
     total = similarity.sum(1, keepdim=True)
     strength = PRIOR[0] * (PRIOR[1] / PRIOR[0]) ** min(1.0, (done - CONSTANT) / RELEASE)
-    pull = strength * total / len(others) / albedo.clamp_min(0.02) ** 2 + 1e-6
+    pull = strength * total / len(others) / albedo.clamp_min(DARKEST) ** 2 + 1e-6
     return (similarity @ others / total).exp(), pull
 
 

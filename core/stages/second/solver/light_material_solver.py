@@ -40,16 +40,18 @@ from .radiance_transfer import RadianceTransfer
 from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
 from .sample_radiance import SampleRadiance
 
-STEPS = 44
-MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # numbers of steps done when roughness and metallic are searched
-METAL_TEST = 28  # that of these at which the candidates for metal are tested; points join them before
-METAL_BORDERS = 38  # that of these at which the borders of metal are drawn anew: the light has adapted to the metal by then
-TEST_STEPS = 4  # in which the light adapts to each hypothesis of the test
+STEPS = 44  # Gauss-Newton steps of the light; all else is scheduled by the number of steps done
+MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # roughness and metallic are searched when so many steps are done
+METAL_TEST = 28  # one of these, at which the candidates for metal are tested instead; points join them before it
+METAL_BORDERS = 38  # one of these, at which the borders of metal are drawn anew: the light has adapted to the metal by then
+TEST_STEPS = 4  # steps in which the light adapts to each hypothesis of the test
 # A Hessian of the light costs most of a step. It counts for KEPT steps at most, while the materials stay and the last step changed the log
 # light by less than MOVED (root mean square): with older ones, the solver found none of the metal on rocker_corner.
 KEPT, MOVED = 4, 0.15
 LOOSENED = 4.0  # factor of OUTLIER after a split of the light, which halves with each step: at first, highlights would count as outliers
-TURN_STEPS = 4  # in which the light follows the turned normals of metal
+TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
+DAMPING = 1e-3  # fraction of the Hessian's diagonal that is added to it (Levenberg-Marquardt)
+LARGEST_STEP, LOG_LIGHT = 1, (-9, 7)  # largest change of a texel's log radiance in a step, and its range
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
@@ -229,12 +231,12 @@ class LightMaterialSolver:
         for c, linear in enumerate(hessians):
             light = self.light[:, c]
             hessian = light[:, None] * linear * light  # with respect to the logarithm of the light
-            damped = hessian + smoothness + torch.diag(1e-3 * hessian.diagonal() + 1e-10)
+            damped = hessian + smoothness + torch.diag(DAMPING * hessian.diagonal() + 1e-10)
             right = light * gradient[:, c] + smoothness @ log_light[:, c]
             steps.append(solve_positive(damped.double(), right.double()).float())
             self._curvature[c] = hessian.sum()
-        step = torch.stack(steps, 1).clamp(-1, 1)
-        self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(-9, 7).exp())
+        step = torch.stack(steps, 1).clamp(-LARGEST_STEP, LARGEST_STEP)
+        self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(*LOG_LIGHT).exp())
         self._moved = float((self.light.log() - log_light).square().mean().sqrt())
 
     def _search_materials(self, done: int) -> None:

@@ -28,6 +28,8 @@ from ....io.srgb import encode_srgb
 from ..metal import METAL_ON_AVERAGE
 
 NEIGHBOURS = 13  # of a point, the point itself included
+CHROMATICITY, ENCODED = 15, 3  # exponential decay of similarity with differences of chromaticity and of encoded colour, channels summed
+DIM = 0.02  # radiance added to the sum of the channels, so that the chromaticity of dark points tells little
 SURE = 0.4  # gain per view from which a point is a candidate; the gain is a difference of robust costs, see `MaterialSearch`
 POSSIBLE = -0.3  # gain from which a point is a candidate where its neighbours are
 SHARE = 0.1  # share of the neighbours, by similarity of colour, that must be metal
@@ -61,8 +63,9 @@ def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.T
     places = position.cpu().numpy()
     _, nearest = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)))
     index = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
-    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + 0.02), encode_srgb(colour)
-    difference = 15 * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1) + 3 * (encoded[:, None] - encoded[index]).abs().sum(-1)
+    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + DIM), encode_srgb(colour)
+    difference = CHROMATICITY * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1)
+    difference = difference + ENCODED * (encoded[:, None] - encoded[index]).abs().sum(-1)
     similarity = torch.exp(-difference)
     return index, similarity / similarity.sum(1, keepdim=True)
 

@@ -37,7 +37,7 @@ def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:
     Args:
         colour: (...,) linear.
     """
-    return 0.44 / colour.clamp_min(3e-3) ** 0.58
+    return 0.44 / colour.clamp_min(3e-3) ** 0.58  # of 1.055 x^(1 / 2.4): 1.055 / 2.4 = 0.44, 1 - 1 / 2.4 = 0.58
 
 
 def least_squares_albedo(samples: MultiViewSamples, weight: torch.Tensor, factor: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
