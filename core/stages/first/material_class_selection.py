@@ -9,6 +9,7 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
+from ..common.skip_rules import decide_skip_rule
 from .checkpoint_state import invalid_checkpoint
 from .material_class import COATED, LOW_GLOSS, MATERIAL_CLASSES, METAL, MaterialClass, allowed_material_classes, with_geometry_rates
 from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
@@ -23,7 +24,7 @@ REFLECTING = 2.0
 
 def select_material_class(
     dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress, crop: bool = False
-) -> tuple[MaterialClass, float | None]:
+) -> MaterialClass:
     """Select the object's material class: fit every allowed class briefly and take the one that predicts held-back views best.
 
     Glossy is the rule: SH that explain all shading fit a brief trial as well, but leave worse normals and materials in the end. So
@@ -39,7 +40,7 @@ def select_material_class(
         crop: crop the images to the object.
 
     Returns:
-        The class, and the PSNR in dB of its trial fit on the held-back views; None where there was no trial.
+        The class.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -47,18 +48,19 @@ def select_material_class(
     classes = allowed_material_classes(settings.materials)
     if not dataset.has_alpha:
         progress.message(f"materials: {classes[0].name}; without masks the background would be taken for reflections")
-        return material_class_named(classes[0].name, dataset), None
+        return material_class_named(classes[0].name, dataset)
     if len(classes) == 1 or len(dataset.train) < HOLD_BACK_FROM:
-        return classes[0], None
+        return classes[0]
     # The same geometry rates for all: the shading models are compared, not the rates.
     fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, COATED), crop) for m in classes}
     progress.phase("materials", settings.first.trial_iterations)
-    score = run_trials(fits, settings, progress)
+    score, given_up = run_trials(fits, settings, progress)
+    decide_skip_rule(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
     turns = light_rotations(dataset.train) is not None
     margins = _margins(settings.first.trial_margin, turns)
     best = _choose(score, margins, turns)
     progress.message(_choice_in_words(score, best, margins))
-    return next(m for m in classes if m.name == best), score[best]
+    return next(m for m in classes if m.name == best)
 
 
 def _margins(margin: float, turns: bool) -> dict[str, float]:

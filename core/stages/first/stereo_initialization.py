@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -30,7 +31,7 @@ FILLER = 0.1  # without masks: share of the surfels that are random points, for 
 FEWEST = 0.08  # stereo's points over the budget of surfels below which there is no stereo start
 BETTER = 0.9  # reprojection error at stereo's depth over that at the hull's below which a region takes stereo's points
 COMPARED = 4  # views that each view is compared with
-EVERYWHERE = 1 / 3  # share of stereo's points in such regions from which all of them are taken
+WORTH = 0.05  # share of stereo's points in such regions below which a start on all of them is not tried
 REACH = 0.03  # radii of the bound around stereo's points without other points; tolerance of the free-space test
 SEEN_THROUGH = 2  # views whose depth lies behind a point, from which the point is in free space
 VOXEL_ROUNDS = 12  # bisections of the voxel size that thins the points
@@ -41,11 +42,13 @@ class StereoStart:
     """Initial Gaussians that dense stereo contributed to.
 
     Attributes:
+        name: name of the start, in messages.
         gaussians: initial Gaussians on stereo's points and elsewhere.
         share: fraction of them that lie on stereo's points.
         maps: depth map of each training view.
     """
 
+    name: str
     gaussians: Gaussians
     share: float
     maps: list[DepthMap]
@@ -59,24 +62,25 @@ class _Found:
     points: OrientedPoints
 
 
-def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, everywhere: bool = False) -> StereoStart | None:
+def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, everywhere: bool = False) -> list[StereoStart] | None:
     """Place surfels on the points of dense stereo, and on the visual hull or at random where stereo says nothing.
 
-    With masks, stereo searches inside the visual hull. A region takes stereo's points where the photographs agree better at their depth
-    than at the hull's and where it differs by more than a pixel, and otherwise the hull's; where much of the hull is wrong, all of
-    stereo's points are taken. Points of the hull fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, stereo's
-    points in free space are left out: plain backgrounds and reflections match at false depths. Random points are added, likewise outside
-    free space.
+    With masks, stereo searches inside the visual hull, and there are up to two starts. In the first, a region takes stereo's points where
+    the photographs agree better at their depth than at the hull's and where it differs by more than a pixel, and otherwise the hull's. The
+    second takes all of stereo's points: where the hull is wrong, the regions between are often wrong too, but on reflections stereo is.
+    Points of the hull fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, there is one start, and stereo's points
+    in free space are left out: plain backgrounds and reflections match at false depths. Random points are added, likewise outside free
+    space.
 
     Args:
         dataset: training views, bound and sparse points.
         count: most surfels.
         seed: seed of stereo and of the samples.
         progress: receives the phase "stereo" and may cancel.
-        everywhere: take all of stereo's points, without comparing regions.
+        everywhere: only the start on all of stereo's points, without comparing regions.
 
     Returns:
-        The start, None where stereo found too few points to start on.
+        The starts, the one by regions first; none where no region is better. None where stereo found too few points to start on.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -86,15 +90,22 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
         known = None if dataset.points is None else dataset.points.position
         bounds = depth_bounds([view.camera for view in dataset.train], dataset.points, dataset.bound)
         found = _search(dataset, (*bounds, None), known, count, seed, progress)
-        return None if found is None else _with_random_points(dataset, found, bounds[0], count, rng)
+        return None if found is None else [_with_random_points(dataset, found, bounds[0], count, rng)]
     hull = visual_hull(dataset.train, dataset.bound)
     bounds = hull_bounds(dataset, hull)
     found = _search(dataset, bounds, None, count, seed, progress)
     if found is None:
         return None
-    other, other_normal, _ = hull.sample(count, rng)
-    chosen, kept = _regions(dataset, found, bounds[2], other, everywhere)
-    return _with_hull(dataset, found, chosen, (other, other_normal), kept, count)
+    sampled = hull.sample(count, rng)[:2]
+    every = np.ones(len(found.points.position), bool), np.zeros(len(sampled[0]), bool)
+    on_all = partial(_with_hull, dataset, "stereo everywhere", found, every, sampled, count)
+    if everywhere:
+        return [on_all()]
+    chosen, kept, share = _regions(dataset, found, bounds[2], sampled[0])
+    if not chosen.any():
+        return []
+    by_regions = _with_hull(dataset, "stereo by regions", found, (chosen, kept), sampled, count)
+    return [by_regions] if share < WORTH else [by_regions, on_all()]
 
 
 def _search(
@@ -120,36 +131,42 @@ def _evidence(dataset: Dataset, maps: list[DepthMap], hull_depth: list[np.ndarra
     return DepthEvidence.collect(dataset.train, dataset.bound, (hull_depth, stereo), sources, StereoSettings().relative_depth)
 
 
-def _regions(
-    dataset: Dataset, found: _Found, hull_depth: list[np.ndarray], other: np.ndarray, everywhere: bool
-) -> tuple[np.ndarray, np.ndarray]:
+def _regions(dataset: Dataset, found: _Found, hull_depth: list[np.ndarray], other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Divide the surface between stereo and the hull; see `from_stereo`.
 
     Args:
         dataset: views with masks.
-        found: by stereo, N points.
-        hull_depth: (H, W) of each view.
+        found: points found by stereo, N.
+        hull_depth: (H, W) depth of the hull in each view.
         other: (M, 3) points of the hull.
-        everywhere: take all of stereo's points.
 
     Returns:
-        (N,) True for the points of stereo that are taken, (M,) True for those of the hull that are kept whatever lies near them.
+        (N,) True for the points of stereo that are taken, (M,) True for those of the hull that are kept whatever lies near them, and the
+        share of stereo's points at which the photographs agree better.
     """
     points, evidence = found.points.position, _evidence(dataset, found.maps, hull_depth)
     better = evidence.ratio(points) < BETTER
-    if everywhere or better.mean() > EVERYWHERE:
-        return np.ones(len(points), bool), np.zeros(len(other), bool)
     # Stereo's noise is about a pixel: where it is so near to the hull, the hull is the better start.
     size = pixel_size(dataset)
     apart = KDTree(other).query(points, workers=-1)[0] > size
     agreed = KDTree(points).query(other, workers=-1)[0] <= size
-    return better & apart, agreed | (evidence.ratio(other) >= BETTER)
+    return better & apart, agreed | (evidence.ratio(other) >= BETTER), float(better.mean())
 
 
 def _with_hull(
-    dataset: Dataset, found: _Found, chosen: np.ndarray, hull: tuple[np.ndarray, np.ndarray], kept: np.ndarray, count: int
+    dataset: Dataset, name: str, found: _Found, taken: tuple[np.ndarray, np.ndarray], hull: tuple[np.ndarray, np.ndarray], count: int
 ) -> StereoStart:
-    """Place surfels on the chosen points of stereo, and on the hull's points (M, 3) with normals (M, 3) that are kept or fill a gap."""
+    """Place surfels on some of stereo's points, and on the hull's where they are kept or fill a gap.
+
+    Args:
+        dataset: views with masks.
+        name: name of the start.
+        found: points found by stereo, N.
+        taken: (N,) True for the points of stereo, (M,) True for those of the hull that are kept.
+        hull: points (M, 3) of the hull and their normals (M, 3).
+        count: most surfels.
+    """
+    chosen, kept = taken
     points = found.points.select(chosen)
     keep = kept | _unexplained(hull[0], points, found.maps, REACH * dataset.bound.radius)
     # Both cover their parts of the surface evenly: their numbers are in proportion to the areas.
@@ -157,7 +174,7 @@ def _with_hull(
     points = thinned(points, round(share * count))
     left = count - len(points.position)
     gaussians, share = _joined(dataset, points, hull[0][keep][:left], hull[1][keep][:left], OPACITY)
-    return StereoStart(gaussians, share, found.maps)
+    return StereoStart(name, gaussians, share, found.maps)
 
 
 def _with_random_points(dataset: Dataset, found: _Found, nearest: Sequence[float], count: int, rng: np.random.Generator) -> StereoStart:
@@ -167,7 +184,7 @@ def _with_random_points(dataset: Dataset, found: _Found, nearest: Sequence[float
     points = thinned(found.points.select(seen), int(SHARE * count))
     other, other_normal = random_points(dataset, int(FILLER * count), rng)
     keep = _unexplained(other, points, found.maps, reach)
-    return StereoStart(*_joined(dataset, points, other[keep], other_normal[keep], FAINT), found.maps)
+    return StereoStart("stereo", *_joined(dataset, points, other[keep], other_normal[keep], FAINT), found.maps)
 
 
 def _unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap], reach: float) -> np.ndarray:

@@ -79,8 +79,8 @@ def train(
     if state is not None:
         material_class, start = material_class_named(state.get("kind", ""), dataset), Start(gaussians)
     else:
-        material_class, psnr = select_material_class(dataset, settings, gaussians, progress, crop)
-        start = select_start(dataset, settings, gaussians, material_class, progress, crop, psnr)
+        material_class = select_material_class(dataset, settings, gaussians, progress, crop)
+        start = select_start(dataset, settings, gaussians, material_class, progress, crop)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
     fit = (dataset, settings.first, start.gaussians, material_class, settings.seed, hold_back)
     trainer = Trainer(*fit, crop=crop, resident=resident, anchors=start.anchors)

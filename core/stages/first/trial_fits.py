@@ -16,7 +16,6 @@ from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
 from ..common.preview import points_shape
-from ..common.skip_rules import decide_skip_rule
 from .material_class import MaterialClass
 from .trainer import Trainer
 
@@ -44,7 +43,7 @@ def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, ma
     return Trainer(dataset, brief, few, material_class, settings.seed, TRIAL_HOLD_BACK, reduction, crop)
 
 
-def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> dict[str, float]:
+def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:
     """Run all trial fits in turns.
 
     Args:
@@ -53,7 +52,7 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
         progress: receives steps and previews, and may cancel.
 
     Returns:
-        By name, the PSNR in dB on the held-back views at the end of each fit, or where it was abandoned.
+        By name, the PSNR in dB on the held-back views at the end of each fit, or where it was abandoned; which ones were, in words.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -79,8 +78,7 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
             running = [name for name in running if name not in hopeless]
         if len(running) == 1 and len(fits) > 1:
             break
-    decide_skip_rule(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
-    return score
+    return score, given_up
 
 
 def subsample(gaussians: Gaussians, count: int, seed: int) -> Gaussians:

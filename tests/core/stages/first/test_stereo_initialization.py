@@ -65,7 +65,7 @@ def dataset():
 
 @pytest.fixture(scope="module")
 def start(dataset):
-    return from_stereo(dataset, COUNT, 0, Silent()).gaussians
+    return from_stereo(dataset, COUNT, 0, Silent())[-1].gaussians
 
 
 class Decisions(Silent):
@@ -99,7 +99,7 @@ def test_surfels_face_the_side_that_is_seen(dataset, start):
 
 
 def test_same_seed_same_start(dataset, start):
-    again = from_stereo(dataset, COUNT, 0, Silent()).gaussians
+    again = from_stereo(dataset, COUNT, 0, Silent())[-1].gaussians
     assert all(a.equal(b) for a, b in zip(start.tensors().values(), again.tensors().values(), strict=True))
 
 
@@ -117,7 +117,7 @@ def test_hull_depth_is_where_the_rays_enter_and_leave(sphere_dataset, camera_rin
 
 def test_without_masks_points_and_few_others_are_the_start():
     posed = bowl(masked=False)
-    g = from_stereo(posed, COUNT, 0, Silent()).gaussians
+    g = from_stereo(posed, COUNT, 0, Silent())[0].gaussians
     near = (g.position.norm(dim=0) - 1).abs() < 0.05
     assert int(near.sum()) > 0.3 * COUNT
     assert g.count <= COUNT
@@ -176,38 +176,44 @@ def test_a_hollow_is_a_region_where_stereo_is_better(dataset):
     assert lid(chosen) < 0.02
 
 
-def test_a_region_without_evidence_keeps_the_hull(dataset, monkeypatch):
-    """Where the hull's depths are taken for stereo's, both are equally good everywhere."""
+def same_depths(monkeypatch):
+    """Take the hull's depths for stereo's."""
 
     def same(cls, views, bound, depths, *rest):
         return collect(views, bound, (depths[0], depths[0]), *rest)
 
     collect = DepthEvidence.collect
     monkeypatch.setattr(DepthEvidence, "collect", classmethod(same))
-    start, hull = from_stereo(dataset, COUNT, 0, Silent()), from_hull(dataset, COUNT, np.random.default_rng(0))
-    assert start.share == 0
-    assert start.gaussians.count == COUNT
-    assert lid(start.gaussians) == pytest.approx(lid(hull), abs=0.02)
-    assert float(start.gaussians.log_scale.mean()) == pytest.approx(float(hull.log_scale.mean()), abs=0.1)
+
+
+def test_an_object_without_a_better_region_has_no_stereo_start(dataset, monkeypatch):
+    same_depths(monkeypatch)
+    assert from_stereo(dataset, COUNT, 0, Silent()) == []
+
+
+def test_few_better_regions_are_the_only_start(dataset, monkeypatch):
+    names = lambda: [one.name for one in from_stereo(dataset, COUNT, 0, Silent())]  # noqa: E731
+    assert names() == ["stereo by regions", "stereo everywhere"]
+    monkeypatch.setattr(stereo_initialization, "WORTH", 1.0)
+    assert names() == ["stereo by regions"]
 
 
 def test_better_regions_that_are_no_pixel_off_the_hull_are_no_stereo_start(dataset, monkeypatch):
     settings = with_overrides(preset("draft"), [f"first.gaussians={COUNT}"])
-    monkeypatch.setattr(stereo_initialization, "EVERYWHERE", 1.0)
     monkeypatch.setattr(stereo_initialization, "pixel_size", lambda dataset: 10.0)
     plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
     assert select_start(dataset, settings, plain, LOW_GLOSS, progress).gaussians is plain
     on, evidence = progress.found["stereo"]
     assert not on
-    assert "nowhere" in evidence
+    assert "in no region" in evidence
 
 
 def test_share_is_that_of_the_surfels_on_points_of_stereo(dataset, monkeypatch):
     """Regions are divided at the middle: on one side all points are stereo's, on the other the hull's."""
     hull = visual_hull(dataset.train, dataset.bound).sample(COUNT, np.random.default_rng(0))[0]
-    split = lambda dataset, found, depth, other, everywhere: (found.points.position[:, 0] > 0, other[:, 0] <= 0)  # noqa: E731
+    split = lambda dataset, found, depth, other: (found.points.position[:, 0] > 0, other[:, 0] <= 0, 0.5)  # noqa: E731
     monkeypatch.setattr(stereo_initialization, "_regions", split)
-    start = from_stereo(dataset, COUNT, 0, Silent())
+    start = from_stereo(dataset, COUNT, 0, Silent())[0]
     on_hull = cKDTree(hull).query(start.gaussians.position.T.numpy())[0] < 1e-6
     assert 0.3 < start.share < 0.8
     assert start.share == pytest.approx(1 - on_hull.mean(), abs=1e-3)
@@ -253,6 +259,6 @@ def test_false_points_before_a_textured_surface_start_no_surfels(monkeypatch):
         return OrientedPoints(*(np.concatenate(pair) for pair in parts))
 
     monkeypatch.setattr(stereo_initialization, "fuse_points", with_a_sheet)
-    place = from_stereo(posed, COUNT, 0, Silent()).gaussians.position.T.numpy()
+    place = from_stereo(posed, COUNT, 0, Silent())[0].gaussians.position.T.numpy()
     on_sheet = (np.abs(place[:, :2]) < 0.5).all(1) & (np.abs(place[:, 2] - 0.9) < 0.02)
     assert on_sheet.sum() < 10

@@ -118,18 +118,18 @@ def test_a_mirror_is_distinguished_from_paint(sphere_dataset, camera_ring):
     mirror = mirror_photographs(cameras, [view.alpha for view in painted.train])
     chosen = settings("first.trial_iterations=60", "first.trial_gaussians=1500", "first.gaussians=1500")
     start = initial_gaussians(painted, 1500, np.random.default_rng(0))
-    assert select_material_class(painted, chosen, start, Silent())[0] is LOW_GLOSS
-    assert select_material_class(mirror, chosen, start, Silent())[0].glossy
+    assert select_material_class(painted, chosen, start, Silent()) is LOW_GLOSS
+    assert select_material_class(mirror, chosen, start, Silent()).glossy
 
 
 def test_what_is_given_is_not_tried(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    assert select_material_class(dataset, settings("materials=low-gloss"), start, Silent())[0] is LOW_GLOSS
+    assert select_material_class(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
     assert {m.glossy for m in allowed_material_classes("glossy")} == {True}
     unmasked = sphere_dataset(camera_ring(9, 32), masked=False)
-    selected, psnr = select_material_class(unmasked, settings(), start, Silent())
-    assert (selected.name, selected.position, psnr) == (LOW_GLOSS.name, COATED.position, None)
+    selected = select_material_class(unmasked, settings(), start, Silent())
+    assert (selected.name, selected.position) == (LOW_GLOSS.name, COATED.position)
 
 
 def test_subsample_surfels_cover_the_same_area(splat_sphere):
@@ -195,10 +195,10 @@ def test_a_hopeless_material_class_is_given_up_and_others_go_on(sphere_dataset, 
     monkeypatch.setattr(Trainer, "step", counted)
     monkeypatch.setattr(Trainer, "test", lambda self: {"low-gloss": 30.0, "glossy": 29.0, "metal": 20.0}[self.material_class.name])
     chosen = settings("first.trial_iterations=10", "first.trial_gaussians=100")
-    assert select_material_class(dataset, chosen, start, Silent())[0] is LOW_GLOSS
+    assert select_material_class(dataset, chosen, start, Silent()) is LOW_GLOSS
     assert steps == {"low-gloss": 10, "glossy": 10, "metal": 3}
     steps |= dict.fromkeys(steps, 0)
-    assert select_material_class(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent())[0] is LOW_GLOSS
+    assert select_material_class(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent()) is LOW_GLOSS
     assert set(steps.values()) == {10}
 
 
@@ -211,7 +211,7 @@ def test_a_turning_light_needs_more_evidence_of_gloss(sphere_dataset, camera_rin
     for psnr, found in ((31.0, ("glossy", "low-gloss")), (32.0, ("glossy", "glossy"))):
         scores = {"low-gloss": 30.0, "glossy": psnr, "metal": 20.0}
         monkeypatch.setattr(Trainer, "test", lambda self, scores=scores: scores[self.material_class.name])
-        selected = [select_material_class(data, chosen, start, Silent())[0].name for data in (dataset, turning)]
+        selected = [select_material_class(data, chosen, start, Silent()).name for data in (dataset, turning)]
         assert tuple(selected) == found
 
 

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Selection among the starts that dense stereo offers, with given results of stereo and of the trial fits."""
+
+import numpy as np
+import pytest
+import torch
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
+from irgspp.core.stages.first import start_selection
+from irgspp.core.stages.first.initialization import initial_gaussians
+from irgspp.core.stages.first.material_class import LOW_GLOSS
+from irgspp.core.stages.first.stereo_initialization import StereoStart
+
+SETTINGS = with_overrides(preset("draft"), ["first.anchor_weight=0"])  # the starts have no depth maps
+
+
+class Decisions(Silent):
+    """Progress that keeps the decisions."""
+
+    def __init__(self):
+        self.found = {}
+
+    def decided(self, rule, on, evidence):
+        self.found[rule] = on, evidence
+
+
+@pytest.fixture
+def scene(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(12, 32))
+    return dataset, initial_gaussians(dataset, 100, np.random.default_rng(0))
+
+
+@pytest.fixture
+def psnr(scene, monkeypatch):
+    """PSNR in dB of the trial fits by start, for a test to fill: "one" has 1 surfel, "other" has 2. "one" is the only start if empty."""
+    found = [StereoStart(name, scene[1].select(torch.arange(k)), 0.1 * k, []) for k, name in ((1, "one"), (2, "other"))]
+    values: dict[str, float] = {}
+    monkeypatch.setattr(start_selection, "from_stereo", lambda *_, everywhere: found[1:] if everywhere else found[: len(values) or 1])
+    monkeypatch.setattr(start_selection, "_trial", lambda dataset, settings, starts, *_: {name: values[name] for name in starts})
+    return values
+
+
+@pytest.mark.parametrize(("given", "size"), [({"one": 30.1, "other": 30.0}, 1), ({"one": 30.1, "other": 30.2}, 2), ({}, 1)])
+def test_held_back_views_decide_between_two_starts(scene, psnr, given, size):
+    psnr |= given
+    progress = Decisions()
+    assert start_selection.select_start(scene[0], SETTINGS, scene[1], LOW_GLOSS, progress).gaussians.count == size
+    on, evidence = progress.found["stereo"]
+    assert on
+    assert ("held-back" in evidence) == bool(given)
+    assert all(f"{name} {value:.2f} dB" in evidence for name, value in given.items())
+
+
+def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
+    progress = Decisions()
+    settings = with_overrides(SETTINGS, ["first.stereo=on"])
+    assert start_selection.select_start(scene[0], settings, scene[1], LOW_GLOSS, progress).gaussians.count == 2
+    assert progress.found["stereo"] == (True, "as set")
+
+
+def test_trial_fits_of_masked_starts_are_finer_than_those_of_the_classes(scene, monkeypatch):
+    sizes = []
+    monkeypatch.setattr(start_selection, "prepare_trial", lambda dataset, settings, *_: sizes.append(settings.first))
+    monkeypatch.setattr(start_selection, "run_trials", lambda *_: ({}, []))
+    start_selection._trial(scene[0], SETTINGS, {"one": scene[1]}, LOW_GLOSS, Silent(), False)
+    assert sizes[0].trial_gaussians == 2.5 * SETTINGS.first.trial_gaussians
+    assert sizes[0].trial_resolution == 2 * SETTINGS.first.trial_resolution
