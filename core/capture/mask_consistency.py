@@ -17,7 +17,7 @@ from .background_evidence import background_evidence, plane_differences
 from .ground import Ground
 from .object_region import ObjectRegion
 from .plane_texture import PlaneTexture, plane_texture
-from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cropped_camera, cut, learn_colours
+from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cut, learn_colours
 from .soft_hull import projected_voxels, silhouettes, soft_hull
 
 ROUNDS = 2  # of carving and cutting again
@@ -183,7 +183,8 @@ class _Work:
         jobs = []
         for i, prior in zip(chosen, priors, strict=True):
             cutout = self._cutout(i)
-            jobs.append((self.texture, cutout.colour, cropped_camera(self.cameras[i], cutout.box), prior))
+            left, top, right, bottom = cutout.box
+            jobs.append((self.texture, cutout.colour, self.cameras[i].cropped(left, top, right - left, bottom - top), prior))
         return background_evidence(list(run_jobs(plane_differences, jobs)), priors)
 
     def _seen_object(self, i: int) -> np.ndarray | None:

@@ -18,7 +18,7 @@ from ..scene.surroundings import Surroundings
 from .convex_cut import minimum_cut
 from .edge_colours import EdgeColours, edge_colours, edge_evidence
 from .plane_texture import PlaneTexture, plane_texture
-from .segmentation import cropped_camera, edge_weight
+from .segmentation import edge_weight
 from .support_plane import SupportPlane
 
 MARGIN = 12.0  # errors of a mask around it that are looked at
@@ -76,8 +76,7 @@ def _crop(view: View) -> tuple[slice, slice]:
 def _colours(texture: PlaneTexture, view: View, crop: tuple[slice, slice], part: tuple[np.ndarray, np.ndarray]) -> EdgeColours:
     assert view.alpha is not None
     alpha = view.alpha[crop]
-    left, top = crop[1].start or 0, crop[0].start or 0
-    camera = cropped_camera(view.camera, (left, top, left + alpha.shape[1], top + alpha.shape[0]))
+    camera = view.camera.cropped(crop[1].start or 0, crop[0].start or 0, alpha.shape[1], alpha.shape[0])
     return edge_colours(texture, np.clip(view.colour[crop], 0, 1), camera, alpha, part, view.mask_error)
 
 

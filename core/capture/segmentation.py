@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -91,8 +91,9 @@ def prepare_cutout(
     box = _box(view.camera, region.bound)
     if box is None:
         return None
-    crop = (slice(box[1], box[3]), slice(box[0], box[2]))
-    seed = np.where(_sphere_mask(cropped_camera(view.camera, box), region.bound), 0, -1).astype(np.int8)
+    left, top, right, bottom = box
+    crop, cropped = (slice(top, bottom), slice(left, right)), view.camera.cropped(left, top, right - left, bottom - top)
+    seed = np.where(_sphere_mask(cropped, region.bound), 0, -1).astype(np.int8)
     if depth_map is not None:
         found = _depth_seeds(depth_map, region, ground)
         found = cv2.resize(found, (view.camera.width, view.camera.height), interpolation=cv2.INTER_NEAREST)[crop]
@@ -121,11 +122,6 @@ def _box(camera: Camera, bound: Bound) -> tuple[int, int, int, int] | None:
     left, right = max(int(x - reach * camera.fx), 0), min(int(np.ceil(x + reach * camera.fx)), camera.width)
     top, bottom = max(int(y - reach * camera.fy), 0), min(int(np.ceil(y + reach * camera.fy)), camera.height)
     return (left, top, right, bottom) if right - left >= 8 and bottom - top >= 8 else None
-
-
-def cropped_camera(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
-    """Return the camera of a part of the image."""
-    return replace(camera, width=box[2] - box[0], height=box[3] - box[1], cx=camera.cx - box[0], cy=camera.cy - box[1])
 
 
 def _sphere_mask(camera: Camera, bound: Bound) -> np.ndarray:
