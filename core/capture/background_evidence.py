@@ -7,20 +7,17 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from ..scene.camera import Camera
+from .likelihood_ratio import log_likelihood_ratios
 from .plane_texture import PlaneTexture
 
 LOCAL = 0.02  # sigma of the window in which a photograph's own brightness of the plane is measured, in the image's longest sides
 COARSE = 4  # factor by which images are reduced for that
 WIDER = 4.0  # factor of that window where nothing of the plane is near
 LARGEST_RATIO = 4.0  # of that brightness to the texture's
-BINS, WIDEST = 32, 0.8  # of the histograms of differences, and the largest difference, encoded
+WIDEST = 0.8  # difference in the last bin of the histograms, encoded
 SURE = 0.1  # prior below which a pixel counts as the background, and above 1 - SURE as the object
-SHARED = 0.5  # weight of the histograms of all views against those of the view itself
-FEWEST = 200  # pixels of each kind, without which there is no evidence
-FLOOR = 3e-3  # probability of a bin that nothing fell into
 MOST = 4.0  # largest log-likelihood ratio
 
 
@@ -75,30 +72,5 @@ def background_evidence(differences: Sequence[np.ndarray], priors: Sequence[np.n
         differences: (H, W) of each view, as of `plane_differences`.
         priors: (H, W) 0..1 of each view, how surely a pixel is the object.
     """
-    counts = [[_histogram(one[kind]) for kind in (prior < SURE, prior > 1 - SURE)] for one, prior in zip(differences, priors, strict=True)]
-    shared = np.sum(counts, 0, np.float64) if counts else np.zeros((2, BINS))
-    if shared.sum(1).min() < FEWEST:
-        return [np.zeros(one.shape, np.float32) for one in differences]
-    result = []
-    for one, own in zip(differences, counts, strict=True):
-        background, inside = (_probability(own[k], shared[k]) for k in (0, 1))
-        ratio = np.clip(np.log(background / inside), -MOST, MOST).astype(np.float32)
-        result.append(np.where(np.isnan(one), np.float32(0), ratio[_bins(np.nan_to_num(one))]))
-    return result
-
-
-def _bins(difference: np.ndarray) -> np.ndarray:
-    return np.minimum(difference * (BINS / WIDEST), BINS - 1).astype(np.int64)
-
-
-def _histogram(difference: np.ndarray) -> np.ndarray:
-    """Return the counts (BINS,) of differences (N,) that are known."""
-    return np.bincount(_bins(difference[~np.isnan(difference)]), minlength=BINS).astype(np.float64)
-
-
-def _probability(own: np.ndarray, shared: np.ndarray) -> np.ndarray:
-    """Return the probability (BINS,) of each bin from a view's own counts and those of all views."""
-    mixed = shared / shared.sum()
-    if own.sum() >= FEWEST:
-        mixed = SHARED * mixed + (1 - SHARED) * own / own.sum()
-    return gaussian_filter1d(mixed, 1.0, mode="nearest") + FLOOR
+    background, inside = [prior < SURE for prior in priors], [prior > 1 - SURE for prior in priors]
+    return [np.clip(one, -MOST, MOST) for one in log_likelihood_ratios(differences, background, inside, WIDEST)]

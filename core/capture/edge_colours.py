@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from ..io.continued_colour import continued_colour
 from ..scene.camera import Camera
 from .background_evidence import plane_in_photograph
+from .likelihood_ratio import log_likelihood_ratios
 from .plane_texture import PlaneTexture
 
 INNER, OUTER = 1.5, 2.0  # errors of a mask from its edge, from which pixels are surely the object, and surely the background
@@ -20,10 +20,7 @@ OPAQUE = 0.9  # rendered opacity from which the rendered colour is the object's
 COVERED = 1.0  # errors of a mask that this colour keeps from the rendered outline
 OBJECT_WINDOW, BACKGROUND_WINDOW = 0.75, 1.5  # sigmas, in errors of a mask, of the windows from which both colours are continued
 WINDOWS = 4  # tried; each is twice as wide
-BINS, WIDEST = 32, 0.5  # of the histograms of differences, and the largest difference, encoded
-SHARED = 0.5  # weight of the histograms of all views against those of the view itself
-FEWEST = 200  # pixels, from which a view's own histogram counts
-FLOOR = 3e-3  # probability of a bin that nothing fell into
+WIDEST = 0.5  # difference in the last bin of the histograms, encoded
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,31 +69,14 @@ def edge_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:
 
     How much both differ from their colours is learned from the pixels that are sure.
     """
-    total = [np.zeros(one.inside.shape, np.float32) for one in views]
-    for name in ("from_object", "from_background"):
-        sure = [(one.outside & one.textured if name == "from_background" else one.outside, one.inside) for one in views]
-        bins = [np.minimum(getattr(one, name) * (BINS / WIDEST), BINS - 1).astype(np.int64) for one in views]
-        counts = np.array(
-            [[np.bincount(b[kind], minlength=BINS) for kind in kinds] for b, kinds in zip(bins, sure, strict=True)], np.float64
-        )
-        shared = counts.sum(0)
-        if shared.sum(1).min() < FEWEST:
-            continue
-        for result, index, own in zip(total, bins, counts, strict=True):
-            background, inside = (_probability(own[k], shared[k]) for k in (0, 1))
-            result += np.log(background / inside).astype(np.float32)[index]
-    return total
+    inside, outside = [one.inside for one in views], [one.outside for one in views]
+    own = log_likelihood_ratios([one.from_object for one in views], outside, inside, WIDEST)
+    plane = [one.outside & one.textured for one in views]
+    background = log_likelihood_ratios([one.from_background for one in views], plane, inside, WIDEST)
+    return [first + second for first, second in zip(own, background, strict=True)]
 
 
 def _changed(mask: np.ndarray, change, reach: float) -> np.ndarray:
     """Return a mask (H, W) bool eroded or dilated by pixels, rounded."""
     side = 2 * round(reach) + 1
     return change(mask.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0
-
-
-def _probability(own: np.ndarray, shared: np.ndarray) -> np.ndarray:
-    """Return the probability (BINS,) of each bin from a view's own counts and those of all views."""
-    mixed = shared / shared.sum()
-    if own.sum() >= FEWEST:
-        mixed = SHARED * mixed + (1 - SHARED) * own / own.sum()
-    return gaussian_filter1d(mixed, 1.0, mode="nearest") + FLOOR
