@@ -34,7 +34,18 @@ def _robust_mean(difference: torch.Tensor, edge: float) -> torch.Tensor:
 
 def resized_light(light: torch.Tensor, height: int) -> torch.Tensor:
     """Return a light map (h, w, 3) with a number of rows, at least its own."""
-    if light.shape[0] >= height:
-        return light.contiguous()
+    return light.contiguous() if light.shape[0] >= height else resampled_light(light, height)
+
+
+def resampled_light(light: torch.Tensor, height: int) -> torch.Tensor:
+    """Resample a light map bilinearly; a smaller one is not averaged over its larger texels.
+
+    Args:
+        light: (h, 2h, 3) radiance, lat-long.
+        height: rows of the result, more or fewer than its own.
+
+    Returns:
+        (height, 2 height, 3) radiance.
+    """
     planes = light.permute(2, 0, 1)[None]
     return torch.nn.functional.interpolate(planes, size=(height, 2 * height), mode="bilinear")[0].permute(1, 2, 0).contiguous()

@@ -23,6 +23,7 @@ from ...scene.reconstruction import Reconstruction
 from ...shading.environment_lookup import lookup
 from ...shading.split_sum import diffuse_light
 from ..common.adam import Adam
+from ..common.light_map import resampled_light
 
 LIGHT_HEIGHT = 16  # rows of the fitted light map
 STEPS = 200  # of Adam: half of them fit the light under a constant albedo, the others both
@@ -63,21 +64,13 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequ
     pick = solid[torch.randperm(len(solid), generator=torch.Generator().manual_seed(seed))[:SAMPLE]]
     if not reconstruction.glossy:
         light = _fit_light(normal[pick], seen[pick], g.position.T[pick])
-        height = reconstruction.environment.shape[0]
-        reconstruction.environment = _enlarge(light, height)
+        reconstruction.environment = resampled_light(light, reconstruction.environment.shape[0])
     irradiance = lookup(diffuse_light(reconstruction.environment), normal).clamp_min(1e-4)
     body = (seen / irradiance).clamp(*ALBEDO_RANGE)
     metal = g.materials()[ALBEDO].T
     albedo = diffuse_weight[:, None] * body + (1 - diffuse_weight[:, None]) * metal
     g.material[ALBEDO] = torch.logit(albedo.clamp(1e-3, 1 - 1e-3)).T
     return reconstruction
-
-
-def _enlarge(light: torch.Tensor, height: int) -> torch.Tensor:
-    """Resample a light map (h, 2h, 3) to (height, 2 height, 3), bilinearly."""
-    planes = light.permute(2, 0, 1)[None]
-    wide = torch.nn.functional.interpolate(planes, size=(height, 2 * height), mode="bilinear", align_corners=False)
-    return wide[0].permute(1, 2, 0).contiguous()
 
 
 def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor) -> torch.Tensor:

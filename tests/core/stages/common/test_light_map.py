@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from irgspp.core.stages.common.light_map import LIGHT_SLOPE, light_variation, resized_light
+from irgspp.core.stages.common.light_map import LIGHT_SLOPE, light_variation, resampled_light, resized_light
 
 
 def test_variation_wraps_around_the_seam():
@@ -25,3 +25,12 @@ def test_an_edge_counts_less_than_its_square():
 def test_a_map_grows_and_never_shrinks():
     assert resized_light(torch.ones(8, 16, 3), 32).shape == (32, 64, 3)
     assert resized_light(torch.ones(8, 16, 3), 4).shape == (8, 16, 3)
+
+
+@pytest.mark.parametrize("height", [4, 16])
+def test_a_resampled_map_has_the_rows_asked_for(height):
+    rows = torch.arange(8.0)[:, None, None].expand(8, 16, 3)
+    light = resampled_light(rows, height)
+    assert light.shape == (height, 2 * height, 3) and light.is_contiguous()
+    expected = ((torch.arange(height) + 0.5) * 8 / height - 0.5).clamp(0, 7)
+    torch.testing.assert_close(light[:, 0, 0], expected)
