@@ -32,5 +32,5 @@ Operations without a module at the top are called directly by the module named h
 | closest hits on triangles | `core/relight/triangles.py` | none: Embree | `mesh` | none |
 
 Shared helpers: `cpu/jit.py` (compilation), `cpu/simd.py` and `cpu/reductions.py` (8-wide vectors), `cpu/frame.py` and
-`cpu/harmonics.py`; `warp/runtime.py` (launches) and `warp/harmonics.py`; `reference/compositing.py` and `reference/harmonics.py`.
+`cpu/harmonics.py`; `warp/runtime.py` (launches) and `warp/harmonics.py`; `reference/compositing.py` and `reference/rotations.py`.
 """

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Constants that the CPU kernels, the GPU kernels and the float64 references share, so that all three compute the same model.
 
-Sources: 2DGS (Huang 2024) for the splats, 3DGS (Kerbl 2023) for ALPHA_MIN and the order of the harmonics, Wang 2004 for SSIM,
-COLMAP (Schoenberger 2016) for the bilateral NCC of stereo.
+Those of the spherical harmonics are in `core/scene/spherical_harmonics.py`.
+
+Sources: 2DGS (Huang 2024) for the splats, 3DGS (Kerbl 2023) for ALPHA_MIN, Wang 2004 for SSIM, COLMAP (Schoenberger 2016) for the
+bilateral NCC of stereo.
 """
 
 import numpy as np
@@ -31,20 +33,6 @@ GRAZING = 1e-8  # surfels with (normal . direction)^2 at or below this are misse
 # Columns of a surfel record: centre (3), normal (3), t_u / s_u (3), t_v / s_v (3), opacity, largest rho, and the two scales.
 NORMAL, AXIS_U, AXIS_V, OPACITY, CUT, SCALE_U, SCALE_V, SURFEL_RECORD = 3, 6, 9, 12, 13, 14, 15, 16
 SURFEL_GRADIENTS = 13  # leading columns of a record that have a gradient; in a gradient slot they follow the feature row
-
-# --- real spherical harmonics up to degree 3, in the order and with the signs of 3DGS
-SH_C0 = 0.28209479177387814
-SH_C1 = 0.4886025119029199
-SH_C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
-SH_C3 = (
-    -0.5900435899266435,
-    2.890611442640554,
-    -0.4570457994644658,
-    0.3731763325901154,
-    -0.4570457994644658,
-    1.445305721320277,
-    -0.5900435899266435,
-)
 
 # --- specular lobe
 DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of what is no metal

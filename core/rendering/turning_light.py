@@ -13,11 +13,10 @@ from dataclasses import replace
 
 import torch
 
-from ..kernels.constants import SH_C0
-from ..kernels.reference.harmonics import sh_basis
 from ..scene.dataset import View, light_rotations
 from ..scene.gaussians import Gaussians
 from ..scene.reconstruction import Reconstruction, Reflections
+from ..scene.spherical_harmonics import SH_C0, sh_radiance
 from ..scene.unit_vectors import unit_vectors
 from ..shading.environment_lookup import lookup, texel_directions, to_light_frame
 
@@ -72,8 +71,7 @@ def _seen_from(gaussians: Gaussians, views: Sequence[View]) -> Iterator[tuple[to
     for view in views:
         centre = torch.from_numpy(view.camera.centre).to(gaussians.position)
         towards = unit_vectors(centre[:, None] - gaussians.position)
-        basis = sh_basis(-towards, 3)
-        yield (towards * normal).sum(0), ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0)
+        yield (towards * normal).sum(0), sh_radiance(gaussians.sh, towards)
 
 
 def mean_light(light: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:

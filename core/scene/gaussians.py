@@ -13,10 +13,10 @@ from plyfile import PlyData, PlyElement
 from ..errors import InputError
 from ..io.atomic import atomic_file
 from .gbuffer import CONFIDENCE, SurfaceSamples
+from .spherical_harmonics import SH_C0
 from .unit_vectors import unit_vectors
 
 SH_COEFFICIENTS = 16  # degree 3
-SH_DC = 0.28209479177387814
 ALBEDO, ROUGHNESS, METALLIC = slice(0, 3), 3, 4  # rows of `material`
 MATERIAL = (0.5, 0.5, 0.5, 0.5, 0.02)  # of new surfels: albedo (3), roughness, metallic
 
@@ -115,7 +115,7 @@ def surfels(points: np.ndarray, normals: np.ndarray, colour: np.ndarray, scale: 
     """
     n = len(points)
     sh = torch.zeros(SH_COEFFICIENTS, 3, n)
-    sh[0] = (torch.as_tensor(colour, dtype=torch.float32).T - 0.5) / SH_DC
+    sh[0] = (torch.as_tensor(colour, dtype=torch.float32).T - 0.5) / SH_C0
     log_scale = torch.as_tensor(np.log(np.maximum(scale, 1e-12)), dtype=torch.float32)
     material = torch.logit(torch.tensor(MATERIAL))[:, None].repeat(1, n)
     normal = torch.as_tensor(normals, dtype=torch.float32).T

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.kernels.trace import COLOUR, EXTRA, NORMAL, trace, transmittance
-from irgspp.core.scene.gaussians import SH_DC, Gaussians
+from irgspp.core.scene.gaussians import Gaussians
+from irgspp.core.scene.spherical_harmonics import SH_C0
 from irgspp.core.shading.environment_lookup import lookup
 from irgspp.core.shading.light_distribution import LightDistribution
 from irgspp.core.shading.rendering_equation import reflect_light
@@ -102,7 +103,7 @@ class TracedScene:
         g, m = self.gaussians, self.gaussians.materials().T
         normal = g.normals().T.contiguous()
         points = Points(g.position.T.contiguous(), normal, normal, m[:, :3], m[:, 3], m[:, 4], torch.zeros(g.count))
-        g.sh[0] = (self.shade(points, samples, bounces=0).T - 0.5) / SH_DC
+        g.sh[0] = (self.shade(points, samples, bounces=0).T - 0.5) / SH_C0
 
     def shade(self, points: Points, samples: int, bounces: int) -> torch.Tensor:
         """Return outgoing radiance (P, 3).

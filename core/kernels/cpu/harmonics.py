@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..constants import SH_C0, SH_C1, SH_C2, SH_C3
+from ...scene.spherical_harmonics import SH_C0, SH_C1, SH_C2, SH_C3
 from .jit import helper
 from .simd import splat, store
 

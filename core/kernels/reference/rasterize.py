@@ -6,9 +6,10 @@ from __future__ import annotations
 import torch
 
 from ...scene.camera import Camera
+from ...scene.spherical_harmonics import sh_basis
 from ..constants import ALPHA_MAX, ALPHA_MIN, BEHIND, COSINE_MIN, HORIZON_MIN, LOW_PASS, NEAR
 from .compositing import weights
-from .harmonics import rotation_matrix, sh_basis
+from .rotations import rotation_matrix
 
 
 def rasterize_reference(

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import torch
 
+from ...scene.spherical_harmonics import sh_basis
 from ..constants import ALPHA_MAX, ALPHA_MIN, BEHIND, GRAZING
 from .compositing import weights
-from .harmonics import rotation_matrix, sh_basis
+from .rotations import rotation_matrix
 
 
 def trace_reference(

@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from ..constants import SH_C0, SH_C1, SH_C2, SH_C3
+from ...scene.spherical_harmonics import SH_C0, SH_C1, SH_C2, SH_C3
 
 Basis = wp.types.vector(length=16, dtype=wp.float32)
 _C0, _C1 = wp.constant(SH_C0), wp.constant(SH_C1)

@@ -7,12 +7,12 @@ import numpy as np
 import torch
 
 from ...io.srgb import encode_srgb
-from ...kernels.constants import SH_C0
 from ...rendering.gbuffer import render_gbuffer
 from ...scene.camera import Camera
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...scene.reconstruction import Reconstruction
+from ...scene.spherical_harmonics import SH_C0
 from ...scene.surface import Surface
 
 LONGEST = 256  # pixels along the longer side

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from ...kernels.reference.harmonics import sh_basis
 from ...rendering.turning_light import most_facing_radiance
 from ...scene.dataset import View, light_rotations
-from ...scene.gaussians import ALBEDO, METALLIC, Gaussians
+from ...scene.gaussians import ALBEDO, METALLIC
 from ...scene.reconstruction import Reconstruction
+from ...scene.spherical_harmonics import sh_radiance
 from ...shading.environment_lookup import lookup
 from ...shading.split_sum import diffuse_light
 from ..common.adam import Adam
@@ -32,12 +32,6 @@ ALBEDO_RANGE = (0.03, 0.97)  # of the diffuse albedo that follows from the light
 SMOOTHNESS = 0.02  # weight of the difference of log albedo between neighbours of similar colour
 LIGHT_PRIOR = 1e-3  # weight of the squared difference of the log light from its mean
 LIGHT_RATE, ALBEDO_RATE, FINAL = 0.1, 0.05, 0.1  # learning rates of the logarithms, and factor of both at the end
-
-
-def facing_radiance(gaussians: Gaussians) -> torch.Tensor:
-    """Evaluate the (N, 3) linear SH radiance of each surfel in the direction of its own normal."""
-    basis = sh_basis(-gaussians.normals(), 3)
-    return ((basis[:, None] * gaussians.sh).sum(0) + 0.5).clamp_min(0).T
 
 
 def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequence[View] = ()) -> Reconstruction:
@@ -55,8 +49,10 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequ
     """
     g = reconstruction.gaussians
     # Initial normals face outward, and training turns them by less than 90 degrees.
-    turning = light_rotations(views) is not None
-    seen, normal = most_facing_radiance(g, views) if turning else (facing_radiance(g), g.normals().T)
+    if light_rotations(views) is not None:
+        seen, normal = most_facing_radiance(g, views)
+    else:
+        seen, normal = sh_radiance(g.sh, g.normals()).T, g.normals().T
     diffuse_weight = 1 - g.materials()[METALLIC]
     solid = torch.nonzero(g.opacity.sigmoid() > 0.5)[:, 0]
     if not len(solid):

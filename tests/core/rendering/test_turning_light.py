@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.kernels.constants import SH_C0, SH_C1
 from irgspp.core.rendering.turning_light import mean_light, mean_over_lights, most_facing_radiance
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.spherical_harmonics import SH_C0, SH_C1
 from irgspp.core.shading.environment_lookup import from_light_frame, lookup, texel_directions, to_light_frame
 
 

@@ -14,12 +14,12 @@ import torch
 
 from ....errors import Cancelled
 from ....io.srgb import decode_srgb
-from ....kernels.constants import SH_C0
 from ....kernels.rasterize import EXTRA, rasterize
 from ....progress.protocol import Progress
 from ....scene.dataset import View
 from ....scene.gaussians import Gaussians
 from ....scene.reconstruction import Reconstruction
+from ....scene.spherical_harmonics import SH_C0
 from ....settings.schema import Settings
 from ...common.training_view import TrainingView, make_training_view
 from ..radiance_refit import refit_radiance

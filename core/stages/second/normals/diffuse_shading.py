@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from ....kernels.reference.harmonics import sh_basis
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.dataset import View
+from ....scene.spherical_harmonics import sh_basis
 from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
 from ....shading.split_sum import specular_light, specular_radiance

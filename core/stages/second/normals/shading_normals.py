@@ -18,8 +18,8 @@ import torch
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
-from ....kernels.reference.harmonics import sh_basis
 from ....machine.thread_pool import run_jobs
+from ....scene.spherical_harmonics import sh_basis
 from ....scene.surface import Surface
 from .surface_gradient import SurfaceGradient
 

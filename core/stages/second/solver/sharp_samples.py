@@ -24,13 +24,13 @@ from scipy.spatial import KDTree
 
 from ....io.srgb import encode_srgb
 from ....kernels.rasterize import rasterize
-from ....kernels.reference.harmonics import sh_basis
 from ....rendering.deferred import splat_radiance
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
 from ....scene.dataset import View
-from ....scene.gaussians import METALLIC, Gaussians
+from ....scene.gaussians import METALLIC
 from ....scene.reconstruction import Reconstruction
+from ....scene.spherical_harmonics import sh_radiance
 from .multi_view_samples import MultiViewSamples, sample_images
 from .view_choice import choose_views
 
@@ -61,7 +61,7 @@ def sharp_samples(
     choice = choose_views(position, normal, views, tracer.tree, tracer.offset, random, most=VIEWS, least=1, device=device)
     chosen = torch.from_numpy(choice.chosen).to(device)
     samples = sample_images(position, normal, views, (view.colour for view in views), choice, device)
-    own = sh_radiance(g, chosen[samples.point], samples.view)
+    own = sh_radiance(g.sh[:, :, chosen[samples.point]], samples.view.T).T.contiguous()
     if mirrored is None:
         return replace(samples, colour=own)
     images = (sh_image(reconstruction, view.camera, subpixels) for view in views)
@@ -95,18 +95,3 @@ def sh_image(reconstruction: Reconstruction, camera: Camera, subpixels: int) -> 
     parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, none)
     sums, _ = rasterize(*parameters, camera, reconstruction.bound.radius, subpixels=subpixels)
     return encode_srgb(splat_radiance(sums)).permute(1, 2, 0).cpu().numpy()
-
-
-def sh_radiance(gaussians: Gaussians, index: torch.Tensor, view: torch.Tensor) -> torch.Tensor:
-    """Evaluate the SH of Gaussians.
-
-    Args:
-        gaussians: all Gaussians.
-        index: (K,) Gaussians to evaluate.
-        view: (K, 3) unit directions towards the camera.
-
-    Returns:
-        (K, 3) linear radiance.
-    """
-    basis = sh_basis(-view.T, 3)
-    return ((basis[:, None] * gaussians.sh[:, :, index]).sum(0) + 0.5).clamp_min(0).T.contiguous()

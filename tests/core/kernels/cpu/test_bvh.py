@@ -8,7 +8,7 @@ import pytest
 import torch
 from irgspp.core.kernels.constants import ALPHA_MIN, CUT
 from irgspp.core.kernels.cpu.bvh import LEAF, NODE, SurfelTree
-from irgspp.core.kernels.reference.harmonics import rotation_matrix
+from irgspp.core.kernels.reference.rotations import rotation_matrix
 
 
 def surfels(n, seed=0, size=0.1):

@@ -7,9 +7,10 @@ import torch
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import ALBEDO
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.spherical_harmonics import sh_radiance
 from irgspp.core.shading.environment_lookup import lookup, texel_directions
 from irgspp.core.shading.split_sum import diffuse_light
-from irgspp.core.stages.first.initial_light_albedo import estimate_light_albedo, facing_radiance
+from irgspp.core.stages.first.initial_light_albedo import estimate_light_albedo
 
 DARK, BRIGHT = np.array([0.2, 0.3, 0.4]), np.array([0.6, 0.6, 0.6])
 COUNT = 3000
@@ -52,7 +53,7 @@ def test_two_paints_keep_their_ratio(splat_sphere, bright):
 
 def test_albedo_times_light_is_what_was_seen(splat_sphere, bright):
     given = painted(splat_sphere, bright)
-    seen = facing_radiance(given.gaussians)
+    seen = sh_radiance(given.gaussians.sh, given.gaussians.normals()).T
     result = estimate_light_albedo(given, seed=0)
     irradiance = lookup(diffuse_light(result.environment), result.gaussians.normals().T)
     share = 1 - result.gaussians.materials()[4][:, None]

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.kernels.reference.harmonics import sh_basis
+from irgspp.core.scene.spherical_harmonics import sh_basis
 from irgspp.core.stages.second.normals.diffuse_shading import mean_diffuse_radiance, point_irradiance
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples

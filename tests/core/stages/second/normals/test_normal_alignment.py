@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.kernels.reference.harmonics import rotation_matrix
+from irgspp.core.kernels.reference.rotations import rotation_matrix
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.scene.surface import Surface
 from irgspp.core.stages.second.normals.normal_alignment import align_normals, follow_normals, product, shortest_turn

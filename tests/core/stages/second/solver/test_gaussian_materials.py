@@ -12,8 +12,8 @@ import trimesh
 from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound, View
-from irgspp.core.scene.gaussians import SH_DC
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.spherical_harmonics import SH_C0
 from irgspp.core.scene.surface import Surface
 from irgspp.core.shading.brdf import base_reflectance
 from irgspp.core.shading.specular_albedo import diffuse_fraction, specular_albedo
@@ -76,7 +76,7 @@ def reconstruction(splat_sphere, glossy):
     albedo, metallic = materials(position)
     rough = torch.full_like(metallic, ROUGHNESS)
     radiance = SKY * albedo * diffuse_fraction(torch.ones_like(rough), rough)[:, None] if glossy else shown(position, position)
-    sphere.sh[0] = (torch.as_tensor(radiance).float().T - 0.5) / SH_DC
+    sphere.sh[0] = (torch.as_tensor(radiance).float().T - 0.5) / SH_C0
     sphere.material = torch.logit(torch.cat([albedo.T, rough[None], metallic[None]]).float().clamp(EDGE, 1 - EDGE))
     hidden = sphere.select(torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE])
     hidden.position *= 0.8

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from irgspp.core.kernels.cpu.bvh import SurfelTree
-from irgspp.core.kernels.trace import COLOUR, trace
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound, View
-from irgspp.core.scene.gaussians import METALLIC, SH_DC
+from irgspp.core.scene.gaussians import METALLIC
 from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.stages.second.solver.sharp_samples import sh_image, sh_radiance, sharp_samples
+from irgspp.core.scene.spherical_harmonics import SH_C0
+from irgspp.core.stages.second.solver.sharp_samples import sh_image, sharp_samples
 
 COUNT = 4000
 
@@ -25,7 +24,7 @@ def patterned(splat_sphere, request):
     first = torch.rand(COUNT, 1, generator=torch.Generator().manual_seed(0)) > 0.5
     pair = ((0.6, 0.2, 0.1), (0.1, 0.2, 0.6)) if pigment else ((0.6, 0.6, 0.6), (0.2, 0.2, 0.2))
     colour = torch.where(first, *(torch.tensor(values) for values in pair))
-    sphere.sh[0] = (colour.T - 0.5) / SH_DC
+    sphere.sh[0] = (colour.T - 0.5) / SH_C0
     sphere.material = torch.logit(torch.tensor([0.5, 0.5, 0.5, 0.4, 0.01]))[:, None].repeat(1, COUNT)
     return Reconstruction(sphere, torch.full((8, 16, 3), 0.5), Bound((0, 0, 0), 1.0), np.eye(4), glossy=True), colour, pigment
 
@@ -65,17 +64,3 @@ def test_sh_that_hold_all_radiance_are_the_colour(patterned, camera_ring):
     scene, colour, _ = patterned
     samples = sampled(replace(scene, glossy=False), camera_ring(12, 32), 0.1)
     torch.testing.assert_close(samples.colour, colour[gaussians_of(samples, scene)], atol=1e-5, rtol=0)
-
-
-def test_sh_are_what_a_ray_at_the_surfel_sees(some_gaussians):
-    g = some_gaussians(30, 0)
-    index = torch.tensor([3, 3, 29, 0, 17, 8])
-    view = torch.nn.functional.normalize(torch.randn(6, 3, generator=torch.Generator().manual_seed(1)), dim=1)
-    actual = sh_radiance(g, index, view)
-    assert (actual >= 0).all() and (actual == 0).any() and (actual > 0).any()
-    for k, i in enumerate(index):
-        one = g.select(i[None])
-        parameters = (one.position, one.quaternion, one.log_scale, torch.full((1,), 3.0))
-        origin = one.position.T + 5 * view[k]
-        sums = trace(*parameters, one.sh, torch.zeros(0, 1), origin, -view[k : k + 1], SurfelTree.build(*parameters))[0]
-        np.testing.assert_allclose(actual[k], sums[COLOUR] / sums[-1], atol=1e-5)
