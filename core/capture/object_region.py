@@ -183,9 +183,8 @@ def _distances(clusters: _Clusters, first: int, step: float) -> np.ndarray:
 def _centrality(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return (N,) in 0..1, how near to the image's centre points are: 1 in the centre, 0 outside."""
     pixel, depth = camera.project(points)
-    inside = (depth > 0) & (pixel > 0).all(1) & (pixel < (camera.width, camera.height)).all(1)
     off = np.linalg.norm(pixel - (camera.width / 2, camera.height / 2), axis=1) / (CENTRAL * min(camera.width, camera.height) / 2)
-    return np.where(inside, np.exp(-0.5 * np.minimum(off, 40) ** 2), 0)
+    return np.where(camera.in_image(pixel, depth), np.exp(-0.5 * np.minimum(off, 40) ** 2), 0)
 
 
 def _inside(clusters: _Clusters, corner: np.ndarray, step: float, sphere: Bound) -> np.ndarray | None:
@@ -217,8 +216,7 @@ def _framed(region: ObjectRegion, cameras: Sequence[Camera], most: float) -> boo
     points = region.points()
     shown, border = [], []
     for camera in cameras:
-        pixel, depth = camera.project(points)
-        shown.append(float(((depth > 0) & (pixel > 0).all(1) & (pixel < (camera.width, camera.height)).all(1)).mean()))
+        shown.append(float(camera.in_image(*camera.project(points)).mean()))
         image = projected_voxels(camera.resized(SMALL, SMALL), points, region.step)[INSET:-INSET, INSET:-INSET]
         border.append(float(np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]).mean()))
     return float(np.mean(shown)) > FRAMED and float(np.mean(border)) < most

@@ -8,7 +8,7 @@ like colours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import cv2
@@ -139,8 +139,7 @@ def _frame(cameras: Sequence[Camera], plane: SupportPlane, bound: Bound) -> tupl
 
 def _projection(camera: Camera) -> np.ndarray:
     """Return the (3, 4) matrix from homogeneous world points to (column, row, 1) times depth, with whole numbers at pixel centres."""
-    intrinsics = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1.0]])
-    return intrinsics @ camera.world_to_cv[:3]
+    return replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5).projection
 
 
 def _in_front(to_texel: np.ndarray, height: int, width: int) -> np.ndarray:

@@ -13,7 +13,6 @@ from ..kernels.cpu.jit import kernel
 from ..machine.thread_pool import even_ranges, run_jobs, run_ranges, thread_count
 from ..scene.camera import Camera
 from ..scene.dataset import Bound
-from ..stereo.depth_map import camera_matrices
 from .support_plane import SupportPlane
 
 COARSE = 40  # cells along the bound's diameter
@@ -72,7 +71,7 @@ class SoftHull:
             own: its index among the masks.
         """
         image = np.zeros((camera.height, camera.width), np.float32)
-        matrix, mask = camera_matrices(camera)[0], self.masks[own]
+        matrix, mask = camera.projection, self.masks[own]
         for level in self.levels:
             misses, views = level.misses, level.views
             if mask is not None and self.weights[own] > 0:
@@ -154,7 +153,7 @@ def _voted(centres: np.ndarray, step: float, cameras: Sequence[Camera], masks: S
     ranges = even_ranges(len(centres), thread_count())
     for camera, mask, weight in zip(cameras, masks, weights, strict=True):
         if mask is not None and weight > 0 and ranges:
-            matrix = camera_matrices(camera)[0]
+            matrix = camera.projection
             run_ranges(_add_votes, ranges, centres, matrix, mask, np.float32(weight), _closed(mask), misses, views)
     return _Voxels(centres, step, misses, views)
 
@@ -208,7 +207,7 @@ def _splat(centres, reach, matrix, value, image):
 def projected_voxels(camera: Camera, centres: np.ndarray, step: float) -> np.ndarray:
     """Return (H, W) float32, 1 where a camera sees one of the cubes with centres (N, 3) and a side in world units, else 0."""
     image = np.zeros((camera.height, camera.width), np.float32)
-    _splat(centres, np.float32(0.5 * step * camera.fx), camera_matrices(camera)[0], np.ones(len(centres), np.float32), image)
+    _splat(centres, np.float32(0.5 * step * camera.fx), camera.projection, np.ones(len(centres), np.float32), image)
     return image
 
 

@@ -119,7 +119,7 @@ def bound_of_points(cameras: Sequence[Camera], points: np.ndarray) -> Bound | No
     target = find_look_at_point(cameras)
     seen = np.zeros(len(points))
     for camera in cameras:
-        seen += _in_image(camera, *camera.project(points))
+        seen += camera.in_image(*camera.project(points))
     framed = min(FRAME_MARGIN * bound_of_cameras(cameras).radius, 0.8 * target.distance)
     near = points[(seen >= 0.5 * len(cameras)) & (np.linalg.norm(points - target.point, axis=-1) < framed)]
     if not target.reliable or len(near) < 20:
@@ -185,7 +185,7 @@ def _carve(points: np.ndarray, cell: float, views: list[tuple[Camera, np.ndarray
     seen, outside = np.zeros(len(points)), np.zeros(len(points))
     for camera, mask in views:
         pixel, depth = camera.project(points)
-        visible = _in_image(camera, pixel, depth)
+        visible = camera.in_image(pixel, depth)
         scale = mask.shape[1] / camera.width
         # A cell counts as inside if any part of its image is, so that thin parts survive a coarse grid.
         reach = 0.87 * cell * camera.fx * scale / max(float(np.median(depth)), 1e-9)
@@ -194,7 +194,7 @@ def _carve(points: np.ndarray, cell: float, views: list[tuple[Camera, np.ndarray
         column, row = (np.clip(pixel * scale, 0, (wide.shape[1] - 1, wide.shape[0] - 1))).astype(np.int32).T
         informed = visible | _shows_whole_object(mask)
         seen += informed
-        outside += informed & ~(_in_image(camera, pixel, depth, reach / scale) & (wide[row, column] > 0))
+        outside += informed & ~(camera.in_image(pixel, depth, reach / scale) & (wide[row, column] > 0))
     needed = max(2.0, len(views) / 3)
     tolerant = (seen >= needed) & (outside <= np.floor(MISSES * seen))
     # The few views from below alone bound the hull there, so misses are tolerated only where masks do contradict each other.
@@ -213,12 +213,6 @@ def _shows_whole_object(mask: np.ndarray) -> bool:
     """Return True where a mask (h, w) is neither empty nor reaches the image's border: the object is inside the image."""
     border = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
     return bool(mask.any() and not border)
-
-
-def _in_image(camera: Camera, pixel: np.ndarray, depth: np.ndarray, margin: float = 0.0) -> np.ndarray:
-    """Return (N,) bool, True for projected points in front of the camera and inside its image, or at most `margin` pixels outside."""
-    x, y = pixel[:, 0], pixel[:, 1]  # reductions over an axis of two are several times slower
-    return (depth > 0) & (x >= -margin) & (y >= -margin) & (x < camera.width + margin) & (y < camera.height + margin)
 
 
 def _sphere(centre: np.ndarray, radius: float, cameras: Sequence[Camera]) -> Bound:

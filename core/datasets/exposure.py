@@ -79,13 +79,13 @@ def point_colours(views: Sequence[View], points: PointCloud, seen: np.ndarray | 
 def _log_colours(view: View, points: np.ndarray, visible: np.ndarray | None) -> np.ndarray:
     """Return the log linear colours (P, 3) of a photograph at points (P, 3), NaN as in `point_colours`."""
     pixel, depth = view.camera.project(points)
-    column, row = np.floor(pixel).astype(int).T
-    inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
+    inside = view.camera.in_image(pixel, depth)
     found = np.flatnonzero(inside if visible is None else inside & visible)
-    colour = view.colour[row[found], column[found]]
+    column, row = pixel[found].astype(int).T
+    colour = view.colour[row, column]
     usable = ((colour > DARKEST) & (colour < BRIGHTEST)).all(1)
     if view.alpha is not None:
-        usable &= view.alpha[row[found], column[found]] > OPAQUE
+        usable &= view.alpha[row, column] > OPAQUE
     logs = np.full((len(points), 3), np.nan)
     logs[found[usable]] = np.log(decode_srgb(colour[usable].astype(np.float64)))
     return logs

@@ -66,6 +66,16 @@ class Camera:
         """World to camera (4, 4) in OpenCV's axes: +X right, +Y down, +Z into the scene."""
         return GL_TO_CV @ np.linalg.inv(self.to_world)
 
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """Matrix (3, 3) float64 from points in OpenCV's axes to (u d, v d, d), with pixel centres at .5 and d the planar depth."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def projection(self) -> np.ndarray:
+        """Matrix (3, 4) float64 from world points (x, y, z, 1) to (u d, v d, d): the intrinsics times the world's pose."""
+        return self.intrinsics @ self.world_to_cv[:3]
+
     def rays(self) -> np.ndarray:
         """Return the rays (H, W, 3) float32 through the pixel centres in the world; centre + depth * ray is the point at a planar depth."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
@@ -85,6 +95,20 @@ class Camera:
         depth = p[:, 2]
         z = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
         return np.stack([p[:, 0] / z * self.fx + self.cx, p[:, 1] / z * self.fy + self.cy], -1), depth
+
+    def in_image(self, pixel: np.ndarray, depth: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """Find the projected points in front of the camera and inside its image, or hardly outside.
+
+        Args:
+            pixel: (N, 2) coordinates, as of `project`.
+            depth: (N,) planar depths, as of `project`.
+            margin: pixels outside the image up to which points count; inside it from which they don't, where it is negative.
+
+        Returns:
+            (N,) bool, True for these points, also where something hides them.
+        """
+        x, y = pixel[:, 0], pixel[:, 1]  # reductions over an axis of two are several times slower
+        return (depth > 0) & (x >= -margin) & (y >= -margin) & (x < self.width + margin) & (y < self.height + margin)
 
     def resized(self, width: int, height: int) -> Camera:
         """Return the same camera for an image of another size.

@@ -29,7 +29,7 @@ def depth_bounds(cameras: Sequence[Camera], points: PointCloud | None, bound: Bo
         low, high = max(depth - 1.1 * radius, 0.05 * abs(depth)), depth + 4 * radius
         if points is not None:
             pixel, depths = camera.project(points.position.astype(np.float64))
-            inside = (depths > 0) & (pixel >= 0).all(1) & (pixel < (camera.width, camera.height)).all(1)
+            inside = camera.in_image(pixel, depths)
             if inside.sum() >= FEWEST:
                 low, high = np.quantile(depths[inside], [0.01, 0.99]) * RANGE
         nearest.append(float(low))

@@ -40,10 +40,9 @@ def camera_matrices(camera: Camera) -> np.ndarray:
 
     The first maps a world point (x, y, z, 1) to (u d, v d, d) with d the planar depth; the second maps (u d, v d, d, 1) to the point.
     """
-    inner = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
     back = (camera.to_world @ GL_TO_CV)[:3].copy()
-    back[:, :3] = back[:, :3] @ np.linalg.inv(inner)
-    return np.stack([inner @ camera.world_to_cv[:3], back])
+    back[:, :3] = back[:, :3] @ np.linalg.inv(camera.intrinsics)
+    return np.stack([camera.projection, back])
 
 
 def cv_rotation(camera: Camera) -> np.ndarray:

@@ -140,7 +140,7 @@ def _uniform_depths(bounds: Bounds, rng: np.random.Generator) -> np.ndarray:
 def _depths_of_points(camera: Camera, searched: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return for each searched pixel the depth of one of the points that are nearest in the image, (H, W); 0 where no point is seen."""
     pixels, z = camera.project(points)
-    inside = (z > 0) & (pixels > 0).all(-1) & (pixels[:, 0] < camera.width) & (pixels[:, 1] < camera.height)
+    inside = camera.in_image(pixels, z)
     depth = np.zeros(searched.shape)
     if inside.sum() >= NEIGHBOURS and searched.any():
         rows, columns = np.nonzero(searched)

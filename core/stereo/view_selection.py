@@ -31,7 +31,7 @@ def choose_sources(cameras: Sequence[Camera], points: np.ndarray, count: int) ->
     Returns:
         Indices of each view's sources, the best first; empty for a view that shares no points with others.
     """
-    visible = np.stack([_visible(camera, points) for camera in cameras])
+    visible = np.stack([camera.in_image(*camera.project(points)) for camera in cameras])  # what hides points is neglected
     scores, seen = _scores(cameras, points, visible), visible.sum(-1)
     chosen = []
     for i, row in enumerate(scores):
@@ -65,12 +65,6 @@ def choose_witnesses(sources: Sequence[Sequence[int]], most: int) -> list[tuple[
     """
     back = [[j for j, own in enumerate(sources) if i in own and j not in sources[i]] for i in range(len(sources))]
     return [tuple([*own, *others][:most]) for own, others in zip(sources, back, strict=True)]
-
-
-def _visible(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return (P,) bool: True where a point is in front of the camera and in its image; what hides it is neglected."""
-    pixels, depth = camera.project(points)
-    return (depth > 0) & (pixels > 0).all(-1) & (pixels[:, 0] < camera.width) & (pixels[:, 1] < camera.height)
 
 
 def _angle_score(cosine: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray
     ranges = even_ranges(len(grid.active), 4 * thread_count())
     truncation = TRUNCATION * grid.voxel
     for done, view in enumerate(views):
-        layers = projection(view), *plane_layers(view, grid.voxel)
+        layers = view.camera.projection, *plane_layers(view, grid.voxel)
         run_ranges(integrate, ranges, grid.active, grid.origin, grid.voxel, truncation, *layers, total, weight, free)
         progress.step(done + 1)
     carved = free & (weight < CARVED)
@@ -53,13 +53,6 @@ def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray
         run_ranges(relax, ranges, grid.active, table, SMOOTHNESS, total, weight, distance, relaxed)
         distance = relaxed
     return distance
-
-
-def projection(view: GBuffer) -> np.ndarray:
-    """Return the (3, 4) float64 matrix from world points to (u z, v z, z), pixel centres at .5, z planar depth."""
-    camera = view.camera
-    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
-    return np.ascontiguousarray(intrinsics @ camera.world_to_cv[:3])
 
 
 def plane_layers(view: GBuffer, voxel: float) -> tuple[np.ndarray | float, ...]:

@@ -12,7 +12,6 @@ from scipy.spatial import KDTree
 from ..kernels.cpu.jit import kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.gbuffer import GBuffer, SurfaceSamples
-from .fusion import projection
 
 FACING = 0.2  # least cosine between normal and view direction of a view that counts
 NEAREST = 8  # Gaussians that are averaged where no view sees a point
@@ -78,7 +77,7 @@ def fuse_materials(
             points,
             normals,
             view.camera.centre,
-            projection(view),
+            view.camera.projection,
             voxel,
             pixel,
             depth,

@@ -42,7 +42,7 @@ def plane_homography(reference: Camera, source: Camera, pixel: np.ndarray, depth
         depth: planar depth of the plane there.
         normal: (3,) unit normal in the reference's OpenCV axes.
     """
-    inner = [np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]]) for c in (reference, source)]
+    inner = reference.intrinsics, source.intrinsics
     relative = source.world_to_cv @ np.linalg.inv(reference.world_to_cv)
     point = depth * (np.linalg.inv(inner[0]) @ [*pixel, 1.0])
     motion = relative[:3, :3] + np.outer(relative[:3, 3], normal) / (normal @ point)

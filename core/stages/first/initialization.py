@@ -40,9 +40,9 @@ def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) 
         pixel, depth = view.camera.project(points)
         to_camera = view.camera.centre - points
         cosine = (to_camera * normals).sum(1) / np.linalg.norm(to_camera, axis=1)
-        column, row = np.floor(pixel).astype(int).T
-        visible = (depth > 0) & (cosine > FACING) & (column >= 0) & (row >= 0) & (column < view.camera.width) & (row < view.camera.height)
-        total[visible] += cosine[visible, None] * view.colour[row[visible], column[visible]]
+        visible = view.camera.in_image(pixel, depth) & (cosine > FACING)
+        column, row = pixel[visible].astype(int).T
+        total[visible] += cosine[visible, None] * view.colour[row, column]
         weight[visible] += cosine[visible, None]
     return decode_srgb(np.where(weight > 1e-6, total / weight, 0.5)).astype(np.float32)
 

@@ -296,6 +296,6 @@ def in_free_space(points: OrientedPoints, maps: Sequence[DepthMap], nearest: Seq
 def _in_view(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return which points (N, 3) project into a camera's image, (N,) bool, and row, column and depth of these K, (K,) each."""
     pixel, depth = camera.project(points)
-    column, row = np.floor(pixel).astype(int).T
-    inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-    return inside, row[inside], column[inside], depth[inside]
+    inside = camera.in_image(pixel, depth)
+    column, row = pixel[inside].astype(int).T
+    return inside, row, column, depth[inside]

@@ -48,13 +48,6 @@ def carve_range(begin, end, corner, step, shape, matrix, alpha, inside):
                 inside[i, j, k] = min(inside[i, j, k], top * (1.0 - fv) + bottom * fv)
 
 
-def _projection(view: View) -> np.ndarray:
-    """Return the (3, 4) float32 matrix from world points to (u z, v z, z), pixel centres at .5."""
-    c = view.camera
-    intrinsics = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]])
-    return (intrinsics @ c.world_to_cv[:3]).astype(np.float32)
-
-
 @dataclass(frozen=True, eq=False)
 class VisualHull:
     """Voxels of the visual hull.
@@ -148,7 +141,7 @@ def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, c
     shape = np.maximum(np.ceil((high - low) / step).astype(int) + 1, 3)
     inside = np.full(shape, UNSEEN, np.float32)
     for view in views:
-        arrays = (low.astype(np.float32), np.float32(step), shape, _projection(view), widest_mask(view))
+        arrays = (low.astype(np.float32), np.float32(step), shape, view.camera.projection.astype(np.float32), widest_mask(view))
         run_ranges(carve_range, even_ranges(shape[0], thread_count()), *arrays, inside)
     x, y, z = ((low[i] + step * np.arange(shape[i]) - bound.centre[i]) ** 2 for i in range(3))
     # The corners of the box lie outside the bound and often outside every image, where nothing carves them.

@@ -37,6 +37,30 @@ def test_points_behind_have_negative_depth(camera):
     assert camera.project((camera.centre - camera.forward)[None])[1] == pytest.approx(-1)
 
 
+def test_the_projection_matrix_projects(camera):
+    points = RANDOM.uniform(-1, 1, (20, 3))
+    pixel, depth = camera.project(points)
+    x, y, d = camera.projection @ np.concatenate([points, np.ones((20, 1))], 1).T
+    np.testing.assert_allclose(d, depth, atol=1e-12)
+    np.testing.assert_allclose(np.stack([x / d, y / d], 1), pixel, atol=1e-9)
+
+
+def test_points_inside_the_image_are_those_of_its_pixels(camera):
+    pixel = np.array([[0, 0], [30.99, 16.99], [31, 5], [5, 17], [-0.01, 5], [5, -0.01], [5, 5]])
+    depth = np.array([1, 1, 1, 1, 1, 1, -1.0])
+    assert camera.in_image(pixel, depth).tolist() == [True, True] + 5 * [False]
+    assert camera.in_image(pixel, depth, margin=1).tolist() == 6 * [True] + [False]
+    assert not camera.in_image(pixel, depth, margin=-0.5)[:2].any()
+
+
+def test_a_cropped_camera_sees_the_same(camera):
+    points = camera.centre + camera.rays().reshape(-1, 3)
+    cropped = camera.cropped(4, 3, 10, 8)
+    assert (cropped.width, cropped.height) == (10, 8)
+    np.testing.assert_array_equal(cropped.rays(), camera.rays()[3:11, 4:14])
+    assert np.allclose(cropped.project(points)[0], camera.project(points)[0] - (4, 3))
+
+
 def test_a_resized_camera_sees_the_same(camera):
     points = camera.centre + camera.rays().reshape(-1, 3)
     assert np.allclose(camera.resized(62, 51).project(points)[0], camera.project(points)[0] * [2, 3])

@@ -62,7 +62,7 @@ def test_integrate_equals_plain_loops(solids, camera_ring, bound):
     shape, truncation = (len(grid.active), BLOCK**3), fusion.TRUNCATION * grid.voxel
     total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool)
     for view in views:
-        layers = fusion.projection(view), *fusion.plane_layers(view, grid.voxel)
+        layers = view.camera.projection, *fusion.plane_layers(view, grid.voxel)
         fusion.integrate(0, len(grid.active), grid.active, grid.origin, grid.voxel, truncation, *layers, total, weight, free)
     points = centres(grid)
     for b, i in zip(rng.integers(0, shape[0], 600), rng.integers(0, shape[1], 600), strict=True):
