@@ -60,9 +60,23 @@ class Surface:
         """
         corners = self.vertices[self.faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        pick = random.choice(len(area), count, p=area / area.sum())
-        r, s = np.sqrt(random.random(count)), random.random(count)
-        weight = np.stack([1 - r, r * (1 - s), r * s], 1)[..., None]
+        pick, weight = draw_on_triangles(area, count, random)
         normal = (self.normals[self.faces[pick]] * weight).sum(1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         return (corners[pick] * weight).sum(1).astype(np.float32), normal.astype(np.float32)
+
+
+def draw_on_triangles(area: np.ndarray, count: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Draw points uniformly by area on triangles.
+
+    Args:
+        area: (F,) areas of the triangles >= 0, not all 0, in any unit.
+        count: number of points.
+        random: generator of the draws.
+
+    Returns:
+        The triangle of each point (count,), and the weights of its three corners (count, 3, 1), >= 0 with sum 1.
+    """
+    pick = random.choice(len(area), count, p=area / area.sum())
+    r, s = np.sqrt(random.random(count)), random.random(count)
+    return pick, np.stack([1 - r, r * (1 - s), r * s], 1)[..., None]

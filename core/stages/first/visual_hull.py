@@ -17,6 +17,7 @@ from ...kernels.cpu.jit import kernel
 from ...machine.thread_pool import even_ranges, run_ranges, thread_count
 from ...scene.camera import Camera
 from ...scene.dataset import Bound, View
+from ...scene.surface import draw_on_triangles
 from ..common.mask_band import widest_mask
 
 GRID = 96  # cells along the longest side of the hull
@@ -80,10 +81,8 @@ class VisualHull:
         triangles = self.triangles()
         edges = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         area = 0.5 * np.linalg.norm(edges, axis=1)
-        pick = rng.choice(len(triangles), count, p=area / area.sum())
-        r1, r2 = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-        a, b, c = triangles[pick, 0], triangles[pick, 1], triangles[pick, 2]
-        points = (1 - r1) * a + r1 * (1 - r2) * b + r1 * r2 * c
+        pick, weight = draw_on_triangles(area, count, rng)
+        points = (triangles[pick] * weight).sum(1)
         flat = edges[pick] / np.maximum(2 * area[pick, None], 1e-20)
         return points, self._normals(points, flat), float(area.sum())
 

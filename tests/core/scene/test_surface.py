@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.scene.surface import Surface
+from irgspp.core.scene.surface import Surface, draw_on_triangles
 
 VERTICES = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 5], [1, 0, 5], [0, 1, 5]], float)
 NORMALS = np.array([[0, 0, 1], [0.6, 0, 0.8], [0, 0, 1], [0, 0, -1], [0, 0, -1], [0, 0, -1]], float)
@@ -34,6 +34,14 @@ def test_samples_lie_on_the_triangles_with_normals_between_the_corners(surface):
     expected = np.stack([0.6 * weight, 0 * weight, 1 - 0.2 * weight], 1)
     expected = np.where(position[:, 2:] < 1, expected / np.linalg.norm(expected, axis=1, keepdims=True), [0, 0, -1])
     np.testing.assert_allclose(normal, expected, atol=1e-6)
+
+
+def test_points_are_drawn_on_triangles_by_area():
+    pick, weight = draw_on_triangles(np.array([1.0, 0.0, 3.0]), 10_000, np.random.default_rng(0))
+    assert (np.bincount(pick, minlength=3) / 10_000).tolist() == pytest.approx([0.25, 0, 0.75], abs=0.02)
+    assert weight.shape == (10_000, 3, 1) and (weight >= 0).all()
+    np.testing.assert_allclose(weight.sum(1), 1, atol=1e-12)
+    np.testing.assert_allclose(weight.mean(0)[:, 0], 1 / 3, atol=0.01)
 
 
 def test_samples_depend_on_the_generator_alone(surface):
