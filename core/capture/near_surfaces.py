@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from ..io.srgb import decode_srgb
 from ..scene.dataset import Bound
 from ..scene.surroundings import Surroundings
-from ..scene.unique_rows import unique_rows
+from ..scene.voxel_means import voxel_means
 from ..stereo.fusion import OrientedPoints
 from .support_plane import SupportPlane
 
@@ -54,12 +54,10 @@ def _averaged(points: OrientedPoints, size: float) -> tuple[np.ndarray, np.ndarr
     """Average points in voxels; returns positions, unit normals and linear colours (M, 3)."""
     if not len(points.position):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
-    _, group = unique_rows(np.floor(points.position / size).astype(np.int64), return_inverse=True)
-    count = np.bincount(group)
-    mean = lambda a: np.stack([np.bincount(group, c) / count for c in a.T], 1)  # noqa: E731
-    normal = mean(points.normal)
+    cells = np.floor(points.position / size).astype(np.int64)
+    (position, normal, colour), _ = voxel_means(cells, (points.position, points.normal, decode_srgb(points.colour)))
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    return mean(points.position), normal, mean(decode_srgb(points.colour))
+    return position, normal, colour
 
 
 def _plane_grid(plane: SupportPlane, centre: np.ndarray, reach: float, spacing: float) -> np.ndarray:

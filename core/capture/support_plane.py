@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from ..scene.camera import Camera
+from ..scene.voxel_means import voxel_means
 from .dense_points import DensePoints
 
 HYPOTHESES = 400  # planes through one point with its normal
@@ -116,10 +117,8 @@ def _near_points(dense: DensePoints) -> _Scene:
     position, normal = points.position[reach < REACH * dense.distance].astype(np.float64), points.normal[reach < REACH * dense.distance]
     if not len(position):
         return _Scene(position, normal, np.empty(0), 0.0)
-    voxel = np.floor((position - position.min(0)) / (VOXEL * dense.pixel)).astype(np.int64)
-    _, group = np.unique(np.ravel_multi_index(tuple(voxel.T), tuple(voxel.max(0) + 1)), return_inverse=True)
-    count = np.bincount(group)
-    position, normal = (np.stack([np.bincount(group, c) / count for c in a.T], 1) for a in (position, normal))
+    cells = np.floor((position - position.min(0)) / (VOXEL * dense.pixel)).astype(np.int64)
+    (position, normal), _ = voxel_means(cells, (position, normal))
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     weight = 1 / (1 + (np.linalg.norm(position - dense.target, axis=1) / (NEAR * dense.distance)) ** 2)
     return _Scene(position, normal, weight, TOLERANCE * dense.pixel)

@@ -11,9 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 from ...rendering.turning_light import most_facing_radiance
 from ...scene.dataset import View, light_rotations
@@ -24,6 +22,7 @@ from ...shading.environment_lookup import lookup
 from ...shading.split_sum import diffuse_light
 from ..common.adam import Adam
 from ..common.light_map import resampled_light
+from ..common.nearest_neighbours import nearest_neighbours
 
 LIGHT_HEIGHT = 16  # rows of the fitted light map
 STEPS = 200  # of Adam: half of them fit the light under a constant albedo, the others both
@@ -71,8 +70,7 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequ
 
 def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
     """Fit a (16, 32, 3) light to radiance `seen` (N, 3): with constant albedo first, then jointly with a smooth albedo."""
-    _, nearest = KDTree(position.numpy()).query(position.numpy(), k=5)
-    neighbours = torch.from_numpy(np.asarray(nearest)[:, 1:])
+    neighbours = nearest_neighbours(position, position, 5)[:, 1:]
     similarity = torch.exp(-10 * (seen[:, None] - seen[neighbours]).abs().sum(-1))
     log_light = torch.full((LIGHT_HEIGHT, 2 * LIGHT_HEIGHT, 3), math.log(2 * float(seen.mean()) + 1e-3), requires_grad=True)
     log_albedo = torch.full_like(seen, math.log(0.5)).requires_grad_()

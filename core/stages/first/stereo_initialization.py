@@ -16,6 +16,7 @@ from ...scene.camera import Camera
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.gaussians import Gaussians
 from ...scene.unique_rows import unique_rows
+from ...scene.voxel_means import voxel_means
 from ...stereo.depth_bounds import depth_bounds
 from ...stereo.depth_map import DepthMap
 from ...stereo.estimation import Depths, estimate_depth_maps
@@ -241,13 +242,10 @@ def thinned(points: OrientedPoints, count: int) -> OrientedPoints:
             low = middle
         else:
             high = middle
-    _, group = unique_rows(_voxels(points.position, high), return_inverse=True)
-    weight = np.bincount(group, points.support)
-    average = lambda a: np.stack([np.bincount(group, points.support * c) / weight for c in a.T], 1)  # noqa: E731
-    normal = average(points.normal)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    position, normal, colour = (a.astype(np.float32) for a in (average(points.position), normal, average(points.colour)))
-    return OrientedPoints(position, normal, colour, weight.astype(np.int32))
+    means, support = voxel_means(_voxels(points.position, high), (points.position, points.normal, points.colour), points.support)
+    means[1] /= np.maximum(np.linalg.norm(means[1], axis=1, keepdims=True), 1e-9)
+    position, normal, colour = (mean.astype(np.float32) for mean in means)
+    return OrientedPoints(position, normal, colour, support.astype(np.int32))
 
 
 def _voxels(points: np.ndarray, size: float) -> np.ndarray:

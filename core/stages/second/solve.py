@@ -14,7 +14,6 @@ from functools import partial
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 from ...errors import IrgsppError
 from ...progress.protocol import Checkpoint, Progress
@@ -25,6 +24,7 @@ from ...scene.surface import Surface
 from ...settings.schema import Settings
 from ...surface.extraction import coarser
 from ..common.finite_check import require_finite
+from ..common.nearest_neighbours import nearest_neighbours
 from ..common.time_budget import scaled_iterations
 from .joint.solve import optimise_jointly, refine_jointly
 from .metal import METAL, METAL_ON_AVERAGE, is_metal_on_average
@@ -230,8 +230,7 @@ def _solve_from_first_stage(
     `search_metal` also allows a dark start, which must end with less error than that with a medium albedo.
     """
     g = reconstruction.gaussians
-    _, nearest = KDTree(g.position.T.cpu().numpy()).query(samples.position.cpu().numpy())
-    roughness, metallic = g.materials()[3:, torch.from_numpy(np.asarray(nearest)).to(g.position.device)]
+    roughness, metallic = g.materials()[3:, nearest_neighbours(g.position.T, samples.position, 1)[:, 0]]
     split = partial(split_brightest, samples=samples, tracer=tracer, seed=settings.seed, rows=settings.second.light_height)
     # A light that turns meets other traced rays in each view. Of a metal's light, the first stage's reflections know more.
     stays_coarse = transfer.rotations is not None or is_metal_on_average(g)

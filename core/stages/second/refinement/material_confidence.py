@@ -12,13 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
-from ....machine.thread_pool import thread_count
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.gaussians import ALBEDO, ROUGHNESS
 from ....scene.reconstruction import Reconstruction
 from ....settings.schema import SecondStageSettings
+from ...common.nearest_neighbours import nearest_neighbours
 from .pixel_pool import PixelPool, sums_at_surfels
 from .refinement import Refinement
 
@@ -57,9 +56,8 @@ def with_confidence(
 
 def nearest_surfels(reconstruction: Reconstruction) -> np.ndarray:
     """Return the nearest surfels of each, itself included, (N, AROUND) or fewer where there are fewer, the nearest first."""
-    position = reconstruction.gaussians.position.detach().T.cpu().numpy()
-    _, nearest = KDTree(position).query(position, k=min(AROUND, len(position)), workers=thread_count())
-    return np.asarray(nearest).reshape(len(position), -1)
+    position = reconstruction.gaussians.position.T
+    return nearest_neighbours(position, position, AROUND).cpu().numpy()
 
 
 def surfel_errors(refinement: Refinement, nearest: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:

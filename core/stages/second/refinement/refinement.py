@@ -12,9 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 from ....io.srgb import encode_srgb
 from ....machine.backend import by_warp
@@ -28,6 +26,7 @@ from ....shading.rendering_equation import reflect_light
 from ....shading.sampling import LightDistribution, Samples, draw
 from ...common.finite_check import check_due, require_finite
 from ...common.light_map import light_variation
+from ...common.nearest_neighbours import nearest_neighbours
 from ...common.optimizer import GaussianOptimizer, Rate
 from ..metal import METAL, is_metal_on_average
 from .pixel_gbuffer import CachedHits, RasterizedViews
@@ -272,9 +271,8 @@ class Refinement:
 
 def similar_neighbours(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the nearest Gaussians of each, indices (N, K), and the similarity of their albedo, (N, K) in 0..1."""
-    position, albedo = gaussians.position.detach().T.cpu().numpy(), gaussians.materials().detach()[:3].T
-    _, nearest = KDTree(position).query(position, k=NEIGHBOURS + 1)
-    index = torch.from_numpy(np.asarray(nearest)[:, 1:]).to(albedo.device)
+    position, albedo = gaussians.position.T, gaussians.materials().detach()[:3].T
+    index = nearest_neighbours(position, position, NEIGHBOURS + 1)[:, 1:]
     return index, torch.exp(-SIMILARITY * (albedo[:, None] - albedo[index]).abs().sum(-1))
 
 

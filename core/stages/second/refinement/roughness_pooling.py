@@ -11,11 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
-from ....machine.thread_pool import thread_count
 from ....scene.gaussians import ALBEDO, METALLIC, ROUGHNESS, Gaussians
 from ....scene.reconstruction import Reconstruction
+from ...common.nearest_neighbours import nearest_neighbours
 from ..metal import METAL
 
 SOURCES = 5000  # surfels, drawn at random, whose roughness others may take
@@ -51,10 +50,9 @@ def pooled_roughness(gaussians: Gaussians, confidence: np.ndarray, random: np.ra
         confidence: (N,) of their roughness, in 0..1.
         random: random generator of the choice of sources.
     """
-    position, materials = gaussians.position.detach().T.cpu().numpy(), gaussians.materials().detach().cpu().numpy()
+    position, materials = gaussians.position.T, gaussians.materials().detach().cpu().numpy()
     sources = random.permutation(len(position))[:SOURCES]
-    _, nearest = KDTree(position[sources]).query(position, k=min(NEAREST, len(sources)), workers=thread_count())
-    around = sources[np.asarray(nearest).reshape(len(position), -1)]
+    around = sources[nearest_neighbours(position[sources], position, NEAREST).cpu().numpy()]
     known = np.maximum(confidence, 1e-6).astype(np.float64) ** POWER
     pooled = np.empty(len(position), np.float32)
     for begin in range(0, len(position), BATCH):

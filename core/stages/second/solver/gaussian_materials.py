@@ -14,6 +14,7 @@ from ....scene.dataset import View
 from ....scene.reconstruction import Reconstruction
 from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
+from ...common.nearest_neighbours import nearest_neighbours
 from ..metal import METAL
 from .light_material_solver import LightMaterialSolver
 from .multi_view_samples import MultiViewSamples
@@ -58,7 +59,7 @@ def assign_materials(
         (5, N) albedo (3), roughness, metallic in 0..1.
     """
     g = reconstruction.gaussians
-    device, position = g.position.device, g.position.T.contiguous().cpu().numpy()
+    position = g.position.T.contiguous().cpu().numpy()
     samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels)
     roughness, metallic = nearest_materials(solver.samples.position, solver.roughness, solver.metallic, samples.position)
     albedo = torch.empty_like(samples.position)
@@ -72,8 +73,7 @@ def assign_materials(
     metal = metallic > 0
     albedo[metal] = neighbourhood_medians(samples.position[metal], albedo[metal])
     materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(EDGE, 1 - EDGE)
-    _, source = KDTree(samples.position.cpu().numpy()).query(position)
-    return materials[torch.from_numpy(np.asarray(source)).to(device)].T.contiguous()
+    return materials[nearest_neighbours(samples.position, g.position.T, 1)[:, 0]].T.contiguous()
 
 
 def nearest_materials(
@@ -92,8 +92,7 @@ def nearest_materials(
     Returns:
         Roughness (N,), and metallic (N,), 0 or 1.
     """
-    _, nearest = KDTree(points.cpu().numpy()).query(position.cpu().numpy(), k=min(ALIKE, len(points)))
-    around = torch.from_numpy(np.asarray(nearest).reshape(len(position), -1)).to(points.device)
+    around = nearest_neighbours(points, position, ALIKE)
     metal = metallic[around] > METAL
     is_metal = metal[:, :NEAREST].float().mean(1) > METAL
     alike = (metal == is_metal[:, None]).float()
@@ -168,7 +167,4 @@ def neighbourhood_medians(position: torch.Tensor, values: torch.Tensor) -> torch
     """
     if not len(position):
         return values
-    places = position.cpu().numpy()
-    _, nearest = KDTree(places).query(places, k=min(AROUND, len(places)))
-    around = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
-    return values[around].median(1).values
+    return values[nearest_neighbours(position, position, AROUND)].median(1).values

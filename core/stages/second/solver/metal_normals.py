@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
+from ...common.nearest_neighbours import nearest_neighbours
 from .material_search import ROUGHNESS_VALUES
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
@@ -105,6 +105,4 @@ def _errors(samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.
 
 def _averaged(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     """Average values (P, J) over the ALIKE nearest points."""
-    places = position.cpu().numpy()
-    _, nearest = KDTree(places).query(places, k=min(ALIKE, len(places)))
-    return values[torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(values.device)].mean(1)
+    return values[nearest_neighbours(position, position, ALIKE)].mean(1)

@@ -22,9 +22,9 @@ import numpy as np
 import torch
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from ....io.srgb import encode_srgb
+from ...common.nearest_neighbours import nearest_neighbours
 from ..metal import METAL_ON_AVERAGE
 
 NEIGHBOURS = 13  # of a point, the point itself included
@@ -60,9 +60,7 @@ def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.T
     Returns:
         Indices (P, N), and weights by similarity of colour (P, N) that sum to 1.
     """
-    places = position.cpu().numpy()
-    _, nearest = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)))
-    index = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(position.device)
+    index = nearest_neighbours(position, position, NEIGHBOURS)
     chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + DIM), encode_srgb(colour)
     difference = CHROMATICITY * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1)
     difference = difference + ENCODED * (encoded[:, None] - encoded[index]).abs().sum(-1)

@@ -11,13 +11,12 @@ views cannot decide between these cases: after refinement, they preferred the co
 
 from __future__ import annotations
 
-import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 from ....scene.gaussians import ALBEDO, ROUGHNESS
 from ....scene.reconstruction import Reconstruction
 from ...common.light_map import resized_light
+from ...common.nearest_neighbours import nearest_neighbours
 from .gaussian_materials import EDGE
 from .light_material_solver import LightMaterialSolver
 
@@ -57,8 +56,7 @@ def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMat
 def albedo_ratio(first: Reconstruction, solver: LightMaterialSolver) -> torch.Tensor:
     """Return the median ratio (3,) of the solver's albedo to the first stage's: light and albedo are only known as a product."""
     g = first.gaussians
-    _, nearest = KDTree(g.position.detach().T.cpu().numpy()).query(solver.samples.position.cpu().numpy())
-    albedo = g.materials().detach()[ALBEDO, torch.from_numpy(np.asarray(nearest)).to(g.position.device)].T
+    albedo = g.materials().detach()[ALBEDO, nearest_neighbours(g.position.T, solver.samples.position, 1)[:, 0]].T
     return (solver.albedo / albedo.clamp_min(DARKEST)).median(0).values
 
 

@@ -20,7 +20,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 from ....io.srgb import encode_srgb
 from ....kernels.rasterize import rasterize
@@ -31,6 +30,7 @@ from ....scene.dataset import View
 from ....scene.gaussians import METALLIC
 from ....scene.reconstruction import Reconstruction
 from ....scene.spherical_harmonics import sh_radiance
+from ...common.nearest_neighbours import nearest_neighbours
 from .multi_view_samples import MultiViewSamples, sample_images
 from .view_choice import choose_views
 
@@ -81,10 +81,7 @@ def pigment_share(samples: MultiViewSamples, detail: torch.Tensor) -> torch.Tens
     ratio = samples.sums(detail / samples.colour.clamp_min(DARKEST)) / samples.lengths[:, None]
     coloured = ratio - ratio.mean(1, keepdim=True)
     size = torch.stack([coloured, ratio]).abs().clamp_max(LARGEST).sum(2)
-    places = samples.position.cpu().numpy()
-    _, nearest = KDTree(places).query(places, k=min(AROUND, len(places)))
-    around = torch.from_numpy(np.asarray(nearest).reshape(len(places), -1)).to(size.device)
-    colour, whole = size[:, around].mean(2)
+    colour, whole = size[:, nearest_neighbours(samples.position, samples.position, AROUND)].mean(2)
     return ((colour / whole.clamp_min(1e-6) - SHADING) / (PIGMENT - SHADING)).clamp(0, 1)
 
 
