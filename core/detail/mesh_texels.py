@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..scene.mesh import Mesh
-from ..surface.bake import fill_owners
+from ..surface.bake import barycentric, doubled_area, texel_owners
 
 CHUNK = 1 << 20  # texels whose coordinates are computed at a time
 
@@ -39,36 +39,16 @@ def mesh_texels(mesh: Mesh, size: int) -> MeshTexels:
         mesh: mesh with UVs.
         size: texels along a side of the texture.
     """
-    corners = mesh.uvs.astype(np.float64) * size
-    corners[:, 1] = size - corners[:, 1]
-    owner = np.full((size, size), -1, np.int32)
-    fill_owners(0, len(mesh.faces), corners, mesh.faces, owner)
+    corners, owner = texel_owners(mesh.uvs, mesh.faces, size)
     index = np.flatnonzero(owner.ravel() >= 0).astype(np.int32)
     face = owner.ravel()[index]
-    barycentric = np.empty((len(index), 2), np.float32)
+    weights = np.empty((len(index), 2), np.float32)
     for begin in range(0, len(index), CHUNK):
         part = slice(begin, begin + CHUNK)
         point = np.stack([index[part] % size + 0.5, index[part] // size + 0.5], -1)
-        barycentric[part] = _barycentric(corners[mesh.faces[face[part]]], point)
+        weights[part] = np.clip(barycentric(corners[mesh.faces[face[part]]], point)[:, 1:], 0, 1)
     world = mesh.vertices[mesh.faces].astype(np.float64)
     area = np.linalg.norm(np.cross(world[:, 1] - world[:, 0], world[:, 2] - world[:, 0]), axis=-1)
-    flat = np.abs(_cross(corners[mesh.faces]))
+    flat = np.abs(doubled_area(corners[mesh.faces]))
     side = np.sqrt(area / np.maximum(flat, 1e-12)).astype(np.float32)
-    return MeshTexels(size, index, face, barycentric, side)
-
-
-def _cross(triangle: np.ndarray) -> np.ndarray:
-    """Return twice the signed area (F,) of triangles (F, 3, 2)."""
-    b, c = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
-    return b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-
-
-def _barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the weights (P, 2) of the second and third corner of triangles (P, 3, 2) at points (P, 2) inside them."""
-    a, b, c = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
-    d = point - a
-    area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-    area = np.where(np.abs(area) < 1e-20, 1e-20, area)
-    second = (d[:, 0] * c[:, 1] - d[:, 1] * c[:, 0]) / area
-    third = (b[:, 0] * d[:, 1] - b[:, 1] * d[:, 0]) / area
-    return np.clip(np.stack([second, third], -1), 0, 1)
+    return MeshTexels(size, index, face, weights, side)

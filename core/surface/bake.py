@@ -64,22 +64,50 @@ def rasterise(uvs: np.ndarray, faces: np.ndarray, size: int) -> Texels:
         faces: (F, 3) vertices of the triangles.
         size: texels along a side of the texture.
     """
+    corners, owner = texel_owners(uvs, faces, size)
+    row, column = np.nonzero(owner >= 0)
+    face = owner[row, column]
+    return Texels(size, row, column, face, barycentric(corners[faces[face]], np.stack([column + 0.5, row + 0.5], -1)))
+
+
+def texel_owners(uvs: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Find the triangle over each texel's centre; where several are, the last one.
+
+    Args:
+        uvs: (V, 2) in 0..1; v = 0 is the bottom of the image.
+        faces: (F, 3) vertices of the triangles.
+        size: texels along a side of the texture.
+
+    Returns:
+        The vertices (V, 2) float64 as column and row, with texel centres at .5, and the triangles (size, size) int32, -1 where none is.
+    """
     corners = uvs.astype(np.float64) * size
     corners[:, 1] = size - corners[:, 1]
     owner = np.full((size, size), -1, np.int32)
     fill_owners(0, len(faces), corners, faces, owner)
-    row, column = np.nonzero(owner >= 0)
-    face = owner[row, column]
-    return Texels(size, row, column, face, _barycentric(corners[faces[face]], np.stack([column + 0.5, row + 0.5], -1)))
+    return corners, owner
 
 
-def _barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return barycentric coordinates (P, 3) of points (P, 2) in triangles (P, 3, 2)."""
+def barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Compute barycentric coordinates.
+
+    Args:
+        triangle: (P, 3, 2) corners in the plane.
+        point: (P, 2), one in each triangle.
+
+    Returns:
+        (P, 3) weights of the corners, of sum 1, outside 0..1 for a point outside; finite also for a triangle without area.
+    """
     a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
-    area = _cross(b - a, c - a)
+    area = doubled_area(triangle)
     area = np.where(np.abs(area) < 1e-20, 1e-20, area)
     second, third = _cross(point - a, c - a) / area, _cross(b - a, point - a) / area
     return np.stack([1 - second - third, second, third], -1)
+
+
+def doubled_area(triangle: np.ndarray) -> np.ndarray:
+    """Return twice the signed areas (F,) of triangles (F, 3, 2)."""
+    return _cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

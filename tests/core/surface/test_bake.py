@@ -44,6 +44,15 @@ def test_texels_lie_in_their_triangle(sphere):
     assert (np.linalg.norm(texels.interpolate(mesh.vertices[source], faces), axis=-1) > 0.98).all()
 
 
+def test_barycentric_coordinates_weigh_the_corners():
+    triangle = np.array([[[0, 0], [4, 0], [0, 2]], [[1, 1], [1, 3], [3, 1]], [[1, 1], [2, 2], [3, 3]]], float)
+    weight = np.array([[0.5, 0.25, 0.25], [0.1, 0.2, 0.7]])
+    point = (weight[..., None] * triangle[:2]).sum(1)
+    np.testing.assert_allclose(bake.barycentric(triangle, np.concatenate([point, [[0, 5]]]))[:2], weight)
+    assert np.isfinite(bake.barycentric(triangle[2:], np.array([[0.0, 5.0]]))).all()
+    assert bake.doubled_area(triangle).tolist() == [8, -4, 0]
+
+
 def test_image_fills_every_texel_with_the_nearest_value(sphere):
     _, _, faces, uvs = sphere
     texels = bake.rasterise(uvs, faces, 64)
