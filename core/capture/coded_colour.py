@@ -7,7 +7,8 @@ import functools
 
 import numpy as np
 
-from ..io.srgb import decode_srgb, encode_srgb
+from ..io.eight_bits import srgb_eight_bits
+from ..io.srgb import decode_srgb
 
 PQ, HLG = 16, 18  # transfer characteristics of high dynamic range
 BT2020, P3 = 9, 12  # colour primaries
@@ -51,7 +52,7 @@ def _converted(pixels: np.ndarray, transfer: int, primaries: int) -> np.ndarray:
     linear = np.take(_linear_table(transfer, int(np.iinfo(pixels.dtype).max)), pixels)
     if primaries in TO_SRGB:
         linear = linear @ np.asarray(TO_SRGB[primaries], np.float32).T
-    return np.round(255 * np.clip(encode_srgb(np.clip(linear, 0, 1)), 0, 1)).astype(np.uint8)
+    return srgb_eight_bits(linear)
 
 
 @functools.cache

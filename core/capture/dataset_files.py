@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,8 @@ import numpy as np
 import pycolmap
 
 from ..errors import InputError
-from ..io.atomic import write_atomic
+from ..io.atomic import replaced_folder, write_atomic
+from ..io.eight_bits import eight_bits
 from ..scene.camera import Camera
 from ..scene.similarity import moved_points
 from .sparse_model import SparseModel
@@ -48,7 +48,8 @@ def write_model(model: SparseModel, images: Sequence[UndistortedImage], similari
             elements[point].append(pycolmap.TrackElement(i + 1, j))
     for place, colour, seen in zip(moved_points(model.position, similarity), model.colour, elements, strict=True):
         reconstruction.add_point3D(place, pycolmap.Track(seen), colour)
-    _write_folder(reconstruction, folder / MODEL)
+    with replaced_folder(folder / MODEL) as partial:
+        reconstruction.write(partial)
 
 
 def _camera_number(reconstruction: pycolmap.Reconstruction, numbers: dict[tuple[float, ...], int], camera: Camera) -> int:
@@ -61,16 +62,6 @@ def _camera_number(reconstruction: pycolmap.Reconstruction, numbers: dict[tuple[
         )
         reconstruction.add_camera_with_trivial_rig(added)
     return numbers[key]
-
-
-def _write_folder(reconstruction: pycolmap.Reconstruction, folder: Path) -> None:
-    """Write a reconstruction to a new folder that then replaces the old one."""
-    partial = folder.with_name(f".{folder.name}.part")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    reconstruction.write(partial)
-    shutil.rmtree(folder, ignore_errors=True)
-    os.replace(partial, folder)
 
 
 def write_masks(images: Sequence[UndistortedImage], masks: Sequence[np.ndarray | None], folder: Path) -> None:
@@ -89,7 +80,7 @@ def write_masks(images: Sequence[UndistortedImage], masks: Sequence[np.ndarray |
     for one, mask in zip(images, masks, strict=True):
         if mask is not None:
             full = cv2.resize(mask.astype(np.float32), (one.camera.width, one.camera.height), interpolation=cv2.INTER_CUBIC)
-            _, data = cv2.imencode(".png", np.round(255 * np.clip(full, 0, 1)).astype(np.uint8))
+            _, data = cv2.imencode(".png", eight_bits(full))
             write_atomic(target / f"{one.view.name}.png", data.tobytes())
 
 

@@ -14,6 +14,7 @@ from itertools import chain
 import cv2
 import numpy as np
 
+from ..io.eight_bits import eight_bits
 from ..machine.thread_pool import run_jobs
 from ..scene.camera import Camera
 from ..scene.dataset import Bound
@@ -79,7 +80,7 @@ def plane_texture(
             hide of the plane is looked for where stereo sees no object: masks fill gaps through which a shaded plane is seen.
     """
     frame, side = _frame(cameras, plane, bound)
-    images = [np.round(255 * np.clip(colour, 0, 1)).astype(np.uint8) for colour in colours]
+    images = [eight_bits(colour) for colour in colours]
 
     def jobs(hidden: Sequence[np.ndarray | None], clear: float, frame: np.ndarray, side: int) -> list[_Job]:
         views = zip(images, hidden, cameras, strict=True)

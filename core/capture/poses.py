@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from ..io.atomic import write_atomic
+from ..io.atomic import replaced_folder, write_atomic
 from ..progress.protocol import Progress
 from ..settings.schema import CaptureSettings
 from .colmap_library import silence
@@ -209,12 +208,7 @@ def _read_back(folder: Path, photographs: Sequence[Photograph], left_out: list[L
 
 def _write(folder: Path, upright: pycolmap.Reconstruction, key: str, left_out: list[LeftOut]) -> None:
     """Write the model, then the state that says that it is complete."""
-    model = folder / MODEL
-    partial = model.with_name(".0.part")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    upright.write(partial)
-    shutil.rmtree(model, ignore_errors=True)
-    os.replace(partial, model)
+    with replaced_folder(folder / MODEL) as partial:
+        upright.write(partial)
     state = {"key": key, "left_out": [asdict(one) for one in left_out]}
     write_atomic(folder / STATE, json.dumps(state, indent=1).encode())

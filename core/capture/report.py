@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from ..io.atomic import atomic_file, write_atomic
+from ..io.eight_bits import eight_bits
 from .undistortion import UndistortedImage
 
 TEMPLATE = "report.html.jinja"  # next to this module
@@ -47,7 +48,7 @@ def _tile(colour: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     scale = TILE / max(colour.shape[:2])
     size = max(1, round(colour.shape[1] * scale)), max(1, round(colour.shape[0] * scale))
     pixels = cv2.resize(colour, size, interpolation=cv2.INTER_AREA)
-    tile = np.round(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
+    tile = eight_bits(pixels)
     if mask is None:
         return tile
     inside = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)

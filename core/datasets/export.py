@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import Cancelled, InputError
 from ..io.atomic import write_atomic
+from ..io.eight_bits import eight_bits
 from ..progress.protocol import Progress
 from ..scene.camera_files import save_views
 from ..scene.dataset import Dataset, View
@@ -44,7 +45,7 @@ def save_dataset(dataset: Dataset, settings: DataSettings, folder: Path, progres
         (folder / "points.npz").unlink(missing_ok=True)
         if dataset.points is not None:
             data = io.BytesIO()
-            np.savez(data, position=dataset.points.position, colour=np.round(255 * np.clip(dataset.points.colour, 0, 1)).astype(np.uint8))
+            np.savez(data, position=dataset.points.position, colour=eight_bits(dataset.points.colour))
             write_atomic(folder / "points.npz", data.getvalue())
         write_atomic(folder / "dataset.json", json.dumps(summary(dataset), indent=1).encode())
     except OSError as error:

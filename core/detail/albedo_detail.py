@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.eight_bits import srgb_eight_bits
 from ..io.srgb import decode_srgb
 from ..progress.protocol import Progress
 from ..relight.mesh_query import MeshQuery
@@ -21,7 +22,7 @@ from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import Choice, Settings
-from ..surface.bake import Texels, colour_byte
+from ..surface.bake import Texels
 from ..surface.texturing import stoppable
 from .alignment import displacement
 from .candidates import Candidates, TexelView, add_candidates
@@ -174,7 +175,7 @@ class AlbedoDetail:
             part = slice(begin, begin + CHUNK)
             certain = np.clip(best[part] / (CERTAIN * usual), 0, 1)[:, None]
             plain = self._albedo.reshape(-1, 3)[index[part]]
-            colours[part] = colour_byte(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain)
+            colours[part] = srgb_eight_bits(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain)
         size = self._texels.size
         grid = Texels(size, index // size, index % size, self._texels.face, np.empty((0, 3)))
         return replace(self._mesh, textures={**self._mesh.textures, "albedo": grid.image(colours)})

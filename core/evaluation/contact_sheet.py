@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import Cancelled
 from ..io.atomic import atomic_file
+from ..io.eight_bits import eight_bits
 from ..progress.protocol import Progress
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter
@@ -127,4 +128,4 @@ def _tile(image: np.ndarray, height: int) -> Image.Image:
     canvas[top : top + size[1], left : left + size[0]] = scaled
     rows, columns = np.indices((height, TILE)) // 14
     backdrop = np.where((rows + columns) % 2, *CHECKER)[..., None]
-    return Image.fromarray(np.round(255 * np.clip(canvas[..., :3] + backdrop * (1 - canvas[..., 3:]), 0, 1)).astype(np.uint8))
+    return Image.fromarray(eight_bits(canvas[..., :3] + backdrop * (1 - canvas[..., 3:])))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..io.eight_bits import eight_bits
 from ..io.srgb import encode_srgb
 
 # Dark to light in even steps of lightness: black, violet, red, orange, cream.
@@ -96,4 +97,4 @@ def over(image: np.ndarray, backdrop: np.ndarray | float) -> np.ndarray:
         (H, W, 3) uint8.
     """
     rgb = image[..., :3] * image[..., 3:] + backdrop * (1 - image[..., 3:])
-    return np.round(255 * np.clip(rgb, 0, 1)).astype(np.uint8)
+    return eight_bits(rgb)

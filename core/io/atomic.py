@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Atomic writing of files: a reader finds the old or the new file complete, even after a crash or a loss of power."""
+"""Atomic writing of files: a reader finds the old or the new file complete, even after a crash or a loss of power.
+
+Folders are replaced whole too, though not in one step.
+"""
 
 import os
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -30,6 +34,28 @@ def atomic_file(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
         raise
     _flush_folder(path.parent)
+
+
+@contextmanager
+def replaced_folder(folder: Path) -> Iterator[Path]:
+    """Yield a new, empty folder beside `folder` for the block to fill; after the block it replaces `folder` and all that was in it.
+
+    If the block fails, the new folder is removed, and `folder` is unchanged. A crash while the old folder is removed leaves a part of it or
+    none, never a part of the new one.
+
+    Args:
+        folder: the folder to write, which need not exist.
+    """
+    partial = folder.with_name(f".{folder.name}.part")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    shutil.rmtree(folder, ignore_errors=True)
+    os.replace(partial, folder)
 
 
 def write_atomic(path: Path, data: bytes) -> None:

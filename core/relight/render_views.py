@@ -14,6 +14,7 @@ from PIL import Image
 
 from ..datasets.load import load_dataset_cameras
 from ..errors import Cancelled, InputError
+from ..io.eight_bits import eight_bits
 from ..io.exr import rgb_channels, write_exr
 from ..io.srgb import straight_srgb
 from ..progress.protocol import Progress, Silent
@@ -152,7 +153,7 @@ def write_rgba(stem: Path, rgba: np.ndarray) -> None:
     """
     write_exr(stem.with_name(stem.name + ".exr"), rgb_channels(rgba))
     data = io.BytesIO()
-    Image.fromarray(np.round(straight_srgb(rgba) * 255).astype(np.uint8)).save(data, "PNG")
+    Image.fromarray(eight_bits(straight_srgb(rgba))).save(data, "PNG")
     write_atomic(stem.with_name(stem.name + ".png"), data.getvalue())
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.atomic import write_atomic
+from ..io.eight_bits import eight_bits
 from .camera import Camera
 from .dataset import Dataset, View
 
@@ -107,5 +108,5 @@ def _save_undistorted(view: View, target: Path) -> None:
 
     target.parent.mkdir(parents=True, exist_ok=True)
     data = io.BytesIO()
-    Image.fromarray(np.round(255 * np.clip(view.colour, 0, 1)).astype(np.uint8)).save(data, "JPEG", quality=92)
+    Image.fromarray(eight_bits(view.colour)).save(data, "JPEG", quality=92)
     write_atomic(target, data.getvalue())

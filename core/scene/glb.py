@@ -13,6 +13,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from ..io.atomic import write_atomic
+from ..io.eight_bits import eight_bits
 from .mesh import Mesh
 from .textures import occlusion_roughness_metallic
 
@@ -76,4 +77,4 @@ def _colour_vertices(body: trimesh.Trimesh, mesh: Mesh) -> None:
         material=PBRMaterial(name="material", metallicFactor=float(mesh.metallic.mean()), roughnessFactor=float(mesh.roughness.mean())),
     )
     rgba = np.concatenate([mesh.albedo, np.ones((len(mesh.albedo), 1), np.float32)], -1)
-    body.visual.vertex_attributes["color"] = np.round(255 * np.clip(rgba, 0, 1)).astype(np.uint8)
+    body.visual.vertex_attributes["color"] = eight_bits(rgba)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ..io.srgb import encode_srgb
 from ..kernels.cpu.jit import kernel
 from .meshing import unit
 
@@ -208,13 +207,3 @@ def add_normal_detail(normal: np.ndarray, fused: np.ndarray, seen: np.ndarray, s
     turn = np.clip(sine - noise, 0, STEEPEST)
     along = difference / np.maximum(sine, 1e-9) * strength * turn
     return unit(normal * np.sqrt(1 - (strength * turn) ** 2) + along)
-
-
-def to_byte(values: np.ndarray) -> np.ndarray:
-    """Convert values 0..1 (...,) to uint8 with rounding."""
-    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
-
-
-def colour_byte(linear: np.ndarray) -> np.ndarray:
-    """Convert linear values 0..1 (...,) to sRGB-encoded uint8."""
-    return to_byte(encode_srgb(np.clip(linear, 0, 1)))

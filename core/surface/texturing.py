@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..errors import Cancelled
+from ..io.eight_bits import eight_bits, srgb_eight_bits
 from ..progress.protocol import Progress
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.mesh import Mesh
 from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
 from . import meshing
-from .bake import add_normal_detail, colour_byte, rasterise, tangent_space, tangents, to_byte
+from .bake import add_normal_detail, rasterise, tangent_space, tangents
 from .material_fusion import fuse_materials
 from .meshing import Triangles
 from .repair import facing_normals
@@ -164,12 +165,12 @@ def baked_textures(
     detail = np.where(seen[:, None], add_normal_detail(normal, fused.normal, seen, settings.detail), normal)
     local = tangent_space(detail, normal, tangent, side)
     images = {
-        "albedo": texels.image(colour_byte(fused.albedo)),
-        "roughness": texels.image(to_byte(fused.roughness)),
-        "metallic": texels.image(to_byte(fused.metallic)),
-        "normal": texels.image(to_byte(0.5 + 0.5 * local)),
-        "confidence": texels.image(to_byte(fused.confidence)),
+        "albedo": texels.image(srgb_eight_bits(fused.albedo)),
+        "roughness": texels.image(eight_bits(fused.roughness)),
+        "metallic": texels.image(eight_bits(fused.metallic)),
+        "normal": texels.image(eight_bits(0.5 + 0.5 * local)),
+        "confidence": texels.image(eight_bits(fused.confidence)),
     }
     if fused.material_confidence is not None:
-        images["material_confidence"] = texels.image(to_byte(fused.material_confidence))
+        images["material_confidence"] = texels.image(eight_bits(fused.material_confidence))
     return images

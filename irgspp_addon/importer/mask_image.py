@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.io.atomic import atomic_file
+from ...core.io.eight_bits import eight_bits
 from .capture_file import FILE
 from .ownership import KEY, folder_of
 
@@ -96,7 +97,7 @@ def _painted(image: bpy.types.Image) -> np.ndarray:
     values = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
     image.pixels.foreach_get(values)
     alpha = values.reshape(image.size[1], image.size[0], -1)[..., 3]
-    return np.round(255 * np.clip((alpha - DIM) / (1 - DIM), 0, 1)).astype(np.uint8)
+    return eight_bits((alpha - DIM) / (1 - DIM))
 
 
 def _digest(mask: np.ndarray) -> str:

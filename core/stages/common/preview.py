@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from ...io.eight_bits import eight_bits
 from ...io.srgb import encode_srgb
 from ...rendering.gbuffer import render_gbuffer
 from ...scene.camera import Camera
@@ -71,8 +72,3 @@ def surface_shape(surface: Surface, dataset: Dataset) -> dict[str, np.ndarray]:
 
 def _frame(dataset: Dataset) -> dict[str, np.ndarray]:
     return {"centre": np.array(dataset.bound.centre), "to_world": np.asarray(dataset.to_world, np.float64)}
-
-
-def eight_bits(image: np.ndarray) -> np.ndarray:
-    """Convert values 0..1 (...,) to uint8 with rounding; NaN becomes 0."""
-    return np.round(255 * np.clip(np.nan_to_num(image), 0, 1)).astype(np.uint8)

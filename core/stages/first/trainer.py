@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ...errors import Cancelled, IrgsppError
+from ...io.eight_bits import eight_bits
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.deferred import radiance
@@ -23,7 +24,7 @@ from ..common.finite_check import check_due
 from ..common.image_loss import displayed, image_loss
 from ..common.light_map import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
-from ..common.preview import LONGEST, eight_bits, points_shape
+from ..common.preview import LONGEST, points_shape
 from ..common.training_view import TrainingView, border_radiance, make_training_view
 from ..common.training_view_cache import TrainingViewCache
 from ..common.view_order import next_view

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.detail.photographs import Photograph, find_photographs
+from irgspp.core.io.eight_bits import srgb_eight_bits
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound
@@ -18,7 +19,6 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import DataSettings
 from irgspp.core.shading.specular_albedo import diffuse_fraction
 from irgspp.core.shading.split_sum import specular_radiance
-from irgspp.core.surface.bake import colour_byte
 from PIL import Image
 from scipy import ndimage
 
@@ -96,7 +96,7 @@ def photograph(number: int) -> np.ndarray:
     facing = (normal * away).sum(1)
     diffuse = albedo * diffuse_fraction(facing, rough)[:, None] * light.irradiance(normal) / np.pi
     image = np.zeros((FULL, FULL, 4), np.uint8)
-    image[hit, :3] = colour_byte((diffuse + specular_radiance(away, normal, albedo, rough, metal, light.specular)).numpy())
+    image[hit, :3] = srgb_eight_bits((diffuse + specular_radiance(away, normal, albedo, rough, metal, light.specular)).numpy())
     image[..., 3] = 255 * hit
     return image
 
@@ -118,7 +118,7 @@ def written(tmp_path_factory) -> Scene:
     truth = pattern(np.stack([column / TEXTURE, 1 - row / TEXTURE], -1))
     blurred = ndimage.gaussian_filter(truth, (14, 14, 0), mode=("nearest", "wrap", "nearest"))
     rough, metal = (np.full(len(vertices), value, np.float32) for value in (ROUGHNESS, 0.0))
-    mesh = Mesh(vertices, vertices, uvs, faces, pattern(uvs).astype(np.float32), rough, metal, {"albedo": colour_byte(blurred)})
+    mesh = Mesh(vertices, vertices, uvs, faces, pattern(uvs).astype(np.float32), rough, metal, {"albedo": srgb_eight_bits(blurred)})
     return Scene(folder, mesh, _reconstruction(), truth)
 
 
