@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from ..io.continued_colour import continued_colour
+from ..io.grown_mask import grown_mask
 from ..scene.camera import Camera
 from .background_evidence import plane_in_photograph
 from .likelihood_ratio import log_likelihood_ratios
@@ -55,8 +55,9 @@ def edge_colours(
         rendered: straight colour (H, W, 3) of the object, encoded, and its opacity (H, W).
         error: error of the mask's edge, pixels.
     """
-    inside, outside = _changed(mask > 0.5, cv2.erode, INNER * error), ~_changed(mask > 0.5, cv2.dilate, OUTER * error)
-    solid = (rendered[1] > OPAQUE) & _changed(rendered[1] > 0.5, cv2.erode, COVERED * error)
+    filled, shown = (mask > 0.5).astype(np.uint8), (rendered[1] > 0.5).astype(np.uint8)
+    inside, outside = grown_mask(filled, -INNER * error) > 0, grown_mask(filled, OUTER * error) == 0
+    solid = (rendered[1] > OPAQUE) & (grown_mask(shown, -COVERED * error) > 0)
     own = continued_colour(rendered[0], solid, OBJECT_WINDOW * error, WINDOWS)
     plane, textured = plane_in_photograph(texture, colour, camera, outside)
     background = np.where(textured[..., None], plane, continued_colour(colour, outside, BACKGROUND_WINDOW * error, WINDOWS))
@@ -74,9 +75,3 @@ def edge_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:
     plane = [one.outside & one.textured for one in views]
     background = log_likelihood_ratios([one.from_background for one in views], plane, inside, WIDEST)
     return [first + second for first, second in zip(own, background, strict=True)]
-
-
-def _changed(mask: np.ndarray, change, reach: float) -> np.ndarray:
-    """Return a mask (H, W) bool eroded or dilated by pixels, rounded."""
-    side = 2 * round(reach) + 1
-    return change(mask.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..io.grown_mask import grown_mask
 from ..kernels.cpu.jit import kernel
 from ..machine.thread_pool import even_ranges, run_jobs, run_ranges, thread_count
 from ..scene.camera import Camera
@@ -21,6 +22,7 @@ FINEST = 8  # most parts of a coarse cell's side
 LOOSE = 0.35  # fraction of the views that may contradict a coarse cell
 SURE, OUT = 0.03, 0.15  # fraction of contradicting views at which a voxel is surely inside, and surely outside
 SEEN = 0.3  # fraction of the views that must say something about a voxel
+WIDEST = 64  # pixels by which masks are widened or narrowed, at most
 BLUR = 0.8  # pixels, sigma of the silhouettes' blur
 
 
@@ -134,12 +136,8 @@ def _occupancy(misses: np.ndarray, views: np.ndarray) -> np.ndarray:
 
 def _resized(masks: Sequence[np.ndarray | None], pixels: np.ndarray) -> list[np.ndarray | None]:
     """Return masks (H, W) uint8 that are widened (> 0) or narrowed (< 0) by pixels (V,), rounded."""
-    result = []
-    for mask, reach in zip(masks, pixels, strict=True):
-        size = 2 * min(round(abs(float(reach))), 64) + 1
-        change = cv2.dilate if reach > 0 else cv2.erode
-        result.append(mask if mask is None or size == 1 else change(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))))
-    return result
+    reaches = np.clip(pixels, -WIDEST, WIDEST)
+    return [None if mask is None else grown_mask(mask, reach) for mask, reach in zip(masks, reaches, strict=True)]
 
 
 def _closed(mask: np.ndarray) -> bool:

@@ -7,13 +7,12 @@ object, so it is continued from the pixels beside the band.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from ...io.continued_colour import continued_colour
+from ...io.grown_mask import grown_mask
 from ...io.srgb import decode_srgb
 from ...scene.dataset import View
 
@@ -37,12 +36,14 @@ class MaskBand:
 
 def widest_mask(view: View) -> np.ndarray:
     """Return the largest mask (H, W) float32 that the error of a view's mask allows."""
-    return _changed(view, cv2.dilate)
+    assert view.alpha is not None
+    return grown_mask(view.alpha, view.mask_error)
 
 
 def narrowest_mask(view: View) -> np.ndarray:
     """Return the smallest mask (H, W) float32 that the error of a view's mask allows."""
-    return _changed(view, cv2.erode)
+    assert view.alpha is not None
+    return grown_mask(view.alpha, -view.mask_error)
 
 
 def find_mask_band(view: View) -> MaskBand | None:
@@ -53,10 +54,3 @@ def find_mask_band(view: View) -> MaskBand | None:
     band = ~outside & (narrowest_mask(view) < INSIDE)
     background = continued_colour(decode_srgb(view.colour), outside, NEAR * 2 * view.mask_error, DOUBLED, band)
     return MaskBand(band, np.where(band[..., None], background, 0).astype(np.float32))
-
-
-def _changed(view: View, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return the mask dilated or eroded by its error."""
-    assert view.alpha is not None
-    side = 2 * round(view.mask_error) + 1
-    return view.alpha if side == 1 else change(view.alpha, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
