@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -18,6 +17,7 @@ from ..common.finite_check import check_due, require_finite
 from ..common.optimizer import GaussianOptimizer, Rate
 from ..common.training_view import TrainingView
 from ..common.training_view_cache import TrainingViewCache
+from ..common.view_order import shuffled_epochs
 
 DARKEST = 1e-6  # least radiance of the light's texels, whose logarithm is optimised
 EDGE = 1e-4  # materials are kept this far inside 0..1, so that their logits are finite
@@ -55,9 +55,7 @@ def refit_radiance(
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
     training_views = TrainingViewCache(views, crop=True, device=g.position.device)
-    epochs = math.ceil(iterations / len(training_views))
-    order = torch.cat([torch.randperm(len(training_views), generator=generator) for _ in range(epochs)])
-    for done, index in enumerate(order[:iterations].tolist()):
+    for done, index in enumerate(shuffled_epochs(len(training_views), iterations, generator)):
         loss = _loss(optimizer, reconstruction, training_views[index], others.get("light"), subpixels)
         if check_due(loss, done + 1):
             require_finite({"the radiance's loss": loss}, f"at iteration {done + 1}")

@@ -6,7 +6,6 @@ A pixel's normal is the mean over several surfels. Surfels that each have the su
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -21,6 +20,7 @@ from ....surface.normal_images import normal_images
 from ...common.finite_check import check_due, require_finite
 from ...common.optimizer import GaussianOptimizer, Rate
 from ...common.training_view_cache import TrainingViewCache
+from ...common.view_order import shuffled_epochs
 
 RATE = Rate(2e-3, 0.1)  # learning rate of the rotations
 INNER = 0.99  # alpha of the photograph from which a pixel counts
@@ -61,8 +61,7 @@ def fit_rendered_normals(
     goals = [torch.from_numpy(image).permute(2, 0, 1) for image in normal_images(surface, [view.camera for view in prepared])]
     weights = [_weight(goal, view.alpha) for goal, view in zip(goals, prepared, strict=True)]
     optimizer = GaussianOptimizer(gaussians, {"quaternion": RATE})
-    order = torch.cat([torch.randperm(len(views), generator=generator) for _ in range(math.ceil(iterations / len(views)))])
-    for done, index in enumerate(order[:iterations].tolist()):
+    for done, index in enumerate(shuffled_epochs(len(views), iterations, generator)):
         g = optimizer.gaussians
         fixed = (g.log_scale.detach(), g.opacity.detach(), g.sh.detach(), g.position.new_zeros(0, g.count))
         sums, _ = rasterize(g.position.detach(), g.quaternion, *fixed, prepared[index].camera, radius, 0, subpixels)
