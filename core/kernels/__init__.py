@@ -25,7 +25,7 @@ Operations without a module at the top are called directly by the module named h
 | operation | caller | cpu/ | warp/ | reference |
 | --- | --- | --- | --- | --- |
 | draw sample directions | `core/shading/sampling.py` | `directions` | none: PyTorch | `_mixture_reference` in the caller |
-| sum the light along secondary rays | `core/relight/indirect_light.py` | `gathering` | `light` | `gather_reference` in the caller |
+| sum the light along secondary rays | `core/relight/indirect_light.py` | `gathering` | `light` | `tests/support/gather_reference.py` |
 | draw and sum light samples | `core/relight/direct_light.py` | `light_samples` | `light` | `tests/core/relight/test_indirect_light.py` |
 | count unoccluded directions | `core/relight/visibility_cache.py` | `light_samples` | none | none |
 | cross-bilateral filter | `core/relight/denoise.py` | `bilateral` | `bilateral` | `tests/core/relight/test_denoise.py` |

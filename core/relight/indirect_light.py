@@ -7,7 +7,6 @@ reflects the irradiance of the mesh's vertices around it, and the prefiltered li
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -17,7 +16,7 @@ from ..kernels.cpu.gathering import gather_range, terms_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance, bend_view_to_normal, ggx_alpha
-from ..shading.environment_lookup import direction_to_uv, lookup
+from ..shading.environment_lookup import direction_to_uv
 from ..shading.sampling import Samples
 from ..shading.specular_albedo import diffuse_fraction, specular_albedo
 from ..shading.split_sum import reflect, stack_level
@@ -250,49 +249,3 @@ def gather(rays: SecondaryRays, light: PreparedLight, light_count: float, vertex
         parts = even_ranges(len(sums), 4 * thread_count())
         run_ranges(gather_range, parts, *(t.numpy() for t in tensors), light_count, light.turn, sums.numpy())
     return sums
-
-
-def gather_reference(
-    rays: SecondaryRays, light: PreparedLight, light_count: float, vertex_light: torch.Tensor | None = None
-) -> torch.Tensor:
-    """Compute `gather` in PyTorch operations, in double precision: its reference implementation.
-
-    Args:
-        rays: traced rays of P points.
-        light: the light, possibly rotated.
-        light_count: number of light-map samples per point, see `gather`.
-        vertex_light: (V, 4), see `gather`.
-
-    Returns:
-        (P, 2, SUMS) float64 sums.
-    """
-    assert light.distribution is not None
-    u, v, *lobes, density = rays.terms.double().unbind(-1)
-    direction = _direction_of(u + light.turn, v)
-    free = lookup(light.radiance.double(), direction.view(-1, 3))
-    hit = torch.nonzero(rays.row.flatten() >= 0)[:, 0]
-    k, hits = rays.row.flatten()[hit].long(), rays.hits
-    mirrored = _lookup_rotated(light.specular, hits.place[k, 2:4], light.turn, hits.place[k, 4])
-    if vertex_light is None:
-        irradiance = _lookup_rotated(light.diffuse[None], hits.place[k, :2], light.turn, torch.zeros(len(k)))
-    else:
-        at_hits = torch.einsum("kc,kca->ka", hits.weight[k].double(), vertex_light.double()[hits.corner[k].long()])
-        irradiance, mirrored = at_hits[:, :3], at_hits[:, 3:] * mirrored
-    reflected = hits.diffuse[k] * irradiance + hits.specular[k] * mirrored
-    own_density, hidden = density.flatten()[hit, None], hits.opacity[k, None]
-    free = free / (density + light_count * light.distribution.density(direction)).view(-1, 1)
-    seen = free.index_copy(0, hit, (1 - hidden) * free[hit] + hidden * reflected / own_density)
-    seen, free = (torch.where(lobes[0].view(-1, 1) > 0, each, 0.0).view_as(direction) for each in (seen, free))
-    terms = torch.cat([*(lobe[..., None] * seen for lobe in lobes), lobes[0][..., None] * free], -1)
-    return torch.stack([terms[:, 0::2].sum(1), terms[:, 1::2].sum(1)], 1)
-
-
-def _direction_of(u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-    """Return the unit directions (..., 3) of lat-long coordinates u and v, (...,) each in 0..1."""
-    phi, theta = (0.5 - u) * (2 * math.pi), v * math.pi
-    return torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
-
-
-def _lookup_rotated(stack: torch.Tensor, place: torch.Tensor, turn: float, level: torch.Tensor) -> torch.Tensor:
-    """Look a stack (L, H, W, 3) up at u, v (K, 2), rotated by `turn`, and level (K,); return (K, 3)."""
-    return lookup(stack.double(), _direction_of(place[:, 0] + turn, place[:, 1]).double(), level.double())

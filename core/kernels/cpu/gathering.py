@@ -2,7 +2,7 @@
 """Sums of the light that arrives along traced secondary rays, in one pass; called by core/relight/indirect_light.py.
 
 Free rays look the light up in its map; rays that hit a surface receive what the surface reflects. Terms that do not depend on the light
-are computed once (`terms_range`). The reference in PyTorch operations is `gather_reference` in core/relight/indirect_light.py.
+are computed once (`terms_range`). The reference in PyTorch operations is `tests/support/gather_reference.py`.
 """
 
 from __future__ import annotations

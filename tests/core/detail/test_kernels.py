@@ -3,10 +3,10 @@
 
 from dataclasses import replace
 
+import detail_reference as reference
 import numpy as np
 import pytest
 from irgspp.core.datasets.parsed_dataset import Lens
-from irgspp.core.detail import reference
 from irgspp.core.detail.candidates import CODES, Candidates, TexelView, add_candidates
 from irgspp.core.detail.combination import combine
 from irgspp.core.detail.depth_map import depth_map

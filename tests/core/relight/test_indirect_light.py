@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 import torch
+from gather_reference import gather_reference
 from irgspp.core.relight.direct_light import add_light_samples
-from irgspp.core.relight.indirect_light import SecondaryRays, SecondaryScene, ShadingPoints, gather, gather_reference, trace_samples
+from irgspp.core.relight.indirect_light import SecondaryRays, SecondaryScene, ShadingPoints, gather, trace_samples
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.visibility_cache import VisibilityCache
 from irgspp.core.shading.environment_lookup import lookup, rotate

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plain float64 definitions of the kernels of this package, with which tests compare them."""
-
-from __future__ import annotations
+"""Plain float64 definitions of the kernels of `core/detail`, with which tests compare them."""
 
 import cv2
 import numpy as np
-
-from ..scene.camera import Camera
-from ..scene.mesh import Mesh
-from . import candidates as kernels
-from .candidates import Candidates, TexelView
-from .combination import FLOOR, ROUNDS
-from .mesh_texels import MeshTexels
-from .photographs import lens_pixels
+from irgspp.core.detail import candidates as kernels
+from irgspp.core.detail.candidates import Candidates, TexelView
+from irgspp.core.detail.combination import FLOOR, ROUNDS
+from irgspp.core.detail.mesh_texels import MeshTexels
+from irgspp.core.detail.photographs import lens_pixels
+from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.mesh import Mesh
 
 
 def nearest_triangles(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +56,7 @@ def texel_samples(view: TexelView, mesh: Mesh, texels: MeshTexels) -> tuple[np.n
     facing = (towards * normal).sum(-1) / np.linalg.norm(towards, axis=-1) / np.linalg.norm(normal, axis=-1)
     pixel, far = depth.camera.project(point)
     column, row = np.floor(pixel).astype(int).T
-    shown = (facing >= kernels.FACING) & (column >= 0) & (row >= 0) & (column < depth.camera.width) & (row < depth.camera.height)
+    shown = (facing >= kernels.FACING) & depth.camera.in_image(pixel, far)
     nearest = np.where(shown, depth.inverse[np.where(shown, row, 0), np.where(shown, column, 0)], 0)
     surface = 1 / np.where(nearest > 0, nearest, np.inf)
     shown &= (nearest > 0) & (far - surface <= kernels.SLACK * far / (depth.camera.fx * facing))
