@@ -20,6 +20,7 @@ from ..relight.relighter import Relighter
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 from ..shading.specular_albedo import diffuse_fraction
+from ..surface.topology import adjacency
 
 DIFFUSE_SAMPLES = 256  # per vertex, once
 GLOSS_SAMPLES = 48  # per vertex and view
@@ -119,11 +120,7 @@ class VertexShading:
 
         _, place = np.unique(self._mesh.vertices, axis=0, return_inverse=True)
         place = place.ravel()
-        edges = self._mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-        ends = place[np.concatenate([edges, edges[:, ::-1]])]
         places = int(place.max()) + 1
-        joined = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (places, places)).tocsr()
-        joined.data[:] = 1
-        joined = joined + identity(places, format="csr")
+        joined = adjacency(place[self._mesh.faces], places) + identity(places, format="csr")
         mean = coo_matrix((1 / np.bincount(place)[place], (place, np.arange(len(place)))), (places, len(place))).tocsr()
         return (joined @ mean)[place]

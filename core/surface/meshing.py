@@ -14,6 +14,7 @@ from skimage.measure import marching_cubes
 
 from ..errors import IrgsppError
 from ..scene.unique_rows import unique_rows, used_numbers
+from .topology import adjacency, edges_of
 from .voxel_grid import Grid
 
 AGGRESSION = 5  # `agg` of decimation; the library's default, 7, has three times the error in the same time
@@ -85,7 +86,7 @@ def main_components(mesh: Triangles, fraction: float) -> Triangles:
         fraction: least area of a component over that of the largest one.
     """
     v, f = mesh.vertices, mesh.faces
-    _, vertex_label = connected_components(adjacency(mesh), directed=False)
+    _, vertex_label = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
     label = vertex_label[f[:, 0]]
     a, b, c = v[f[:, 0]], v[f[:, 1]], v[f[:, 2]]
     cross = np.cross(b - a, c - a)
@@ -102,18 +103,8 @@ def main_components(mesh: Triangles, fraction: float) -> Triangles:
 
 def border_vertices(faces: np.ndarray) -> np.ndarray:
     """Return the vertices on edges that belong to only one of the faces (F, 3)."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    once, count = unique_rows(edges, return_counts=True)
-    return np.unique(once[count == 1])
-
-
-def adjacency(mesh: Triangles) -> sparse.csr_matrix:
-    """Return the symmetric adjacency matrix (V, V), 1 where two vertices share an edge."""
-    i, j = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
-    ones = np.ones(2 * len(i))
-    matrix = sparse.csr_matrix((ones, (np.r_[i, j], np.r_[j, i])), shape=(len(mesh.vertices),) * 2)
-    matrix.data[:] = 1
-    return matrix
+    edges = edges_of(faces)
+    return np.unique(edges.vertices[edges.border])
 
 
 def smoothed(mesh: Triangles, passes: int) -> Triangles:
@@ -133,12 +124,12 @@ def smoothed(mesh: Triangles, passes: int) -> Triangles:
 
 def _neighbour_average(mesh: Triangles) -> sparse.csr_matrix:
     """Return the matrix (V, V) whose rows average a vertex's neighbours."""
-    edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), -1)
-    edges, count = unique_rows(edges, return_counts=True)
+    edges = edges_of(mesh.faces)
+    ends = edges.vertices
     border = np.zeros(len(mesh.vertices), bool)
-    border[edges[count == 1]] = True
-    i, j = np.r_[edges[:, 0], edges[:, 1]], np.r_[edges[:, 1], edges[:, 0]]
-    keep = ~border[i] | np.r_[count == 1, count == 1]
+    border[ends[edges.border]] = True
+    i, j = np.r_[ends[:, 0], ends[:, 1]], np.r_[ends[:, 1], ends[:, 0]]
+    keep = ~border[i] | np.r_[edges.border, edges.border]
     i, j = i[keep], j[keep]
     degree = np.maximum(np.bincount(i, minlength=len(mesh.vertices)), 1)
     return sparse.csr_matrix((1 / degree[i], (i, j)), shape=(len(mesh.vertices),) * 2)
@@ -178,7 +169,7 @@ def vertex_normals(mesh: Triangles, averages: int = 0) -> np.ndarray:
             normals[:, axis] += np.bincount(mesh.faces[:, k], angle * face[:, axis], len(normals))
     normals = unit(normals)
     if averages:
-        matrix = adjacency(mesh) + sparse.identity(len(normals), format="csr")
+        matrix = adjacency(mesh.faces, len(mesh.vertices)) + sparse.identity(len(normals), format="csr")
         for _ in range(averages):
             normals = unit(matrix @ normals)
     return normals

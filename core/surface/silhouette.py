@@ -14,10 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from scipy import ndimage, sparse
+from scipy import ndimage
 
 from ..scene.camera import Camera
-from .meshing import Triangles, adjacency
+from .topology import neighbour_average
 
 LARGEST = 1.5  # pixels; a larger offset is not a bias of splatting, but a missing part
 REACH = 3.0  # pixels on both sides of the mesh's outline whose coverage is compared
@@ -51,7 +51,7 @@ def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence
     if not limits:
         return np.zeros(len(vertices))
     limit = float(np.median(limits))
-    return np.clip(_spread(total, Triangles(vertices, faces)), -limit, limit)
+    return np.clip(_spread(total, faces), -limit, limit)
 
 
 def _gaps(scene: EmbreeScene, camera: Camera, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -78,10 +78,9 @@ def _gaps(scene: EmbreeScene, camera: Camera, mask: np.ndarray) -> tuple[np.ndar
     return face[nearest], gaps.astype(np.float64), float(np.median(size))
 
 
-def _spread(total: np.ndarray, mesh: Triangles) -> np.ndarray:
-    """Average area and outline length (V, 2) over neighbouring vertices, and return the distance (V,) that they measure."""
-    matrix = adjacency(mesh) + sparse.identity(len(total), format="csr")
-    matrix = sparse.diags(1 / np.asarray(matrix.sum(1)).ravel()) @ matrix
+def _spread(total: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Average area and outline length (V, 2) over neighbouring vertices of faces (F, 3), and return the distance (V,) that they measure."""
+    matrix = neighbour_average(faces, len(total))
     least = LEAST * total[:, 1].mean()
     for _ in range(PASSES):
         total = matrix @ total

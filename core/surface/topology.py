@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Topology of a triangle mesh: edges and the faces on them, fans around vertices, components, orientation, loops of border edges."""
+"""Topology of a triangle mesh: edges and the faces on them, neighbours and fans of vertices, components, orientation, border loops."""
 
 from __future__ import annotations
 
@@ -50,6 +50,40 @@ def edges_of(faces: np.ndarray) -> Edges:
     sides = np.asarray(faces, np.int64)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     vertices, of_side, count = unique_rows(np.sort(sides, -1), return_inverse=True, return_counts=True)
     return Edges(vertices, of_side, count, sides[:, 0] < sides[:, 1])
+
+
+def adjacency(faces: np.ndarray, count: int) -> sparse.csr_matrix:
+    """Find the neighbours of vertices.
+
+    Args:
+        faces: (F, 3) vertices of the triangles.
+        count: number V of vertices.
+
+    Returns:
+        Symmetric matrix (V, V), 1 where two vertices share an edge.
+    """
+    i, j = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    ones = np.ones(2 * len(i))
+    matrix = sparse.csr_matrix((ones, (np.r_[i, j], np.r_[j, i])), shape=(count, count))
+    matrix.data[:] = 1
+    return matrix
+
+
+def neighbour_average(faces: np.ndarray, count: int, own: bool = True) -> sparse.csr_matrix:
+    """Build the matrix that averages values over the neighbours of vertices.
+
+    Args:
+        faces: (F, 3) vertices of the triangles.
+        count: number V of vertices.
+        own: a vertex's own value counts as one of its neighbours'.
+
+    Returns:
+        Matrix (V, V) whose rows have sum 1; without `own`, 0 for vertices of no face.
+    """
+    near = adjacency(faces, count)
+    if own:
+        near = near + sparse.identity(count, format="csr")
+    return sparse.csr_matrix(sparse.diags(1 / np.maximum(np.asarray(near.sum(1)).ravel(), 1)) @ near)
 
 
 def face_components(faces: np.ndarray, edges: Edges) -> np.ndarray:

@@ -17,6 +17,15 @@ def test_edges_of_a_tetrahedron():
     assert (edges.of_side[sides[:, 0]] == edges.of_side[sides[:, 1]]).all()
 
 
+def test_neighbours_share_an_edge():
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    expected = np.array([[0, 1, 1, 0, 0], [1, 0, 1, 1, 0], [1, 1, 0, 1, 0], [0, 1, 1, 0, 0], [0, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(topology.adjacency(faces, 5).toarray(), expected)
+    values = np.array([1.0, 2.0, 6.0, 9.0, 7.0])
+    np.testing.assert_allclose(topology.neighbour_average(faces, 5) @ values, [3, 4.5, 4.5, 17 / 3, 7])
+    np.testing.assert_allclose(topology.neighbour_average(faces, 5, own=False) @ values, [4, 16 / 3, 4, 4, 0])
+
+
 def test_a_face_less_leaves_a_loop_and_two_leave_two():
     body = trimesh.creation.icosphere(2)
     faces = np.delete(np.array(body.faces), [0], axis=0)

@@ -12,12 +12,12 @@ from functools import partial
 
 import numpy as np
 import torch
-from scipy import sparse
 
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.dataset import View
 from ....scene.surface import Surface
-from ....surface.meshing import Triangles, adjacency, unit
+from ....surface.meshing import unit
+from ....surface.topology import neighbour_average
 from ..metal import METAL
 from ..solver.light_material_solver import LightMaterialSolver
 from ..solver.metal_normals import search_normals
@@ -62,7 +62,7 @@ def turn_to_reflections(
     samples, seen = sample_views(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, device=tracer.device)
     chosen = seen.cpu().numpy()
     metal, roughness = metal[chosen], roughness[chosen]
-    average, normals = _average(surface), surface.normals
+    average, normals = neighbour_average(surface.faces, len(surface.vertices)), surface.normals
     batches = partial(_batches, samples, solver, tracer, seed)
     kept = list(batches()) if len(metal) <= KEPT else None
     for _ in range(ROUNDS):
@@ -101,9 +101,3 @@ def _batches(
         own = samples.part(part.start, part.stop)
         options = (solver.transfer.texels, 1, seed, solver.transfer.bounces)
         yield part, own, trace_radiance_transfer(own.position, own.normal, tracer, *options)
-
-
-def _average(surface: Surface) -> sparse.csr_matrix:
-    """Return the matrix (V, V) that averages values of a vertex and its neighbours."""
-    near = adjacency(Triangles(surface.vertices, surface.faces)) + sparse.identity(len(surface.vertices), format="csr")
-    return sparse.csr_matrix(sparse.diags(1 / np.asarray(near.sum(1)).ravel()) @ near)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from ....scene.surface import Surface
-from ....scene.unique_rows import unique_rows
+from ....surface.topology import edges_of, neighbour_average
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +34,12 @@ class SurfaceGradient:
     def of(cls, surface: Surface) -> SurfaceGradient:
         """Compute the operators of a mesh."""
         vertices, count = surface.vertices, len(surface.vertices)
-        edges = unique_rows(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1))
+        edges = edges_of(surface.faces).vertices
         length = float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
         row = np.arange(len(edges))
         ones = np.ones(len(edges))
         difference = sparse.csr_matrix((np.r_[ones, -ones], (np.r_[row, row], edges.T.ravel())), shape=(len(edges), count))
-        around = sparse.csr_matrix((np.r_[ones, ones], (edges.T.ravel(), edges[:, ::-1].T.ravel())), shape=(count, count))
-        average = sparse.diags(1 / np.maximum(np.asarray(around.sum(1)).ravel(), 1)) @ around
-        return cls(_gradient(surface, length), difference, edges, sparse.csr_matrix(average), length)
+        return cls(_gradient(surface, length), difference, edges, neighbour_average(surface.faces, count, own=False), length)
 
     def slope(self, values: np.ndarray) -> np.ndarray:
         """Return the gradient (V, 3) of values (V,)."""
@@ -69,11 +67,10 @@ def _gradient(surface: Surface, length: float) -> tuple[sparse.csr_matrix, spars
 def subdivided(surface: Surface) -> Surface:
     """Split each triangle into four at the midpoints of its edges; the first vertices are the old ones."""
     faces, count = surface.faces, len(surface.vertices)
-    sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1)
-    edges, index = unique_rows(sides, return_inverse=True)
-    middle = count + index.reshape(-1, 3)
-    vertices = np.concatenate([surface.vertices, surface.vertices[edges].mean(1)])
-    normals = np.concatenate([surface.normals, surface.normals[edges].sum(1)])
+    edges = edges_of(faces)
+    middle = count + edges.of_side.reshape(-1, 3)
+    vertices = np.concatenate([surface.vertices, surface.vertices[edges.vertices].mean(1)])
+    normals = np.concatenate([surface.normals, surface.normals[edges.vertices].sum(1)])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     corners = [np.stack([faces[:, k], middle[:, k], middle[:, k - 1]], 1) for k in range(3)]
     return Surface(vertices, normals, np.concatenate([*corners, middle]).astype(faces.dtype), surface.voxel / 2)
