@@ -7,12 +7,11 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
+from ..scene.triangle_tracer import TriangleTracer
 
 FAR = 1e37  # distance that counts as infinite, as in Embree's wrapper
 
@@ -66,10 +65,7 @@ class EmbreeTriangles:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self._scene = EmbreeScene()
-        TriangleMesh(self._scene, np.ascontiguousarray(mesh.vertices[mesh.faces], np.float32))
-        # The first query commits the scene, which is not thread-safe.
-        self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+        self._tracer = TriangleTracer(mesh.vertices[mesh.faces])
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Find the first triangle that each ray meets, see `Triangles`.
@@ -86,9 +82,9 @@ class EmbreeTriangles:
         u, v, distance = np.empty((3, len(origins)), np.float32)
 
         def run(begin: int, end: int) -> None:
-            result = self._scene.run(origins[begin:end], directions[begin:end], query="INTERSECT", output=True)
-            for array, name in ((triangle, "primID"), (u, "u"), (v, "v"), (distance, "tfar")):
-                array[begin:end] = result[name]
+            found = self._tracer.closest(origins[begin:end], directions[begin:end])
+            for array, values in zip((triangle, u, v, distance), found, strict=True):
+                array[begin:end] = values
 
         run_ranges(run, even_ranges(len(origins), thread_count()))
         return torch.from_numpy(triangle), torch.from_numpy(u), torch.from_numpy(v), torch.from_numpy(distance)
@@ -107,7 +103,7 @@ class EmbreeTriangles:
 
         def run(begin: int, end: int) -> None:
             ends = None if far is None else far[begin:end]
-            occluded[begin:end] = self._scene.run(origins[begin:end], directions[begin:end], ends, query="OCCLUDED") >= 0
+            occluded[begin:end] = self._tracer.meet(origins[begin:end], directions[begin:end], ends)
 
         run_ranges(run, even_ranges(len(origins), thread_count()))
         return torch.from_numpy(occluded)

@@ -6,11 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
 from ..scene.camera import Camera
 from ..scene.surface import Surface
+from ..scene.triangle_tracer import TriangleTracer
 
 
 def normal_images(surface: Surface, cameras: Sequence[Camera]) -> list[np.ndarray]:
@@ -23,18 +22,15 @@ def normal_images(surface: Surface, cameras: Sequence[Camera]) -> list[np.ndarra
     Returns:
         For each camera, (H, W, 3) float32 unit normals in world axes; 0 where the ray misses the mesh or meets its back.
     """
-    scene = EmbreeScene()
-    mesh = TriangleMesh(scene, np.ascontiguousarray(surface.vertices[surface.faces], np.float32))  # noqa: F841 (keeps it alive)
-    return [_normal_image(scene, surface, camera) for camera in cameras]
+    tracer = TriangleTracer(surface.vertices[surface.faces])
+    return [_normal_image(tracer, surface, camera) for camera in cameras]
 
 
-def _normal_image(scene: EmbreeScene, surface: Surface, camera: Camera) -> np.ndarray:
+def _normal_image(tracer: TriangleTracer, surface: Surface, camera: Camera) -> np.ndarray:
     """Return the normals (H, W, 3) that one camera sees."""
-    rays = np.ascontiguousarray(camera.rays().reshape(-1, 3), np.float32)
-    origins = np.repeat(camera.centre[None].astype(np.float32), len(rays), 0)
-    found = scene.run(origins, rays, query="INTERSECT", output=True)
-    hit = found["primID"] >= 0
-    corners, u, v = surface.faces[found["primID"][hit]], found["u"][hit, None], found["v"][hit, None]
+    rays, found = camera.rays().reshape(-1, 3), tracer.seen_by(camera)
+    hit = found.triangle >= 0
+    corners, u, v = surface.faces[found.triangle[hit]], found.u[hit, None], found.v[hit, None]
     a, b, c = (surface.normals[corners[:, k]] for k in range(3))
     normal = (1 - u - v) * a + u * b + v * c
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)

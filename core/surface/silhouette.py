@@ -12,11 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from scipy import ndimage
 
 from ..scene.camera import Camera
+from ..scene.triangle_tracer import TriangleTracer
 from .topology import neighbour_average
 
 LARGEST = 1.5  # pixels; a larger offset is not a bias of splatting, but a missing part
@@ -37,11 +36,10 @@ def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence
     Returns:
         (V,) offsets in world units; 0 far from all outlines, and where no view shows an outline with a plausible offset.
     """
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(vertices[faces], np.float32))
+    tracer = TriangleTracer(vertices[faces])
     total, limits = np.zeros((len(vertices), 2)), []
     for camera, mask in zip(cameras, masks, strict=True):
-        face, gaps, pixel = _gaps(scene, camera, mask)
+        face, gaps, pixel = _gaps(tracer, camera, mask)
         area, length = gaps.sum(0) if len(gaps) else (0.0, 0.0)
         if length < pixel or abs(area) > LARGEST * pixel * length:
             continue
@@ -54,17 +52,15 @@ def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence
     return np.clip(_spread(total, faces), -limit, limit)
 
 
-def _gaps(scene: EmbreeScene, camera: Camera, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _gaps(tracer: TriangleTracer, camera: Camera, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Compare the coverage of mesh and mask (H, W) in the pixels near the mesh's outline in one view.
 
     Returns:
         Index (P,) of the outline's triangle next to each of P pixels, their area of the mask without mesh and length of the mask's outline
         (P, 2) in world units, and the size of a pixel there (1 without outline).
     """
-    rays = camera.rays().reshape(-1, 3)
-    origins = np.repeat(camera.centre[None].astype(np.float32), len(rays), 0)
-    result = scene.run(origins, rays, query="INTERSECT", output=True)
-    face = result["primID"].reshape(mask.shape)
+    found = tracer.seen_by(camera)
+    face = found.triangle.reshape(mask.shape)
     hit = face >= 0
     edge = hit & (np.hypot(*np.gradient(hit.astype(np.float32))) > 0)
     if not edge.any():
@@ -72,7 +68,7 @@ def _gaps(scene: EmbreeScene, camera: Camera, mask: np.ndarray) -> tuple[np.ndar
     nearest = np.asarray(ndimage.distance_transform_edt(~edge, return_distances=False, return_indices=True))
     near = np.hypot(*(nearest - np.indices(mask.shape))) <= REACH
     nearest = tuple(nearest[:, near])
-    size = result["tfar"].reshape(mask.shape)[nearest] / camera.fx
+    size = found.distance.reshape(mask.shape)[nearest] / camera.fx
     outline = np.hypot(*np.gradient(mask))[near]  # length in pixels: alpha rises by one across it
     gaps = np.stack([(mask - hit)[near] * size**2, outline * size], -1)
     return face[nearest], gaps.astype(np.float64), float(np.median(size))

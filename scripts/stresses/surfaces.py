@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from irgspp.core.errors import IrgsppError
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.progress.protocol import Silent
@@ -17,6 +15,7 @@ from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gbuffer import GBuffer, SurfaceSamples
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.surface import Surface
+from irgspp.core.scene.triangle_tracer import TriangleTracer
 from irgspp.core.settings.schema import SurfaceSettings
 from irgspp.core.surface.bake import rasterise
 from irgspp.core.surface.extraction import extract_geometry
@@ -55,16 +54,15 @@ def gbuffers_of(mesh: Triangles, views: list[Camera]) -> list[GBuffer]:
         mesh: mesh to render.
         views: cameras.
     """
-    scene, corners = EmbreeScene(), mesh.vertices[mesh.faces]
-    TriangleMesh(scene, np.ascontiguousarray(corners, np.float32))
+    corners = mesh.vertices[mesh.faces]
+    tracer = TriangleTracer(corners)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-30)
     buffers = []
     for camera in views:
-        rays = camera.rays().reshape(-1, 3)
-        found = scene.run(np.repeat(camera.centre[None].astype(np.float32), len(rays), 0), rays, query="INTERSECT", output=True)
-        hit, far = found["primID"] >= 0, np.where(found["primID"] >= 0, found["tfar"], 0).astype(np.float64)
-        normal = across[np.maximum(found["primID"], 0)] * hit[:, None]
+        rays, found = camera.rays().reshape(-1, 3), tracer.seen_by(camera)
+        hit, far = found.triangle >= 0, np.where(found.triangle >= 0, found.distance, 0).astype(np.float64)
+        normal = across[np.maximum(found.triangle, 0)] * hit[:, None]
         normal = np.where((normal * rays).sum(-1, keepdims=True) > 0, -normal, normal)
         colour = colour_of(camera.centre + far[:, None] * rays) * hit[:, None]
         layers = (hit, far, normal, colour, colour, colour[:, 1], colour[:, 2])

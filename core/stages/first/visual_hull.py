@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
@@ -18,6 +16,7 @@ from ...machine.thread_pool import even_ranges, run_ranges, thread_count
 from ...scene.camera import Camera
 from ...scene.dataset import Bound, View
 from ...scene.surface import draw_on_triangles
+from ...scene.triangle_tracer import TriangleTracer
 from ..common.mask_band import widest_mask
 
 GRID = 96  # cells along the longest side of the hull
@@ -96,18 +95,17 @@ class VisualHull:
 
     def depths(self, cameras: Sequence[Camera]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the planar depths (H, W) float32 at which each camera's rays enter and leave the hull; 0 where they miss it."""
-        scene = EmbreeScene()
-        mesh = TriangleMesh(scene, np.ascontiguousarray(self.triangles(), np.float32))  # noqa: F841 (the scene does not keep it alive)
+        tracer = TriangleTracer(self.triangles())
         far = 2 * max(float(np.linalg.norm(camera.centre - self.corner)) for camera in cameras) + sum(self.inside.shape) * self.step
-        return [(_hit(scene, camera, 0.0), far - _hit(scene, camera, far, missed=far)) for camera in cameras]
+        return [(_hit(tracer, camera, 0.0), far - _hit(tracer, camera, far, missed=far)) for camera in cameras]
 
 
-def _hit(scene: EmbreeScene, camera: Camera, start: float, missed: float = 0.0) -> np.ndarray:
+def _hit(tracer: TriangleTracer, camera: Camera, start: float, missed: float = 0.0) -> np.ndarray:
     """Return the distance (H, W) along the rays, in depth, to the first hit; from depth `start` backwards where it is above 0."""
-    rays = camera.rays().reshape(-1, 3).astype(np.float32)
+    rays = camera.rays().reshape(-1, 3)
     origin = np.ascontiguousarray(camera.centre + start * rays, np.float32)
-    found = scene.run(origin, -rays if start else rays, query="INTERSECT", output=True)
-    return np.where(found["primID"] >= 0, found["tfar"], missed).astype(np.float32).reshape(camera.height, camera.width)
+    found = tracer.closest(origin, -rays if start else rays)
+    return np.where(found.triangle >= 0, found.distance, missed).astype(np.float32).reshape(camera.height, camera.width)
 
 
 def visual_hull(views: list[View], bound: Bound) -> VisualHull:
