@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from irgspp.core.io.exr import read_exr
 from irgspp.core.scene.camera import Camera
+from irgspp.core.scene.surface import draw_on_triangles
 from mathutils import Matrix, Vector
 from mathutils.bvhtree import BVHTree
 
@@ -173,10 +174,8 @@ def visible_points(triangles: np.ndarray, cameras: list[Camera], count: int, see
     cross = np.cross(b - a, c - a)
     area = np.linalg.norm(cross, axis=-1)
     random = np.random.default_rng(seed)
-    pick = random.choice(len(area), 2 * count, p=area / area.sum())
-    r = np.sqrt(random.random(2 * count))[:, None]
-    s = random.random(2 * count)[:, None]
-    points = (1 - r) * a[pick] + r * (1 - s) * b[pick] + r * s * c[pick]
+    pick, weight = draw_on_triangles(area, 2 * count, random)
+    points = (triangles[pick] * weight).sum(1)
     normals = cross[pick] / area[pick, None]
     size = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     seen = [i for i in range(len(points)) if any(_sees(tree, camera.centre, points[i], 1e-4 * size) for camera in cameras)][:count]
