@@ -21,7 +21,7 @@ from .gbuffer import SurfaceSamples
 
 @dataclass(frozen=True, eq=False)
 class Reflections:
-    """Materials and light that the reflections in the radiance of a glossy reconstruction were fitted with.
+    """Materials and light that the reflections in the radiance of a reconstruction with split-sum were fitted with.
 
     Attributes:
         material: (5, N) albedo, roughness, metallic in 0..1 of each surfel.
@@ -68,7 +68,7 @@ class Reconstruction:
         environment: (H, W, 3) float32 linear radiance, lat-long.
         bound: bounding sphere of the object.
         to_world: (4, 4) similarity from the dataset's own frame to the world.
-        glossy: True if the SH hold the diffuse radiance and the deferred split-sum adds the reflections; False if they hold all radiance.
+        has_split_sum: True if SH hold the diffuse radiance and deferred split-sum adds the reflections; False if they hold all radiance.
         background: (H, W, 3) linear lat-long image behind the object, or None where the photographs were masked.
         reflections: materials and light of the reflections in the radiance, where they differ from the surfels' and from `environment`.
         confidence: (3, N) float32 of each surfel's albedo, roughness and metallic, in 0..1: how well the photographs bear them out, see
@@ -79,7 +79,7 @@ class Reconstruction:
     environment: torch.Tensor
     bound: Bound
     to_world: np.ndarray
-    glossy: bool = False
+    has_split_sum: bool = False
     background: torch.Tensor | None = None
     reflections: Reflections | None = None
     confidence: torch.Tensor | None = None
@@ -103,7 +103,7 @@ class Reconstruction:
 
     def mirrored(self) -> Reflections | None:
         """Return the materials and light of the reflections that are added to the SH; None if the SH hold all radiance."""
-        if not self.glossy:
+        if not self.has_split_sum:
             return None
         return self.reflections or Reflections(self.gaussians.materials().detach(), self.environment)
 
@@ -130,7 +130,12 @@ class Reconstruction:
         if self.reflections is not None:
             self.reflections.save(folder / "reflections.npz")
         frame = {"bound": asdict(self.bound), "to_world": self.to_world.tolist()}
-        about = {**frame, "glossy": self.glossy, "background": self.background is not None, "reflections": self.reflections is not None}
+        about = {
+            **frame,
+            "glossy": self.has_split_sum,
+            "background": self.background is not None,
+            "reflections": self.reflections is not None,
+        }
         write_atomic(folder / "reconstruction.json", json.dumps(about, indent=1).encode())
 
     @classmethod
@@ -145,7 +150,7 @@ class Reconstruction:
             about = json.loads(path.read_text("utf-8"))
             x, y, z = (float(c) for c in about["bound"]["centre"])
             bound = Bound((x, y, z), float(about["bound"]["radius"]))
-            to_world, glossy = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"])
+            to_world, has_split_sum = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"])
             has_background, has_reflections = bool(about["background"]), bool(about["reflections"])
         except FileNotFoundError as error:
             raise InputError(path, "no such file", "give the folder of a finished run") from error
@@ -155,4 +160,4 @@ class Reconstruction:
         environment = torch.from_numpy(read_exr_rgb(folder / "environment.exr"))
         gaussians, confidence = load_surfels(folder / "gaussians.ply")
         reflections = Reflections.load(folder / "reflections.npz", gaussians.count) if has_reflections else None
-        return cls(gaussians, environment, bound, to_world, glossy, background, reflections, confidence)
+        return cls(gaussians, environment, bound, to_world, has_split_sum, background, reflections, confidence)

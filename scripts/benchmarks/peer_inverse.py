@@ -160,7 +160,7 @@ def tasks(bench: Bench, scene: Scene) -> Iterator[Task]:
         """Optimise once, when the first task needs it."""
         made = bench.run(scene, bench.balanced())
         seconds = made.phase_seconds()["second stage"]
-        return optimise(made.path, scene.data.train, Reconstruction.load(made.path).glossy, [n * seconds for n in times])
+        return optimise(made.path, scene.data.train, Reconstruction.load(made.path).has_split_sum, [n * seconds for n in times])
 
     yield Task(f"{PREFIX}{OURS}", partial(_ours, bench, scene), 20.0, run)
     for number, times_ours in enumerate(times):

@@ -22,7 +22,7 @@ from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import from_dict
 from irgspp.core.stages.first.depth_anchors import DepthAnchors
 from irgspp.core.stages.first.initialization import initial_gaussians
-from irgspp.core.stages.first.material_class import COATED
+from irgspp.core.stages.first.material_class import GLOSSY
 from irgspp.core.stages.first.material_class_selection import material_class_named
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stereo.depth_map import DepthMap
@@ -45,7 +45,7 @@ def short_training() -> Trainer:
     first = replace(settings().first, light_height=8)
     start = initial_gaussians(data, 40, np.random.default_rng(0))
     anchors = DepthAnchors.of_maps([flat_map(view.camera) for view in data.train])
-    trainer = Trainer(data, first, start, COATED, 0, 0, anchors=anchors)
+    trainer = Trainer(data, first, start, GLOSSY, 0, 0, anchors=anchors)
     for _ in range(3):
         trainer.step()
     return trainer

@@ -22,7 +22,7 @@ from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import FirstStageSettings, preset
 from irgspp.core.stages.common.optimizer import Rate
 from irgspp.core.stages.first.initialization import initial_gaussians
-from irgspp.core.stages.first.material_class import COATED, LOW_GLOSS, METAL, MaterialClass
+from irgspp.core.stages.first.material_class import GLOSSY, LOW_GLOSS, METAL, MaterialClass
 
 from .case import Measured, group
 from .threads import threads_set_to
@@ -122,7 +122,7 @@ def very_long(measured: Measured) -> None:
 def fast_learning(measured: Measured) -> None:
     """Check high learning rates."""
     dataset, settings = photographs(cameras(12, 24)), replace(TINY.first, iterations=450)
-    for kind in (LOW_GLOSS, COATED, METAL):
+    for kind in (LOW_GLOSS, GLOSSY, METAL):
         undisturbed = _psnr_after_fast_start(dataset, kind, settings, 1.0)
         for factor in (10.0, 100.0):
             try:

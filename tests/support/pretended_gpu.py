@@ -98,7 +98,7 @@ def main() -> None:
         ]
         settings, refinements = SecondStageSettings(iterations=100, pixels=16, samples=16), []
         for glossy in (False, True):
-            known = dataclasses.replace(start, glossy=glossy)
+            known = dataclasses.replace(start, has_split_sum=glossy)
             tracer = SecondaryTracer(known)
             pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0), 2)
             refinements.append(Refinement(known, pool, tracer, settings, 0))

@@ -39,7 +39,7 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequ
     The overall scale between light and albedo is ambiguous: a fitted light is scaled so that the median albedo is 0.5.
 
     Args:
-        reconstruction: result of the first stage, on the CPU; its light is kept where it is `glossy`. It is modified.
+        reconstruction: result of the first stage, on the CPU; its light is kept where it has split-sum reflections. It is modified.
         seed: seed of the random selection of Gaussians that the light is fitted to.
         views: training views. Where the light turns between them, each surfel is taken as the camera that it faces most shows it.
 
@@ -57,7 +57,7 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequ
     if not len(solid):
         return reconstruction
     pick = solid[torch.randperm(len(solid), generator=torch.Generator().manual_seed(seed))[:SAMPLE]]
-    if not reconstruction.glossy:
+    if not reconstruction.has_split_sum:
         light = _fit_light(normal[pick], seen[pick], g.position.T[pick])
         reconstruction.environment = resampled_light(light, reconstruction.environment.shape[0])
     irradiance = lookup(diffuse_light(reconstruction.environment), normal).clamp_min(1e-4)

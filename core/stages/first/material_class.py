@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Material classes: initial materials and learning rates of the first stage for low-gloss, coated and metal objects."""
+"""Material classes: initial materials and learning rates of the first stage for low-gloss, glossy (coated) and metal objects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class MaterialClass:
 
     Attributes:
         name: as shown to the user and stored in checkpoints.
-        glossy: reflections of a light map are rendered by deferred split-sum shading (Karis 2013); otherwise SH hold all radiance.
+        split_sum: reflections of a light map are rendered by deferred split-sum shading (Karis 2013); otherwise SH hold all radiance.
         material: initial albedo (3), roughness, metallic.
         position: learning rate per unit of scene radius.
         quaternion: learning rate. A reflection turns twice as fast as the normal, so that a metal's normals need a low rate; a matt
@@ -25,7 +25,7 @@ class MaterialClass:
     """
 
     name: str
-    glossy: bool
+    split_sum: bool
     material: tuple[float, float, float, float, float]
     position: float
     quaternion: float
@@ -41,21 +41,21 @@ class MaterialClass:
             "sh_dc": Rate(2e-2, 0.1),
             "sh_rest": Rate(1e-3, 0.1),
         }
-        if self.glossy:
+        if self.split_sum:
             table |= {"albedo": Rate(2e-2, 0.1), "roughness": Rate(2e-2, 0.1), "metallic": Rate(5e-2, 0.1), "light": Rate(3e-2, 0.2)}
         return table
 
 
 # Material, then the rates of position, quaternion and log scale:
 LOW_GLOSS = MaterialClass("low-gloss", False, (0.5, 0.5, 0.5, 0.5, 0.02), 8e-4, 5e-4, 6e-3)
-COATED = MaterialClass("glossy", True, (0.5, 0.5, 0.5, 0.4, 0.1), 1.5e-3, 2e-3, 1e-2)
+GLOSSY = MaterialClass("glossy", True, (0.5, 0.5, 0.5, 0.4, 0.1), 1.5e-3, 2e-3, 1e-2)
 METAL = MaterialClass("metal", True, (0.7, 0.7, 0.7, 0.25, 0.95), 1.2e-3, 5e-4, 1e-2)
-MATERIAL_CLASSES = (LOW_GLOSS, COATED, METAL)  # from the least to the most reflecting
+MATERIAL_CLASSES = (LOW_GLOSS, GLOSSY, METAL)  # from the least to the most reflecting
 
 
 def allowed_material_classes(materials: str) -> tuple[MaterialClass, ...]:
     """Return the material classes that the setting `materials` ("auto", "low-gloss" or "glossy") allows."""
-    return MATERIAL_CLASSES if materials == "auto" else tuple(m for m in MATERIAL_CLASSES if m.glossy == (materials == "glossy"))
+    return MATERIAL_CLASSES if materials == "auto" else tuple(m for m in MATERIAL_CLASSES if m.split_sum == (materials == "glossy"))
 
 
 def with_geometry_rates(material_class: MaterialClass, other: MaterialClass) -> MaterialClass:

@@ -11,7 +11,7 @@ from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
 from ..common.skip_rules import decide_skip_rule
 from .checkpoint_state import invalid_checkpoint
-from .material_class import COATED, LOW_GLOSS, MATERIAL_CLASSES, METAL, MaterialClass, allowed_material_classes, with_geometry_rates
+from .material_class import GLOSSY, LOW_GLOSS, MATERIAL_CLASSES, METAL, MaterialClass, allowed_material_classes, with_geometry_rates
 from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
 
 # dB by which a more reflecting class must be better where the light turns, beside `first.trial_margin`: a reflected light map also explains
@@ -52,7 +52,7 @@ def select_material_class(
     if len(classes) == 1 or len(dataset.train) < HOLD_BACK_FROM:
         return classes[0]
     # The same geometry rates for all: the shading models are compared, not the rates.
-    fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, COATED), crop) for m in classes}
+    fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, GLOSSY), crop) for m in classes}
     progress.phase("materials", settings.first.trial_iterations)
     score, given_up = run_trials(fits, settings, progress)
     decide_skip_rule(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
@@ -70,7 +70,7 @@ def _margins(margin: float, turns: bool) -> dict[str, float]:
         margin: the setting `first.trial_margin`.
         turns: the light turns.
     """
-    return dict.fromkeys((COATED.name, METAL.name), margin + TURNING) if turns else {COATED.name: -margin, METAL.name: margin}
+    return dict.fromkeys((GLOSSY.name, METAL.name), margin + TURNING) if turns else {GLOSSY.name: -margin, METAL.name: margin}
 
 
 def _choose(score: dict[str, float], margins: dict[str, float], turns: bool) -> str:
@@ -84,7 +84,7 @@ def _choose(score: dict[str, float], margins: dict[str, float], turns: bool) -> 
     best, *rest = score
     for name in rest:
         best = name if score[name] > score[best] + margins[name] else best
-    if best == COATED.name and not turns and _clearly_reflects(score, margins[METAL.name]):
+    if best == GLOSSY.name and not turns and _clearly_reflects(score, margins[METAL.name]):
         return METAL.name
     return best
 
@@ -92,7 +92,7 @@ def _choose(score: dict[str, float], margins: dict[str, float], turns: bool) -> 
 def _clearly_reflects(score: dict[str, float], margin: float) -> bool:
     """Return True where metal is at most `margin` dB worse than glossy, and better than low-gloss by more than REFLECTING."""
     metal, matt = score.get(METAL.name, -math.inf), score.get(LOW_GLOSS.name, math.inf)
-    return metal > score[COATED.name] - margin and metal > matt + REFLECTING
+    return metal > score[GLOSSY.name] - margin and metal > matt + REFLECTING
 
 
 def _choice_in_words(score: dict[str, float], chosen: str, margins: dict[str, float]) -> str:
@@ -116,7 +116,7 @@ def material_class_named(name: str, dataset: Dataset) -> MaterialClass:
 
     Args:
         name: name of the class.
-        dataset: without masks, where the first stage starts on sparse points, the higher geometry rates of COATED apply: surfels have
+        dataset: without masks, where the first stage starts on sparse points, the higher geometry rates of GLOSSY apply: surfels have
             farther to move than from a visual hull.
 
     Raises:
@@ -125,4 +125,4 @@ def material_class_named(name: str, dataset: Dataset) -> MaterialClass:
     material_class = next((m for m in MATERIAL_CLASSES if m.name == name), None)
     if material_class is None:
         raise invalid_checkpoint()
-    return material_class if dataset.has_alpha else with_geometry_rates(material_class, COATED)
+    return material_class if dataset.has_alpha else with_geometry_rates(material_class, GLOSSY)

@@ -10,7 +10,7 @@ from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
 from .depth_anchors import DepthAnchors
-from .material_class import COATED, METAL, MaterialClass, with_geometry_rates
+from .material_class import GLOSSY, METAL, MaterialClass, with_geometry_rates
 from .stereo_initialization import StereoStart, from_stereo
 from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
 
@@ -92,7 +92,7 @@ def _trial(
     if dataset.has_alpha:
         surfels, resolution = int(FINER_SURFELS * first.trial_gaussians), FINER_RESOLUTION * first.trial_resolution
         first = replace(first, trial_gaussians=surfels, trial_resolution=resolution)
-    rated = with_geometry_rates(material_class, COATED)  # as the trial fits that selected the class
+    rated = with_geometry_rates(material_class, GLOSSY)  # as the trial fits that selected the class
     fits = {key: prepare_trial(dataset, replace(settings, first=first), start, rated, crop) for key, start in starts.items()}
     progress.phase("start", first.trial_iterations)
     return run_trials(fits, settings, progress)[0]

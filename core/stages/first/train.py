@@ -99,7 +99,7 @@ def train(
     trainer.optimizer.check_finite()
     fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
-    result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, material_class.glossy, background)
+    result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, material_class.split_sum, background)
     return estimate_light_albedo(result.to("cpu"), settings.seed, dataset.train), trainer.settings.iterations / settings.first.iterations
 
 

@@ -98,7 +98,7 @@ class Trainer:
         self.light = gaussians.position.new_full((settings.light_height, 2 * settings.light_height, 3), math.log(START_RADIANCE))
         self.background = border_radiance(self.training_views).log().expand(64, 128, 3).clone().to(self.device)
         others, table = {}, material_class.rates(dataset.bound.radius)
-        if material_class.glossy:
+        if material_class.split_sum:
             others["light"] = self.light.requires_grad_()
         if not self.masked:
             others["background"] = self.background.requires_grad_()
@@ -130,10 +130,10 @@ class Trainer:
     def _shade(self, view: TrainingView, degree: int, subpixels: int) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
         """Return the linear radiance (3, H, W) of a view with straight alpha, and the sums and the statistics of `rasterize`."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
-        extra = g.materials() if self.material_class.glossy else g.position.new_zeros(0, g.count)
+        extra = g.materials() if self.material_class.split_sum else g.position.new_zeros(0, g.count)
         parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
         sums, statistics = rasterize(*parameters, view.camera, radius, degree, subpixels)
-        straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.glossy else None, view.light_rotation)
+        straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.split_sum else None, view.light_rotation)
         return straight, sums, statistics
 
     def straight(self, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
@@ -160,7 +160,7 @@ class Trainer:
         degree = sh_degree(self.settings, self.done)
         straight, sums, statistics = self._shade(view, degree, rays_per_side(self.settings, self.done))
         loss = image_loss(straight, sums, view, self._background(), loss_weights(self.settings, self.done))
-        if self.material_class.glossy:
+        if self.material_class.split_sum:
             loss = loss + self.settings.light_smoothness * light_variation(self.light)
         if self.anchors is not None and self.anchors.chosen:
             full = self.dataset.train[index].camera

@@ -134,7 +134,7 @@ def solve_in_closed_form(
     enlarged = solver.light_map(settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     starts = [reconstruction.relabelled(torch.logit(materials), enlarged)]
-    if reconstruction.glossy and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
+    if reconstruction.has_split_sum and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
         starts = metal_starts(reconstruction, starts[0], solver)
     result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline)
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
@@ -186,12 +186,12 @@ def solve_light_materials(
     transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, step, rotations)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal, or on a dark object.
-    search_metal = dataset.has_alpha or reconstruction.glossy
+    search_metal = dataset.has_alpha or reconstruction.has_split_sum
     solve = partial(_solve_from_first_stage, reconstruction, samples, transfer, tracer, settings, progress)
     solver = solve(search_metal)
     if _is_doubtful_metal(reconstruction, solver):
         progress.message("the solver takes the whole object for metal, but the first stage does not: solved again without metal")
-        solver = _decided(solver, solve(False), reconstruction.glossy, progress)
+        solver = _decided(solver, solve(False), reconstruction.has_split_sum, progress)
     return solver, tracer
 
 
@@ -202,7 +202,7 @@ def _is_doubtful_metal(reconstruction: Reconstruction, solver: LightMaterialSolv
     """
     if float(solver.metallic.mean()) <= METAL_ON_AVERAGE or is_metal_on_average(reconstruction.gaussians):
         return False
-    return not reconstruction.glossy or solver.metal_gain < CLEAR
+    return not reconstruction.has_split_sum or solver.metal_gain < CLEAR
 
 
 def _decided(metal: LightMaterialSolver, plain: LightMaterialSolver, glossy: bool, progress: Progress) -> LightMaterialSolver:

@@ -59,7 +59,7 @@ def test_confidence_is_a_layer_and_changes_no_other(reconstruction, camera, anal
     """Of a glossy reconstruction whose reflections have materials of their own, which are further channels."""
     g = reconstruction.gaussians
     mirrored = Reflections(torch.full((5, g.count), 0.5), torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(0)))
-    plain = replace(reconstruction, glossy=True, reflections=mirrored)
+    plain = replace(reconstruction, has_split_sum=True, reflections=mirrored)
     known = replace(plain, confidence=torch.tensor([0.2, 0.5, 0.9])[:, None].repeat(1, g.count))
     with_it, without = render_gbuffer(known, camera, shaded=shaded), render_gbuffer(plain, camera, shaded=shaded)
     for name in ("alpha", "depth", "normal", "radiance", "albedo", "roughness", "metallic"):
@@ -70,7 +70,7 @@ def test_confidence_is_a_layer_and_changes_no_other(reconstruction, camera, anal
 
 
 def test_unshaded_layers_are_the_same_without_radiance(reconstruction, camera):
-    glossy = Reconstruction(reconstruction.gaussians, reconstruction.environment, reconstruction.bound, np.eye(4), glossy=True)
+    glossy = Reconstruction(reconstruction.gaussians, reconstruction.environment, reconstruction.bound, np.eye(4), has_split_sum=True)
     shaded, plain = render_gbuffer(glossy, camera), render_gbuffer(glossy, camera, shaded=False)
     for name in ("alpha", "depth", "normal", "albedo", "roughness", "metallic"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(shaded, name), strict=True)
@@ -92,7 +92,7 @@ def test_bands_of_rows_make_the_same_image(reconstruction, camera, monkeypatch):
 
 def test_glossy_reconstruction_shows_reflections(reconstruction, camera, analytic):
     inside = analytic[2] < -2
-    glossy = Reconstruction(reconstruction.gaussians, reconstruction.environment, reconstruction.bound, np.eye(4), glossy=True)
+    glossy = Reconstruction(reconstruction.gaussians, reconstruction.environment, reconstruction.bound, np.eye(4), has_split_sum=True)
     added = (render_gbuffer(glossy, camera).radiance - render_gbuffer(reconstruction, camera).radiance)[inside]
     assert added.min() > 0.01 and np.median(added) < 0.06
 

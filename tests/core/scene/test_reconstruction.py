@@ -28,7 +28,7 @@ def test_round_trip(tmp_path, background):
     given = make(background, glossy=not background)
     given.save(tmp_path)
     loaded = Reconstruction.load(tmp_path)
-    assert loaded.bound == given.bound and loaded.glossy == given.glossy
+    assert loaded.bound == given.bound and loaded.has_split_sum == given.has_split_sum
     assert np.array_equal(loaded.to_world, given.to_world)
     assert np.allclose(loaded.environment_map(), given.environment_map(), rtol=1e-3)
     assert torch.equal(loaded.gaussians.position, given.gaussians.position)

@@ -61,10 +61,10 @@ class Weights:
     light: float = 5e-4
 
 
-LOW_GLOSS = Weights()
+LOW_GLOSS_WEIGHTS = Weights()
 # IRGS publishes none for glossy objects, whose materials vary more and whose reflections show the light's colour. Those of its
 # descendants are a tenth: RadioGS 0.2 and 0.1, GS-ROR 0.01.
-GLOSSY = Weights(albedo=0.2, roughness=0.2, metallic=0.2, white_balance=0.01)
+GLOSSY_WEIGHTS = Weights(albedo=0.2, roughness=0.2, metallic=0.2, white_balance=0.01)
 
 
 def joint_losses(

@@ -28,7 +28,7 @@ from ...common.optimizer import GaussianOptimizer, Rate
 from ...common.training_view import make_training_view
 from ...common.view_order import next_view
 from ..refinement.refinement import DARKEST, HOLD_BACK, TEST_PIXELS, TEST_SAMPLES, split_samples
-from .losses import LOW_GLOSS, NORMALS_FROM, Weights, joint_losses
+from .losses import LOW_GLOSS_WEIGHTS, NORMALS_FROM, Weights, joint_losses
 from .model import JointModel
 
 FRACTIONS = (0.5, 0.25, 0.25)  # of cosine, visible-normal and light samples: 256, 128 and 128, or 8, 4 and 4
@@ -63,7 +63,7 @@ class JointOptimisation:
         settings: SecondStageSettings,
         seed: int,
         *,
-        weights: Weights = LOW_GLOSS,
+        weights: Weights = LOW_GLOSS_WEIGHTS,
         factor: Rate = PUBLISHED,
         hold_back: bool = False,
     ) -> None:

@@ -33,7 +33,7 @@ def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Se
     """Return a reconstruction whose SH hold all radiance.
 
     Args:
-        start: reconstruction, glossy or not.
+        start: reconstruction, with split-sum reflections or without.
         views: photographs.
         settings: settings of the job.
         progress: receives the progress and may cancel.
@@ -41,13 +41,13 @@ def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Se
     Raises:
         Cancelled: the user stopped the work.
     """
-    if not start.glossy:
+    if not start.has_split_sum:
         return start
     g = start.gaussians
     mean, seen = mean_seen_radiance(g, [make_training_view(view, crop=view.alpha is not None) for view in views], start.bound.radius)
     sh = torch.zeros_like(g.sh)
     sh[0] = torch.where(seen, (mean - 0.5) / SH_C0, g.sh[0])
-    plain = replace(start, gaussians=replace(g, sh=sh), glossy=False, reflections=None)
+    plain = replace(start, gaussians=replace(g, sh=sh), has_split_sum=False, reflections=None)
     progress.phase("radiance", WARM_UP)
 
     def step(done: int) -> bool:

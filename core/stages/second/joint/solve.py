@@ -18,7 +18,7 @@ from ...common.optimizer import Rate
 from ...common.preview import albedo_image
 from ...common.time_budget import joint_schedule_scale, scale_schedule
 from .irgs import irgs_start, reflect_as_irgs
-from .losses import GLOSSY, LOW_GLOSS
+from .losses import GLOSSY_WEIGHTS, LOW_GLOSS_WEIGHTS
 from .model import JointModel
 from .optimisation import PUBLISHED, JointOptimisation
 from .radiance_start import with_all_radiance
@@ -105,10 +105,10 @@ def refine_jointly(
 
 def _with_radiance_of(result: Reconstruction, solved: Reconstruction) -> Reconstruction:
     """Return a result with the own radiance of a glossy reconstruction: SH alone, as the optimisation needs them, blur its reflections."""
-    if not solved.glossy:
+    if not solved.has_split_sum:
         return result
     gaussians = replace(result.gaussians, sh=solved.gaussians.sh)
-    return replace(result, gaussians=gaussians, glossy=True, reflections=solved.mirrored())
+    return replace(result, gaussians=gaussians, has_split_sum=True, reflections=solved.mirrored())
 
 
 def _optimised(
@@ -123,13 +123,13 @@ def _optimised(
 ) -> tuple[JointOptimisation, float, float, float]:
     """Run the optimisation; return it with the schedule scale and the PSNR of shaded views before and after it."""
     check_joint(dataset.train)
-    second, glossy = settings.second, start.glossy
+    second, reflects = settings.second, start.has_split_sum
     start = with_all_radiance(start, dataset.train, settings, progress)
     near = dataset.surroundings if second.surroundings and second.indirect else None
     model = JointModel.of(start, near, settings.first.subpixels, second.indirect, second.shadows)
     if second.brdf == "irgs":
         start, model = irgs_start(start), replace(model, reflect=reflect_as_irgs)
-    weights, factor = GLOSSY if glossy else LOW_GLOSS, PUBLISHED
+    weights, factor = GLOSSY_WEIGHTS if reflects else LOW_GLOSS_WEIGHTS, PUBLISHED
     if refining:
         smooth = REFINING_SMOOTHNESS
         weights, factor = replace(weights, albedo=smooth, roughness=smooth, metallic=smooth), REFINING

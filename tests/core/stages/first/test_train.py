@@ -18,7 +18,7 @@ from irgspp.core.settings.schema import Settings, preset
 from irgspp.core.stages.common.training_view import border_radiance, make_training_view
 from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.initialization import initial_gaussians
-from irgspp.core.stages.first.material_class import COATED, GEOMETRY_RATES, LOW_GLOSS, METAL, allowed_material_classes
+from irgspp.core.stages.first.material_class import GEOMETRY_RATES, GLOSSY, LOW_GLOSS, METAL, allowed_material_classes
 from irgspp.core.stages.first.material_class_selection import select_material_class
 from irgspp.core.stages.first.train import train
 from irgspp.core.stages.first.trainer import RATES_CHOSEN_AT, Trainer
@@ -83,7 +83,7 @@ def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, mater
     assert torch.equal(whole.environment, resumed.environment)
 
 
-@pytest.mark.parametrize("material_class", [COATED, METAL])
+@pytest.mark.parametrize("material_class", [GLOSSY, METAL])
 def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, material_class):
     dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings().first
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
@@ -119,17 +119,17 @@ def test_a_mirror_is_distinguished_from_paint(sphere_dataset, camera_ring):
     chosen = settings("first.trial_iterations=60", "first.trial_gaussians=1500", "first.gaussians=1500")
     start = initial_gaussians(painted, 1500, np.random.default_rng(0))
     assert select_material_class(painted, chosen, start, Silent()) is LOW_GLOSS
-    assert select_material_class(mirror, chosen, start, Silent()).glossy
+    assert select_material_class(mirror, chosen, start, Silent()).split_sum
 
 
 def test_what_is_given_is_not_tried(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
     assert select_material_class(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
-    assert {m.glossy for m in allowed_material_classes("glossy")} == {True}
+    assert {m.split_sum for m in allowed_material_classes("glossy")} == {True}
     unmasked = sphere_dataset(camera_ring(9, 32), masked=False)
     selected = select_material_class(unmasked, settings(), start, Silent())
-    assert (selected.name, selected.position) == (LOW_GLOSS.name, COATED.position)
+    assert (selected.name, selected.position) == (LOW_GLOSS.name, GLOSSY.position)
 
 
 def test_subsample_surfels_cover_the_same_area(splat_sphere):
@@ -275,7 +275,7 @@ def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
 def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
     """Compiled code trusts shapes, and a checkpoint may be any file."""
     dataset = sphere_dataset(camera_ring(9, 32))
-    trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), COATED, 0, 9)
+    trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), GLOSSY, 0, 9)
     trainer.step()
     state = trainer.state()
     trainer.restore(state)

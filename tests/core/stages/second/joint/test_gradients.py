@@ -8,7 +8,7 @@ import torch
 from irgspp.core.scene.dataset import View
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.stages.common.training_view import make_training_view
-from irgspp.core.stages.second.joint.losses import LOW_GLOSS, joint_losses
+from irgspp.core.stages.second.joint.losses import LOW_GLOSS_WEIGHTS, joint_losses
 from irgspp.core.stages.second.joint.model import JointModel
 from joint_scene import COUNT, REFERENCE, bowl, camera, disc, log_light, random_image, to_double
 
@@ -50,11 +50,11 @@ class Step:
             view, plan = to_double(view), type(plan)(plan.pixels, to_double(plan.samples), plan.above)
         gaussians = Gaussians(**{name: value for name, value in values.items() if name != "light"})
         sums = model.render(gaussians, view)
-        losses = joint_losses(model, gaussians, values["light"], sums, view, plan, LOW_GLOSS, geometry=True)
+        losses = joint_losses(model, gaussians, values["light"], sums, view, plan, LOW_GLOSS_WEIGHTS, geometry=True)
         # Normal consistency does not follow its outer opacity (2DGS), which a difference of its values does: that part is taken out.
         outer = sums[-1, 1:-1, 1:-1].sum() / sums[-1].numel()
         if constant:
-            losses["normal"] = losses["normal"] - LOW_GLOSS.normal * view.pixel_fraction * outer
+            losses["normal"] = losses["normal"] - LOW_GLOSS_WEIGHTS.normal * view.pixel_fraction * outer
         return losses
 
     def gradient(self, dtype, names=None):

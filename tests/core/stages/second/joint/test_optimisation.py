@@ -137,7 +137,7 @@ def test_held_back_views_are_never_drawn(start, dataset):
 def test_progress_finishes_early_or_cancels(start, dataset):
     listener = Listener(finish_at=2)
     result, scale = optimise_jointly(start, dataset, SETTINGS, listener)
-    assert (listener.done, scale) == (2, 1.0) and not result.glossy
+    assert (listener.done, scale) == (2, 1.0) and not result.has_split_sum
     assert sum("PSNR of shaded training views" in text for text in listener.messages) == 1
     with pytest.raises(Cancelled, match="iteration 3 of the joint optimisation"):
         optimise_jointly(start, dataset, SETTINGS, Listener(cancel_at=3))
@@ -188,9 +188,9 @@ def test_refinement_is_kept_only_where_held_back_views_gain(start, dataset, monk
 def test_a_refined_glossy_reconstruction_keeps_its_reflections(start, dataset, monkeypatch):
     measured = [20.0, 21.0]
     monkeypatch.setattr(JointOptimisation, "test", lambda self: measured.pop(0))
-    glossy = replace(start, glossy=True)
+    glossy = replace(start, has_split_sum=True)
     result, _ = refine_jointly(glossy, dataset, SETTINGS, Listener(finish_at=1))
-    assert result.glossy and result.reflections is not None
+    assert result.has_split_sum and result.reflections is not None
     assert torch.equal(result.gaussians.sh, start.gaussians.sh)
     assert torch.equal(result.reflections.material, start.gaussians.materials())
     assert not torch.equal(result.gaussians.material, start.gaussians.material)
@@ -235,11 +235,11 @@ def test_without_masks_the_backdrop_is_neither_shaded_nor_met(start, sphere_data
 
 
 def test_radiance_of_a_glossy_start_moves_into_its_sh(start, dataset):
-    glossy = replace(start, glossy=True, environment=torch.full((8, 16, 3), 0.8))
+    glossy = replace(start, has_split_sum=True, environment=torch.full((8, 16, 3), 0.8))
     material = torch.logit(torch.tensor([0.8, 0.5, 0.2, 0.5, 0.6]))[:, None].expand(5, 800).contiguous()
     glossy = replace(glossy, gaussians=replace(glossy.gaussians, material=material))
     plain = with_all_radiance(glossy, dataset.train, SETTINGS, Silent())
-    assert not plain.glossy and plain.mirrored() is None
+    assert not plain.has_split_sum and plain.mirrored() is None
     layers = render_gbuffer(plain, dataset.train[0].camera)
     inside = layers.alpha > 0.99
     assert np.abs(layers.radiance[inside] - [0.604, 0.214, 0.033]).mean() < 0.03  # (0.8, 0.5, 0.2) in linear light

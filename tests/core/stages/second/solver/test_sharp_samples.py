@@ -26,7 +26,7 @@ def patterned(splat_sphere, request):
     colour = torch.where(first, *(torch.tensor(values) for values in pair))
     sphere.sh[0] = (colour.T - 0.5) / SH_C0
     sphere.material = torch.logit(torch.tensor([0.5, 0.5, 0.5, 0.4, 0.01]))[:, None].repeat(1, COUNT)
-    return Reconstruction(sphere, torch.full((8, 16, 3), 0.5), Bound((0, 0, 0), 1.0), np.eye(4), glossy=True), colour, pigment
+    return Reconstruction(sphere, torch.full((8, 16, 3), 0.5), Bound((0, 0, 0), 1.0), np.eye(4), has_split_sum=True), colour, pigment
 
 
 def sampled(scene, cameras, added=0.0):
@@ -62,5 +62,5 @@ def test_metal_keeps_the_photographs_pixels(patterned, camera_ring):
 
 def test_sh_that_hold_all_radiance_are_the_colour(patterned, camera_ring):
     scene, colour, _ = patterned
-    samples = sampled(replace(scene, glossy=False), camera_ring(12, 32), 0.1)
+    samples = sampled(replace(scene, has_split_sum=False), camera_ring(12, 32), 0.1)
     torch.testing.assert_close(samples.colour, colour[gaussians_of(samples, scene)], atol=1e-5, rtol=0)
