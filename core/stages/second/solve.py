@@ -27,7 +27,7 @@ from ..common.finite_check import require_finite
 from ..common.nearest_neighbours import nearest_neighbours
 from ..common.time_budget import scaled_iterations
 from .joint.solve import optimise_jointly, refine_jointly
-from .metal import METAL, METAL_ON_AVERAGE, is_metal_on_average
+from .metal import METALLIC_THRESHOLD, is_mostly_metal
 from .normals.normal_alignment import align_normals
 from .normals.normal_improvement import improve_normals
 from .radiance_refit import refit_radiance
@@ -120,7 +120,7 @@ def solve_in_closed_form(
     """
     fraction = settings.second.mesh_normals
     # Reflections in the first stage determine a metal's normals better than smooth depth does.
-    if fraction > 0 and not is_metal_on_average(reconstruction.gaussians):
+    if fraction > 0 and not is_mostly_metal(reconstruction.gaussians):
         reconstruction = replace(reconstruction, gaussians=align_normals(reconstruction.gaussians, surface, fraction))
     # The noise of a finer mesh's normals hides metal: on capture_ogre, albedo loses 1 dB with 70,000 triangles.
     solver, tracer = solve_light_materials(reconstruction, coarser(surface, SOLVED), dataset, settings, progress)
@@ -134,7 +134,7 @@ def solve_in_closed_form(
     enlarged = solver.light_map(settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     starts = [reconstruction.relabelled(torch.logit(materials), enlarged)]
-    if reconstruction.has_split_sum and float(solver.metallic.mean()) > METAL_ON_AVERAGE:
+    if reconstruction.has_split_sum and solver.is_mostly_metal:
         starts = metal_starts(reconstruction, starts[0], solver)
     result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline)
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
@@ -147,7 +147,7 @@ def solve_in_closed_form(
 
 def _is_metal(reconstruction: Reconstruction, solver: LightMaterialSolver) -> bool:
     """Return True where the first stage or the solver takes the object for metal, which has no diffuse shading."""
-    return is_metal_on_average(reconstruction.gaussians) or float(solver.metallic.mean()) > METAL_ON_AVERAGE
+    return is_mostly_metal(reconstruction.gaussians) or solver.is_mostly_metal
 
 
 def solve_light_materials(
@@ -200,7 +200,7 @@ def _is_doubtful_metal(reconstruction: Reconstruction, solver: LightMaterialSolv
 
     A flash on the camera lights what faces it, as rough metal reflects a light behind the camera.
     """
-    if float(solver.metallic.mean()) <= METAL_ON_AVERAGE or is_metal_on_average(reconstruction.gaussians):
+    if not solver.is_mostly_metal or is_mostly_metal(reconstruction.gaussians):
         return False
     return not reconstruction.has_split_sum or solver.metal_gain < CLEAR
 
@@ -233,8 +233,8 @@ def _solve_from_first_stage(
     roughness, metallic = g.materials()[3:, nearest_neighbours(g.position.T, samples.position, 1)[:, 0]]
     split = partial(split_brightest, samples=samples, tracer=tracer, seed=settings.seed, rows=settings.second.light_height)
     # A light that turns meets other traced rays in each view. Of a metal's light, the first stage's reflections know more.
-    stays_coarse = transfer.rotations is not None or is_metal_on_average(g)
-    metallic = (metallic > METAL).float() * search_metal
+    stays_coarse = transfer.rotations is not None or is_mostly_metal(g)
+    metallic = (metallic > METALLIC_THRESHOLD).float() * search_metal
     step = lambda done: report_step(progress, done) or progress.finish_early  # noqa: E731
 
     def solved(try_dark: bool) -> LightMaterialSolver:

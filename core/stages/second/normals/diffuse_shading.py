@@ -16,7 +16,7 @@ from ....scene.spherical_harmonics import sh_basis
 from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
 from ....shading.split_sum import specular_light, specular_radiance
-from ..metal import METAL
+from ..metal import METALLIC_THRESHOLD
 from ..solver.light_material_solver import LightMaterialSolver
 from ..solver.multi_view_samples import MultiViewSamples, sample_views
 from .shading_normals import DARKEST, DiffuseShading
@@ -57,7 +57,7 @@ def observe_diffuse_shading(
     log_radiance, precision = mean_diffuse_radiance(samples, solver, at)
     values, certain = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     values[seen.cpu().numpy()], certain[seen.cpu().numpy()] = log_radiance, precision
-    return DiffuseShading(values, np.where(around[:, 1] > METAL, 0, certain), irradiance)
+    return DiffuseShading(values, np.where(around[:, 1] > METALLIC_THRESHOLD, 0, certain), irradiance)
 
 
 def point_irradiance(solver: LightMaterialSolver) -> tuple[np.ndarray, torch.Tensor]:

@@ -18,7 +18,7 @@ from ....scene.dataset import View
 from ....scene.surface import Surface
 from ....surface.meshing import unit
 from ....surface.topology import neighbour_average
-from ..metal import METAL
+from ..metal import METALLIC_THRESHOLD
 from ..solver.light_material_solver import LightMaterialSolver
 from ..solver.metal_normals import search_normals
 from ..solver.multi_view_samples import MultiViewSamples, sample_views
@@ -87,7 +87,7 @@ def _metal_vertices(surface: Surface, solver: LightMaterialSolver) -> tuple[np.n
     """Return the vertices of metal in the order of their roughness, and that roughness."""
     index, weight = nearest_points(surface, solver)
     roughness, metallic = ((values.cpu().numpy()[index] * weight).sum(1) for values in (solver.roughness, solver.metallic))
-    metal = np.flatnonzero(metallic > METAL)
+    metal = np.flatnonzero(metallic > METALLIC_THRESHOLD)
     metal = metal[np.argsort(roughness[metal], kind="stable")]
     return metal, roughness[metal]
 

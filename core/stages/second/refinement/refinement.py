@@ -28,7 +28,7 @@ from ...common.finite_check import check_due, require_finite
 from ...common.light_map import light_variation
 from ...common.nearest_neighbours import nearest_neighbours
 from ...common.optimizer import GaussianOptimizer, Rate
-from ..metal import METAL, is_metal_on_average
+from ..metal import METALLIC_THRESHOLD, is_mostly_metal
 from .pixel_gbuffer import CachedHits, RasterizedViews
 from .pixel_pool import PixelPool, facing_side
 
@@ -85,7 +85,7 @@ class Refinement:
         self.generator = torch.Generator().manual_seed(seed)
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
-        metal = is_metal_on_average(g)
+        metal = is_mostly_metal(g)
         table = {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness")}
         table["light"] = Rate(5e-3 * (METAL_LIGHT_RATE if metal else 1.0), 0.1)
         # The reflections in the first stage have determined a metal's normals; noisy gradients would only scatter them, and a metallic
@@ -176,7 +176,7 @@ class Refinement:
     @torch.no_grad()
     def _are_metal(self, pixels: torch.Tensor) -> torch.Tensor:
         """Return (B,) bool, True for pixels (B,) that show metal."""
-        return torch.cat([self._materials(part)[3] > METAL for part in pixels.split(5000)])
+        return torch.cat([self._materials(part)[3] > METALLIC_THRESHOLD for part in pixels.split(5000)])
 
     def _loss(self) -> torch.Tensor:
         """Compute the loss of one step: Charbonnier loss of encoded radiance, smoothness of materials and light, white balance."""

@@ -19,7 +19,7 @@ from ....settings.schema import Settings
 from ...common.preview import albedo_image
 from ...common.skip_rules import decide_skip_rule
 from ...common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, second_stage_schedule_scale
-from ..metal import is_metal_on_average
+from ..metal import is_mostly_metal
 from .material_confidence import with_confidence
 from .pixel_pool import PixelPool, pool_pixels
 from .refinement import Refinement
@@ -57,7 +57,7 @@ def refine(
     """
     if settings.second.iterations == 0:
         return starts[0], 1.0
-    if is_metal_on_average(starts[0].gaussians):
+    if is_mostly_metal(starts[0].gaussians):
         settings = replace(settings, second=replace(settings.second, iterations=round(METAL_STEPS * settings.second.iterations)))
     progress.phase("refine", settings.second.iterations)
     pool = pool_pixels(dataset.train, tracer, settings.second.pool, np.random.default_rng(settings.seed), settings.first.subpixels)
@@ -84,7 +84,7 @@ def refine(
 def _by_confidence(result: Reconstruction, pool: PixelPool, tracer: SecondaryTracer, settings: Settings) -> Reconstruction:
     """Return a refined reconstruction with the confidence of its materials, and with a roughness that is pooled by it."""
     known = with_confidence(result, pool, tracer, settings.second, settings.seed)
-    if is_metal_on_average(known.gaussians):  # its roughness makes up for wrong normals: new views of a teapot lost 1 dB
+    if is_mostly_metal(known.gaussians):  # its roughness makes up for wrong normals: new views of a teapot lost 1 dB
         return known
     return with_pooled_roughness(known, settings.seed)
 

@@ -15,7 +15,7 @@ import torch
 from ....scene.gaussians import ALBEDO, METALLIC, ROUGHNESS, Gaussians
 from ....scene.reconstruction import Reconstruction
 from ...common.nearest_neighbours import nearest_neighbours
-from ..metal import METAL
+from ..metal import METALLIC_THRESHOLD
 
 SOURCES = 5000  # surfels, drawn at random, whose roughness others may take
 NEAREST = 128  # of them around a surfel: some 3 per cent of the surface
@@ -63,7 +63,7 @@ def pooled_roughness(gaussians: Gaussians, confidence: np.ndarray, random: np.ra
 
 def _pooled(materials: np.ndarray, known: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
     """Return the pooled roughness (M,) of the surfels `own` (M,) with the sources `around` (M, K) of each."""
-    albedo, metal = materials[ALBEDO], materials[METALLIC] > METAL
+    albedo, metal = materials[ALBEDO], materials[METALLIC] > METALLIC_THRESHOLD
     alike = np.exp(-SIMILARITY * np.abs(albedo[:, around] - albedo[:, own, None]).sum(0)) * (metal[around] == metal[own, None])
     weight = alike * known[around]
     total = np.maximum(weight.sum(1), 1e-30)

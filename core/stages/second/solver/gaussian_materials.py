@@ -15,7 +15,7 @@ from ....scene.reconstruction import Reconstruction
 from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
 from ...common.nearest_neighbours import nearest_neighbours
-from ..metal import METAL
+from ..metal import METALLIC_THRESHOLD
 from .light_material_solver import LightMaterialSolver
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
@@ -93,8 +93,8 @@ def nearest_materials(
         Roughness (N,), and metallic (N,), 0 or 1.
     """
     around = nearest_neighbours(points, position, ALIKE)
-    metal = metallic[around] > METAL
-    is_metal = metal[:, :NEAREST].float().mean(1) > METAL
+    metal = metallic[around] > METALLIC_THRESHOLD
+    is_metal = metal[:, :NEAREST].float().mean(1) > METALLIC_THRESHOLD
     alike = (metal == is_metal[:, None]).float()
     return (alike * roughness[around]).sum(1) / alike.sum(1), is_metal.float()
 

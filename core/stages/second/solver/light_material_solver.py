@@ -28,7 +28,7 @@ import numpy as np
 import torch
 
 from ...common.finite_check import require_finite
-from ..metal import METAL_ON_AVERAGE
+from ..metal import MEAN_METALLIC_THRESHOLD
 from .albedo_prior import CONSTANT, DARK, MEDIUM, albedo_prior
 from .light_prior import LightPrior
 from .linear_system import solve_positive
@@ -112,6 +112,11 @@ class LightMaterialSolver:
         self._loosened = 1.0  # factor of OUTLIER in the next step
         self._update_model()
 
+    @property
+    def is_mostly_metal(self) -> bool:
+        """True where the mean metallic of the points is above MEAN_METALLIC_THRESHOLD."""
+        return float(self.metallic.mean()) > MEAN_METALLIC_THRESHOLD
+
     def advance(self, done: int) -> None:
         """Search the materials where it is time, and do a step.
 
@@ -174,7 +179,7 @@ class LightMaterialSolver:
 
     def reduce_tint(self) -> None:
         """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""
-        if float(self.metallic.mean()) > METAL_ON_AVERAGE:
+        if self.is_mostly_metal:
             return
         likely = self._light_prior.likely_tint(self.light, self._curvature, self.error())
         change = (likely - self._light_prior.tint(self.light)).exp()
@@ -269,7 +274,7 @@ class LightMaterialSolver:
 
         Wrong normals make a part of a metal object look like a dielectric: on a metal figure, the underside of its base did.
         """
-        if float(metal.float().mean()) <= METAL_ON_AVERAGE or bool(metal.all()):
+        if float(metal.float().mean()) <= MEAN_METALLIC_THRESHOLD or bool(metal.all()):
             return metal
         mixed, whole = (float(self._adapted(points)[1].sum()) for points in (metal, torch.ones_like(metal)))
         return torch.ones_like(metal) if whole - mixed <= EVIDENCE * mixed else metal

@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ....io.srgb import encode_srgb
 from ...common.nearest_neighbours import nearest_neighbours
-from ..metal import METAL_ON_AVERAGE
+from ..metal import MEAN_METALLIC_THRESHOLD
 
 NEIGHBOURS = 13  # of a point, the point itself included
 CHROMATICITY, ENCODED = 15, 3  # exponential decay of similarity with differences of chromaticity and of encoded colour, channels summed
@@ -153,4 +153,4 @@ def _least_gain(region: torch.Tensor) -> float:
     """Return the gain that a region (P,) bool needs, as a share of the robust error of all samples."""
     share = float(region.float().mean())
     # Whether most of an object is metal is decided by other evidence, too: what the first stage found, and what is left without metal.
-    return EVIDENCE if share > METAL_ON_AVERAGE else max(EVIDENCE, DENSITY * share)
+    return EVIDENCE if share > MEAN_METALLIC_THRESHOLD else max(EVIDENCE, DENSITY * share)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..metal import METAL_ON_AVERAGE
 from .light_material_solver import STEPS, LightMaterialSolver, Split
 
 START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared, and about how many points they are compared on
@@ -61,7 +60,7 @@ def run_solver(
     if coarse and _clearly_better(coarse, solver):
         solver.become(coarse)
     # Of an object that is metal as a whole, the first stage's reflections know the normals better.
-    if not ended and 0 < float(solver.metallic.mean()) <= METAL_ON_AVERAGE:
+    if not ended and bool((solver.metallic > 0).any()) and not solver.is_mostly_metal:
         for _ in range(TURNS):
             solver.turn_metal()
             if step(STEPS):

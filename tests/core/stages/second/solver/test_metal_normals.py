@@ -90,6 +90,7 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
     done = []
     solver = SimpleNamespace(
         metallic=torch.tensor(metallic),
+        is_mostly_metal=sum(metallic) > 1.5,
         advance=lambda step: done.append("step"),
         turn_metal=lambda: done.append("turn"),
         reduce_tint=lambda: done.append("tint"),
@@ -100,6 +101,7 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
 
 def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
     done = []
-    solver = SimpleNamespace(metallic=torch.tensor([1.0, 0.0, 0.0]), advance=done.append, reduce_tint=lambda: done.append("tint"))
+    metal = {"metallic": torch.tensor([1.0, 0.0, 0.0]), "is_mostly_metal": False}
+    solver = SimpleNamespace(**metal, advance=done.append, reduce_tint=lambda: done.append("tint"))
     run_solver(solver, step=lambda steps: steps == STEPS)
     assert done == [*range(STEPS), "tint"]
